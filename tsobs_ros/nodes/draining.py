@@ -1,0 +1,131 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A subscription whose queue is emptied in bulk, instead of one executor callback per message.
+
+An rclpy executor rebuilds its wait set and makes a task for every single callback, which costs
+five to ten times more than taking the message. A node that only needs its messages "by the next
+tick" therefore keeps the subscription out of the wait set and empties it from its own timer. The
+stamps are unaffected: the middleware sets them when a message arrives, not when it is taken.
+"""
+
+from typing import Any, NamedTuple
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+
+
+class MessageInfo(NamedTuple):
+    """What the middleware knows about one received message.
+
+    Attributes:
+        source_ns: When it was published, on the publisher's system clock, ns since the epoch.
+        received_ns: When it arrived here, on this machine's system clock, ns since the epoch.
+        sequence: Its publisher's count of messages, from 1; None where the RMW does not tell.
+    """
+
+    source_ns: int
+    received_ns: int
+    sequence: int | None
+
+
+class Drained(NamedTuple):
+    """One message taken from the queue: typed, or the CDR bytes of a raw subscription."""
+
+    message: Any
+    info: MessageInfo
+
+
+class DrainedGroup(CallbackGroup):
+    """Keeps its subscriptions out of every executor's wait set, but lets their events through.
+
+    Executors ask the group before they wait for an entity: one that may never execute is neither
+    waited for nor able to wake them. The events of the same subscription (an incompatible QoS,
+    say) are entities of this group as well, and go on being reported.
+    """
+
+    def can_execute(self, entity: object) -> bool:
+        """Return whether an executor may wait for the entity: anything but a subscription."""
+        return not isinstance(entity, Subscription)
+
+    def beginning_execution(self, entity: object) -> bool:
+        """Return whether the entity's callback may begin now."""
+        return self.can_execute(entity)
+
+    def ending_execution(self, entity: object) -> None:
+        """Do nothing: callbacks of this group do not exclude each other."""
+
+
+class DrainedSubscription:
+    """A subscription that waits, in its queue, for `drain`.
+
+    The queue is the one of the QoS profile: with `keep last`, whatever does not fit into `depth`
+    between two drains is dropped by the middleware, oldest first.
+
+    Args:
+        node: The node that owns the subscription.
+        msg_type: The message class.
+        topic: The topic name; relative names are resolved and remapped by the node.
+        qos: The requested QoS profile, whose depth covers the longest time between drains.
+        raw: Take CDR bytes as they came off the wire, instead of messages.
+    """
+
+    def __init__(
+        self, node: Node, msg_type: type[Any], topic: str, qos: QoSProfile, *, raw: bool = False
+    ) -> None:
+        self._node = node
+        self._subscription = node.create_subscription(
+            msg_type, topic, _never_called, qos, callback_group=DrainedGroup(), raw=raw
+        )
+
+    @property
+    def topic(self) -> str:
+        """The full topic name, after remapping."""
+        return str(self._subscription.topic_name)
+
+    @property
+    def publisher_count(self) -> int:
+        """The number of publishers this subscription is matched with at the moment."""
+        return int(self._subscription.get_publisher_count())
+
+    def drain(self, limit: int | None = None) -> list[Drained]:
+        """Take what is in the queue, oldest first.
+
+        Args:
+            limit: Take at most so many messages; None empties the queue.
+
+        Returns:
+            The messages with their infos; empty when nothing has arrived.
+
+        Raises:
+            InvalidHandle: The subscription or its node has been destroyed.
+        """
+        drained: list[Drained] = []
+        handle = self._subscription.handle
+        msg_type, raw = self._subscription.msg_type, self._subscription.raw
+        with handle:
+            while limit is None or len(drained) < limit:
+                taken = handle.take_message(msg_type, raw)
+                if taken is None:
+                    break
+                message, info = taken
+                drained.append(
+                    Drained(
+                        message,
+                        MessageInfo(
+                            info["source_timestamp"],
+                            info["received_timestamp"],
+                            info["publication_sequence_number"],
+                        ),
+                    )
+                )
+        return drained
+
+    def destroy(self) -> None:
+        """Destroy the subscription with what is left in its queue; safe to call twice."""
+        self._node.destroy_subscription(self._subscription)
+
+
+def _never_called(message: object) -> None:
+    """Stand in for the callback that rclpy asks for: the group keeps executors from calling it."""
