@@ -1,0 +1,155 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The arm with an elastic joint: its physics, its coordinates and its T–S form.
+
+    J₁ q̈₁ + b₁ q̇₁ + k (q₁ − q₂) + mgl sin q₁ = 0
+    J₂ q̈₂ + b₂ q̇₂ − k (q₁ − q₂)             = u
+
+The estimators work in the coordinates of the method's Example 3,
+x = [q₁, q̇₁, (k/J₁) q₂, (k/J₁) q̇₂], in which the spring enters the link's row with unit gain.
+Here they are called *design coordinates*; [q₁, q̇₁, q₂, q̇₂] are the *physical* ones.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model._checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.model.fuzzy import RuleBase, TSSystem
+
+LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE, MOTOR_VELOCITY = range(4)
+"""Places of the four states, the same in both coordinates."""
+
+
+@dataclass(frozen=True)
+class ElasticJointArm:
+    """Physical parameters of an arm with an elastic joint; the defaults are Example 3's.
+
+    Attributes:
+        link_inertia: J₁ [kg m²].
+        motor_inertia: J₂ [kg m²].
+        stiffness: Spring constant k of the joint [N m/rad].
+        gravity_torque: mgl, the torque that holds the link horizontal [N m].
+        link_damping: b₁ [N m s/rad].
+        motor_damping: b₂ [N m s/rad].
+
+    Raises:
+        ModelError: An inertia, the stiffness or the gravity torque is not a finite number above
+            zero, or a damping is negative.
+    """
+
+    link_inertia: float = 1.0
+    motor_inertia: float = 2.0
+    stiffness: float = 10.0
+    gravity_torque: float = 10.0
+    link_damping: float = 0.0
+    motor_damping: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            check = non_negative if field.name.endswith("damping") else positive
+            object.__setattr__(self, field.name, check(field.name, getattr(self, field.name)))
+
+    @property
+    def gravity_gain(self) -> float:
+        """mgl/J₁ [1/s²]: the link's angular acceleration by gravity when it is horizontal."""
+        return self.gravity_torque / self.link_inertia
+
+    @cached_property
+    def spring_matrix(self) -> Array:
+        """State matrix without gravity, shape (4, 4): what the exact linear flow integrates."""
+        j1, j2, k = self.link_inertia, self.motor_inertia, self.stiffness
+        return as_matrix(
+            "spring_matrix",
+            [
+                [0.0, 1.0, 0.0, 0.0],
+                [-k / j1, -self.link_damping / j1, 1.0, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+                [k * k / (j1 * j2), 0.0, -k / j2, -self.motor_damping / j2],
+            ],
+            (4, 4),
+        )
+
+    @cached_property
+    def input_matrix(self) -> Array:
+        """Torque to state derivative, shape (4, 1)."""
+        gain = self.stiffness / (self.link_inertia * self.motor_inertia)
+        return as_matrix("input_matrix", [[0.0], [0.0], [0.0], [gain]], (4, 1))
+
+    @cached_property
+    def output_matrix(self) -> Array:
+        """State to measured link angle, shape (1, 4)."""
+        return as_matrix("output_matrix", [[1.0, 0.0, 0.0, 0.0]], (1, 4))
+
+    @cached_property
+    def _physical_scale(self) -> Array:
+        shrink = self.link_inertia / self.stiffness
+        return as_matrix("physical_scale", [1.0, 1.0, shrink, shrink], (4,))
+
+    def to_physical(self, x: ArrayLike) -> Array:
+        """Return [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) for design coordinates of shape (..., 4)."""
+        return np.asarray(x, dtype=np.float64) * self._physical_scale
+
+    def from_physical(self, q: ArrayLike) -> Array:
+        """Return design coordinates for [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) of shape (..., 4)."""
+        return np.asarray(q, dtype=np.float64) / self._physical_scale
+
+    def slope_matrix(self, slope: float) -> Array:
+        """Return the state matrix A(c), shape (4, 4), with gravity replaced by mgl·c·q₁.
+
+        Args:
+            slope: c, a value of sin q₁/q₁ (a T–S rule) or of its derivative (an error system).
+        """
+        matrix = self.spring_matrix.copy()
+        matrix[LINK_VELOCITY, LINK_ANGLE] -= self.gravity_gain * slope
+        return matrix
+
+    def derivative(self, x: ArrayLike, u: ArrayLike) -> Array:
+        """Return ẋ in design coordinates.
+
+        Args:
+            x: State, shape (..., 4).
+            u: Motor torque [N m], shape (..., 1).
+        """
+        state = np.asarray(x, dtype=np.float64)
+        rate = state @ self.spring_matrix.T + np.asarray(u, dtype=np.float64) @ self.input_matrix.T
+        rate[..., LINK_VELOCITY] -= self.gravity_gain * np.sin(state[..., LINK_ANGLE])
+        return np.asarray(rate)
+
+    def energy(self, x: ArrayLike) -> Array:
+        """Return kinetic + spring + gravity energy [J], zero at rest hanging down; shape (...)."""
+        q1, v1, q2, v2 = np.moveaxis(self.to_physical(x), -1, 0)
+        kinetic = 0.5 * (self.link_inertia * v1**2 + self.motor_inertia * v2**2)
+        # 2 sin²(q/2) = 1 − cos q without its cancellation near the hanging position.
+        gravity = self.gravity_torque * 2.0 * np.sin(0.5 * q1) ** 2
+        return np.asarray(kinetic + 0.5 * self.stiffness * (q1 - q2) ** 2 + gravity)
+
+    def ts_system(self, x_max: float = math.pi / 2) -> TSSystem:
+        """Return the two-rule T–S form, equal to the nonlinear arm wherever |q₁| ≤ x_max.
+
+        Sector nonlinearity: sin q₁ = (h₁·1 + h₂·b) q₁ with b = sin(x_max)/x_max, the paper's
+        (48)–(49) at x_max = π/2.
+
+        Args:
+            x_max: Half width of the domain [rad], 0 < x_max < π.
+        """
+        if not 0.0 < x_max < math.pi:
+            raise ModelError(f"x_max: expected 0 < x_max < π, got {x_max!r}")
+        bottom = math.sin(x_max) / x_max
+
+        def near_zero(angle: Array) -> Array:
+            # np.sinc(t) is sin(πt)/(πt), with the limit 1 at 0.
+            return np.clip((np.sinc(angle / np.pi) - bottom) / (1.0 - bottom), 0.0, 1.0)
+
+        rule_base = RuleBase(((near_zero,), (lambda angle: 1.0 - near_zero(angle),)))
+        return TSSystem.from_rules(
+            A=[self.slope_matrix(1.0), self.slope_matrix(bottom)],
+            B=[self.input_matrix],
+            C=[self.output_matrix],
+            rule_base=rule_base,
+            premise=lambda x: x[..., LINK_ANGLE, np.newaxis],
+        )

@@ -1,0 +1,54 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Which modes a sensor cannot see: the Popov–Belevitch–Hautus test with mode shapes."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.model._checks import Array
+
+
+class HiddenMode(NamedTuple):
+    """A mode of (A, C) that the output does not show.
+
+    Attributes:
+        eigenvalue: λ [1/s] (continuous time).
+        shape: Unit vector v with A v = λ v and C v = 0, shape (n,), complex.
+        visibility: Smallest singular value of [A − λI; C] over that of its largest; zero to
+            rounding when the mode is truly hidden.
+    """
+
+    eigenvalue: complex
+    shape: "np.ndarray[tuple[int, ...], np.dtype[np.complex128]]"
+    visibility: float
+
+
+def hidden_modes(A: Array, C: Array, tolerance: float = 1e-9) -> list[HiddenMode]:
+    """Return every mode of A that C does not see, by the PBH rank test at each eigenvalue.
+
+    Args:
+        A: State matrix, shape (n, n).
+        C: Output matrix, shape (p, n).
+        tolerance: Relative singular value below which [A − λI; C] has lost rank.
+    """
+    n = A.shape[0]
+    modes: list[HiddenMode] = []
+    for eigenvalue in np.linalg.eigvals(A):
+        pencil = np.vstack([A - eigenvalue * np.eye(n), C])
+        _, singular, right = np.linalg.svd(pencil)
+        visibility = float(singular[-1] / singular[0])
+        already = any(abs(eigenvalue - mode.eigenvalue) < 1e-6 for mode in modes)
+        if visibility < tolerance and not already:
+            modes.append(HiddenMode(complex(eigenvalue), right[-1].conj(), visibility))
+    return modes
+
+
+def undetectable_modes(A: Array, C: Array, tolerance: float = 1e-9) -> list[HiddenMode]:
+    """Return the hidden modes that do not decay: with one of them no observer converges."""
+    spectral_radius = float(np.abs(np.linalg.eigvals(A)).max(initial=1.0))
+    return [
+        mode
+        for mode in hidden_modes(A, C, tolerance)
+        if mode.eigenvalue.real >= -1e-9 * spectral_radius
+    ]

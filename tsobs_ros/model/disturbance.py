@@ -1,0 +1,198 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What is known about the sensor's disturbance: ω = H w, ẇ = S w + G n, n white noise.
+
+The method's observer allows an arbitrary ω in every channel, and then the output says nothing
+about the state. An estimator that works needs an exosystem: a bias, a drift, a tone, a ramp, or
+a sum of them. Several channels: D_s H takes the place of H.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model._checks import Array, as_matrix, non_negative, positive
+
+
+@dataclass(frozen=True)
+class DisturbanceModel:
+    """Exosystem of an output disturbance with q states on p channels.
+
+    Attributes:
+        label: What it is, for reports, e.g. "bias".
+        S: Exosystem matrix, shape (q, q) [1/s].
+        H: Output map, shape (p, q).
+        G: Square root of the driving noise density, shape (q, g) [unit/√s].
+        initial_std: 1σ of each exosystem state before any measurement, shape (q,).
+        arbitrary: True for the method's own assumption: any signal, unknown at every instant.
+    """
+
+    label: str
+    S: Array
+    H: Array
+    G: Array
+    initial_std: Array
+    arbitrary: bool = False
+
+    def __post_init__(self) -> None:
+        q, p = np.shape(self.S)[0], np.shape(self.H)[0]
+        g = np.shape(self.G)[-1] if np.ndim(self.G) == 2 else 0
+        for name, shape in (("S", (q, q)), ("H", (p, q)), ("G", (q, g)), ("initial_std", (q,))):
+            checked = as_matrix(f"disturbance {name}", getattr(self, name), shape)
+            object.__setattr__(self, name, checked)
+
+    @property
+    def state_count(self) -> int:
+        """Number of exosystem states q."""
+        return int(self.S.shape[0])
+
+    @property
+    def channel_count(self) -> int:
+        """Number of output channels p."""
+        return int(self.H.shape[0])
+
+    @property
+    def rate_map(self) -> Array:
+        """Exosystem states to the disturbance's modelled rate dω/dt, shape (p, q)."""
+        return np.asarray(self.H @ self.S)
+
+    def __add__(self, other: "DisturbanceModel") -> "DisturbanceModel":
+        """Return the model of the sum of two independent disturbances on the same channels."""
+        if self.channel_count != other.channel_count:
+            raise ModelError(
+                f"disturbance sum: expected the same number of channels, "
+                f"got {self.channel_count} and {other.channel_count}"
+            )
+        labels = [model.label for model in (self, other) if model.state_count or model.arbitrary]
+        return DisturbanceModel(
+            label="+".join(labels) or "clean",
+            S=_block_diag(self.S, other.S),
+            H=np.hstack([self.H, other.H]),
+            G=_block_diag(self.G, other.G),
+            initial_std=np.concatenate([self.initial_std, other.initial_std]),
+            arbitrary=self.arbitrary or other.arbitrary,
+        )
+
+    def through(self, D_s: ArrayLike) -> "DisturbanceModel":
+        """Return the model acting on the outputs through D_s, shape (p, channels)."""
+        rows = np.shape(D_s)[0] if np.ndim(D_s) == 2 else 0
+        mixing = as_matrix("D_s", D_s, (rows, self.channel_count))
+        if np.linalg.matrix_rank(mixing) < self.channel_count:
+            raise ModelError(f"D_s: expected full column rank, got {mixing.tolist()}")
+        return DisturbanceModel(
+            self.label, self.S, mixing @ self.H, self.G, self.initial_std, self.arbitrary
+        )
+
+
+def clean(channels: int = 1) -> DisturbanceModel:
+    """Return the model of a sensor known to carry noise only."""
+    zero = np.zeros((0, 0))
+    return DisturbanceModel("clean", zero, np.zeros((channels, 0)), zero, np.zeros(0))
+
+
+def arbitrary() -> DisturbanceModel:
+    """Return the method's assumption on one channel: any signal, no model at all."""
+    zero = np.zeros((0, 0))
+    return DisturbanceModel("arbitrary", zero, np.zeros((1, 0)), zero, np.zeros(0), arbitrary=True)
+
+
+def bias(density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
+    """Return a constant that may wander: a random walk.
+
+    Args:
+        density: Growth of its variance [rad²/s].
+        initial_std: 1σ before any measurement [rad].
+    """
+    root = math.sqrt(non_negative("bias density", density))
+    start = [non_negative("bias initial_std", initial_std)]
+    return DisturbanceModel("bias", _rows([[0.0]]), _rows([[1.0]]), _rows([[root]]), start)
+
+
+def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceModel:
+    """Return a drift with a bounded variance: ẇ = −w/τ + noise.
+
+    Args:
+        std: Stationary 1σ [rad].
+        time_constant: τ [s].
+    """
+    tau = positive("gauss_markov time_constant", time_constant)
+    root = positive("gauss_markov std", std) * math.sqrt(2.0 / tau)
+    return DisturbanceModel(
+        "gauss_markov", _rows([[-1.0 / tau]]), _rows([[1.0]]), _rows([[root]]), [std]
+    )
+
+
+def sinusoid(
+    frequency: float, density: float = 1e-4, initial_std: float = 0.3
+) -> DisturbanceModel:
+    """Return a tone of known frequency and slowly wandering amplitude and phase.
+
+    Args:
+        frequency: ω₀ [rad/s].
+        density: Growth of the variance of each of its two states [rad²/s].
+        initial_std: 1σ of each state before any measurement [rad].
+    """
+    w0 = positive("sinusoid frequency", frequency)
+    root = math.sqrt(non_negative("sinusoid density", density))
+    return DisturbanceModel(
+        "sinusoid",
+        _rows([[0.0, w0], [-w0, 0.0]]),
+        _rows([[1.0, 0.0]]),
+        root * np.eye(2),
+        [non_negative("sinusoid initial_std", initial_std)] * 2,
+    )
+
+
+def ramp(
+    density: float = 1e-4,
+    rate_density: float = 1e-6,
+    initial_std: float = 0.3,
+    initial_rate_std: float = 0.02,
+) -> DisturbanceModel:
+    """Return a bias that grows at a slowly wandering rate: a double integrator.
+
+    Args:
+        density: Growth of the bias's variance [rad²/s].
+        rate_density: Growth of the rate's variance [rad²/s³].
+        initial_std: 1σ of the bias before any measurement [rad].
+        initial_rate_std: 1σ of the rate before any measurement [rad/s].
+    """
+    roots = [
+        math.sqrt(non_negative("ramp density", density)),
+        math.sqrt(non_negative("ramp rate_density", rate_density)),
+    ]
+    start = [
+        non_negative("ramp initial_std", initial_std),
+        non_negative("ramp initial_rate_std", initial_rate_std),
+    ]
+    return DisturbanceModel(
+        "ramp", _rows([[0.0, 1.0], [0.0, 0.0]]), _rows([[1.0, 0.0]]), np.diag(roots), start
+    )
+
+
+def per_channel(models: Sequence[DisturbanceModel]) -> DisturbanceModel:
+    """Return independent one-channel models side by side, one an output channel."""
+    if not models:
+        raise ModelError("per_channel: expected at least one disturbance model")
+    return DisturbanceModel(
+        label=", ".join(model.label for model in models),
+        S=_block_diag(*(model.S for model in models)),
+        H=_block_diag(*(model.H for model in models)),
+        G=_block_diag(*(model.G for model in models)),
+        initial_std=np.concatenate([model.initial_std for model in models]),
+        arbitrary=any(model.arbitrary for model in models),
+    )
+
+
+def _rows(rows: Sequence[Sequence[float]]) -> Array:
+    return np.array(rows, dtype=np.float64)
+
+
+def _block_diag(*blocks: Array) -> Array:
+    # SciPy's keeps the rows and columns of empty blocks, which "clean" relies on.
+    return np.asarray(block_diag(*blocks), dtype=np.float64)

@@ -1,0 +1,253 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One-step prediction of the arm with its disturbance model, and of its error covariance.
+
+The augmented state is x̄ = [x; w]: the arm in design coordinates, then the disturbance's states.
+A step is a half gravity kick, the exact linear flow with the torque held, and a half kick:
+
+    x₂ −= (T/2)(mgl/J₁) sin x₁;   x̄ ← Φ(T) x̄ + Γ(T) u;   x₂ −= (T/2)(mgl/J₁) sin x₁
+
+It is symmetric, of second order in the gravity term alone, and its error map is *bi-affine* in
+two slopes: sin x₁ − sin x̂₁ = c (x₁ − x̂₁) with c between the smallest and the largest cosine of
+the domain (mean value theorem), so four vertices describe every error system exactly, whatever
+the estimate that serves as premise.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+
+from tsobs_ros.model._checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
+from tsobs_ros.model.disturbance import DisturbanceModel
+
+_ROUNDING = np.finfo(np.float64).eps
+
+
+@dataclass(frozen=True)
+class ProcessNoise:
+    """White angular-acceleration noise of the arm, in physical units.
+
+    Attributes:
+        link: Density on the link's acceleration [rad²/s³].
+        motor: Density on the motor's acceleration [rad²/s³].
+    """
+
+    link: float = 1e-4
+    motor: float = 1e-5
+
+    def __post_init__(self) -> None:
+        non_negative("process noise density of the link", self.link)
+        non_negative("process noise density of the motor", self.motor)
+
+
+class Transition(NamedTuple):
+    """The linear flow over one step.
+
+    Attributes:
+        duration: T [s].
+        phi: State transition Φ(T), shape (n, n).
+        gamma: Effect of a held torque Γ(T), shape (n, 1).
+        noise: Covariance the process noise adds, shape (n, n).
+        half_kick: (T/2) mgl/J₁ [1/s].
+    """
+
+    duration: float
+    phi: Array
+    gamma: Array
+    noise: Array
+    half_kick: float
+
+
+class VertexSystem(NamedTuple):
+    """The error system e⁺ = transition·e + noise, noise covariance given, at one slope vertex."""
+
+    slopes: tuple[float, float]
+    transition: Array
+    noise: Array
+
+
+class ArmFlow:
+    """Predicts the augmented state of one arm (or of a batch of equal arms).
+
+    Attributes:
+        arm: The physical model.
+        disturbance: The exosystem of the sensor's disturbance (one channel).
+        process_noise: Densities of the arm's acceleration noise.
+        period: Nominal step [s]; longer steps are taken in nominal ones and a remainder.
+    """
+
+    def __init__(
+        self,
+        arm: ElasticJointArm,
+        disturbance: DisturbanceModel,
+        process_noise: ProcessNoise,
+        period: float,
+    ) -> None:
+        self.arm = arm
+        self.disturbance = disturbance
+        self.process_noise = process_noise
+        self.period = positive("period", period)
+        self._series = self._flow_series()
+        self.nominal = self._evaluate_series(self.period)
+
+    @property
+    def state_count(self) -> int:
+        """Length n of the augmented state."""
+        return 4 + self.disturbance.state_count
+
+    @cached_property
+    def output_matrix(self) -> Array:
+        """Augmented state to measured angle C̄ = [C H], shape (1, n)."""
+        joined = np.hstack([self.arm.output_matrix, self.disturbance.H])
+        return as_matrix("C̄", joined, (1, self.state_count))
+
+    def slope_matrix(self, slope: float) -> Array:
+        """Return the continuous augmented matrix with gravity slope c, shape (n, n)."""
+        return np.asarray(block_diag(self.arm.slope_matrix(slope), self.disturbance.S))
+
+    def transition(self, duration: float) -> Transition:
+        """Return the linear flow over `duration` [s], at most one nominal period."""
+        return self.nominal if duration == self.period else self._evaluate_series(duration)
+
+    def steps(self, duration: float) -> list[Transition]:
+        """Cut `duration` [s] into nominal steps and a remainder, in the order to take them."""
+        if duration == self.period:
+            return [self.nominal]
+        whole = int(duration // self.period)
+        remainder = duration - whole * self.period
+        tail = [self._evaluate_series(remainder)] if remainder > 0.0 else []
+        return [self.nominal] * whole + tail
+
+    def predict(self, x: Array, u: Array, duration: float) -> Array:
+        """Return the augmented state a time `duration` later.
+
+        Args:
+            x: Augmented state, shape (..., n).
+            u: Torque held over the step [N m], shape (..., 1).
+            duration: [s], at least 0.
+        """
+        for step in self.steps(duration):
+            x = self._half_kicked(x, step)
+            x = x @ step.phi.T + u * step.gamma[:, 0]
+            x[..., LINK_VELOCITY] -= step.half_kick * np.sin(x[..., LINK_ANGLE])
+        return x
+
+    def predict_with_covariance(
+        self, x: Array, covariance: Array, u: Array, duration: float
+    ) -> tuple[Array, Array]:
+        """Return the state and the error covariance a time `duration` later.
+
+        The covariance follows the step's Jacobian at the estimate, noise included in the same
+        order as in the step itself: K(c₂)(Φ K(c₁) Σ K(c₁)ᵀ Φᵀ + Q) K(c₂)ᵀ, c = cos x̂₁.
+
+        Args:
+            x: Augmented state, shape (..., n).
+            covariance: Its error covariance Σ, shape (..., n, n).
+            u: Torque held over the step [N m], shape (..., 1).
+            duration: [s], at least 0.
+        """
+        for step in self.steps(duration):
+            covariance = self._sheared(covariance, step.half_kick * np.cos(x[..., LINK_ANGLE]))
+            covariance = step.phi @ covariance @ step.phi.T + step.noise
+            x = self._half_kicked(x, step) @ step.phi.T + u * step.gamma[:, 0]
+            covariance = self._sheared(covariance, step.half_kick * np.cos(x[..., LINK_ANGLE]))
+            x = self._half_kicked(x, step)
+        return x, covariance
+
+    def vertices(self, slope_min: float, slope_max: float) -> list[VertexSystem]:
+        """Return the four vertex error systems of a nominal step for c₁, c₂ ∈ {min, max}."""
+        step = self.nominal
+        systems = []
+        for first in (slope_min, slope_max):
+            for second in (slope_min, slope_max):
+                before = self.kick_matrix(step.half_kick * first)
+                after = self.kick_matrix(step.half_kick * second)
+                noise = after @ step.noise @ after.T
+                systems.append(
+                    VertexSystem((first, second), after @ step.phi @ before, (noise + noise.T) / 2)
+                )
+        return systems
+
+    def kick_matrix(self, gain: float) -> Array:
+        """Return I − gain·e₂e₁ᵀ, the linear effect of a gravity kick, shape (n, n)."""
+        matrix = np.eye(self.state_count)
+        matrix[LINK_VELOCITY, LINK_ANGLE] = -gain
+        return matrix
+
+    @staticmethod
+    def _half_kicked(x: Array, step: Transition) -> Array:
+        kicked = x.copy()
+        kicked[..., LINK_VELOCITY] -= step.half_kick * np.sin(x[..., LINK_ANGLE])
+        return kicked
+
+    @staticmethod
+    def _sheared(covariance: Array, gain: Array) -> Array:
+        """Return K Σ Kᵀ for the kick matrix K of `gain`, by one row and one column operation."""
+        sheared = covariance.copy()
+        gain = np.asarray(gain)[..., np.newaxis]
+        sheared[..., LINK_VELOCITY, :] -= gain * sheared[..., LINK_ANGLE, :]
+        sheared[..., :, LINK_VELOCITY] -= gain * sheared[..., :, LINK_ANGLE]
+        return sheared
+
+    def _flow_series(self) -> Array:
+        """Return Taylor coefficients of Φ, Γ and Q side by side, shape (order + 1, n (2n + 1)).
+
+        Φ' = AΦ, Γ' = AΓ + B, Q' = AQ + QAᵀ + W, all from A^k/k! without inverting anything; a
+        step of any length then costs one product, which matters because real stamps jitter.
+        """
+        n = self.state_count
+        drift = np.asarray(block_diag(self.arm.spring_matrix, self.disturbance.S))
+        torque = np.vstack([self.arm.input_matrix, np.zeros((n - 4, 1))])
+        density = self._noise_density()
+        phi, gamma, noise = np.eye(n), np.zeros((n, 1)), np.zeros((n, n))
+        rows, largest = [], 0.0
+        for order in range(1, 100):
+            row = np.hstack([phi.ravel(), gamma.ravel(), noise.ravel()])
+            rows.append(row)
+            size = float(np.abs(row).max()) * self.period ** (order - 1)
+            largest = max(largest, size)
+            if order > 2 and size <= 1e-3 * _ROUNDING * largest:
+                break
+            phi, gamma, noise = (
+                drift @ phi / order,
+                (drift @ gamma + (torque if order == 1 else 0.0)) / order,
+                (drift @ noise + noise @ drift.T + (density if order == 1 else 0.0)) / order,
+            )
+        return np.array(rows)
+
+    def _evaluate_series(self, duration: float) -> Transition:
+        n = self.state_count
+        flat = duration ** np.arange(self._series.shape[0]) @ self._series
+        square = n * n
+        noise = flat[square + n :].reshape(n, n)
+        return Transition(
+            duration=duration,
+            phi=flat[:square].reshape(n, n),
+            gamma=flat[square : square + n].reshape(n, 1),
+            noise=0.5 * (noise + noise.T),
+            half_kick=0.5 * duration * self.arm.gravity_gain,
+        )
+
+    def _noise_density(self) -> Array:
+        """Return the white noise density of the augmented state in design coordinates, (n, n)."""
+        arm = np.zeros((4, 4))
+        arm[LINK_VELOCITY, LINK_VELOCITY] = self.process_noise.link
+        scale = self.arm.stiffness / self.arm.link_inertia
+        arm[MOTOR_VELOCITY, MOTOR_VELOCITY] = self.process_noise.motor * scale**2
+        exosystem = self.disturbance.G @ self.disturbance.G.T
+        return np.asarray(block_diag(arm, exosystem))
+
+    def to_physical(self, x: ArrayLike) -> Array:
+        """Return [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) of augmented states of shape (..., n)."""
+        return self.arm.to_physical(np.asarray(x, dtype=np.float64)[..., :4])
+
+
+def slope_range(x_max: float) -> tuple[float, float]:
+    """Return the smallest and largest cosine on |q₁| ≤ x_max [rad], x_max at most π."""
+    return math.cos(min(x_max, math.pi)), 1.0
