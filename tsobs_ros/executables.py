@@ -1,0 +1,66 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Entry points of the node executables; light, so that signals are caught before heavy imports.
+
+Importing numpy and rclpy takes a second on a busy machine, and a signal in that time would end the
+process with a traceback or a failure. So each entry point first raises a flag on signals and only
+then imports its node module ``tsobs_ros.nodes.<name>``, whose ``create()`` makes the node.
+"""
+
+import sys
+from importlib import import_module
+
+from tsobs_ros.stop import StopFlag
+
+# Time for the interpreter's own shutdown, which may still destroy a participant.
+_FINALISE_TIMEOUT = 5.0
+
+
+def observer() -> int:
+    """Run the observer node.
+
+    Returns:
+        The process's exit code: 0 after a clean end, 1 after an error.
+    """
+    return _run("observer")
+
+
+def plant_simulator() -> int:
+    """Run the plant simulator node.
+
+    Returns:
+        The process's exit code: 0 after a clean end, 1 after an error.
+    """
+    return _run("plant_simulator")
+
+
+def recorder() -> int:
+    """Run the recorder node.
+
+    Returns:
+        The process's exit code: 0 after a clean end, 1 after an error.
+    """
+    return _run("recorder")
+
+
+def _run(name: str) -> int:
+    stop = StopFlag()
+    stop.install()
+    try:
+        module = import_module(f"tsobs_ros.nodes.{name}")
+        runtime = import_module("tsobs_ros.nodes.runtime")
+        guard = import_module("tsobs_ros.nodes.exit_guard")
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "rclpy":
+            raise
+        print(
+            "error: rclpy is not installed: source ROS 2 Jazzy, or run "
+            "pip install 'tsobs_ros[ros]'",
+            file=sys.stderr,
+        )
+        return 1
+    if stop():
+        return 0
+    exit_code: int = runtime.run(module.create, stop=stop)
+    guard.arm(_FINALISE_TIMEOUT, exit_code)
+    return exit_code

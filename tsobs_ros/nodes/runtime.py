@@ -1,0 +1,134 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Run nodes in a process that ends cleanly: Ctrl-C, SIGTERM, a finished node, an error.
+
+`run(create)` initialises rclpy, spins what `create` returns on a single-threaded executor, and
+tears everything down in order. Nodes are ordinary rclpy nodes; two optional members are honoured:
+
+* ``finished`` (bool property): the loop ends once any node says so;
+* ``close()``: called before any node is destroyed. Bags and whatever must not be lost are closed
+  here, because destroying a participant is the one step that may hang (see `exit_guard`).
+
+Exit codes: 0 after a signal or a finished node, 1 after a TsobsError or malformed ROS arguments,
+with one line ``error: …`` on stderr. Anything else is a bug and keeps its traceback, after the
+same teardown.
+
+rclpy's own signal handlers are not used: they shut the context down under a running callback,
+which loses early SIGTERMs and sometimes raises inside take. A flag that the loop reads is clean.
+"""
+
+import re
+import sys
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
+
+import rclpy
+from rclpy.exceptions import NameValidationException
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from tsobs_ros.errors import TsobsError
+from tsobs_ros.nodes.exit_guard import exit_guard
+from tsobs_ros.stop import StopFlag
+
+# A signal wakes nobody: the longest an idle process takes to notice one.
+_SPIN_TIMEOUT = 0.2
+# Destroying two nodes and shutting the context down takes some 20 ms, .5 s on a loaded machine.
+_TEARDOWN_TIMEOUT = 5.0
+
+
+@runtime_checkable
+class RunnableNode(Protocol):
+    """What `run` needs of a node; rclpy.node.Node has it. `finished` and `close` are optional."""
+
+    def destroy_node(self) -> None:
+        """Release the node's ROS entities."""
+
+
+def run(
+    create: Callable[[], RunnableNode | Sequence[RunnableNode]],
+    args: Sequence[str] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> int:
+    """Create nodes, spin them until something ends the process, and tear them down.
+
+    Args:
+        create: Makes the node, or several that share the executor, on the default context. Nodes
+            are closed and destroyed in the order given.
+        args: Command line including the program's name; `sys.argv` if None.
+        stop: Says whether to end; asked before every wait of at most 0.2 s. If None, SIGINT and
+            SIGTERM are caught here, which only the main thread may do.
+
+    Returns:
+        The process's exit code.
+    """
+    if stop is None:
+        with StopFlag() as flag:
+            return run(create, args, flag)
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # rcl could not parse the arguments or the parameter file
+        return _report(_without_source_lines(str(error)))
+    nodes: list[RunnableNode] = []
+    exit_code = 0
+    try:
+        if not stop():
+            created = create()
+            nodes.extend(created if isinstance(created, Sequence) else [created])
+            _spin(nodes, stop)
+    except (ExternalShutdownException, ShutdownException):
+        pass  # someone shut the context down: a clean end
+    except (TsobsError, NameValidationException) as error:
+        exit_code = _report(str(error))
+    except BaseException:
+        exit_code = 1
+        raise
+    finally:
+        exit_code = _tear_down(nodes, exit_code)
+    return exit_code
+
+
+def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
+    executor = SingleThreadedExecutor()
+    for node in nodes:
+        executor.add_node(node)
+    try:
+        while rclpy.ok() and not stop() and not any(_finished(node) for node in nodes):
+            executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
+    finally:
+        for node in nodes:
+            executor.remove_node(node)
+        executor.shutdown()
+
+
+def _finished(node: RunnableNode) -> bool:
+    return bool(getattr(node, "finished", False))
+
+
+def _tear_down(nodes: Sequence[RunnableNode], exit_code: int) -> int:
+    """Close all nodes, then destroy them, whatever fails on the way."""
+    for node in nodes:
+        close: Callable[[], None] | None = getattr(node, "close", None)
+        try:
+            if close is not None:
+                close()
+        except TsobsError as error:
+            exit_code = _report(str(error))
+    with exit_guard(_TEARDOWN_TIMEOUT, exit_code):
+        for node in nodes:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return exit_code
+
+
+def _without_source_lines(message: str) -> str:
+    """Drop the "at …/parse.c:391" that rcl appends, and explain its least obvious refusal."""
+    hint = ""
+    if "should be of same type" in message:
+        hint = "; write every number of the list with a decimal point"
+    return re.sub(r",? at \S+:\d+", "", message) + hint
+
+
+def _report(message: str) -> int:
+    print(f"error: {' '.join(message.split())}", file=sys.stderr, flush=True)
+    return 1

@@ -1,0 +1,48 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A flag that SIGINT and SIGTERM raise; imports nothing heavy, so it can be in place early."""
+
+import signal
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class StopFlag:
+    """Callable that is true once SIGINT or SIGTERM came; a context manager in the main thread.
+
+    Further signals change nothing, so an impatient second Ctrl-C cannot interrupt the teardown.
+    """
+
+    def __init__(self) -> None:
+        """Make a lowered flag; no handler is installed yet."""
+        self._raised = False
+        self._previous: dict[signal.Signals, Any] = {}
+
+    def __call__(self) -> bool:
+        """Say whether a signal came."""
+        return self._raised
+
+    def install(self) -> None:
+        """Catch the signals from here on, for good."""
+        for number in _SIGNALS:
+            self._previous[number] = signal.signal(number, self._raise)
+
+    def __enter__(self) -> Self:
+        """Catch the signals inside the block."""
+        self.install()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Restore the handlers found on entry."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _raise(self, number: int, frame: FrameType | None) -> None:
+        self._raised = True
