@@ -1,0 +1,290 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures for ROS tests without launch files: isolated nodes, and executables as processes.
+
+``ros`` gives a test its own rclpy context and domain: ``ros.add(node)``, ``ros.node(name)``,
+``ros.spin_until(predicate, timeout, what)``, ``ros.context``, ``ros.executor``,
+``ros.environment`` (for child processes on the same domain).
+
+``ros_process`` starts an executable of this package, or any command, on that domain::
+
+    process = ros_process("observer", parameters={"rate": 50.0})
+    process.wait_for_line("parameters:")
+    process.signal(signal.SIGTERM)
+    assert process.finish().exit_code == 0
+
+Domains are claimed with file locks, so concurrent tests, xdist workers and whole test runs on one
+machine never share one.
+"""
+
+import faulthandler
+import fcntl
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Before any test module can import matplotlib or rclpy.
+os.environ["MPLBACKEND"] = "Agg"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+for _variable in ("ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID", "ROS_STATIC_PEERS"):
+    os.environ.pop(_variable, None)
+
+# 102 and above may collide with the ports Linux hands out for outgoing connections.
+_DOMAINS = range(1, 102)
+_TEARDOWN_LIMIT = 60.0
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Keep ROS logs out of the home folder, which may be read-only."""
+    folder = tmp_path_factory.mktemp("ros_log")
+    os.environ["ROS_LOG_DIR"] = str(folder)
+    return folder
+
+
+@pytest.fixture
+def domain_id() -> Iterator[int]:
+    """A ROS domain that nobody else on this machine uses while the test runs."""
+    folder = Path(tempfile.gettempdir()) / f"tsobs_ros_test_domains_{os.getuid()}"
+    folder.mkdir(exist_ok=True)
+    # Consecutive tests start at different domains: late packets of one must not reach the next.
+    start = time.monotonic_ns() // 1_000_000
+    for offset in range(len(_DOMAINS)):
+        domain = _DOMAINS[(start + offset) % len(_DOMAINS)]
+        with (folder / str(domain)).open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain
+            return
+    pytest.fail(f"all ROS domains are taken, see {folder}")
+
+
+class Ros:
+    """A ROS graph of one test: context, executor and the nodes added to it."""
+
+    def __init__(self, domain_id: int) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        self.domain_id = domain_id
+        self.environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+        self.context = rclpy.Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain_id)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self._nodes: list[Any] = []
+
+    def add(self, node: Any) -> Any:
+        """Spin a node with the others and destroy it after the test; `close()` it before."""
+        self.executor.add_node(node)
+        self._nodes.append(node)
+        return node
+
+    def node(self, name: str, **options: Any) -> Any:
+        """Make and add a plain node."""
+        from rclpy.node import Node
+
+        return self.add(Node(name, context=self.context, **options))
+
+    def remove(self, node: Any) -> None:
+        """Close and destroy a node before the test ends."""
+        self._nodes.remove(node)
+        self.executor.remove_node(node)
+        _close(node)
+        node.destroy_node()
+
+    def spin_until(
+        self, predicate: Callable[[], bool], timeout: float = 10.0, what: str = "the condition"
+    ) -> None:
+        """Spin until the predicate holds; fail, naming what did not happen, after the timeout."""
+        deadline = time.monotonic() + timeout
+        while not predicate():
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0:
+                raise AssertionError(f"{what} did not happen within {timeout:g} s")
+            self.executor.spin_once(timeout_sec=min(0.05, remaining))
+
+    def shutdown(self) -> None:
+        """Tear everything down in order."""
+        for node in self._nodes:
+            _close(node)
+        for node in self._nodes:
+            self.executor.remove_node(node)
+            node.destroy_node()
+        self.executor.shutdown()
+        self.context.try_shutdown()
+
+
+def _close(node: Any) -> None:
+    close = getattr(node, "close", None)
+    if close is not None:
+        close()
+
+
+@pytest.fixture
+def ros(domain_id: int, ros_log_dir: Path) -> Iterator[Ros]:
+    """A ROS graph of this test's own."""
+    graph = Ros(domain_id)
+    yield graph
+    # Fast DDS can hang in here for ever, holding the GIL; better a lost worker than a stalled run.
+    faulthandler.dump_traceback_later(_TEARDOWN_LIMIT, exit=True)
+    try:
+        graph.shutdown()
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+
+
+class Finished(NamedTuple):
+    """How a process ended."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+
+
+class RosProcess:
+    """A child process whose output is collected line by line."""
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str]) -> None:
+        self.command = list(command)
+        self._process = subprocess.Popen(
+            self.command,
+            env={**environment, "PYTHONUNBUFFERED": "1"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self._lines: list[tuple[str, str]] = []
+        self._changed = threading.Condition()
+        self._readers = [
+            threading.Thread(target=self._read, args=(name, stream), daemon=True)
+            for name, stream in (("out", self._process.stdout), ("err", self._process.stderr))
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    @property
+    def pid(self) -> int:
+        """The process's id."""
+        return self._process.pid
+
+    @property
+    def output(self) -> str:
+        """Everything printed so far, on both streams."""
+        with self._changed:
+            return "".join(line for _, line in self._lines)
+
+    def wait_for_line(self, pattern: str, timeout: float = 20.0) -> str:
+        """Wait until a line of either stream matches the regular expression, and return it."""
+        deadline = time.monotonic() + timeout
+        seen = 0
+        with self._changed:
+            while True:
+                for _, line in self._lines[seen:]:
+                    if re.search(pattern, line):
+                        return line
+                seen = len(self._lines)
+                remaining = deadline - time.monotonic()
+                ended = not any(reader.is_alive() for reader in self._readers)
+                if remaining <= 0.0 or ended:
+                    why = "it ended" if ended else f"{timeout:g} s passed"
+                    printed = "".join(line for _, line in self._lines)
+                    raise AssertionError(f"no line matches {pattern!r} ({why}):\n{printed}")
+                self._changed.wait(min(remaining, 0.2))
+
+    def signal(self, number: int) -> None:
+        """Send a signal."""
+        self._process.send_signal(number)
+
+    def finish(self, timeout: float = 20.0) -> Finished:
+        """Wait for the process to end by itself."""
+        try:
+            self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(
+                f"{self.command} still runs after {timeout:g} s:\n{self.output}"
+            ) from None
+        for reader in self._readers:
+            reader.join(timeout)
+        streams = {
+            name: "".join(line for stream, line in self._lines if stream == name)
+            for name in ("out", "err")
+        }
+        return Finished(self._process.returncode, streams["out"], streams["err"])
+
+    def kill(self) -> None:
+        """End the process and its children at once."""
+        if self._process.poll() is None:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            self._process.wait()
+        for reader in self._readers:
+            reader.join()
+
+    def _read(self, name: str, stream: IO[str]) -> None:
+        with stream:
+            for line in stream:
+                with self._changed:
+                    self._lines.append((name, line))
+                    self._changed.notify_all()
+
+
+def executable(name: str) -> list[str]:
+    """Find an executable where `ros2 run` looks, else where pip puts it, else in the sources."""
+    ament = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    prefixes = [p for p in ament if (p / "share" / "tsobs_ros").is_dir()] + [Path(sys.prefix)]
+    for folder in [p / "lib" / "tsobs_ros" for p in prefixes] + [Path(sys.prefix) / "bin"]:
+        if (folder / name).is_file():
+            return [str(folder / name)]
+    where, function = ("cli", "main") if name == "tsobs" else ("executables", name)
+    code = f"import sys; from tsobs_ros.{where} import {function}; sys.exit({function}())"
+    return [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {code}"]
+
+
+@pytest.fixture
+def ros_process(ros: Ros) -> Iterator[Callable[..., RosProcess]]:
+    """Start executables on this test's domain; whatever is left is killed after the test."""
+    started: list[RosProcess] = []
+
+    def start(
+        command: str | Sequence[str],
+        *,
+        parameters: Mapping[str, Any] | None = None,
+        params_file: Path | None = None,
+        remap: Mapping[str, str] | None = None,
+        arguments: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> RosProcess:
+        ros_arguments: list[str] = []
+        if params_file is not None:
+            ros_arguments += ["--params-file", str(params_file)]
+        for name, value in (parameters or {}).items():
+            ros_arguments += ["-p", f"{name}:={json.dumps(value)}"]  # JSON is YAML
+        for old, new in (remap or {}).items():
+            ros_arguments += ["-r", f"{old}:={new}"]
+        base = executable(command) if isinstance(command, str) else list(command)
+        ros_part = ["--ros-args", *ros_arguments] if ros_arguments else []
+        process = RosProcess(
+            [*base, *arguments, *ros_part], {**ros.environment, **(environment or {})}
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
