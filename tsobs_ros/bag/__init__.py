@@ -1,2 +1,16 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
+"""Bags: recording to, and reading from, the MCAP bags of ROS 2 Jazzy; no ROS import needed."""
+
+from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.reader import BagMessage, BagReader, DecodedMessage, TopicInfo
+from tsobs_ros.bag.writer import BagWriter
+
+__all__ = [
+    "BagMessage",
+    "BagReader",
+    "BagWriter",
+    "DecodedMessage",
+    "QosProfile",
+    "TopicInfo",
+]

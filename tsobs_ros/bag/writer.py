@@ -1,0 +1,260 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Writing bags: a folder of MCAP files with a metadata.yaml, as `ros2 bag record -s mcap` does."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from threading import Lock
+from types import TracebackType
+from typing import Self
+
+from tsobs_ros.bag._file import COMPRESSIONS, BagFile
+from tsobs_ros.bag.definitions import MessageDefinition, find_definition
+from tsobs_ros.bag.metadata import (
+    EMPTY_START_NS,
+    BagMetadata,
+    FileMetadata,
+    TopicMetadata,
+    fsync_folder,
+    write_metadata,
+)
+from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.errors import BagWriteError
+
+_TIME_LIMIT_NS = EMPTY_START_NS
+
+
+class _Topic:
+    """A registered topic and its count; what was registered first stays."""
+
+    __slots__ = ("definition", "message_count", "name", "qos")
+
+    def __init__(
+        self, name: str, definition: MessageDefinition, qos: tuple[QosProfile, ...]
+    ) -> None:
+        self.name = name
+        self.definition = definition
+        self.qos = qos
+        self.message_count = 0
+
+    def info(self) -> TopicMetadata:
+        return TopicMetadata(
+            name=self.name,
+            type=self.definition.type,
+            message_count=self.message_count,
+            offered_qos_profiles=self.qos,
+            type_description_hash=self.definition.type_hash,
+        )
+
+
+class BagWriter:
+    """Writes one bag; a context manager that closes it.
+
+    All methods but `sync` belong to one thread.
+
+    Args:
+        path: The bag's folder, which must not exist; missing parents are created.
+        compression: Of the chunks: `none`, `lz4` or `zstd`.
+        max_size: Begin another file when the current one has so many bytes; 0 never splits.
+        max_duration_ns: Begin another file rather than let one span more log time, ns; 0 never.
+        custom_data: What to remember in the bag's metadata.
+
+    Raises:
+        BagWriteError: The folder exists or cannot be created, or the compression is unknown.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        compression: str = "zstd",
+        max_size: int = 0,
+        max_duration_ns: int = 0,
+        custom_data: Mapping[str, str] | None = None,
+    ) -> None:
+        self.path = Path(path).absolute()
+        if compression not in COMPRESSIONS:
+            names = ", ".join(COMPRESSIONS)
+            raise BagWriteError(f"{path}: no compression '{compression}', there is {names}")
+        self._compression = compression
+        self._max_size = max_size
+        self._max_duration_ns = max_duration_ns
+        self._custom_data = custom_data
+        self._topics: dict[str, _Topic] = {}
+        self._finished_files: list[FileMetadata] = []
+        self._closed = False
+        # Held while files are synced or replaced, so that a sync in another thread finds a file
+        # that is open, and never replaces newer metadata by older.
+        self._disk = Lock()
+        self._create_folder()
+        self._file = self._open_file()
+        write_metadata(self.path, self.metadata())
+
+    @property
+    def message_count(self) -> int:
+        """The number of messages written so far."""
+        return sum(f.message_count for f in self._finished_files) + self._file.message_count
+
+    @property
+    def topics(self) -> tuple[TopicMetadata, ...]:
+        """The registered topics and how many messages of each are written."""
+        return tuple(topic.info() for topic in list(self._topics.values()))
+
+    def add_topic(
+        self,
+        name: str,
+        type: str,
+        qos_profiles: Iterable[QosProfile] = (),
+        *,
+        definition: MessageDefinition | None = None,
+    ) -> None:
+        """Register a topic before its first message.
+
+        Registering it again changes nothing: readers compare a topic's QoS in the file with the
+        one in metadata.yaml, and return no messages where they differ.
+
+        Args:
+            name: The full topic name.
+            type: The message type, `package/msg/Type`.
+            qos_profiles: What its publishers offer.
+            definition: Its definition, where it is not the installed one.
+
+        Raises:
+            BagWriteError: The type is not installed, the topic has another type already, or the
+                bag is closed or cannot be written.
+        """
+        self._check_open()
+        if (known := self._topics.get(name)) is not None:
+            if known.definition.type != type:
+                raise BagWriteError(
+                    f"{self.path}: {name} is {known.definition.type} already, it cannot be {type}"
+                )
+            return
+        topic = _Topic(name, definition or find_definition(type), tuple(qos_profiles))
+        self._file.add_topic(name, topic.definition, topic.qos)
+        self._topics[name] = topic
+
+    def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        """Append one message.
+
+        Args:
+            topic: A registered topic.
+            data: The message in CDR, with its encapsulation header, as it came off the wire.
+            log_time_ns: When it was received, ns since the epoch.
+            publish_time_ns: When it was published, ns since the epoch.
+
+        Raises:
+            BagWriteError: The topic is not registered, a time cannot be stored, or the bag is
+                closed or cannot be written.
+        """
+        self._check_open()
+        registered = self._topics.get(topic)
+        if registered is None:
+            raise BagWriteError(f"{self.path}: topic {topic} has not been added")
+        if not (0 <= log_time_ns < _TIME_LIMIT_NS and 0 <= publish_time_ns < _TIME_LIMIT_NS):
+            raise BagWriteError(
+                f"{self.path}: {topic}: times must be at least 0 and fit 63 bits: log "
+                f"{log_time_ns} ns, publish {publish_time_ns} ns"
+            )
+        if self._is_full(log_time_ns):
+            self._split()
+        self._file.write(topic, data, log_time_ns, publish_time_ns)
+        registered.message_count += 1
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system: it survives a kill.
+
+        Raises:
+            BagWriteError: The bag cannot be written.
+        """
+        self._check_open()
+        self._file.flush()
+
+    def sync(self) -> None:
+        """Force what has been flushed to the disk, so that it survives a power cut.
+
+        May run in another thread than the rest, as it can take as long as the disk likes; does
+        nothing once the bag is closed.
+
+        Raises:
+            BagWriteError: The disk failed.
+        """
+        with self._disk:
+            if not self._closed:
+                self._file.sync()
+                write_metadata(self.path, self.metadata())
+
+    def close(self) -> None:
+        """Finish the bag: index, metadata, everything forced to the disk; safe to call twice.
+
+        Raises:
+            BagWriteError: The bag cannot be written; it can be recovered as far as flushed.
+        """
+        with self._disk:
+            if self._closed:
+                return
+            self._closed = True
+            self._file.close(self.metadata())
+            write_metadata(self.path, self.metadata())
+
+    def metadata(self) -> BagMetadata:
+        """Return the bag's metadata as of now."""
+        return BagMetadata(
+            topics=self.topics,
+            files=(*self._finished_files, self._file.info()),
+            custom_data=self._custom_data,
+        )
+
+    def __enter__(self) -> Self:
+        """Return the writer."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the bag, also when an error ends the block: what was written is kept."""
+        self.close()
+
+    def _create_folder(self) -> None:
+        try:
+            self.path.mkdir(parents=True)
+            fsync_folder(self.path.parent)
+        except FileExistsError as error:
+            raise BagWriteError(f"{self.path}: exists already, bags are not overwritten") from error
+        except OSError as error:
+            raise BagWriteError(f"{self.path}: cannot create it: {error}") from error
+
+    def _open_file(self) -> BagFile:
+        path = self.path / f"{self.path.name}_{len(self._finished_files)}.mcap"
+        beginning = BagMetadata(
+            topics=self.topics,
+            files=(*self._finished_files, FileMetadata(path.name)),
+            custom_data=self._custom_data,
+        )
+        return BagFile(path, self._compression, beginning)
+
+    def _is_full(self, log_time_ns: int) -> bool:
+        if not self._file.message_count:
+            return False
+        if self._max_size and self._file.size >= self._max_size:
+            return True
+        return bool(
+            self._max_duration_ns and self._file.duration_with(log_time_ns) > self._max_duration_ns
+        )
+
+    def _split(self) -> None:
+        with self._disk:
+            self._file.close(self.metadata())
+            self._finished_files.append(self._file.info())
+            self._file = self._open_file()
+            # Every file must make sense on its own.
+            for topic in self._topics.values():
+                self._file.add_topic(topic.name, topic.definition, topic.qos)
+            write_metadata(self.path, self.metadata())
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise BagWriteError(f"{self.path}: the bag is closed")
