@@ -1,0 +1,172 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated plant: a pure, deterministic machine that is stepped by sample index.
+
+Sample k belongs to the time k/rate. A step measures at that time, then moves the arm on to the
+next sample with the torque held. No clock is read: the same scenario, seed and sequence of calls
+give the same numbers, for one arm and for a batch of runs alike.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model._checks import Array
+from tsobs_ros.simulation.disturbance import DisturbanceSource
+from tsobs_ros.simulation.excitation import Excitation
+from tsobs_ros.simulation.integrator import ArmIntegrator
+from tsobs_ros.simulation.scenario import Scenario
+from tsobs_ros.simulation.sensor import Sensor, SensorNoise
+from tsobs_ros.simulation.signals import Component
+from tsobs_ros.simulation.streams import RandomStream, Seeds, Source, batch_shape, checked_seeds
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """What is true and what is measured at one sampling time; (...) is () or (runs,).
+
+    Attributes:
+        index: k, from 0.
+        time: k/rate, since the start [s].
+        state: True state in the nominal arm's design coordinates, shape (..., 4).
+        physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (..., 4).
+        disturbance: What the measurement has beyond q₁, white noise and outliers [rad],
+            shape (..., 1). Of a stuck sensor it is the frozen value minus q₁.
+        measurement: y [rad], shape (..., 1); NaN if the sample was lost.
+        torque: Torque applied from this time to the next sample [N m], shape (..., 1).
+        lost: Whether the sample was lost in a dropout.
+    """
+
+    index: int
+    time: float
+    state: Array
+    physical: Array
+    disturbance: Array
+    measurement: Array
+    torque: Array
+    lost: bool
+
+
+class Plant:
+    """An elastic-joint arm with its excitation, its sensor and everything random about them.
+
+    Args:
+        scenario: How it is built, moved, disturbed and measured.
+        seeds: One seed for a single arm, or a sequence of seeds for a batch of runs. A run of a
+            batch is the same as the single arm with its seed.
+
+    Raises:
+        ModelError: A seed is not an integer of at least zero.
+    """
+
+    def __init__(self, scenario: Scenario, seeds: Seeds = 0) -> None:
+        checked_seeds(seeds)
+        self.scenario = scenario
+        self._seeds = seeds
+        self._shape = batch_shape(seeds)
+        self._period = 1.0 / scenario.rate
+        self._integrator = ArmIntegrator(scenario.true_arm, self._period)
+        noise = scenario.process_noise
+        densities = [noise.link_acceleration_density, noise.motor_acceleration_density]
+        self._kick_std = np.sqrt(np.array(densities) * self._integrator.substep)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start again, exactly as a new plant of the same scenario and seeds."""
+        scenario = self.scenario
+        spread = RandomStream(self._seeds, Source.INITIAL_STATE, 4).draw()
+        start = np.array(scenario.initial_state) + np.array(scenario.initial_spread) * spread
+        self._physical = scenario.arm.to_physical(start)
+        self._index = 0
+        self._excitation = scenario.excitation
+        self._sensor = scenario.sensor
+        self._sensor_noise = SensorNoise(self._seeds)
+        self._process = RandomStream(self._seeds, Source.PROCESS, 2 * self._integrator.substeps)
+        self._generation = -1
+        self.exchange_disturbance(scenario.disturbance)
+
+    @property
+    def index(self) -> int:
+        """Index of the sample that the next step returns."""
+        return self._index
+
+    @property
+    def time(self) -> float:
+        """Time of the sample that the next step returns, since the start [s]."""
+        return self._index / self.scenario.rate
+
+    def exchange_disturbance(self, components: Sequence[Component]) -> None:
+        """Put other components in the place of the present ones, from the next sample on.
+
+        The time of the new components, their `start` included, counts from the next sample.
+        """
+        self._generation += 1
+        self._injected_at = self._index
+        self._frozen: Array | None = None
+        self._disturbance = DisturbanceSource(
+            components, self._period, self._seeds, self._generation
+        )
+
+    def exchange_excitation(self, excitation: Excitation) -> None:
+        """Move the arm otherwise from the next sample on; its time goes on counting."""
+        self._excitation = excitation
+
+    def exchange_sensor(self, sensor: Sensor) -> None:
+        """Measure with other noise, outliers or dropouts from the next sample on."""
+        self._sensor = sensor
+
+    def step(self, torque: ArrayLike | None = None) -> Sample:
+        """Measure at the present sample, move on to the next one and return the former.
+
+        Args:
+            torque: Torque to apply instead of the excitation [N m]; a number, or (runs, 1).
+
+        Raises:
+            ModelError: The torque is not finite or does not fit the batch.
+        """
+        index, time, physical = self._index, self.time, self._physical
+        applied = self._torque(time, torque)
+        disturbance, measurement = self._measure(physical[..., :1])
+        lost = self._sensor.drops(time)
+        if lost:
+            measurement = np.full_like(measurement, np.nan)
+        self._physical = self._integrator.advance(physical, applied, self._kicks())
+        self._index = index + 1
+        state = self.scenario.arm.from_physical(physical)
+        return Sample(index, time, state, physical, disturbance, measurement, applied, lost)
+
+    def _torque(self, time: float, torque: ArrayLike | None) -> Array:
+        shape = (*self._shape, 1)
+        if torque is None:
+            return np.full(shape, self._excitation.torque(time))
+        given = np.asarray(torque, dtype=np.float64)
+        if not np.isfinite(given).all():
+            raise ModelError(f"torque of sample {self._index}: expected finite numbers")
+        try:
+            return np.array(np.broadcast_to(given, shape))
+        except ValueError as error:
+            raise ModelError(f"torque: expected shape {shape}, got {given.shape}") from error
+
+    def _measure(self, angle: Array) -> tuple[Array, Array]:
+        """Return disturbance and measurement of the link angle, shape (..., 1) each."""
+        elapsed = (self._index - self._injected_at) / self.scenario.rate
+        disturbance = self._disturbance.sample(elapsed)
+        noise, outlier = self._sensor_noise.sample(self._sensor)
+        measured = angle + disturbance + noise
+        if not self._disturbance.stuck(elapsed):
+            self._frozen = None
+        else:
+            if self._frozen is None:
+                self._frozen = measured
+            measured = self._frozen
+            disturbance = measured - angle
+        return disturbance, measured + outlier
+
+    def _kicks(self) -> Array | None:
+        if not self._kick_std.any():
+            return None
+        draws = self._process.draw()
+        return draws.reshape(*self._shape, self._integrator.substeps, 2) * self._kick_std
