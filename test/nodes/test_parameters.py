@@ -1,0 +1,277 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters behave as users and parameter clients expect, and never half-way."""
+
+import re
+from dataclasses import dataclass
+
+import pytest
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+
+from tsobs_ros.errors import ParameterError
+from tsobs_ros.nodes.parameters import ParameterBinding, parameter, parameter_group
+
+TYPE = Parameter.Type
+
+
+@dataclass(frozen=True)
+class Excitation:
+    amplitude: float = parameter(1.0, "Torque amplitude", unit="N m", minimum=0.0, maximum=100.0)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    rate: float = parameter(
+        200.0, "Publish rate", unit="Hz", minimum=1.0, maximum=2000.0, read_only=True
+    )
+    kind: str = parameter("none", "Disturbance kind", choices=("none", "bias_step"))
+    enabled: bool = parameter(True, "Whether to publish")
+    depth: int = parameter(10, "Queue depth", minimum=1)
+    gains: tuple[float, ...] = parameter((1.0, 2.0), "Gains", minimum=0.0)
+    ports: tuple[int, ...] = parameter((1, 2), "Ports")
+    topics: tuple[str, ...] = parameter((), "Topics to record", read_only=True)
+    lower: float = parameter(0.0, "Lower end")
+    upper: float = parameter(1.0, "Upper end")
+    excitation: Excitation = parameter_group(Excitation)
+
+    def __post_init__(self) -> None:
+        if self.lower >= self.upper:
+            raise ParameterError(f"lower ({self.lower}) must be below upper ({self.upper})")
+
+
+@pytest.fixture
+def make(ros):
+    """Bind Parameters to a new node with the given overrides."""
+
+    def bind(overrides=None, on_change=None) -> tuple[Node, ParameterBinding[Parameters]]:
+        given = [
+            value if isinstance(value, Parameter) else Parameter(name, value=value)
+            for name, value in (overrides or {}).items()
+        ]
+        node = ros.node("parametrised", parameter_overrides=given)
+        return node, ParameterBinding(node, Parameters, on_change=on_change)
+
+    return bind
+
+
+def set_one(node: Node, name: str, value, type_=None):
+    (result,) = node.set_parameters([Parameter(name, type_, value)])
+    return result
+
+
+def test_defaults_are_declared_and_bound(make) -> None:
+    node, binding = make()
+
+    assert binding.value == Parameters()
+    assert node.get_parameter("excitation.amplitude").value == 1.0
+    assert list(node.get_parameter("topics").value) == []
+    assert node.get_parameter("topics").type_ is TYPE.STRING_ARRAY
+
+
+def test_overrides_replace_defaults(make) -> None:
+    node, binding = make({"kind": "bias_step", "topics": ["/a"], "excitation.amplitude": 3.5})
+
+    assert binding.value.kind == "bias_step"
+    assert binding.value.topics == ("/a",)
+    assert binding.value.excitation.amplitude == 3.5
+    assert node.get_parameter("kind").value == "bias_step"
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "expected"),
+    [
+        ("rate", 100, 100.0),
+        ("gains", [3, 4], (3.0, 4.0)),
+        ("gains", Parameter("gains", TYPE.NOT_SET, None), ()),  # `gains: []` in YAML
+        ("gains", Parameter("gains", TYPE.BOOL_ARRAY, []), ()),  # `ros2 param set … "[]"`
+    ],
+)
+def test_overrides_are_converted(make, name: str, given, expected) -> None:
+    node, binding = make({name: given})
+
+    assert getattr(binding.value, name) == expected
+    assert node.get_parameter(name).type_ in (TYPE.DOUBLE, TYPE.DOUBLE_ARRAY)
+
+
+REFUSED = [
+    ("rate", "fast", r"'rate': expected a number, got the string 'fast'"),
+    ("rate", True, r"'rate': expected a number, got the boolean true"),
+    ("rate", [1.0], r"'rate': expected a number, got the list \[1.0\]"),
+    ("rate", float("nan"), r"'rate' must be finite, got nan"),
+    ("upper", float("inf"), r"'upper' must be finite, got inf"),
+    ("rate", 0.5, r"'rate' must be at least 1.0 Hz, got 0.5"),
+    ("rate", 1e9, r"'rate' must be at most 2000.0 Hz"),
+    ("depth", 2.0, r"'depth': expected an integer, got the number 2.0"),
+    ("depth", 0, r"'depth' must be at least 1, got 0"),
+    ("depth", True, r"'depth': expected an integer, got the boolean true"),
+    ("enabled", 1, r"'enabled': expected true or false, got the integer 1"),
+    ("kind", "bais_step", r"'kind' must be one of none, bias_step; got 'bais_step'"),
+    ("gains", [1.0, -1.0], r"each element of parameter 'gains' must be at least 0.0, got -1.0"),
+    ("gains", 1.0, r"'gains': expected a list of numbers, got the number 1.0"),
+    ("gains", "[1, 2.5]", r"got the string .* write every number with a decimal point"),
+    ("gains", [True, False], r"'gains': expected a list of numbers, got the boolean true"),
+    ("ports", [1.0], r"'ports': expected a list of integers, got the number 1.0"),
+    ("topics", "/a", r"'topics': expected a list of strings, got the string '/a'"),
+    ("lower", 2.0, r"lower \(2.0\) must be below upper \(1.0\)"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "message"), REFUSED)
+def test_a_bad_override_is_refused_at_start(make, name: str, value, message: str) -> None:
+    with pytest.raises(ParameterError, match=message) as caught:
+        make({name: value})
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [case for case in REFUSED if case[0] not in ("rate", "topics")],
+)
+def test_a_bad_set_is_refused_with_the_reason(make, name: str, value, message: str) -> None:
+    changes: list[Parameters] = []
+    node, binding = make(on_change=changes.append)
+
+    result = set_one(node, name, value)
+
+    assert not result.successful
+    assert re.search(message, result.reason)
+    assert binding.value == Parameters()
+    assert changes == []
+
+
+def test_a_value_without_type_is_refused(make) -> None:
+    node, binding = make()
+
+    assert "got nothing" in set_one(node, "upper", None).reason
+    assert node.get_parameter("upper").value == binding.value.upper == 1.0
+
+
+def test_an_accepted_set_is_announced_after_it_took_effect(make) -> None:
+    seen: list[tuple[float, float, Parameters]] = []
+
+    def record(value: Parameters) -> None:
+        seen.append((node.get_parameter("upper").value, binding.value.upper, value))
+
+    node, binding = make(on_change=record)
+    assert set_one(node, "upper", 5).successful
+
+    assert [(stored, cached, new.upper) for stored, cached, new in seen] == [(5.0, 5.0, 5.0)]
+    assert node.get_parameter("upper").type_ is TYPE.DOUBLE
+
+
+def test_setting_the_same_value_is_no_change(make) -> None:
+    changes: list[Parameters] = []
+    node, binding = make(on_change=changes.append)
+    before = binding.value
+
+    assert set_one(node, "upper", 1).successful
+
+    assert binding.value is before
+    assert changes == []
+
+
+def test_a_read_only_parameter_keeps_its_value(make) -> None:
+    node, binding = make()
+
+    for name, value in (("rate", 100.0), ("topics", ["/a"])):
+        result = set_one(node, name, value)
+        assert not result.successful
+        assert name in result.reason
+    assert binding.value == Parameters()
+
+
+def test_an_atomic_set_is_checked_as_a_whole(make) -> None:
+    changes: list[Parameters] = []
+    node, binding = make(on_change=changes.append)
+
+    # Neither order of single sets would pass: 2 is above the old upper end.
+    result = node.set_parameters_atomically(
+        [Parameter("lower", value=2), Parameter("upper", value=3)]
+    )
+
+    assert result.successful
+    assert (binding.value.lower, binding.value.upper) == (2.0, 3.0)
+    assert len(changes) == 1
+
+
+def test_an_atomic_set_changes_all_or_nothing(make) -> None:
+    node, binding = make()
+
+    result = node.set_parameters_atomically(
+        [Parameter("upper", value=3), Parameter("depth", value=0)]
+    )
+
+    assert not result.successful
+    assert "'depth' must be at least 1" in result.reason
+    assert node.get_parameter("upper").value == binding.value.upper == 1.0
+
+
+def test_descriptors_tell_clients_what_is_allowed(make) -> None:
+    node, _ = make()
+
+    rate = node.describe_parameter("rate")
+    assert rate.description == "Publish rate [Hz]"
+    assert rate.type == ParameterType.PARAMETER_DOUBLE
+    assert rate.read_only
+    assert not rate.dynamic_typing
+    assert rate.floating_point_range[0].to_value == 2000.0
+    assert node.describe_parameter("depth").integer_range[0].from_value == 1
+    assert node.describe_parameter("kind").additional_constraints == "one of: none, bias_step"
+    assert node.describe_parameter("gains").additional_constraints == "each element at least 0.0"
+    topics = node.describe_parameter("topics")
+    assert topics.read_only
+    assert topics.type == ParameterType.PARAMETER_STRING_ARRAY
+
+
+def test_unknown_overrides_are_named_in_one_warning(make, capfd) -> None:
+    make({"rat": 100.0, "use_sim_time": False, "colour": "blue"})
+
+    logged = capfd.readouterr().err
+    assert logged.count("[WARN]") == 1
+    assert "ignored unknown parameters: 'colour', 'rat' (did you mean 'rate'?)" in logged
+
+
+def test_effective_values_are_logged_once(make, capfd) -> None:
+    make({"rate": 100})
+
+    logged = capfd.readouterr().err
+    assert logged.count("parameters:") == 1
+    assert "rate=100.0 Hz" in logged
+    assert "excitation.amplitude=1.0 N m" in logged
+    assert "[WARN]" not in logged
+
+
+def test_remote_clients_set_integers_and_read_reasons(ros, make) -> None:
+    _, binding = make()
+    other = ros.node("client")
+    client = AsyncParameterClient(other, "parametrised")
+    ros.spin_until(client.services_are_ready, what="the parameter services")
+
+    future = client.set_parameters(
+        [Parameter("excitation.amplitude", value=3), Parameter("gains", value=[5, 6])]
+    )
+    ros.spin_until(future.done, what="the first answer")
+    assert [result.successful for result in future.result().results] == [True, True]
+    assert binding.value.excitation.amplitude == 3.0
+    assert binding.value.gains == (5.0, 6.0)
+
+    future = client.set_parameters_atomically(
+        [Parameter("upper", value=9), Parameter("kind", value="loud")]
+    )
+    ros.spin_until(future.done, what="the second answer")
+    answer: SetParametersAtomically.Response = future.result()
+    assert answer.result.reason == "parameter 'kind' must be one of none, bias_step; got 'loud'"
+    assert binding.value.upper == 1.0
+
+
+def test_a_field_that_is_no_parameter_is_a_programming_error(ros) -> None:
+    @dataclass(frozen=True)
+    class Wrong:
+        table: bytes = parameter(b"", "Not a ROS type")
+
+    with pytest.raises(TypeError, match=r"Wrong\.table: .* is not a parameter"):
+        ParameterBinding(ros.node("wrong"), Wrong)

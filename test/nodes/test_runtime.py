@@ -1,0 +1,267 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Processes end cleanly whatever ends them; each case is a real process with a small node."""
+
+import signal
+import sys
+import time
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+PREAMBLE = f"""
+import ctypes, os, signal, sys
+sys.path.insert(0, {str(ROOT)!r})
+from rclpy.node import Node
+from tsobs_ros.errors import NodeError
+from tsobs_ros.nodes import runtime
+
+class Worker(Node):
+    def __init__(self, name="worker"):
+        super().__init__(name)
+        self.ticks = 0
+        self.create_timer(0.02, self.tick)
+
+    def tick(self):
+        self.ticks += 1
+        if self.ticks == 1:
+            print("ticking", flush=True)
+
+    def close(self):
+        print(f"closed {{self.get_name()}}", flush=True)
+
+    def destroy_node(self):
+        print(f"destroyed {{self.get_name()}}", flush=True)
+        super().destroy_node()
+"""
+
+
+@pytest.fixture
+def script(ros_process, tmp_path):
+    """Start a Python script made of the preamble and the given body."""
+
+    def start(body: str, *arguments: str):
+        path = tmp_path / "script.py"
+        path.write_text(PREAMBLE + dedent(body))
+        return ros_process([sys.executable, str(path), *arguments])
+
+    return start
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_an_idle_process_promptly(script, number: int) -> None:
+    process = script("sys.exit(runtime.run(Worker))")
+    process.wait_for_line("ticking")
+
+    began = time.monotonic()
+    process.signal(number)
+    process.wait_for_line("closed worker")
+    assert time.monotonic() - began < 1.0  # .25 s on an idle machine
+
+    assert process.finish() == (0, "ticking\nclosed worker\ndestroyed worker\n", "")
+
+
+def test_a_second_ctrl_c_changes_nothing(script) -> None:
+    process = script(
+        """
+        class Slow(Worker):
+            def close(self):
+                os.kill(os.getpid(), signal.SIGINT)
+                os.kill(os.getpid(), signal.SIGTERM)
+                super().close()
+
+        sys.exit(runtime.run(Slow))
+        """
+    )
+    process.wait_for_line("ticking")
+    process.signal(signal.SIGINT)
+
+    finished = process.finish()
+
+    assert (finished.exit_code, finished.stderr) == (0, "")
+    assert finished.stdout.endswith("closed worker\ndestroyed worker\n")
+
+
+def test_a_finished_node_ends_the_process(script) -> None:
+    process = script(
+        """
+        class Finite(Worker):
+            @property
+            def finished(self):
+                return self.ticks >= 3
+
+        sys.exit(runtime.run(Finite))
+        """
+    )
+
+    assert process.finish() == (0, "ticking\nclosed worker\ndestroyed worker\n", "")
+
+
+def test_several_nodes_close_before_any_is_destroyed(script) -> None:
+    process = script("sys.exit(runtime.run(lambda: [Worker('first'), Worker('second')]))")
+    process.wait_for_line("ticking")
+    process.signal(signal.SIGTERM)
+
+    finished = process.finish()
+
+    assert finished.exit_code == 0
+    assert finished.stdout.splitlines()[-4:] == [
+        "closed first",
+        "closed second",
+        "destroyed first",
+        "destroyed second",
+    ]
+
+
+def test_somebody_elses_shutdown_is_a_clean_end(script) -> None:
+    process = script(
+        """
+        import rclpy
+
+        class Ender(Worker):
+            def tick(self):
+                rclpy.shutdown()
+
+        sys.exit(runtime.run(Ender))
+        """
+    )
+
+    assert process.finish() == (0, "closed worker\ndestroyed worker\n", "")
+
+
+def test_a_known_error_at_start_is_one_line(script) -> None:
+    process = script(
+        """
+        def create():
+            raise NodeError("no design:\\n  elastic_joint.yaml is missing")
+
+        sys.exit(runtime.run(create))
+        """
+    )
+
+    assert process.finish() == (1, "", "error: no design: elastic_joint.yaml is missing\n")
+
+
+def test_a_known_error_while_spinning_still_closes(script) -> None:
+    process = script(
+        """
+        class Failing(Worker):
+            def tick(self):
+                raise NodeError("the disk is full")
+
+        sys.exit(runtime.run(Failing))
+        """
+    )
+
+    assert process.finish() == (
+        1,
+        "closed worker\ndestroyed worker\n",
+        "error: the disk is full\n",
+    )
+
+
+def test_a_failing_close_is_reported_and_the_node_destroyed(script) -> None:
+    process = script(
+        """
+        class Failing(Worker):
+            finished = True
+
+            def close(self):
+                raise NodeError("the bag cannot be closed")
+
+        sys.exit(runtime.run(Failing))
+        """
+    )
+
+    assert process.finish() == (1, "destroyed worker\n", "error: the bag cannot be closed\n")
+
+
+def test_a_bug_keeps_its_traceback_and_still_closes(script) -> None:
+    process = script(
+        """
+        class Buggy(Worker):
+            def tick(self):
+                raise KeyError("bug")
+
+        sys.exit(runtime.run(Buggy))
+        """
+    )
+
+    finished = process.finish()
+
+    assert (finished.exit_code, finished.stdout) == (1, "closed worker\ndestroyed worker\n")
+    assert finished.stderr.startswith("Traceback")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-p", "gains:=[1, 2.5]"], "write every number of the list with a decimal point"),
+        (["--params-file", "missing.yaml"], "missing.yaml"),
+        (["-r", "__node:=not a name"], "error: "),
+    ],
+)
+def test_malformed_ros_arguments_are_one_error_line(script, arguments, message: str) -> None:
+    process = script("sys.exit(runtime.run(Worker))", "--ros-args", *arguments)
+
+    finished = process.finish()
+
+    assert finished.exit_code == 1
+    (line,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
+    assert message in line
+    assert "Traceback" not in finished.stderr
+
+
+@pytest.mark.parametrize("outcome", ["finished = True", "tick = fail"])
+def test_a_hanging_teardown_keeps_the_exit_code(script, outcome: str) -> None:
+    process = script(
+        f"""
+        def fail(self):
+            raise NodeError("failed")
+
+        class Hanging(Worker):
+            {outcome}
+
+            def destroy_node(self):
+                ctypes.PyDLL(None).pause()  # for ever, in C, holding the GIL
+
+        runtime._TEARDOWN_TIMEOUT = 0.5
+        sys.exit(runtime.run(Hanging))
+        """
+    )
+
+    finished = process.finish()
+
+    assert finished.exit_code == (0 if "finished" in outcome else 1)
+    assert finished.stdout == "closed worker\n"
+    assert "Traceback" not in finished.stderr
+
+
+def test_a_signal_during_the_imports_ends_cleanly(ros_process, tmp_path: Path) -> None:
+    (tmp_path / "slow_to_import.py").write_text(
+        "import os, signal\n"
+        "os.kill(os.getpid(), signal.SIGTERM)\n"
+        "os.kill(os.getpid(), signal.SIGINT)\n"
+        "print('imported')\n"
+        "def create():\n"
+        "    print('created')\n"
+    )
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
+        f"import tsobs_ros.nodes; tsobs_ros.nodes.__path__.append({str(tmp_path)!r})\n"
+        "from tsobs_ros.executables import _run; sys.exit(_run('slow_to_import'))"
+    )
+
+    assert ros_process([sys.executable, "-c", code]).finish() == (0, "imported\n", "")
+
+
+def test_entry_points_import_nothing_heavy(ros_process) -> None:
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); import tsobs_ros.executables\n"
+        "print(sorted({'numpy', 'rclpy', 'scipy', 'yaml', 'mcap'} & set(sys.modules)))"
+    )
+
+    assert ros_process([sys.executable, "-c", code]).finish().stdout == "[]\n"
