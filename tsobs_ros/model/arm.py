@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.model.fuzzy import RuleBase, TSSystem
 
 LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE, MOTOR_VELOCITY = range(4)

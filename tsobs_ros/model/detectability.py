@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.model._checks import Array
+from tsobs_ros.checks import Array
 
 
 class HiddenMode(NamedTuple):

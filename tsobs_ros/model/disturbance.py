@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
+from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import Array, as_matrix, non_negative, positive
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def bias(density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
         initial_std: 1σ before any measurement [rad].
     """
     root = math.sqrt(non_negative("bias density", density))
-    start = [non_negative("bias initial_std", initial_std)]
+    start = np.array([non_negative("bias initial_std", initial_std)])
     return DisturbanceModel("bias", _rows([[0.0]]), _rows([[1.0]]), _rows([[root]]), start)
 
 
@@ -123,13 +123,11 @@ def gauss_markov(std: float = 0.1, time_constant: float = 20.0) -> DisturbanceMo
     tau = positive("gauss_markov time_constant", time_constant)
     root = positive("gauss_markov std", std) * math.sqrt(2.0 / tau)
     return DisturbanceModel(
-        "gauss_markov", _rows([[-1.0 / tau]]), _rows([[1.0]]), _rows([[root]]), [std]
+        "gauss_markov", _rows([[-1.0 / tau]]), _rows([[1.0]]), _rows([[root]]), np.array([std])
     )
 
 
-def sinusoid(
-    frequency: float, density: float = 1e-4, initial_std: float = 0.3
-) -> DisturbanceModel:
+def sinusoid(frequency: float, density: float = 1e-4, initial_std: float = 0.3) -> DisturbanceModel:
     """Return a tone of known frequency and slowly wandering amplitude and phase.
 
     Args:
@@ -144,7 +142,7 @@ def sinusoid(
         _rows([[0.0, w0], [-w0, 0.0]]),
         _rows([[1.0, 0.0]]),
         root * np.eye(2),
-        [non_negative("sinusoid initial_std", initial_std)] * 2,
+        np.full(2, non_negative("sinusoid initial_std", initial_std)),
     )
 
 
@@ -166,10 +164,12 @@ def ramp(
         math.sqrt(non_negative("ramp density", density)),
         math.sqrt(non_negative("ramp rate_density", rate_density)),
     ]
-    start = [
-        non_negative("ramp initial_std", initial_std),
-        non_negative("ramp initial_rate_std", initial_rate_std),
-    ]
+    start = np.array(
+        [
+            non_negative("ramp initial_std", initial_std),
+            non_negative("ramp initial_rate_std", initial_rate_std),
+        ]
+    )
     return DisturbanceModel(
         "ramp", _rows([[0.0, 1.0], [0.0, 0.0]]), _rows([[1.0, 0.0]]), np.diag(roots), start
     )

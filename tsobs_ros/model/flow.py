@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from tsobs_ros.model._checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import Array, as_matrix
 
 MembershipFunction = Callable[[Array], Array]
 """Grade in [0, ∞) of one premise variable, evaluated elementwise on an array."""
@@ -79,7 +79,9 @@ class RuleBase:
             )
         total = grades.sum(axis=-1, keepdims=True)
         if (total <= 0.0).any():
-            where = premise[np.argwhere(total[..., 0] <= 0.0)[0][0]] if premise.ndim > 1 else premise
+            where = (
+                premise[np.argwhere(total[..., 0] <= 0.0)[0][0]] if premise.ndim > 1 else premise
+            )
             raise ModelError(f"memberships: no rule fires at z = {np.asarray(where).tolist()}")
         return np.asarray(grades / total)
 

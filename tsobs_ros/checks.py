@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks shared by the model: an error names the quantity, what was expected and what came."""
+"""Checks of numbers and matrices: an error names the quantity, what was expected and what came."""
 
 import math
 

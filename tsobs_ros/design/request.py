@@ -1,0 +1,149 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a user asks of a design: the arm, the disturbance, the noise, the domain and the rate."""
+
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model import disturbance as disturbances
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.disturbance import DisturbanceModel
+from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+
+DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
+    "clean": disturbances.clean,
+    "arbitrary": disturbances.arbitrary,
+    "bias": disturbances.bias,
+    "gauss_markov": disturbances.gauss_markov,
+    "sinusoid": disturbances.sinusoid,
+    "ramp": disturbances.ramp,
+}
+
+
+@dataclass(frozen=True)
+class DisturbanceTerm:
+    """One term of the disturbance: its kind and its parameters, the rest filled with defaults.
+
+    Raises:
+        ModelError: The kind is unknown, or a parameter is not one of that kind.
+    """
+
+    kind: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.kind not in DISTURBANCE_KINDS:
+            raise ModelError(
+                f"disturbance kind: expected one of {', '.join(DISTURBANCE_KINDS)}, "
+                f"got {self.kind!r}"
+            )
+        known = inspect.signature(DISTURBANCE_KINDS[self.kind]).parameters
+        for name in self.parameters:
+            if name not in known or name == "channels":
+                raise ModelError(
+                    f"disturbance {self.kind}: unknown parameter {name!r}, "
+                    f"expected some of {', '.join(n for n in known if n != 'channels') or 'none'}"
+                )
+        missing = [
+            name
+            for name, parameter in known.items()
+            if parameter.default is inspect.Parameter.empty and name not in self.parameters
+        ]
+        if missing:
+            raise ModelError(f"disturbance {self.kind}: parameter {missing[0]!r} is missing")
+        filled = {
+            name: self.parameters.get(name, parameter.default)
+            for name, parameter in known.items()
+            if name != "channels"
+        }
+        object.__setattr__(self, "parameters", filled)
+
+    def model(self) -> DisturbanceModel:
+        """Return the exosystem of this term."""
+        return DISTURBANCE_KINDS[self.kind](**self.parameters)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the term as a plain mapping with every parameter spelled out."""
+        return {"kind": self.kind, **self.parameters}
+
+
+@dataclass(frozen=True)
+class DesignRequest:
+    """Everything a certified gain depends on; the defaults are the shipped design's.
+
+    Attributes:
+        arm: Nominal physical parameters.
+        disturbance: Terms whose sum disturbs the measured angle.
+        process_noise: Densities of the arm's acceleration noise.
+        measurement_std: 1σ of one sample's noise [rad].
+        rate: Measurement rate [Hz].
+        x_max: Half width of the domain |q₁| ≤ x_max the certificate is for [rad], up to π.
+        decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
+        initial_std: 1σ of [q₁, q̇₁, q₂, q̇₂] before any measurement (rad, rad/s), shape (4,).
+
+    Raises:
+        ModelError: A value is out of range or of the wrong shape.
+    """
+
+    arm: ElasticJointArm = field(default_factory=ElasticJointArm)
+    disturbance: Sequence[DisturbanceTerm] = (DisturbanceTerm("bias"),)
+    process_noise: ProcessNoise = field(default_factory=ProcessNoise)
+    measurement_std: float = 0.028
+    rate: float = 200.0
+    x_max: float = 0.75
+    decay_rate: float = 0.0
+    initial_std: Sequence[float] = (0.3, 0.6, 0.3, 0.4)
+
+    def __post_init__(self) -> None:
+        positive("measurement_std", self.measurement_std)
+        positive("rate", self.rate)
+        non_negative("decay_rate", self.decay_rate)
+        if not 0.0 < self.x_max <= math.pi:
+            raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}")
+        initial = as_matrix("initial_std", self.initial_std, (4,))
+        if (initial <= 0.0).any():
+            raise ModelError(f"initial_std: expected values above 0, got {initial.tolist()}")
+        if not self.disturbance:
+            raise ModelError("disturbance: expected at least one term, e.g. kind: clean")
+        object.__setattr__(self, "disturbance", tuple(self.disturbance))
+        object.__setattr__(self, "initial_std", tuple(initial.tolist()))
+
+    @cached_property
+    def disturbance_model(self) -> DisturbanceModel:
+        """The sum of the disturbance's terms."""
+        models = [term.model() for term in self.disturbance]
+        return sum(models[1:], start=models[0])
+
+    @cached_property
+    def flow(self) -> ArmFlow:
+        """The prediction model of the arm with its disturbance."""
+        return ArmFlow(self.arm, self.disturbance_model, self.process_noise, 1.0 / self.rate)
+
+    @property
+    def period(self) -> float:
+        """Sampling period T [s]."""
+        return 1.0 / self.rate
+
+    @property
+    def measurement_covariance(self) -> Array:
+        """R, shape (1, 1) [rad²]."""
+        return np.array([[self.measurement_std**2]])
+
+    @property
+    def slope_range(self) -> tuple[float, float]:
+        """Smallest and largest gravity slope (cosine) on the domain."""
+        return slope_range(self.x_max)
+
+    @cached_property
+    def initial_covariance(self) -> Array:
+        """Error covariance before any measurement in design coordinates, shape (n, n)."""
+        arm = self.arm.from_physical(self.initial_std)
+        return np.diag(np.concatenate([arm, self.disturbance_model.initial_std]) ** 2)

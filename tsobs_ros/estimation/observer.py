@@ -1,0 +1,188 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The certified T–S observer as pure functions of state, measurement and time step.
+
+    correct:  x̂ ← x̂ + K (y − C̄ x̂)        predict:  x̂ ← flow(x̂, u, T)
+
+The premise variable is the estimate x̂₁ itself; the flow's closed form of the T–S blend is exact
+on the domain. One rule chooses the gain: the constant certified gain while the certificate's
+bound X covers the error covariance, the Riccati (Kalman) gain along the estimate while it does
+not: after a start, a reset or a missed sample. A hand-over is therefore itself certified.
+"""
+
+import enum
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array, as_matrix, non_negative
+from tsobs_ros.model.flow import ArmFlow
+
+PERIOD_TOLERANCE = 0.1
+"""Steps within this fraction of the design's period count as regular samples."""
+
+
+class GainMode(enum.Enum):
+    """Which gain corrects the estimate once it has settled."""
+
+    CERTIFIED = "certified"
+    RICCATI = "riccati"
+
+
+class CertifiedGain(NamedTuple):
+    """The constant gain and the bound that is proved for it.
+
+    Attributes:
+        K: Filter gain, shape (n, p).
+        X: Bound on the error covariance before each sample, shape (n, n).
+    """
+
+    K: Array
+    X: Array
+
+
+class ObserverState(NamedTuple):
+    """Everything the observer carries from one step to the next.
+
+    Attributes:
+        x: Augmented estimate in design coordinates, shape (..., n).
+        covariance: Error covariance, or its certified bound, shape (..., n, n) or (n, n).
+        settling: Riccati gains are used for at least this much longer [s]; a batch shares one
+            measurement schedule.
+        certified: Whether the certificate's bound covers the covariance and its gain is in use.
+        corrected: Whether a measurement was used since the last prediction.
+    """
+
+    x: Array
+    covariance: Array
+    settling: float
+    certified: bool
+    corrected: bool
+
+
+class Correction(NamedTuple):
+    """What a measurement did.
+
+    Attributes:
+        innovation: y − C̄x̂ before the correction, shape (..., p).
+        gain: The gain that was used, shape (..., n, p) or (n, p).
+    """
+
+    innovation: Array
+    gain: Array
+
+
+class TSObserver:
+    """The certified adaptive-gain observer of one arm, or of a batch of arms in step.
+
+    Attributes:
+        flow: Prediction model.
+        certified: The constant gain and its bound.
+        settle_time: Least duration of the Riccati phase [s].
+        gain_mode: Whether the certified gain ever takes over.
+    """
+
+    def __init__(
+        self,
+        flow: ArmFlow,
+        measurement_covariance: Array,
+        initial_covariance: Array,
+        certified: CertifiedGain,
+        settle_time: float = 5.0,
+        gain_mode: GainMode = GainMode.CERTIFIED,
+    ) -> None:
+        n, p = flow.state_count, flow.output_matrix.shape[0]
+        self.flow = flow
+        self.settle_time = non_negative("settle_time", settle_time)
+        self.gain_mode = gain_mode
+        self.certified = CertifiedGain(
+            as_matrix("K", certified.K, (n, p)), as_matrix("X", certified.X, (n, n))
+        )
+        self._R = as_matrix("R", measurement_covariance, (p, p))
+        self._initial_covariance = as_matrix("initial covariance", initial_covariance, (n, n))
+        self._C = flow.output_matrix
+        self._identity = np.eye(n)
+        self._gain_transposed = np.ascontiguousarray(self.certified.K.T)
+        self._posterior = self._joseph(self.certified.X, self.certified.K)
+        self._root = np.linalg.cholesky(np.linalg.inv(self.certified.X))
+        self._certified_std = np.sqrt(np.diag(self.certified.X))
+
+    def initial(self, batch: tuple[int, ...] = ()) -> ObserverState:
+        """Return the state before any measurement: zero estimate, wide covariance."""
+        n = self.flow.state_count
+        covariance = np.broadcast_to(self._initial_covariance, (*batch, n, n)).copy()
+        return ObserverState(np.zeros((*batch, n)), covariance, self.settle_time, False, False)
+
+    def correct(self, state: ObserverState, y: Array) -> tuple[ObserverState, Correction]:
+        """Use one measurement.
+
+        Args:
+            state: The state predicted to the measurement's stamp.
+            y: Measured angle [rad], shape (..., p).
+
+        Returns:
+            The corrected state, and what the measurement did.
+        """
+        innovation = y - state.x @ self._C.T
+        if state.certified:
+            x = state.x + innovation @ self._gain_transposed
+            corrected = ObserverState(x, self._posterior, 0.0, True, True)
+            return corrected, Correction(innovation, self.certified.K)
+        gain = self._kalman_gain(state.covariance)
+        x = state.x + (gain @ innovation[..., np.newaxis])[..., 0]
+        covariance = self._joseph(state.covariance, gain)
+        return (
+            ObserverState(x, covariance, state.settling, False, True),
+            Correction(innovation, gain),
+        )
+
+    def predict(self, state: ObserverState, u: Array, duration: float) -> ObserverState:
+        """Predict to the next stamp.
+
+        Args:
+            state: Corrected, or not if the measurement is missing.
+            u: Torque held over the step [N m], shape (..., 1).
+            duration: Time to the next stamp [s], at least 0.
+        """
+        if state.certified and state.corrected and self._regular(duration):
+            x = self.flow.predict(state.x, u, duration)
+            return ObserverState(x, self.certified.X, 0.0, True, False)
+        x, covariance = self.flow.predict_with_covariance(state.x, state.covariance, u, duration)
+        settling = max(0.0, state.settling - duration)
+        if self._covers(covariance, settling):
+            return ObserverState(x, self.certified.X, 0.0, True, False)
+        return ObserverState(x, covariance, settling, False, False)
+
+    def error_bound(self, state: ObserverState) -> Array:
+        """Return the 1σ bound of each augmented state in design coordinates, shape (..., n).
+
+        It is certified while `state.certified`; before that it is the larger of the covariance
+        along the estimate and the certified bound.
+        """
+        if state.certified:
+            return self._certified_std
+        variance = np.diagonal(state.covariance, axis1=-2, axis2=-1)
+        return np.maximum(np.sqrt(variance), self._certified_std)
+
+    def _regular(self, duration: float) -> bool:
+        period = self.flow.period
+        return abs(duration - period) <= PERIOD_TOLERANCE * period
+
+    def _covers(self, covariance: Array, settling: float) -> bool:
+        """Return whether the certified gain may take over: settled, and Σ ⪯ X."""
+        if self.gain_mode is not GainMode.CERTIFIED or settling > 0.0:
+            return False
+        ratio = np.linalg.eigvalsh(self._root.T @ covariance @ self._root)
+        return bool(ratio.max() <= 1.0)
+
+    def _kalman_gain(self, covariance: Array) -> Array:
+        cross = covariance @ self._C.T
+        spread = self._C @ cross + self._R
+        return np.asarray(np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, -1, -2)), -1, -2))
+
+    def _joseph(self, covariance: Array, gain: Array) -> Array:
+        """Return (I − KC) Σ (I − KC)ᵀ + K R Kᵀ, symmetric and positive for any gain."""
+        closed = self._identity - gain @ self._C
+        gain_t = np.swapaxes(gain, -1, -2)
+        result = closed @ covariance @ np.swapaxes(closed, -1, -2) + gain @ self._R @ gain_t
+        return np.asarray(0.5 * (result + np.swapaxes(result, -1, -2)))
