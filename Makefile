@@ -1,0 +1,78 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+#
+# A virtual environment in .venv, made when first needed. With ROS 2 Jazzy sourced it uses that
+# rclpy; otherwise it installs rclpy's wheels from PyPI. PYTHON=… chooses the interpreter.
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+SOURCES := setup.py setup.cfg pyproject.toml package.xml $(wildcard config/*.yaml)
+PYTEST_ARGS ?= -n 2
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DELETE_ON_ERROR:
+.PHONY: help demo test lint format clean
+.DEFAULT_GOAL := help
+
+# A version manager's shim may exist and yet fail, so every candidate is run.
+define find_python
+candidates="$(if $(PYTHON),"$(PYTHON)",python3.12 python3.11 python3.13 python3)"; \
+for candidate in $$candidates; do \
+  if "$$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2> /dev/null; then \
+    python="$$candidate"; break; \
+  fi; \
+done; \
+if [ -z "$${python:-}" ]; then \
+  echo "error: no Python 3.11 or later among $$candidates; set PYTHON=/path/to/python3" >&2; \
+  exit 1; \
+fi
+endef
+
+help: ## Say what can be made
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
+
+demo: $(VENV)/.demo ## Simulate the arm, observe it, record, and report (DEMO_ARGS=…)
+	@$(BIN)/tsobs demo $(DEMO_ARGS)
+
+test: $(VENV)/.test ## Lint, check types and run all tests (PYTEST_ARGS=…)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest $(PYTEST_ARGS)
+
+lint: $(VENV)/.test ## Only lint and check types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/.test ## Format the sources
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean: ## Remove the virtual environment and everything built
+	rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/.demo: $(SOURCES) | $(BIN)/python
+	@echo "Installing tsobs_ros into $(VENV) (once)"
+	@$(PIP) -e ".[$$(cat $(VENV)/.ros)report]"
+	@touch $@
+
+$(VENV)/.test: $(SOURCES) | $(BIN)/python
+	@echo "Installing tsobs_ros and its test tools into $(VENV) (once)"
+	@$(PIP) -e ".[$$(cat $(VENV)/.ros)design,report,test]"
+	@touch $@
+
+$(BIN)/python:
+	@$(find_python); \
+	if "$$python" -c 'import rclpy' 2> /dev/null; then \
+	  echo "Making $(VENV) with $$("$$python" -V) and the ROS found"; \
+	  "$$python" -m venv --clear --system-site-packages $(VENV); \
+	  : > $(VENV)/.ros; \
+	else \
+	  echo "Making $(VENV) with $$("$$python" -V) and ROS from PyPI"; \
+	  "$$python" -m venv --clear $(VENV); \
+	  printf 'ros,' > $(VENV)/.ros; \
+	fi

@@ -1,0 +1,95 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Build tsobs_ros, for colcon as an ament_python package and for pip as a wheel."""
+
+import re
+import sys
+from pathlib import Path
+
+from setuptools import Distribution, find_packages, setup
+
+NAME = "tsobs_ros"
+EXECUTABLES = {
+    "plant_simulator": "tsobs_ros.executables:plant_simulator",
+    "observer": "tsobs_ros.executables:observer",
+    "recorder": "tsobs_ros.executables:recorder",
+    "tsobs": "tsobs_ros.cli:main",
+}
+LAUNCHER = """#!/bin/sh
+exec "$(dirname -- "$(readlink -f -- "$0")")/../../bin/{name}" "$@"
+"""
+
+
+class AmentDistribution(Distribution):
+    """Keeps data files in editable wheels, which ask for `has_data` and drop them without it."""
+
+    has_data = Distribution.has_data_files
+
+
+def version() -> str:
+    """Read the version without importing the package, whose dependencies may be missing."""
+    text = Path(NAME, "__init__.py").read_text(encoding="utf-8")
+    match = re.search(r'^__version__ = "(.+)"$', text, re.MULTILINE)
+    assert match is not None, "tsobs_ros/__init__.py states no __version__"
+    return match[1]
+
+
+def launchers() -> list[str]:
+    """Write what `ros2 run` finds in a prefix made by pip, which installs to bin only."""
+    folder = Path("build", "launchers")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in EXECUTABLES:
+        path = folder / name
+        path.write_text(LAUNCHER.format(name=name), encoding="utf-8")
+        path.chmod(0o755)
+    return [str(folder / name) for name in EXECUTABLES]
+
+
+def data_files() -> list[tuple[str, list[str]]]:
+    """List what goes outside the Python package."""
+    files = [
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.yaml")))),
+    ]
+    # colcon puts the console scripts themselves into lib/tsobs_ros.
+    if {"bdist_wheel", "editable_wheel"} & set(sys.argv):
+        files.append((f"lib/{NAME}", launchers()))
+    return files
+
+
+setup(
+    name=NAME,
+    version=version(),
+    description="State and sensor-disturbance estimation for a robot arm with an elastic joint",
+    license="Apache-2.0",
+    author="The tsobs_ros contributors",
+    maintainer="The tsobs_ros contributors",
+    maintainer_email="tsobs_ros@example.org",
+    distclass=AmentDistribution,
+    python_requires=">=3.11",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=data_files(),
+    zip_safe=False,
+    # Never rclpy: a sourced ROS provides it without pip's knowledge, and wheels would outrank it.
+    install_requires=["numpy>=1.26", "scipy", "pyyaml", "mcap>=1.5", "zstandard", "lz4"],
+    extras_require={
+        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        "design": ["cvxpy", "clarabel"],
+        "report": ["matplotlib", "plotly", "tqdm", "mcap-ros2-support"],
+        "test": [
+            "filterpy",
+            "hypothesis",
+            "mcap-ros2-support",
+            "mypy>=2.4,<3",
+            "pytest>=8",
+            "pytest-xdist",
+            "rosbags",
+            "ruff>=0.17,<0.18",
+        ],
+    },
+    entry_points={
+        "console_scripts": [f"{name} = {target}" for name, target in EXECUTABLES.items()]
+    },
+)

@@ -1,0 +1,63 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Find the files installed beside the package, however it was installed and without ROS.
+
+AMENT_PREFIX_PATH is unset in a plain virtual environment, so the ament index cannot be relied on.
+What lies nearest to the running code wins, so that code and files are of one version: the source
+tree it runs from (checkout, editable install), then the prefix it is installed under (colcon,
+pip), then the prefixes of the environment.
+"""
+
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from tsobs_ros.errors import TsobsError
+
+_PACKAGE = "tsobs_ros"
+# <prefix>/local/lib/python3.12/dist-packages/tsobs_ros is the deepest known layout.
+_DEEPEST = 5
+
+
+class ResourceError(TsobsError, FileNotFoundError):
+    """A file that belongs to the installation is missing."""
+
+
+def config_path(name: str) -> Path:
+    """Find a file of the package's config folder.
+
+    Args:
+        name: File name such as "observer.yaml".
+
+    Returns:
+        The file's path.
+
+    Raises:
+        ResourceError: No installation or source tree holds such a file.
+    """
+    folders = list(dict.fromkeys(_config_folders()))
+    for folder in folders:
+        if (folder / name).is_file():
+            return folder / name
+    existing = [folder for folder in folders if folder.is_dir()]
+    if existing:
+        known = ", ".join(sorted(path.name for path in existing[0].glob("*.yaml"))) or "nothing"
+        raise ResourceError(f"no config file '{name}' in {existing[0]}, which has {known}")
+    searched = ", ".join(map(str, folders))
+    raise ResourceError(f"no config folder of {_PACKAGE}, looking for '{name}' in {searched}")
+
+
+def _config_folders() -> Iterator[Path]:
+    installed = Path("share", _PACKAGE, "config")
+    package = Path(__file__).absolute().parent
+    # Resolved too: colcon's --symlink-install leads from its build folder to the sources.
+    for location in (package, package.resolve()):
+        if (location.parent / "package.xml").is_file():
+            yield location.parent / "config"
+    for prefix in list(package.parents)[:_DEEPEST]:
+        yield prefix / installed
+    for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if entry:
+            yield Path(entry) / installed
+    yield Path(sys.prefix) / installed
