@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tsobs_ros.model._checks import Array
+from tsobs_ros.checks import Array
 from tsobs_ros.simulation.signals import Component, GaussMarkov, StuckSensor
 from tsobs_ros.simulation.streams import RandomStream, Seeds, Source, batch_shape
 

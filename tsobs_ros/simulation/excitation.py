@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+from tsobs_ros.checks import positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import positive
 
 
 class Excitation(Protocol):

@@ -16,8 +16,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tsobs_ros.checks import Array, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import Array, positive
 from tsobs_ros.model.arm import ElasticJointArm
 
 LONGEST_SUBSTEP = 1e-3

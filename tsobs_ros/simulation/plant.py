@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import Array
 from tsobs_ros.simulation.disturbance import DisturbanceSource
 from tsobs_ros.simulation.excitation import Excitation
 from tsobs_ros.simulation.integrator import ArmIntegrator

@@ -5,8 +5,8 @@
 import math
 from dataclasses import dataclass, field, fields
 
+from tsobs_ros.checks import non_negative, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import non_negative, positive
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.simulation.excitation import Excitation, Sine
 from tsobs_ros.simulation.sensor import Sensor

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.model._checks import Array
+from tsobs_ros.checks import Array
 from tsobs_ros.simulation.plant import Plant
 from tsobs_ros.simulation.scenario import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tsobs_ros.checks import Array, non_negative
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import Array, non_negative
 from tsobs_ros.simulation.streams import RandomStream, Seeds, Source
 
 

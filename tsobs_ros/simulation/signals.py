@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
+from tsobs_ros.checks import non_negative, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import non_negative, positive
 
 
 class Component(Protocol):

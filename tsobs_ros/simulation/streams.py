@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model._checks import Array
 
 Seeds = int | Sequence[int]
 """One seed for a single plant, or a sequence of seeds for a batch of runs."""
@@ -91,10 +91,7 @@ def checked_seeds(seeds: Seeds) -> list[int]:
         ModelError: A seed is not an integer of at least zero, or there is none.
     """
     # NumPy's integers are not instances of int, but a seed may well come out of an array.
-    if isinstance(seeds, int | np.integer):
-        listed = [int(seeds)]
-    else:
-        listed = [int(seed) for seed in seeds]
+    listed = [int(seeds)] if isinstance(seeds, int | np.integer) else [int(seed) for seed in seeds]
     if not listed or min(listed) < 0:
         raise ModelError(f"seeds: expected integers of at least 0, at least one, got {seeds!r}")
     return listed

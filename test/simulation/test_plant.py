@@ -1,0 +1,220 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The plant: what a sample means, what a seed means, and what can be changed on the way."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.simulation.excitation import NoTorque, Sine
+from tsobs_ros.simulation.integrator import ArmIntegrator
+from tsobs_ros.simulation.plant import Plant, Sample
+from tsobs_ros.simulation.scenario import Mismatch, ProcessNoise, Scenario
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Sinusoid, StuckSensor
+
+QUIET = Scenario(
+    initial_spread=(0.0,) * 4, process_noise=ProcessNoise(0.0, 0.0), sensor=Sensor(noise_std=0.0)
+)
+
+
+def run(scenario: Scenario, count: int, seeds: Any = 0) -> list[Sample]:
+    plant = Plant(scenario, seeds)
+    return [plant.step() for _ in range(count)]
+
+
+def stack(samples: list[Sample], name: str) -> NDArray[np.float64]:
+    return np.stack([getattr(sample, name) for sample in samples])
+
+
+def test_samples_are_what_the_integrator_and_the_formulas_say() -> None:
+    scenario = replace(QUIET, disturbance=(Sinusoid(0.2, 3.0, 0.1),))
+    integrator, x = ArmIntegrator(scenario.arm, 0.005), scenario.arm.to_physical((0.3, 0, 2, 0))
+    for k, sample in enumerate(run(scenario, 100)):
+        time = k / 200.0
+        d = 0.2 * np.sin(3.0 * (time - 0.1)) if time >= 0.1 else 0.0
+        assert (sample.index, sample.time, sample.lost) == (k, time, False)
+        assert sample.torque == pytest.approx([np.sin(time)])
+        assert sample.physical == pytest.approx(x, abs=1e-13)
+        assert sample.state == pytest.approx(scenario.arm.from_physical(x), abs=1e-12)
+        assert sample.disturbance == pytest.approx([d], abs=1e-12)
+        assert sample.measurement == pytest.approx([x[0] + d], abs=1e-12)
+        x = integrator.advance(x, sample.torque)
+
+
+def test_a_run_of_a_batch_is_the_single_plant_of_its_seed() -> None:
+    scenario = Scenario(
+        disturbance=(GaussMarkov(), StuckSensor(1.0, 0.2)),
+        sensor=Sensor(outlier_probability=0.1, dropout_interval=0.5, dropout_duration=0.1),
+    )
+    batch = run(scenario, 400, [4, 9, 2])
+    for place, seed in enumerate([4, 9, 2]):
+        single = run(scenario, 400, seed)
+        for name in ("physical", "state", "disturbance", "measurement", "torque"):
+            np.testing.assert_allclose(
+                stack(batch, name)[:, place], stack(single, name), rtol=0.0, atol=1e-12
+            )
+
+
+def test_the_same_seed_repeats_and_another_does_not() -> None:
+    first, again, other = (stack(run(Scenario(), 50, s), "measurement") for s in (1, 1, 2))
+    assert (first == again).all()
+    assert not (first == other).any()
+
+
+def test_reset_starts_as_fresh_even_after_changes() -> None:
+    scenario = Scenario(disturbance=(GaussMarkov(),))
+    plant = Plant(scenario, 7)
+    fresh = [plant.step() for _ in range(300)]
+    plant.exchange_disturbance((GaussMarkov(1.0), StuckSensor(0.0)))
+    plant.exchange_sensor(Sensor(1.0))
+    plant.exchange_excitation(NoTorque())
+    plant.step(5.0)
+    plant.reset()
+    assert (plant.index, plant.time) == (0, 0.0)
+    again = [plant.step() for _ in range(300)]
+    for name in ("physical", "disturbance", "measurement", "torque"):
+        assert (stack(fresh, name) == stack(again, name)).all()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"disturbance": (GaussMarkov(0.5, 1.0),)},
+        {"sensor": Sensor(0.1, outlier_probability=0.3)},
+        {"excitation": NoTorque(), "process_noise": ProcessNoise(1e-6, 1e-6)},
+    ],
+)
+def test_changing_one_source_leaves_the_numbers_of_the_others(change: dict[str, Any]) -> None:
+    base = Scenario(disturbance=(GaussMarkov(),))
+    before, after = run(base, 200, 3), run(replace(base, **change), 200, 3)
+
+    def noise(samples: list[Sample], scale: float) -> NDArray[np.float64]:
+        rest = stack(samples, "measurement") - stack(samples, "disturbance")
+        return np.asarray((rest[:, 0] - stack(samples, "physical")[:, 0]) / scale)
+
+    if "sensor" in change:
+        assert (stack(before, "physical") == stack(after, "physical")).all()
+        assert (stack(before, "disturbance") == stack(after, "disturbance")).all()
+        hit = np.abs(noise(after, 0.1) - noise(before, 0.028)) > 1e-6
+        assert 30 < hit.sum() < 90  # the outliers, 60 ± 6.5
+    else:
+        np.testing.assert_allclose(noise(after, 0.028), noise(before, 0.028), atol=1e-12)
+        assert (before[0].physical == after[0].physical).all()
+        changed = "disturbance" if "disturbance" in change else "physical"
+        kept = "physical" if "disturbance" in change else "disturbance"
+        assert (stack(before, kept) == stack(after, kept)).all()
+        assert not np.allclose(stack(before, changed), stack(after, changed), atol=1e-3)
+
+
+def test_a_command_takes_the_place_of_the_excitation() -> None:
+    commanded, plain = Plant(QUIET), Plant(replace(QUIET, excitation=NoTorque()))
+    for _ in range(20):
+        assert commanded.step(0.0).physical == pytest.approx(plain.step().physical, abs=0.0)
+    assert commanded.step(2.5).torque == [2.5]
+    assert commanded.step().torque == pytest.approx([np.sin(21 / 200)])
+
+
+def test_senseless_commands_are_refused_and_change_nothing() -> None:
+    plant, other = Plant(Scenario(), [1, 2]), Plant(Scenario(), [1, 2])
+    with pytest.raises(ModelError, match="torque of sample 0: expected finite"):
+        plant.step(np.nan)
+    with pytest.raises(ModelError, match=r"torque: expected shape \(2, 1\), got \(3, 1\)"):
+        plant.step(np.zeros((3, 1)))
+    assert (plant.step().measurement == other.step().measurement).all()
+
+
+def test_a_stuck_sensor_freezes_the_measured_value() -> None:
+    scenario = Scenario(disturbance=(BiasStep(0.1, 0.0), StuckSensor(0.5, 0.25)))
+    samples = run(scenario, 200)
+    measured = stack(samples, "measurement")[:, 0]
+    angle, d = stack(samples, "physical")[:, 0], stack(samples, "disturbance")[:, 0]
+    assert (measured[100:150] == measured[100]).all()
+    assert len(np.unique(measured)) == 151
+    np.testing.assert_allclose(d[100:150], measured[100] - angle[100:150], atol=1e-15)
+    np.testing.assert_allclose(np.delete(d, np.s_[100:150]), 0.1)
+    unstuck = stack(run(replace(scenario, disturbance=(BiasStep(0.1, 0.0),)), 200), "measurement")
+    assert (unstuck[150:, 0] == measured[150:]).all()
+
+
+def test_a_disturbance_put_in_on_the_way_counts_its_own_time() -> None:
+    plant = Plant(QUIET)
+    for _ in range(100):
+        plant.step()
+    plant.exchange_disturbance((BiasStep(0.2, 0.05),))
+    values = [plant.step().disturbance.item() for _ in range(20)]
+    assert values == [0.0] * 10 + [0.2] * 10
+
+
+def test_dropouts_come_when_they_should() -> None:
+    sensor = Sensor(dropout_interval=0.3, dropout_duration=0.1)
+    samples = run(replace(QUIET, sensor=sensor), 240)
+    lost = {k for start in (60, 120, 180) for k in range(start, start + 20)}
+    assert {s.index for s in samples if s.lost} == lost
+    assert {s.index for s in samples if np.isnan(s.measurement).any()} == lost
+    assert np.isfinite(stack(samples, "disturbance")).all()
+
+
+def test_mismatch_changes_the_arm_but_not_its_start() -> None:
+    changes = Mismatch(stiffness=0.2, gravity_torque=-0.1)
+    scenario = replace(QUIET, mismatch=changes)
+    assert scenario.true_arm == ElasticJointArm(stiffness=12.0, gravity_torque=9.0)
+    first, second = run(scenario, 2)
+    assert first.state == pytest.approx([0.3, 0.0, 2.0, 0.0])
+    x = ArmIntegrator(scenario.true_arm, 0.005).advance(first.physical, first.torque)
+    assert second.physical == pytest.approx(x, abs=1e-15)
+    # Design coordinates are the nominal arm's, so their motor angle is k/J1 = 10 times the true.
+    assert second.state[2] == pytest.approx(10.0 * x[2])
+
+
+def test_process_noise_has_the_stated_density() -> None:
+    scenario = Scenario(
+        initial_spread=(0.0,) * 4, process_noise=ProcessNoise(4e-4, 9e-5), excitation=Sine()
+    )
+    noisy = run(scenario, 2, range(4000))[1].physical
+    calm = run(replace(scenario, process_noise=ProcessNoise(0.0, 0.0)), 2)[1].physical
+    spread = (noisy - calm).std(axis=0)[[1, 3]]
+    # Over 5 ms the spring carries almost nothing from one velocity to the other.
+    np.testing.assert_allclose(spread, np.sqrt(np.array([4e-4, 9e-5]) * 0.005), rtol=0.05)
+
+
+@pytest.mark.parametrize("seeds", [-1, [], [3, -2]])
+def test_senseless_seeds_are_refused(seeds: Any) -> None:
+    with pytest.raises(ModelError, match="seeds: expected integers of at least 0"):
+        Plant(Scenario(), seeds)
+
+
+def test_seeds_out_of_an_array_are_seeds() -> None:
+    assert (
+        run(Scenario(), 1, np.arange(3)[2])[0].measurement == run(Scenario(), 1, 2)[0].measurement
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"rate": 0.0}, "rate"),
+        ({"duration": -1.0}, "duration"),
+        ({"initial_state": (0.0, 0.0)}, "initial_state: expected four"),
+        ({"initial_spread": (0.0, 0.0, 0.0, np.nan)}, "initial_spread: expected four finite"),
+    ],
+)
+def test_senseless_scenarios_are_refused(change: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ModelError, match=complaint):
+        replace(QUIET, **change)
+
+
+def test_senseless_parts_are_refused() -> None:
+    with pytest.raises(ModelError, match="mismatch stiffness: expected a finite number above -1"):
+        Mismatch(stiffness=-1.0)
+    with pytest.raises(ModelError, match="motor_acceleration_density"):
+        ProcessNoise(motor_acceleration_density=-1e-5)
+    with pytest.raises(ModelError, match="outlier_probability: expected 0 to 1"):
+        Sensor(outlier_probability=1.1)
+    with pytest.raises(ModelError, match="noise_std"):
+        Sensor(noise_std=-0.1)

@@ -1,0 +1,79 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The shipped scenarios and their Monte Carlo runs, by their statistics."""
+
+import numpy as np
+import pytest
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_every_scenario_lasts_a_minute_at_200_hz(name: str) -> None:
+    scenario = SCENARIOS[name]
+    assert (scenario.rate, scenario.duration, scenario.sample_count) == (200.0, 60.0, 12001)
+    runs = simulate(scenario, [1, 2], 0.1)
+    assert runs.times.tolist() == [k / 200.0 for k in range(21)]
+    assert runs.states.shape == (2, 21, 4)
+    for array in (runs.disturbances, runs.measurements, runs.torques):
+        assert array.shape == (2, 21, 1)
+    np.testing.assert_allclose(runs.torques[1, :, 0], np.sin(runs.times))
+
+
+def test_start_and_noise_have_the_stated_statistics() -> None:
+    runs = simulate(SCENARIOS["noise"], range(2000), 0.05)
+    start = runs.states[:, 0]
+    # 2000 runs: 1σ of a mean is 2.2 % of the spread, of a standard deviation 1.6 %.
+    spread = np.array([0.05, 0.1, 0.5, 0.5])
+    np.testing.assert_allclose((start.mean(axis=0) - [0.3, 0, 2, 0]) / spread, 0.0, atol=0.09)
+    np.testing.assert_allclose(start.std(axis=0), spread, rtol=0.065)
+    np.testing.assert_allclose(np.corrcoef(start.T), np.eye(4), atol=0.09)
+    noise = runs.measurements[..., 0] - runs.states[..., 0]
+    assert noise.std() == pytest.approx(0.028, rel=0.02)
+    assert not runs.disturbances.any()
+
+
+def test_outliers_are_one_in_a_hundred_of_either_sign() -> None:
+    runs = simulate(SCENARIOS["outliers"], range(500), 1.0)
+    residual = (runs.measurements - runs.disturbances)[..., 0] - runs.states[..., 0]
+    high, low = (residual > 0.5).mean(), (residual < -0.5).mean()
+    assert high == pytest.approx(0.005, abs=0.0009)  # 4σ of 100 500 samples
+    assert low == pytest.approx(0.005, abs=0.0009)
+    assert residual[residual > 0.5].mean() == pytest.approx(1.0, abs=0.01)
+
+
+def test_drift_grows_to_its_variance_and_runs_differ() -> None:
+    runs = simulate(SCENARIOS["drift"], range(400), 10.0)
+    expected = 0.1 * np.sqrt(1.0 - np.exp(-2.0 * 10.0 / 20.0))
+    assert runs.disturbances[:, -1, 0].std() == pytest.approx(expected, rel=0.14)
+
+
+def test_dropouts_last_half_a_second_every_ten() -> None:
+    runs = simulate(SCENARIOS["dropouts"], [0], 25.0)
+    lost = runs.times[np.isnan(runs.measurements[0, :, 0])]
+    expected = np.concatenate([np.arange(2000, 2100), np.arange(4000, 4100)]) / 200.0
+    assert lost.tolist() == expected.tolist()
+
+
+def test_arrays_are_the_samples_of_a_plant() -> None:
+    scenario = SCENARIOS["stiff_sinusoid"]
+    runs, plant = simulate(scenario, [5, 6], 3.0), Plant(scenario, [5, 6])
+    for k in range(601):
+        sample = plant.step()
+        assert (runs.states[:, k] == sample.state).all()
+        assert (runs.measurements[:, k] == sample.measurement).all()
+        assert (runs.disturbances[:, k] == sample.disturbance).all()
+
+
+def test_the_motion_stays_in_the_regime_the_scenarios_are_for() -> None:
+    runs = simulate(SCENARIOS["noise"], range(20))
+    spread = np.sqrt((runs.states**2).mean(axis=(0, 1)))
+    np.testing.assert_allclose(spread, (0.226, 0.60, 3.55, 4.64), rtol=0.35)
+    assert np.abs(runs.states[..., 0]).max() < 1.0
+
+
+def test_runs_need_a_seed() -> None:
+    with pytest.raises(ModelError, match="seeds"):
+        simulate(SCENARIOS["noise"], [], 1.0)

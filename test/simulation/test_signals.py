@@ -1,0 +1,173 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Every torque and every disturbance against its formula."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.simulation.disturbance import DisturbanceSource
+from tsobs_ros.simulation.excitation import Chirp, Excitation, Multisine, NoTorque, Sine, Square
+from tsobs_ros.simulation.signals import (
+    KINDS,
+    BiasStep,
+    Component,
+    GaussMarkov,
+    Ramp,
+    Sinusoid,
+    StuckSensor,
+    TwoTone,
+    example2_faults,
+    parse_kinds,
+)
+
+TIMES = [0.0, 1.0, 1.999, 2.0, 2.5, 3.0, 10.0, 29.995, 30.0, 59.0]
+
+
+@pytest.mark.parametrize(
+    ("component", "formula"),
+    [
+        (BiasStep(0.1, 30.0), lambda t: 0.1 * (t >= 30.0)),
+        (Sinusoid(0.2, 3.0, 2.0), lambda t: 0.2 * math.sin(3 * (t - 2)) * (t >= 2)),
+        (Ramp(0.004, 10.0), lambda t: 0.004 * (t - 10.0) * (t >= 10.0)),
+        (TwoTone(0.4, 1.0), lambda t: 0.4 * (math.sin(2 * t) + math.cos(3 * t)) * (t >= 1)),
+        (GaussMarkov(), lambda t: 0.0),
+        (StuckSensor(), lambda t: 0.0),
+    ],
+)
+def test_components_follow_their_formulas(
+    component: Component, formula: Callable[[float], float]
+) -> None:
+    for time in TIMES:
+        assert component.value(time) == pytest.approx(formula(time), abs=1e-15)
+
+
+def test_faults_of_example_2() -> None:
+    formulas: list[Callable[[float], float]] = [
+        lambda t: 0.2 * math.sin(3 * (t - 2)) if t >= 2 else 0.0,
+        lambda t: 0.2 * math.sin(4 * (t - 3)) if t >= 3 else 0.0,
+        lambda t: 0.4 * (math.sin(2 * t) + math.cos(3 * t)),
+    ]
+    faults: tuple[Component, ...] = example2_faults()
+    for fault, formula in zip(faults, formulas, strict=True):
+        assert [fault.value(t) for t in TIMES] == pytest.approx([formula(t) for t in TIMES])
+
+
+@pytest.mark.parametrize(
+    ("excitation", "formula"),
+    [
+        (NoTorque(), lambda t: 0.0),
+        (Sine(), math.sin),
+        (Sine(2.0, 3.0), lambda t: 2.0 * math.sin(3.0 * t)),
+        (Multisine(1.5, 2.0, 9.0, 1), lambda t: 1.5 * math.sin(2.0 * t)),
+        (Square(2.0, math.pi / 1.1), lambda t: 2.0 if t % 2.2 < 1.1 else -2.0),
+        (Chirp(1.0, 1.0, 3.0, 100.0), lambda t: math.sin(t + 0.01 * t * t)),
+    ],
+)
+def test_torques_follow_their_formulas(
+    excitation: Excitation, formula: Callable[[float], float]
+) -> None:
+    for time in TIMES:
+        assert excitation.torque(time) == pytest.approx(formula(time), abs=1e-12)
+
+
+def test_multisine_has_the_stated_power_and_a_moderate_crest() -> None:
+    signal = Multisine(amplitude=2.0, lowest=0.5, highest=6.0, tones=12)  # period 4π
+    torque = np.array([signal.torque(t) for t in np.arange(4000) * (4 * math.pi / 4000)])
+    assert np.sqrt(np.mean(torque**2)) == pytest.approx(2.0 / math.sqrt(2.0), rel=1e-6)
+    assert np.abs(torque).max() < 2.5 * np.sqrt(np.mean(torque**2))
+
+
+def test_chirp_begins_again_after_a_sweep() -> None:
+    chirp = Chirp(1.0, 1.0, 4.0, 5.0)
+    assert chirp.torque(6.25) == pytest.approx(chirp.torque(1.25), abs=1e-12)
+
+
+def test_components_are_added_up() -> None:
+    parts = (BiasStep(0.1, 1.0), Sinusoid(0.2, 3.0, 2.0))
+    source = DisturbanceSource(parts, 0.005, 0)
+    for time in TIMES:
+        assert source.sample(time) == pytest.approx([sum(p.value(time) for p in parts)])
+
+
+def test_drift_obeys_its_recursion_and_leaves_zero_at_its_start() -> None:
+    period, tau, std = 0.005, 2.0, 0.3
+    source = DisturbanceSource((GaussMarkov(std, tau, 0.1),), period, range(400))
+    values = np.stack([source.sample(k * period) for k in range(2000)])[..., 0]
+    assert not values[:21].any()
+    assert values[21].all()
+    steps = values[21:] - math.exp(-period / tau) * values[20:-1]
+    # 800 000 independent increments: 1σ of their standard deviation is .08 %.
+    assert steps.std() == pytest.approx(std * math.sqrt(1 - math.exp(-2 * period / tau)), rel=4e-3)
+    assert abs(np.mean(steps[1:] * steps[:-1])) < 5e-3 * steps.var()
+    # 400 independent runs, five time constants on: 1σ of the estimate is 3.5 %.
+    assert values[-1].std() == pytest.approx(std, rel=0.14)
+
+
+def test_drifts_of_different_generations_and_places_are_independent() -> None:
+    def path(generation: int, place: int) -> list[float]:
+        parts: list[Component] = [GaussMarkov(), BiasStep(0.0)]
+        source = DisturbanceSource(parts[::-1] if place else parts, 0.005, 3, generation)
+        return [source.sample(k * 0.005).item() for k in range(50)]
+
+    assert path(0, 0) == path(0, 0)
+    assert path(0, 0) != path(1, 0)
+    assert path(0, 0) != path(0, 1)
+
+
+def test_stuck_sensor_holds_for_its_duration_only() -> None:
+    stuck = StuckSensor(start=1.0, duration=0.5)
+    assert [stuck.holds(t) for t in (0.999, 1.0, 1.499, 1.5)] == [False, True, True, False]
+    assert StuckSensor(1.0, math.inf).holds(1e9)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("none", ()),
+        ("ramp", ("ramp",)),
+        ("bias_step+sinusoid", ("bias_step", "sinusoid")),
+        ("stuck + gauss_markov", ("stuck", "gauss_markov")),
+    ],
+)
+def test_kinds_are_parsed(text: str, names: tuple[str, ...]) -> None:
+    assert parse_kinds(text) == names
+    assert all(name in KINDS for name in names)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("offset", "got 'offset'"),
+        ("", "got ''"),
+        ("none+ramp", "got 'none'"),
+        ("ramp+ramp", "at most once"),
+    ],
+)
+def test_unknown_kinds_are_refused(text: str, complaint: str) -> None:
+    with pytest.raises(ModelError, match=complaint):
+        parse_kinds(text)
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: BiasStep(math.nan), "bias_step amplitude"),
+        (lambda: Sinusoid(start=math.inf), "sinusoid start"),
+        (lambda: Ramp(math.inf), "ramp rate"),
+        (lambda: GaussMarkov(-0.1), "gauss_markov std"),
+        (lambda: GaussMarkov(0.1, 0.0), "gauss_markov time_constant"),
+        (lambda: StuckSensor(0.0, -1.0), "stuck duration"),
+        (lambda: Sine(math.nan), "sine amplitude"),
+        (lambda: Square(1.0, 0.0), "square frequency"),
+        (lambda: Chirp(sweep=0.0), "chirp sweep"),
+        (lambda: Multisine(lowest=2.0, highest=1.0), "multisine highest"),
+        (lambda: Multisine(tones=0), "multisine tones"),
+    ],
+)
+def test_senseless_numbers_are_refused_by_name(make: Callable[[], object], complaint: str) -> None:
+    with pytest.raises(ModelError, match=complaint):
+        make()
