@@ -21,10 +21,9 @@ _TYPE_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:msg/)?([A-Za-z][A-Za-z0-9_]
 _FIELD_TYPE = re.compile(
     r"^[ \t]*([A-Za-z0-9_/]+)(?:\[[^\]]*\])?[ \t]+", flags=re.ASCII | re.MULTILINE
 )
-_PRIMITIVES = frozenset(
-    ("bool", "byte", "char", "float32", "float64", "string", "wstring")
-    + ("int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64")
-)
+_PRIMITIVES = frozenset({"bool", "byte", "char", "float32", "float64", "string", "wstring"}) | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 
 
 class MessageDefinition(NamedTuple):

@@ -82,13 +82,14 @@ class BagWriter:
         self._custom_data = custom_data
         self._topics: dict[str, _Topic] = {}
         self._finished_files: list[FileMetadata] = []
+        self._topics_on_disk = 0
         self._closed = False
         # Held while files are synced or replaced, so that a sync in another thread finds a file
         # that is open, and never replaces newer metadata by older.
         self._disk = Lock()
         self._create_folder()
         self._file = self._open_file()
-        write_metadata(self.path, self.metadata())
+        self._write_metadata()
 
     @property
     def message_count(self) -> int:
@@ -182,7 +183,10 @@ class BagWriter:
         with self._disk:
             if not self._closed:
                 self._file.sync()
-                write_metadata(self.path, self.metadata())
+                # Not every time: the counts are the file's to tell, but after a power cut the
+                # folder should name its topics.
+                if len(self._topics) != self._topics_on_disk:
+                    self._write_metadata()
 
     def close(self) -> None:
         """Finish the bag: index, metadata, everything forced to the disk; safe to call twice.
@@ -195,7 +199,7 @@ class BagWriter:
                 return
             self._closed = True
             self._file.close(self.metadata())
-            write_metadata(self.path, self.metadata())
+            self._write_metadata()
 
     def metadata(self) -> BagMetadata:
         """Return the bag's metadata as of now."""
@@ -253,7 +257,12 @@ class BagWriter:
             # Every file must make sense on its own.
             for topic in self._topics.values():
                 self._file.add_topic(topic.name, topic.definition, topic.qos)
-            write_metadata(self.path, self.metadata())
+            self._write_metadata()
+
+    def _write_metadata(self) -> None:
+        metadata = self.metadata()
+        write_metadata(self.path, metadata)
+        self._topics_on_disk = len(metadata.topics)
 
     def _check_open(self) -> None:
         if self._closed:
