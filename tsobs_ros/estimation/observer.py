@@ -65,10 +65,12 @@ class Correction(NamedTuple):
 
     Attributes:
         innovation: y − C̄x̂ before the correction, shape (..., p).
+        spread: Covariance expected of the innovation, shape (..., p, p) or (p, p).
         gain: The gain that was used, shape (..., n, p) or (n, p).
     """
 
     innovation: Array
+    spread: Array
     gain: Array
 
 
@@ -105,7 +107,9 @@ class TSObserver:
         self._gain_transposed = np.ascontiguousarray(self.certified.K.T)
         self._posterior = self._joseph(self.certified.X, self.certified.K)
         self._root = np.linalg.cholesky(np.linalg.inv(self.certified.X))
+        self._certified_spread = self._C @ self.certified.X @ self._C.T + self._R
         self._certified_std = np.sqrt(np.diag(self.certified.X))
+        self._certified_disturbance_std = self._disturbance_std(self.certified.X)
 
     def initial(self, batch: tuple[int, ...] = ()) -> ObserverState:
         """Return the state before any measurement: zero estimate, wide covariance."""
@@ -127,13 +131,15 @@ class TSObserver:
         if state.certified:
             x = state.x + innovation @ self._gain_transposed
             corrected = ObserverState(x, self._posterior, 0.0, True, True)
-            return corrected, Correction(innovation, self.certified.K)
-        gain = self._kalman_gain(state.covariance)
+            return corrected, Correction(innovation, self._certified_spread, self.certified.K)
+        cross = state.covariance @ self._C.T
+        spread = self._C @ cross + self._R
+        gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, -1, -2)), -1, -2)
         x = state.x + (gain @ innovation[..., np.newaxis])[..., 0]
         covariance = self._joseph(state.covariance, gain)
         return (
             ObserverState(x, covariance, state.settling, False, True),
-            Correction(innovation, gain),
+            Correction(innovation, spread, gain),
         )
 
     def predict(self, state: ObserverState, u: Array, duration: float) -> ObserverState:
@@ -153,6 +159,19 @@ class TSObserver:
             return ObserverState(x, self.certified.X, 0.0, True, False)
         return ObserverState(x, covariance, settling, False, False)
 
+    def extrapolate(self, state: ObserverState, u: Array, duration: float) -> ObserverState:
+        """Predict to a time between samples, for an estimate that is asked for there.
+
+        As `predict`, except that the certified bound serves the whole interval to the next
+        regular sample; the result is for reading and is not stepped on.
+        """
+        soon = duration <= (1.0 + PERIOD_TOLERANCE) * self.flow.period
+        if state.certified and state.corrected and soon:
+            x = self.flow.predict(state.x, u, duration)
+            return ObserverState(x, self.certified.X, 0.0, True, False)
+        x, covariance = self.flow.predict_with_covariance(state.x, state.covariance, u, duration)
+        return ObserverState(x, covariance, state.settling, False, False)
+
     def error_bound(self, state: ObserverState) -> Array:
         """Return the 1σ bound of each augmented state in design coordinates, shape (..., n).
 
@@ -164,6 +183,18 @@ class TSObserver:
         variance = np.diagonal(state.covariance, axis1=-2, axis2=-1)
         return np.maximum(np.sqrt(variance), self._certified_std)
 
+    def disturbance_bound(self, state: ObserverState) -> Array:
+        """Return the 1σ bound of the disturbance ω = H w [rad], shape (..., p)."""
+        if state.certified:
+            return self._certified_disturbance_std
+        std = self._disturbance_std(state.covariance)
+        return np.maximum(std, self._certified_disturbance_std)
+
+    def _disturbance_std(self, covariance: Array) -> Array:
+        H = self.flow.disturbance.H
+        variance = np.einsum("pi,...ij,pj->...p", H, covariance[..., 4:, 4:], H)
+        return np.asarray(np.sqrt(variance))
+
     def _regular(self, duration: float) -> bool:
         period = self.flow.period
         return abs(duration - period) <= PERIOD_TOLERANCE * period
@@ -174,11 +205,6 @@ class TSObserver:
             return False
         ratio = np.linalg.eigvalsh(self._root.T @ covariance @ self._root)
         return bool(ratio.max() <= 1.0)
-
-    def _kalman_gain(self, covariance: Array) -> Array:
-        cross = covariance @ self._C.T
-        spread = self._C @ cross + self._R
-        return np.asarray(np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, -1, -2)), -1, -2))
 
     def _joseph(self, covariance: Array, gain: Array) -> Array:
         """Return (I − KC) Σ (I − KC)ᵀ + K R Kᵀ, symmetric and positive for any gain."""

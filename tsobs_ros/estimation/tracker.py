@@ -1,0 +1,232 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""From a stream of stamped measurements to estimates at any stamp: order, reject, rewind.
+
+Everything here is a function of stamps and measurements: the wall clock takes part only as the
+`now` that a caller passes to have measurements from the future refused. A late measurement is
+put in its place by rewinding to the state before it, so the estimate equals, bit for bit, the
+one that arrival in order would have given.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import non_negative, positive
+from tsobs_ros.estimation.observer import ObserverState, TSObserver
+from tsobs_ros.estimation.records import (
+    NANOSECONDS,
+    Estimate,
+    Innovation,
+    Measurement,
+    RejectReason,
+)
+
+
+@dataclass(frozen=True)
+class TrackerOptions:
+    """Limits of a tracker.
+
+    Attributes:
+        x_max: Half width of the certificate's domain [rad].
+        history: How far back a late measurement may reach [s].
+        future_tolerance: How far ahead of `now` a stamp may lie [s].
+        restart_after: A gap in the measurements longer than this starts afresh [s].
+    """
+
+    x_max: float
+    history: float = 0.5
+    future_tolerance: float = 0.1
+    restart_after: float = 5.0
+
+    def __post_init__(self) -> None:
+        positive("x_max", self.x_max)
+        non_negative("history", self.history)
+        non_negative("future_tolerance", self.future_tolerance)
+        positive("restart_after", self.restart_after)
+
+
+class _Step(NamedTuple):
+    """A used measurement and the state after it."""
+
+    measurement: Measurement
+    state: ObserverState
+
+
+class Tracker:
+    """Runs an observer over measurements in the order of their stamps.
+
+    Attributes:
+        observer: The step functions.
+        options: Limits.
+        used: Number of measurements that corrected the estimate.
+        rejected: Number of measurements not used, by reason.
+        rewinds: Number of late measurements put in their place.
+        restarts: Number of fresh starts after a gap or a numerical failure.
+        failures: Number of numerical failures (a state that was not finite).
+    """
+
+    def __init__(self, observer: TSObserver, options: TrackerOptions) -> None:
+        self.observer = observer
+        self.options = options
+        self._history = round(options.history * NANOSECONDS)
+        self._future = round(options.future_tolerance * NANOSECONDS)
+        self._restart_after = round(options.restart_after * NANOSECONDS)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; afterwards the tracker is as a new one."""
+        self.used = 0
+        self.rejected: Counter[RejectReason] = Counter()
+        self.rewinds = 0
+        self.restarts = 0
+        self.failures = 0
+        self._begin()
+
+    @property
+    def newest(self) -> int | None:
+        """Stamp of the newest measurement in use [ns], None before the first."""
+        return self._steps[-1].measurement.stamp if self._steps else None
+
+    @property
+    def certified(self) -> bool:
+        """Whether the certified gain is in use."""
+        return bool(self._steps) and self._steps[-1].state.certified
+
+    def reject(self, reason: RejectReason) -> None:
+        """Count a measurement that the caller could not even read."""
+        self.rejected[reason] += 1
+
+    def offer(self, measurement: Measurement, now: int) -> Innovation | RejectReason:
+        """Use a measurement, or say why not.
+
+        Args:
+            measurement: May be late by up to the history.
+            now: Time on the clock of the stamps [ns].
+
+        Returns:
+            Its innovation, or the reason of its rejection, which has been counted.
+        """
+        reason = self._refusal(measurement, now)
+        if reason is not None:
+            self.rejected[reason] += 1
+            return reason
+        newest = self.newest
+        if newest is not None and measurement.stamp - newest > self._restart_after:
+            self._begin()
+            self.restarts += 1
+        place = bisect_left(self._stamps, measurement.stamp)
+        later = [step.measurement for step in self._steps[place:]]
+        del self._stamps[place:], self._steps[place:]
+        innovation = self._advance(measurement)
+        for waiting in later:
+            self._advance(waiting)
+        self.rewinds += bool(later)
+        self.used += 1
+        self._trim()
+        return innovation
+
+    def estimate(self, stamp: int) -> Estimate | None:
+        """Return the estimate at a stamp [ns], None before the first measurement."""
+        place = bisect_right(self._stamps, stamp) - 1
+        if place < 0:
+            return None
+        step = self._steps[place]
+        u = step.measurement.u
+        state, elapsed = self._coast(step, stamp)
+        state = self.observer.extrapolate(state, u, elapsed)
+        if not np.isfinite(state.x).all():
+            self._fail()
+            return None
+        return self._as_estimate(state, stamp, stamp - step.measurement.stamp)
+
+    def _begin(self) -> None:
+        self._base: _Step | None = None
+        self._steps: list[_Step] = []
+        self._stamps: list[int] = []
+        self._coasted: tuple[_Step, int, ObserverState] | None = None
+
+    def _refusal(self, measurement: Measurement, now: int) -> RejectReason | None:
+        stamp = measurement.stamp
+        if not (np.isfinite(measurement.y).all() and np.isfinite(measurement.u).all()):
+            return RejectReason.NON_FINITE
+        if stamp <= 0:
+            return RejectReason.ZERO_STAMP
+        if stamp > now + self._future:
+            return RejectReason.FROM_FUTURE
+        newest = self.newest
+        if newest is None or stamp > newest:
+            return None
+        if self._base is not None and stamp <= self._base.measurement.stamp:
+            return RejectReason.TOO_OLD
+        if stamp < newest - self._history:
+            return RejectReason.TOO_OLD
+        place = bisect_left(self._stamps, stamp)
+        return RejectReason.DUPLICATE if self._stamps[place] == stamp else None
+
+    def _advance(self, measurement: Measurement) -> Innovation:
+        """Predict to the measurement from the step before it, correct, and remember."""
+        previous = self._steps[-1] if self._steps else self._base
+        if previous is None:
+            predicted = self.observer.initial()
+        else:
+            duration = (measurement.stamp - previous.measurement.stamp) / NANOSECONDS
+            predicted = self.observer.predict(previous.state, previous.measurement.u, duration)
+        corrected, correction = self.observer.correct(predicted, measurement.y)
+        if not np.isfinite(corrected.x).all():
+            self._fail()
+            corrected, correction = self.observer.correct(self.observer.initial(), measurement.y)
+        self._stamps.append(measurement.stamp)
+        self._steps.append(_Step(measurement, corrected))
+        expected_std = np.sqrt(np.diagonal(correction.spread))
+        return Innovation(measurement.stamp, correction.innovation, expected_std)
+
+    def _trim(self) -> None:
+        keep_from = bisect_left(self._stamps, self._stamps[-1] - self._history)
+        if keep_from:
+            self._base = self._steps[keep_from - 1]
+            del self._stamps[:keep_from], self._steps[:keep_from]
+
+    def _coast(self, step: _Step, stamp: int) -> tuple[ObserverState, float]:
+        """Return the state at the last whole period before `stamp`, and what remains [s].
+
+        Whole periods are remembered from one call to the next; without that every tick of a
+        long gap would predict through the whole gap again.
+        """
+        period = self.observer.flow.period
+        duration = (stamp - step.measurement.stamp) / NANOSECONDS
+        whole = int(duration // period)
+        if duration <= 2.0 * period:
+            return step.state, duration
+        taken, state = 0, step.state
+        if self._coasted is not None and self._coasted[0] is step and self._coasted[1] <= whole:
+            _, taken, state = self._coasted
+        for _ in range(whole - taken):
+            state = self.observer.predict(state, step.measurement.u, period)
+        self._coasted = (step, whole, state)
+        return state, duration - whole * period
+
+    def _fail(self) -> None:
+        self.failures += 1
+        self.restarts += 1
+        self._begin()
+
+    def _as_estimate(self, state: ObserverState, stamp: int, age: int) -> Estimate:
+        flow = self.observer.flow
+        w = state.x[4:]
+        bound = self.observer.error_bound(state)
+        H = flow.disturbance.H
+        return Estimate(
+            stamp=stamp,
+            state=flow.to_physical(state.x),
+            state_bound=flow.to_physical(bound),
+            disturbance=H @ w,
+            disturbance_rate=flow.disturbance.rate_map @ w,
+            disturbance_bound=self.observer.disturbance_bound(state),
+            certified=state.certified,
+            in_domain=bool(abs(state.x[0]) <= self.options.x_max),
+            age=age / NANOSECONDS,
+        )
