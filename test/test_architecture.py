@@ -1,0 +1,146 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Imports point one way: nodes, cli → bag, report, design, simulation → estimation → model."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).resolve().parents[1] / "tsobs_ros"
+
+# What each part of the package may import of the others; all may import COMMON.
+COMMON = {"checks", "errors", "resources", "stop"}
+MIDDLE = {"bag", "report", "design", "simulation"}
+MAY_IMPORT: dict[str, set[str]] = {
+    "model": set(),
+    "estimation": {"model"},
+    "simulation": {"estimation", "model"},
+    "design": {"estimation", "model"},
+    "bag": {"estimation", "model"},
+    "report": {"estimation", "model"},
+    "nodes": {*MIDDLE, "estimation", "model"},
+    "executables": {"nodes"},
+    "cli": {*MIDDLE, "estimation", "model", "nodes", "executables"},
+    **{name: set() for name in COMMON},
+    "__init__": set(),
+}
+
+# The only part that may import a library, so that the others work without it.
+HOME = {
+    "rclpy": "nodes",
+    "ament_index_python": "nodes",
+    "cvxpy": "design",
+    "clarabel": "design",
+    "matplotlib": "report",
+    "plotly": "report",
+}
+ROS_INTERFACES = {"rcl_interfaces", "builtin_interfaces", "std_srvs"}
+
+
+def home_of(library: str) -> str | None:
+    if library in ROS_INTERFACES or library.endswith("_msgs") or library.startswith("rosidl_"):
+        return "nodes"
+    return HOME.get(library)
+
+
+def imported(source: str, package: tuple[str, ...]) -> Iterator[tuple[int, str]]:
+    """Yield the line and dotted name of everything a module of `package` imports, anywhere."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            base = list(package[: len(package) - node.level + 1]) if node.level else []
+            base += node.module.split(".") if node.module else []
+            for alias in node.names:
+                yield node.lineno, ".".join([*base, alias.name])
+        elif isinstance(node, ast.Call) and _called(node.func) in ("import_module", "__import__"):
+            for argument in node.args[:1]:
+                if isinstance(argument, ast.Constant) and isinstance(argument.value, str):
+                    yield node.lineno, argument.value
+
+
+def _called(function: ast.expr) -> str:
+    if isinstance(function, ast.Attribute):
+        return function.attr
+    return function.id if isinstance(function, ast.Name) else ""
+
+
+def violations(path: Path, source: str) -> list[str]:
+    """List the imports a module, given by its path inside the package, must not have."""
+    part = path.parts[0].removesuffix(".py")
+    if part not in MAY_IMPORT:
+        return [f"{path}: new part '{part}'; say in {Path(__file__).name} what it may import"]
+    found = []
+    for line, name in imported(source, ("tsobs_ros", *path.parts[:-1])):
+        root, _, rest = name.partition(".")
+        target = rest.partition(".")[0]
+        if root == "tsobs_ros":
+            own = target == part or target.startswith("__")
+            if target in MAY_IMPORT and not own and target not in MAY_IMPORT[part] | COMMON:
+                found.append(f"{path}:{line}: {part} must not import {target}")
+        elif home_of(root) not in (None, part):
+            found.append(f"{path}:{line}: {root} belongs to {home_of(root)}, not {part}")
+    return found
+
+
+def modules() -> list[Path]:
+    return sorted(path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py"))
+
+
+def test_the_package_keeps_its_import_directions() -> None:
+    found = [
+        violation
+        for path in modules()
+        for violation in violations(path, (PACKAGE / path).read_text(encoding="utf-8"))
+    ]
+
+    assert not found, "\n".join(found)
+
+
+def test_the_check_sees_the_package() -> None:
+    assert Path("nodes/runtime.py") in modules()
+
+
+@pytest.mark.parametrize(
+    ("path", "source", "message"),
+    [
+        ("model/arm.py", "import tsobs_ros.estimation", "model must not import estimation"),
+        ("model/arm.py", "from tsobs_ros import estimation", "model must not import estimation"),
+        ("model/arm.py", "from ..estimation.observer import x", "must not import estimation"),
+        ("model/arm.py", "from .. import bag", "model must not import bag"),
+        ("bag/writer.py", "def f():\n    from tsobs_ros.nodes import x", "writer.py:2: bag must"),
+        ("nodes/observer.py", "from tsobs_ros.cli import main", "nodes must not import cli"),
+        ("errors.py", "import tsobs_ros.model.arm", "errors must not import model"),
+        ("cli.py", "import rclpy.node", "rclpy belongs to nodes, not cli"),
+        ("bag/writer.py", "from sensor_msgs.msg import JointState", "sensor_msgs belongs to nodes"),
+        ("bag/writer.py", "import_module('rclpy')", "rclpy belongs to nodes, not bag"),
+        ("nodes/observer.py", "import cvxpy as cp", "cvxpy belongs to design, not nodes"),
+        ("simulation/run.py", "import matplotlib.pyplot", "matplotlib belongs to report"),
+        ("cli.py", "import plotly", "plotly belongs to report, not cli"),
+        ("plots/line.py", "", "new part 'plots'"),
+    ],
+)
+def test_a_violation_is_found(path: str, source: str, message: str) -> None:
+    (violation,) = violations(Path(path), source)
+
+    assert message in violation
+
+
+@pytest.mark.parametrize(
+    ("path", "source"),
+    [
+        ("nodes/observer.py", "import rclpy\nfrom tsobs_ros.estimation import observer"),
+        ("nodes/observer.py", "from . import runtime\nfrom .runtime import run"),
+        (
+            "model/arm.py",
+            "from tsobs_ros import __version__\nfrom tsobs_ros.errors import ModelError",
+        ),
+        ("model/arm.py", "from .fuzzy import x\nfrom ..errors import ModelError"),
+        ("cli.py", "from tsobs_ros.report import figures\nimport numpy"),
+    ],
+)
+def test_permitted_imports_pass(path: str, source: str) -> None:
+    assert violations(Path(path), source) == []

@@ -1,0 +1,116 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What every file, the manifest and the documents have to agree on."""
+
+import ast
+import re
+from importlib import import_module
+from io import StringIO
+from pathlib import Path
+from tokenize import COMMENT, generate_tokens
+from xml.etree import ElementTree
+
+import pytest
+
+import tsobs_ros
+
+ROOT = Path(__file__).resolve().parents[1]
+HEADER = "# Copyright 2026 The tsobs_ros contributors\n# SPDX-License-Identifier: Apache-2.0\n"
+SOURCES = [
+    Path("setup.py"),
+    *sorted(
+        p.relative_to(ROOT) for top in ("tsobs_ros", "test") for p in (ROOT / top).rglob("*.py")
+    ),
+]
+
+
+def text(name: str | Path) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def manifest() -> ElementTree.Element:
+    return ElementTree.parse(ROOT / "package.xml").getroot()
+
+
+def executables() -> dict[str, str]:
+    """Read the table of executables that setup.py installs."""
+    for statement in ast.parse(text("setup.py")).body:
+        if isinstance(statement, ast.Assign) and ast.unparse(statement.targets[0]) == "EXECUTABLES":
+            return ast.literal_eval(statement.value)
+    raise AssertionError("setup.py has no table EXECUTABLES")
+
+
+def test_every_source_has_the_licence_header() -> None:
+    without = [str(path) for path in SOURCES if not text(path).startswith(HEADER)]
+
+    assert not without, f"no licence header in {', '.join(without)}"
+
+
+def test_every_source_says_what_it_is() -> None:
+    without = [str(path) for path in SOURCES if not ast.get_docstring(ast.parse(text(path)))]
+
+    assert not without, f"no docstring in {', '.join(without)}"
+
+
+def test_no_loose_ends_in_comments() -> None:
+    loose = [
+        f"{path}:{token.start[0]}"
+        for path in SOURCES
+        for token in generate_tokens(StringIO(text(path)).readline)
+        if token.type == COMMENT and re.search(r"\b(TODO|FIXME|XXX)\b(?!\(#\d+\))", token.string)
+    ]
+
+    assert not loose, f"these need the number of an issue in brackets: {', '.join(loose)}"
+
+
+def test_the_package_has_an_apache_licence_and_types() -> None:
+    assert "Apache License" in text("LICENSE")
+    assert "Version 2.0, January 2004" in text("LICENSE")
+    assert (ROOT / "tsobs_ros" / "py.typed").is_file()
+    assert (ROOT / "resource" / "tsobs_ros").is_file()
+
+
+def test_the_manifest_is_a_ros_package() -> None:
+    root = manifest()
+
+    assert root.tag == "package"
+    assert root.get("format") == "3"
+    assert root.findtext("name") == "tsobs_ros"
+    assert root.findtext("license") == "Apache-2.0"
+    assert root.findtext("export/build_type") == "ament_python"
+    assert (root.findtext("description") or "").strip()
+    # An invalid address only warns, and then builds a package that ROS does not see.
+    assert re.fullmatch(
+        r"[\w.%+-]+@[\w-]+(\.[\w-]+)*\.[a-zA-Z]{2,}", root.find("maintainer").get("email")
+    )
+
+
+def test_the_manifest_names_every_ros_package_imported() -> None:
+    declared = {element.text for element in manifest().iter("exec_depend")}
+    imported = {
+        match[1]
+        for path in (ROOT / "tsobs_ros").rglob("*.py")
+        for match in re.finditer(
+            r"^\s*(?:from|import) (\w+)", path.read_text("utf-8"), re.MULTILINE
+        )
+    }
+    ros = {
+        n for n in imported if n.endswith(("_msgs", "_interfaces")) or n in ("rclpy", "std_srvs")
+    }
+
+    assert ros <= declared
+
+
+def test_all_versions_are_the_same() -> None:
+    newest = re.search(r"^(\d+\.\d+\.\d+)\b.*\n-{3,}", text("CHANGELOG.rst"), re.MULTILINE)
+
+    assert newest is not None, "CHANGELOG.rst has no section such as '0.1.0 (2026-01-31)'"
+    assert manifest().findtext("version") == tsobs_ros.__version__ == newest[1]
+
+
+@pytest.mark.parametrize(("name", "target"), executables().items())
+def test_an_executable_exists_and_is_documented(name: str, target: str) -> None:
+    module, _, function = target.partition(":")
+
+    assert callable(getattr(import_module(module), function))
+    assert re.search(rf"\b{name}\b", text("README.md")), f"README.md does not mention {name}"

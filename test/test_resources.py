@@ -1,0 +1,85 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Config files are found in every layout the package can be installed in, without ROS."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tsobs_ros.resources import ResourceError, config_path
+
+ROOT = Path(__file__).resolve().parents[1]
+PRINT = "from tsobs_ros.resources import config_path; print(config_path('some.yaml'))"
+
+
+def install(location: Path) -> None:
+    """Copy the modules in question to a site folder."""
+    (location / "tsobs_ros").mkdir(parents=True)
+    for name in ("__init__.py", "errors.py", "resources.py"):
+        shutil.copy(ROOT / "tsobs_ros" / name, location / "tsobs_ros")
+
+
+def config(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    path = folder / "some.yaml"
+    path.write_text("some: thing\n")
+    return path
+
+
+def found(site: Path, **environment: str) -> str:
+    clean = {k: v for k, v in os.environ.items() if k not in ("AMENT_PREFIX_PATH", "PYTHONPATH")}
+    return subprocess.run(
+        [sys.executable, "-P", "-c", f"import sys; sys.path.insert(0, {str(site)!r}); {PRINT}"],
+        env={**clean, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.strip()
+
+
+@pytest.mark.parametrize(
+    "site",
+    ["lib/python3.12/site-packages", "local/lib/python3.12/dist-packages", "."],
+    ids=["colcon or pip", "Debian", "pip --target"],
+)
+def test_the_prefix_that_holds_the_code_is_searched(tmp_path: Path, site: str) -> None:
+    install(tmp_path / "prefix" / site)
+    path = config(tmp_path / "prefix" / "share" / "tsobs_ros" / "config")
+    other = config(tmp_path / "other" / "share" / "tsobs_ros" / "config")
+
+    # The environment's prefix may hold another version.
+    assert found(tmp_path / "prefix" / site, AMENT_PREFIX_PATH=str(other.parents[3])) == str(path)
+
+
+def test_a_checkout_finds_its_own_files(tmp_path: Path) -> None:
+    install(tmp_path / "checkout")
+    (tmp_path / "checkout" / "package.xml").touch()
+    path = config(tmp_path / "checkout" / "config")
+
+    assert found(tmp_path / "checkout") == str(path)
+
+
+def test_a_symlinked_package_finds_the_sources(tmp_path: Path) -> None:
+    install(tmp_path / "checkout")
+    (tmp_path / "checkout" / "package.xml").touch()
+    path = config(tmp_path / "checkout" / "config")
+    (tmp_path / "build").mkdir()
+    (tmp_path / "build" / "tsobs_ros").symlink_to(tmp_path / "checkout" / "tsobs_ros")
+
+    assert found(tmp_path / "build") == str(path)
+
+
+def test_the_ament_prefixes_are_searched(tmp_path: Path) -> None:
+    install(tmp_path / "somewhere")
+    path = config(tmp_path / "prefix" / "share" / "tsobs_ros" / "config")
+
+    assert found(tmp_path / "somewhere", AMENT_PREFIX_PATH=f"/none:{path.parents[3]}") == str(path)
+
+
+def test_a_missing_file_is_an_error_that_names_the_others() -> None:
+    with pytest.raises(ResourceError, match=r"no config file 'none\.yaml' in .*config, which has"):
+        config_path("none.yaml")
