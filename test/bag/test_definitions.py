@@ -1,0 +1,173 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Definition texts follow rosbag2's rule to the byte, and mean what other tools think they mean."""
+
+import sys
+from pathlib import Path
+
+import pytest
+from mcap_ros2._dynamic import generate_dynamic
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from tsobs_ros.bag.definitions import find_definition, share_folders
+from tsobs_ros.errors import BagWriteError
+
+SEPARATOR = "=" * 80
+TYPES = [
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/PointCloud2",
+    "std_msgs/msg/Float64MultiArray",
+    "std_msgs/msg/String",
+    "diagnostic_msgs/msg/DiagnosticArray",
+    "geometry_msgs/msg/TwistWithCovarianceStamped",
+    "nav_msgs/msg/Path",
+    "rosgraph_msgs/msg/Clock",
+    "rcl_interfaces/msg/Log",
+    "rcl_interfaces/msg/ParameterEvent",
+    "trajectory_msgs/msg/JointTrajectory",
+    "visualization_msgs/msg/InteractiveMarkerUpdate",
+]
+
+
+def installed_text(package: str, name: str) -> str:
+    for folder in share_folders():
+        path = folder / package / "msg" / f"{name}.msg"
+        if path.is_file():
+            return path.read_bytes().decode()
+    raise AssertionError(f"{package}/{name} is not installed")
+
+
+def concatenated(*types: str) -> str:
+    root, *others = types
+    text = installed_text(*root.split("/"))
+    for other in others:
+        text += f"\n{SEPARATOR}\nMSG: {other}\n{installed_text(*other.split('/'))}"
+    return text
+
+
+def write_package(share: Path, package: str, **messages: str) -> None:
+    folder = share / package / "msg"
+    folder.mkdir(parents=True)
+    for name, text in messages.items():
+        (folder / f"{name}.msg").write_bytes(text.encode())
+
+
+@pytest.mark.parametrize(
+    "types",
+    [
+        ("std_msgs/String",),
+        ("sensor_msgs/JointState", "std_msgs/Header", "builtin_interfaces/Time"),
+        (
+            "diagnostic_msgs/DiagnosticArray",
+            "diagnostic_msgs/DiagnosticStatus",
+            "diagnostic_msgs/KeyValue",
+            "std_msgs/Header",
+            "builtin_interfaces/Time",
+        ),
+        (
+            "std_msgs/Float64MultiArray",
+            "std_msgs/MultiArrayLayout",
+            "std_msgs/MultiArrayDimension",
+        ),
+    ],
+    ids=lambda types: types[0],
+)
+def test_dependencies_follow_depth_first_in_bytewise_order(types: tuple[str, ...]) -> None:
+    assert find_definition(types[0].replace("/", "/msg/")).text == concatenated(*types)
+
+
+def test_each_dependency_comes_once_where_it_is_first_needed(tmp_path: Path) -> None:
+    write_package(tmp_path, "a_msgs", Root="b_msgs/Late late\nEarly early\n", Early="int8 x\n")
+    write_package(tmp_path, "b_msgs", Late="a_msgs/Early[<=3] many\nZ[2] two\n", Z="bool b\n")
+
+    text = find_definition("a_msgs/msg/Root", [tmp_path]).text
+
+    assert text == (
+        "b_msgs/Late late\nEarly early\n"
+        f"\n{SEPARATOR}\nMSG: a_msgs/Early\nint8 x\n"
+        f"\n{SEPARATOR}\nMSG: b_msgs/Late\na_msgs/Early[<=3] many\nZ[2] two\n"
+        f"\n{SEPARATOR}\nMSG: b_msgs/Z\nbool b\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# Foo foo\n  # Bar bar\nint32 x # Baz baz\n",
+        "string<=10 bounded\nstring[<=3] many\nwstring wide\nbyte[] raw\n",
+        "uint8 KIND=1\nstring NAME='Foo foo'\n",
+        "int8 x\r\nfloat64[3] y\r\n",
+        "",
+    ],
+    ids=["comments", "bounds", "constants", "Windows line ends", "nothing"],
+)
+def test_a_text_without_dependencies_stays_as_it_is(tmp_path: Path, text: str) -> None:
+    write_package(tmp_path, "my_msgs", Plain=text)
+    assert find_definition("my_msgs/msg/Plain", [tmp_path]).text == text
+
+
+@pytest.mark.parametrize("msgtype", TYPES)
+def test_rosbags_finds_the_fields_it_knows_in_the_text(msgtype: str) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    parsed = get_types_from_msg(find_definition(msgtype).text, msgtype)
+    assert msgtype in parsed
+    assert {name: fields for name, (_, fields) in parsed.items()} == {
+        name: store.fielddefs[name][1] for name in parsed
+    }
+
+
+@pytest.mark.parametrize("msgtype", TYPES)
+def test_mcap_makes_a_decoder_from_the_text(msgtype: str) -> None:
+    assert msgtype in generate_dynamic(msgtype, find_definition(msgtype).text)
+
+
+@pytest.mark.parametrize("msgtype", TYPES)
+def test_the_hash_is_the_one_rosbags_computes(msgtype: str) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    assert find_definition(msgtype).type_hash == store.hash_rihs01(msgtype)
+
+
+def test_a_type_may_be_named_without_its_middle_part() -> None:
+    assert find_definition("std_msgs/String") == find_definition("std_msgs/msg/String")
+    assert find_definition("std_msgs/String").type == "std_msgs/msg/String"
+
+
+def test_a_package_without_hashes_gives_none(tmp_path: Path) -> None:
+    write_package(tmp_path, "old_msgs", Plain="int8 x\n")
+    assert find_definition("old_msgs/msg/Plain", [tmp_path]).type_hash == ""
+
+
+def test_sourced_prefixes_come_before_the_interpreters(monkeypatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'over'}:{tmp_path / 'under'}")
+    assert share_folders() == (
+        tmp_path / "over" / "share",
+        tmp_path / "under" / "share",
+        Path(sys.prefix) / "share",
+    )
+    write_package(tmp_path / "under" / "share", "std_msgs", String="string data # mine\n")
+    assert find_definition("std_msgs/msg/String").text == "string data # mine\n"
+
+
+def test_without_a_sourced_prefix_the_interpreters_is_searched(monkeypatch) -> None:
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    assert share_folders() == (Path(sys.prefix) / "share",)
+
+
+def test_an_uninstalled_type_is_named_with_the_searched_folders(tmp_path: Path) -> None:
+    folders = [tmp_path / "one", tmp_path / "two"]
+    with pytest.raises(BagWriteError, match=r"no_msgs/msg/None is not installed.*one, .*two"):
+        find_definition("no_msgs/msg/None", folders)
+
+
+def test_an_uninstalled_dependency_is_named(tmp_path: Path) -> None:
+    write_package(tmp_path, "my_msgs", Root="other_msgs/Gone gone\n")
+    with pytest.raises(BagWriteError, match="other_msgs/msg/Gone is not installed"):
+        find_definition("my_msgs/msg/Root", [tmp_path])
+
+
+@pytest.mark.parametrize(
+    "name", ["String", "", "std_msgs/srv/Trigger", "a/b/c", "std_msgs/msg/../String", "/x/msg/Y"]
+)
+def test_what_is_no_message_type_is_refused(name: str) -> None:
+    with pytest.raises(BagWriteError, match="is not a message type"):
+        find_definition(name)

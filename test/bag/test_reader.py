@@ -1,0 +1,177 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The reader gives messages in log order, and says clearly why it cannot."""
+
+from pathlib import Path
+
+import pytest
+from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
+from tsobs_ros.errors import BagReadError
+
+STRING = "std_msgs/msg/String"
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def cdr(text: str) -> bytes:
+    return bytes(STORE.serialize_cdr(STORE.types[STRING](data=text), STRING))
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    with BagWriter(tmp_path / "bag", max_duration_ns=10) as writer:
+        writer.add_topic("/a", STRING, [QosProfile()])
+        writer.add_topic("/b", STRING)
+        for topic, time in (("/a", 5), ("/b", 3), ("/a", 15), ("/b", 14), ("/a", 12)):
+            writer.write(topic, cdr(f"{topic} {time}"), time, time - 1)
+    return tmp_path / "bag"
+
+
+def foreign_file(
+    path: Path,
+    *,
+    profile: str = "ros2",
+    encoding: str = "cdr",
+    schema_encoding: str = "ros2msg",
+    schema: bytes = b"string data\n",
+    data: bytes = b"",
+) -> Path:
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start(profile=profile)
+        schema_id = writer.register_schema(STRING, schema_encoding, schema)
+        channel = writer.register_channel("/a", encoding, schema_id)
+        writer.add_message(channel, log_time=1, data=data, publish_time=1)
+        writer.finish()
+    return path
+
+
+def test_messages_come_in_log_order_across_files(bag: Path) -> None:
+    reader = BagReader(bag)
+    assert len(reader.files) == 2
+    assert [(m.topic, m.log_time) for m in reader.messages()] == [
+        ("/b", 3),
+        ("/a", 5),
+        ("/a", 12),
+        ("/b", 14),
+        ("/a", 15),
+    ]
+    assert next(reader.messages()) == BagMessage("/b", STRING, cdr("/b 3"), 3, 2)
+
+
+def test_topics_are_described_and_counted_over_all_files(bag: Path) -> None:
+    reader = BagReader(bag)
+    assert {t.name: (t.type, t.count) for t in reader.topics.values()} == {
+        "/a": (STRING, 3),
+        "/b": (STRING, 2),
+    }
+    assert reader.topics["/a"].qos_profiles == (QosProfile(),)
+    assert reader.topics["/a"].definition.endswith("string data\n")
+    assert (reader.message_count, reader.start_time, reader.end_time) == (5, 3, 15)
+
+
+def test_a_single_file_is_a_bag_of_its_own(bag: Path) -> None:
+    reader = BagReader(bag / "bag_1.mcap")
+    assert [m.log_time for m in reader.messages()] == [12, 14, 15]
+    assert reader.metadata is None
+
+
+def test_only_the_asked_topics_are_given(bag: Path) -> None:
+    assert {m.topic for m in BagReader(bag).messages(["/b"])} == {"/b"}
+    assert {m.topic for m in BagReader(bag).decoded({"/a"})} == {"/a"}
+    assert list(BagReader(bag).messages([])) == []
+
+
+def test_messages_are_decoded_by_the_definitions_in_the_bag(bag: Path) -> None:
+    decoded = list(BagReader(bag).decoded())
+    assert [m.message.data for m in decoded] == ["/b 3", "/a 5", "/a 12", "/b 14", "/a 15"]
+    assert [(m.topic, m.type, m.publish_time) for m in decoded[:1]] == [("/b", STRING, 2)]
+
+
+def test_an_empty_bag_has_no_times(tmp_path: Path) -> None:
+    BagWriter(tmp_path / "bag").close()
+    reader = BagReader(tmp_path / "bag")
+    assert (reader.start_time, reader.end_time, reader.topics) == (None, None, {})
+    assert list(reader.messages()) == []
+
+
+def test_an_unknown_topic_is_refused_with_those_there_are(bag: Path) -> None:
+    with pytest.raises(BagReadError, match="bag: no topic /c; topics: /a, /b"):
+        BagReader(bag).messages(["/a", "/c"])
+
+
+def test_what_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(BagReadError, match=r"none\.mcap: cannot read it"):
+        BagReader(tmp_path / "none.mcap")
+    with pytest.raises(BagReadError, match="not a bag folder"):
+        BagReader(tmp_path)
+
+
+def test_a_missing_file_of_a_folder_is_named(bag: Path) -> None:
+    (bag / "bag_1.mcap").unlink()
+    with pytest.raises(BagReadError, match=r"bag_1\.mcap: cannot read it"):
+        BagReader(bag)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0", b"SQLite format 3\0" * 10])
+def test_another_kind_of_file_is_refused(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(BagReadError, match=r"x\.mcap: not an MCAP file"):
+        BagReader(path)
+
+
+@pytest.mark.parametrize("kept", [8, 20, 300, -1, -9, -200])
+def test_a_truncated_file_is_refused(bag: Path, kept: int) -> None:
+    path = bag / "bag_0.mcap"
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(BagReadError, match=r"bag_0\.mcap: the file has no end"):
+        BagReader(bag)
+
+
+def test_another_profile_is_refused(tmp_path: Path) -> None:
+    path = foreign_file(tmp_path / "x.mcap", profile="ros1")
+    with pytest.raises(BagReadError, match=r"x\.mcap: not a bag of ROS 2: its profile is 'ros1'"):
+        BagReader(path)
+
+
+def test_another_message_encoding_is_refused(tmp_path: Path) -> None:
+    path = foreign_file(tmp_path / "x.mcap", encoding="json")
+    with pytest.raises(BagReadError, match=r"x\.mcap: /a is encoded in 'json', not in cdr"):
+        BagReader(path)
+
+
+def test_another_definition_language_is_read_but_not_decoded(tmp_path: Path) -> None:
+    path = foreign_file(tmp_path / "x.mcap", schema_encoding="ros2idl", data=cdr("x"))
+    reader = BagReader(path)
+    assert [m.data for m in reader.messages()] == [cdr("x")]
+    with pytest.raises(BagReadError, match="defined in 'ros2idl', but only ros2msg"):
+        reader.decoded()
+
+
+def test_a_malformed_definition_is_refused(tmp_path: Path) -> None:
+    path = foreign_file(tmp_path / "x.mcap", schema=b"this is: no definition\n")
+    with pytest.raises(BagReadError, match=r"the definition of std_msgs/msg/String is malformed"):
+        BagReader(path).decoded()
+
+
+def test_bytes_that_do_not_fit_the_type_are_refused(tmp_path: Path) -> None:
+    path = foreign_file(tmp_path / "x.mcap", data=b"\x00\x01\x00\x00\xff\x00")
+    with pytest.raises(BagReadError, match="the message of /a at 1 ns is not a std_msgs/msg/St"):
+        list(BagReader(path).decoded())
+
+
+def test_damage_is_noticed_where_it_is_reached(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", compression="none") as writer:
+        writer.add_topic("/a", STRING)
+        for time in (1, 2):
+            writer.write("/a", cdr(f"message {time}"), time, time)
+            writer.flush()
+    path = tmp_path / "bag" / "bag_0.mcap"
+    path.write_bytes(path.read_bytes().replace(b"message 2", b"message X"))
+    messages = BagReader(tmp_path / "bag").messages()
+    assert next(messages).data == cdr("message 1")
+    with pytest.raises(BagReadError, match=r"bag_0\.mcap: the file is damaged: .*crc"):
+        next(messages)

@@ -1,0 +1,306 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags hold what was written, in rosbag2's layout, whoever reads them."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.exceptions import EndOfFile
+from mcap.reader import make_reader
+from mcap.records import Chunk, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader
+from rosbags.rosbag2 import Reader as RosbagsReader
+
+from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
+from tsobs_ros.bag.definitions import find_definition
+from tsobs_ros.bag.metadata import EMPTY_START_NS, read_metadata
+from tsobs_ros.errors import BagWriteError
+
+STRING = "std_msgs/msg/String"
+TOPICS = {"/a": STRING, "/b": "sensor_msgs/msg/JointState", "/c": STRING}
+
+
+class Entry(NamedTuple):
+    topic: str
+    data: bytes
+    log_time: int
+    publish_time: int
+
+
+entries = st.lists(
+    st.builds(
+        Entry,
+        st.sampled_from(sorted(TOPICS)),
+        st.binary(max_size=200),
+        st.integers(0, 10**19 // 2),
+        st.integers(0, 10**19 // 2),
+    ),
+    max_size=30,
+)
+
+
+def write_bag(path: Path, written: list[Entry], **options: object) -> Path:
+    with BagWriter(path, **options) as writer:
+        for topic, msgtype in TOPICS.items():
+            writer.add_topic(topic, msgtype, [QosProfile()])
+        for entry in written:
+            writer.write(*entry)
+    return path
+
+
+def in_log_order(written: list[Entry]) -> list[Entry]:
+    return sorted(written, key=lambda entry: entry.log_time)
+
+
+def records(path: Path, *, whole_chunks: bool = False) -> Iterator[McapRecord]:
+    with path.open("rb") as stream:
+        try:
+            yield from StreamReader(stream, emit_chunks=whole_chunks, validate_crcs=True).records
+        except EndOfFile:
+            return
+
+
+@settings(deadline=None, max_examples=40)
+@given(entries, st.sampled_from(["none", "lz4", "zstd"]))
+def test_every_reader_gives_back_what_was_written(written: list[Entry], compression: str) -> None:
+    with TemporaryDirectory() as folder:
+        path = write_bag(Path(folder) / "bag", written, compression=compression)
+        expected = in_log_order(written)
+
+        assert list(BagReader(path).messages()) == [
+            BagMessage(e.topic, TOPICS[e.topic], e.data, e.log_time, e.publish_time)
+            for e in expected
+        ]
+        with (path / "bag_0.mcap").open("rb") as stream:
+            assert [
+                Entry(channel.topic, message.data, message.log_time, message.publish_time)
+                for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages()
+            ] == expected
+        with RosbagsReader(path) as reader:
+            assert [
+                (connection.topic, connection.msgtype, time, data)
+                for connection, time, data in reader.messages()
+            ] == [(e.topic, TOPICS[e.topic], e.log_time, e.data) for e in expected]
+
+
+@settings(deadline=None, max_examples=40)
+@given(entries)
+def test_the_folder_says_what_the_file_holds(written: list[Entry]) -> None:
+    with TemporaryDirectory() as folder:
+        path = write_bag(Path(folder) / "bag", written)
+        metadata = read_metadata(path)
+        times = [entry.log_time for entry in written]
+
+        assert metadata.message_count == len(written)
+        assert metadata.starting_time_ns == min(times, default=EMPTY_START_NS)
+        assert metadata.duration_ns == max(times, default=0) - min(times, default=0)
+        assert {t.name: (t.type, t.message_count) for t in metadata.topics} == {
+            topic: (msgtype, sum(entry.topic == topic for entry in written))
+            for topic, msgtype in TOPICS.items()
+        }
+
+
+def test_the_folder_holds_one_file_and_its_metadata(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "deep" / "run.1", [])
+    assert sorted(item.name for item in path.iterdir()) == ["metadata.yaml", "run.1_0.mcap"]
+
+
+def test_the_file_is_laid_out_as_rosbag2_does(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", [Entry("/a", b"x", 5, 3), Entry("/a", b"y", 4, 2)])
+    with (path / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        summary = reader.get_summary()
+        assert reader.get_header().profile == "ros2"
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 2
+    assert (summary.statistics.attachment_count, summary.statistics.metadata_count) == (0, 2)
+    assert {schema.name: schema.encoding for schema in summary.schemas.values()} == {
+        STRING: "ros2msg",
+        "sensor_msgs/msg/JointState": "ros2msg",
+    }
+    channels = {channel.topic: channel for channel in summary.channels.values()}
+    assert set(channels) == set(TOPICS)
+    for topic, channel in channels.items():
+        definition = find_definition(TOPICS[topic])
+        assert channel.message_encoding == "cdr"
+        assert set(channel.metadata) == {"offered_qos_profiles", "topic_type_hash"}
+        assert channel.metadata["topic_type_hash"] == definition.type_hash
+        assert summary.schemas[channel.schema_id].data == definition.text.encode()
+    (chunk,) = summary.chunk_indexes
+    assert chunk.compression == "zstd"
+    assert set(chunk.message_index_offsets) == {channels["/a"].id}
+    messages = [r for r in records(path / "bag_0.mcap") if isinstance(r, Message)]
+    assert [message.sequence for message in messages] == [0, 0]
+
+
+def test_chunks_are_as_large_as_rosbag2s_and_checked(tmp_path: Path) -> None:
+    count = 2_000
+    path = write_bag(tmp_path / "bag", [Entry("/a", bytes(1_000), i, i) for i in range(count)])
+    chunks = [
+        record
+        for record in records(path / "bag_0.mcap", whole_chunks=True)
+        if isinstance(record, Chunk)
+    ]
+    assert len(chunks) == 3
+    assert all(786_432 < chunk.uncompressed_size < 788_000 for chunk in chunks[:-1])
+    assert all(chunk.uncompressed_crc for chunk in chunks)
+
+
+def test_the_file_carries_the_metadata_of_its_beginning_and_its_end(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", [Entry("/a", b"x", 5, 3)])
+    carried = [r for r in records(path / "bag_0.mcap") if isinstance(r, Metadata)]
+    assert [record.name for record in carried] == ["rosbag2", "rosbag2"]
+    first, last = (yaml.safe_load(r.metadata["serialized_metadata"]) for r in carried)
+    assert (first["message_count"], first["topics_with_message_count"]) == (0, [])
+    in_folder = yaml.safe_load((path / "metadata.yaml").read_text())
+    assert last == in_folder["rosbag2_bagfile_information"]
+
+
+def test_a_bag_is_described_from_the_moment_it_is_opened(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    metadata = read_metadata(tmp_path / "bag")
+    assert [file.path for file in metadata.files] == ["bag_0.mcap"]
+    assert (tmp_path / "bag" / "bag_0.mcap").stat().st_size > 0
+    writer.close()
+
+
+def test_the_folder_and_the_file_agree_on_qos(tmp_path: Path) -> None:
+    offers = [QosProfile(), QosProfile(reliability="best_effort")]
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/a", STRING, offers)
+        writer.add_topic("/a", STRING, [QosProfile(durability="transient_local")])
+        writer.write("/a", b"x", 1, 1)
+    reader = BagReader(tmp_path / "bag")
+    assert reader.topics["/a"].qos_profiles == tuple(offers)
+    assert read_metadata(tmp_path / "bag").topics[0].offered_qos_profiles == tuple(offers)
+
+
+def test_custom_data_is_kept(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", [], custom_data={"design": "elastic joint"})
+    assert read_metadata(path).custom_data == {"design": "elastic joint"}
+
+
+def test_what_is_flushed_can_be_read_from_the_unfinished_file(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING)
+    writer.write("/a", b"one", 1, 1)
+    writer.write("/a", b"two", 2, 2)
+    writer.flush()
+    writer.write("/a", b"three", 3, 3)
+    stored = [r for r in records(tmp_path / "bag" / "bag_0.mcap") if isinstance(r, Message)]
+    assert [message.data for message in stored] == [b"one", b"two"]
+    writer.close()
+
+
+def test_a_sync_puts_the_topics_into_the_folders_description(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING)
+    assert read_metadata(tmp_path / "bag").topics == ()
+    writer.sync()
+    assert [topic.name for topic in read_metadata(tmp_path / "bag").topics] == ["/a"]
+    writer.close()
+
+
+@pytest.mark.parametrize("options", [{"max_size": 1_000_000}, {"max_duration_ns": 299}])
+def test_a_split_bag_is_one_bag_of_whole_files(tmp_path: Path, options: dict[str, int]) -> None:
+    written = [Entry("/a", bytes([i % 256]) * 4_000, 10 + i, i) for i in range(900)]
+    path = write_bag(tmp_path / "bag", written, compression="none", **options)
+
+    files = [file.path for file in read_metadata(path).files]
+    assert files == ["bag_0.mcap", "bag_1.mcap", "bag_2.mcap"]
+    parts = [BagReader(path / file) for file in files]
+    assert all(set(part.topics) == set(TOPICS) for part in parts)
+    assert sum(part.message_count for part in parts) == len(written)
+    whole = [(m.data, m.log_time) for m in BagReader(path).messages()]
+    assert whole == [(entry.data, entry.log_time) for entry in written]
+    with RosbagsReader(path) as reader:
+        assert [data for _, _, data in reader.messages()] == [entry.data for entry in written]
+
+
+def test_an_existing_folder_is_never_touched(tmp_path: Path) -> None:
+    path = write_bag(tmp_path / "bag", [Entry("/a", b"x", 1, 1)])
+    before = {item.name: item.read_bytes() for item in path.iterdir()}
+    with pytest.raises(BagWriteError, match="bag: exists already, bags are not overwritten"):
+        BagWriter(path)
+    assert {item.name: item.read_bytes() for item in path.iterdir()} == before
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BagWriteError, match="file/bag: cannot create it"):
+        BagWriter(tmp_path / "file" / "bag")
+
+
+def test_an_unknown_compression_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+    with pytest.raises(BagWriteError, match="no compression 'zip', there is none, lz4, zstd"):
+        BagWriter(tmp_path / "bag", compression="zip")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def writer(tmp_path: Path) -> Iterator[BagWriter]:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/a", STRING)
+        yield writer
+
+
+def test_an_unregistered_topic_is_refused(writer: BagWriter) -> None:
+    with pytest.raises(BagWriteError, match="bag: topic /b has not been added"):
+        writer.write("/b", b"", 1, 1)
+
+
+@pytest.mark.parametrize("times", [(-1, 0), (0, -1), (2**63 - 1, 0), (0, 2**64)])
+def test_a_time_that_cannot_be_stored_is_refused(
+    writer: BagWriter, tmp_path: Path, times: tuple[int, int]
+) -> None:
+    with pytest.raises(BagWriteError, match="/a: times must be at least 0 and fit 63 bits"):
+        writer.write("/a", b"bad", *times)
+    writer.write("/a", b"good", 1, 1)
+    writer.close()
+    assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"good"]
+
+
+def test_a_topic_keeps_its_type(writer: BagWriter) -> None:
+    with pytest.raises(BagWriteError, match="/a is std_msgs/msg/String already"):
+        writer.add_topic("/a", "std_msgs/msg/Empty")
+
+
+def test_an_unknown_type_adds_no_topic(writer: BagWriter) -> None:
+    with pytest.raises(BagWriteError, match="no_msgs/msg/None is not installed"):
+        writer.add_topic("/b", "no_msgs/msg/None")
+    assert [topic.name for topic in writer.topics] == ["/a"]
+
+
+def test_a_closed_bag_stays_as_it_is(writer: BagWriter, tmp_path: Path) -> None:
+    writer.close()
+    content = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
+    writer.close()
+    writer.sync()
+    for use in (
+        writer.flush,
+        lambda: writer.write("/a", b"", 1, 1),
+        lambda: writer.add_topic("/b", STRING),
+    ):
+        with pytest.raises(BagWriteError, match="bag: the bag is closed"):
+            use()
+    assert (tmp_path / "bag" / "bag_0.mcap").read_bytes() == content
+
+
+def write_and_fail(path: Path) -> None:
+    with BagWriter(path) as writer:
+        writer.add_topic("/a", STRING)
+        writer.write("/a", b"x", 1, 1)
+        raise RuntimeError("elsewhere")
+
+
+def test_an_error_in_the_block_keeps_what_was_written(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="elsewhere"):
+        write_and_fail(tmp_path / "bag")
+    assert BagReader(tmp_path / "bag").message_count == 1
