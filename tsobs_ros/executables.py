@@ -59,8 +59,7 @@ def _run(name: str) -> int:
             file=sys.stderr,
         )
         return 1
-    if stop():
-        return 0
-    exit_code: int = runtime.run(module.create, stop=stop)
+    exit_code: int = 0 if stop() else runtime.run(module.create, stop=stop)
+    stop.ignore_further()
     guard.arm(_FINALISE_TIMEOUT, exit_code)
     return exit_code

@@ -29,6 +29,15 @@ class StopFlag:
         for number in _SIGNALS:
             self._previous[number] = signal.signal(number, self._raise)
 
+    def ignore_further(self) -> None:
+        """Ignore the signals for the rest of the process.
+
+        The interpreter resets Python handlers to the default action as it shuts down, so a signal
+        then would still kill the process; an ignored signal stays ignored.
+        """
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
     def __enter__(self) -> Self:
         """Catch the signals inside the block."""
         self.install()

@@ -240,22 +240,57 @@ def test_a_hanging_teardown_keeps_the_exit_code(script, outcome: str) -> None:
     assert "Traceback" not in finished.stderr
 
 
-def test_a_signal_during_the_imports_ends_cleanly(ros_process, tmp_path: Path) -> None:
-    (tmp_path / "slow_to_import.py").write_text(
-        "import os, signal\n"
-        "os.kill(os.getpid(), signal.SIGTERM)\n"
-        "os.kill(os.getpid(), signal.SIGINT)\n"
-        "print('imported')\n"
-        "def create():\n"
-        "    print('created')\n"
-    )
-    code = (
-        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
-        f"import tsobs_ros.nodes; tsobs_ros.nodes.__path__.append({str(tmp_path)!r})\n"
-        "from tsobs_ros.executables import _run; sys.exit(_run('slow_to_import'))"
+@pytest.fixture
+def entry_point(ros_process, tmp_path: Path):
+    """Run a node module of the given source the way the installed executables do."""
+
+    def start(source: str):
+        (tmp_path / "some_node.py").write_text(PREAMBLE + dedent(source))
+        return ros_process(
+            [
+                sys.executable,
+                "-c",
+                f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
+                f"import tsobs_ros.nodes; tsobs_ros.nodes.__path__.append({str(tmp_path)!r})\n"
+                "from tsobs_ros.executables import _run; sys.exit(_run('some_node'))",
+            ]
+        )
+
+    return start
+
+
+def test_a_signal_during_the_imports_ends_cleanly(entry_point) -> None:
+    process = entry_point(
+        """
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGINT)
+        print("imported")
+        create = Worker
+        """
     )
 
-    assert ros_process([sys.executable, "-c", code]).finish() == (0, "imported\n", "")
+    assert process.finish() == (0, "imported\n", "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_while_the_interpreter_shuts_down_change_nothing(entry_point, number: int) -> None:
+    process = entry_point(
+        f"""
+        class SentAtTheVeryEnd:
+            def __del__(self, kill=os.kill, pid=os.getpid()):
+                kill(pid, {number:d})
+
+        at_the_very_end = SentAtTheVeryEnd()
+        sys.modules["last to go"] = at_the_very_end
+
+        class Finite(Worker):
+            finished = True
+
+        create = Finite
+        """
+    )
+
+    assert process.finish() == (0, "closed worker\ndestroyed worker\n", "")
 
 
 def test_entry_points_import_nothing_heavy(ros_process) -> None:
