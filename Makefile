@@ -65,14 +65,18 @@ $(VENV)/.test: $(SOURCES) | $(BIN)/python
 	@$(PIP) -e ".[$$(cat $(VENV)/.ros)design,report,test]"
 	@touch $@
 
+# A ROS counts as found only if the new environment sees it too, which it does not if $$python is
+# itself in a virtual environment.
 $(BIN)/python:
 	@$(find_python); \
-	if "$$python" -c 'import rclpy' 2> /dev/null; then \
-	  echo "Making $(VENV) with $$("$$python" -V) and the ROS found"; \
-	  "$$python" -m venv --clear --system-site-packages $(VENV); \
+	version="$$("$$python" -V)"; \
+	if "$$python" -c 'import rclpy' 2> /dev/null \
+	  && "$$python" -m venv --clear --system-site-packages $(VENV) \
+	  && $(BIN)/python -c 'import rclpy' 2> /dev/null; then \
+	  echo "Made $(VENV) with $$version and the ROS found"; \
 	  : > $(VENV)/.ros; \
 	else \
-	  echo "Making $(VENV) with $$("$$python" -V) and ROS from PyPI"; \
 	  "$$python" -m venv --clear $(VENV); \
+	  echo "Made $(VENV) with $$version; ROS will come from PyPI"; \
 	  printf 'ros,' > $(VENV)/.ros; \
 	fi
