@@ -11,9 +11,9 @@ stamps are unaffected: the middleware sets them when a message arrives, not when
 from typing import Any, NamedTuple
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.subscription import Subscription
 
 
 class MessageInfo(NamedTuple):
@@ -38,20 +38,19 @@ class Drained(NamedTuple):
 
 
 class DrainedGroup(CallbackGroup):
-    """Keeps its subscriptions out of every executor's wait set, but lets their events through.
+    """Keeps everything in it out of every executor's wait set.
 
     Executors ask the group before they wait for an entity: one that may never execute is neither
-    waited for nor able to wake them. The events of the same subscription (an incompatible QoS,
-    say) are entities of this group as well, and go on being reported.
+    waited for nor able to wake them.
     """
 
     def can_execute(self, entity: object) -> bool:
-        """Return whether an executor may wait for the entity: anything but a subscription."""
-        return not isinstance(entity, Subscription)
+        """Return whether an executor may wait for the entity: never."""
+        return False
 
     def beginning_execution(self, entity: object) -> bool:
-        """Return whether the entity's callback may begin now."""
-        return self.can_execute(entity)
+        """Return whether the entity's callback may begin now: never."""
+        return False
 
     def ending_execution(self, entity: object) -> None:
         """Do nothing: callbacks of this group do not exclude each other."""
@@ -75,8 +74,16 @@ class DrainedSubscription:
         self, node: Node, msg_type: type[Any], topic: str, qos: QoSProfile, *, raw: bool = False
     ) -> None:
         self._node = node
+        # No QoS events either: Fast DDS waits for them on the reader's one status condition, which
+        # unread data keeps raised, so that the executor would spin until the next drain.
         self._subscription = node.create_subscription(
-            msg_type, topic, _never_called, qos, callback_group=DrainedGroup(), raw=raw
+            msg_type,
+            topic,
+            _never_called,
+            qos,
+            callback_group=DrainedGroup(),
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+            raw=raw,
         )
 
     @property

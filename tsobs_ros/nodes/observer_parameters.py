@@ -1,0 +1,113 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The observer node's ROS parameters."""
+
+from dataclasses import dataclass
+
+from tsobs_ros.errors import ParameterError
+from tsobs_ros.nodes.parameters import parameter, parameter_group
+
+
+@dataclass(frozen=True)
+class FaultParameters:
+    """When the estimated disturbance is reported as a fault."""
+
+    warn: float = parameter(
+        0.2, "Disturbance magnitude that is a warning", unit="rad", minimum=1e-6, maximum=10.0
+    )
+    error: float = parameter(
+        0.5, "Disturbance magnitude that is an error", unit="rad", minimum=1e-6, maximum=10.0
+    )
+    hold: float = parameter(
+        0.5,
+        "How long a level must last before it is reported",
+        unit="s",
+        minimum=0.0,
+        maximum=60.0,
+    )
+
+    def __post_init__(self) -> None:
+        if self.error < self.warn:
+            raise ParameterError(
+                f"fault.error: expected at least fault.warn = {self.warn}, got {self.error}"
+            )
+
+
+@dataclass(frozen=True)
+class ObserverParameters:
+    """All parameters of the observer node."""
+
+    design: str = parameter(
+        "", "Path of the design file; empty for the one that is shipped", read_only=True
+    )
+    joint: str = parameter(
+        "elastic_joint", "Name of the joint in joint_measurements", read_only=True
+    )
+    rate: float = parameter(
+        200.0,
+        "Rate at which estimates are published",
+        unit="Hz",
+        minimum=1.0,
+        maximum=2000.0,
+        read_only=True,
+    )
+    gain_mode: str = parameter(
+        "certified",
+        "Gain once settled: the constant certified one, or the Riccati gain throughout",
+        choices=("certified", "riccati"),
+        read_only=True,
+    )
+    settle_time: float = parameter(
+        5.0,
+        "Least time with Riccati gains after a start or reset",
+        unit="s",
+        minimum=0.0,
+        maximum=600.0,
+        read_only=True,
+    )
+    history: float = parameter(
+        0.5,
+        "How late a measurement may come and still be put in its place",
+        unit="s",
+        minimum=0.0,
+        maximum=60.0,
+        read_only=True,
+    )
+    future_tolerance: float = parameter(
+        0.1,
+        "How far ahead of the clock a stamp may lie",
+        unit="s",
+        minimum=0.0,
+        maximum=60.0,
+        read_only=True,
+    )
+    assume_zero_torque: bool = parameter(
+        False,
+        "Take measurements without effort as torque 0 instead of rejecting them",
+        read_only=True,
+    )
+    coast_after: float = parameter(
+        0.1,
+        "Age of the newest measurement to report COASTING",
+        unit="s",
+        minimum=1e-3,
+        maximum=60.0,
+    )
+    stale_after: float = parameter(
+        5.0,
+        "Age of the newest measurement to stop publishing and start afresh",
+        unit="s",
+        minimum=1e-2,
+        maximum=600.0,
+        read_only=True,
+    )
+    fault: FaultParameters = parameter_group(FaultParameters)
+
+    def __post_init__(self) -> None:
+        if self.coast_after > self.stale_after:
+            raise ParameterError(
+                f"coast_after: expected at most stale_after = {self.stale_after}, "
+                f"got {self.coast_after}"
+            )
+        if not self.joint:
+            raise ParameterError("joint: expected a name, got an empty string")
