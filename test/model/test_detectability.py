@@ -1,0 +1,91 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Modes a sensor cannot see: found with eigenvalue and shape, and only where they exist."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.detectability import hidden_modes, undetectable_modes
+from tsobs_ros.model.disturbance import bias, sinusoid
+from tsobs_ros.model.flow import ArmFlow, ProcessNoise
+
+Array = NDArray[np.float64]
+PROPERTY = settings(derandomize=True, deadline=None, max_examples=60)
+EYE = np.eye(4)
+
+
+@PROPERTY
+@given(
+    hnp.arrays(np.float64, (4, 4), elements=st.floats(-1.0, 1.0)),
+    hnp.arrays(np.bool_, 4, elements=st.booleans()),
+)
+def test_exactly_the_unseen_modes_of_a_known_system_are_found(mixing: Array, seen: Array) -> None:
+    """A is built from four known modes, and C sees some of them."""
+    basis = EYE + 0.2 * mixing
+    modes = np.array([-2.0, -0.5, 0.0, 1.5])
+    inverse = np.linalg.inv(basis)
+    A, C = basis @ np.diag(modes) @ inverse, seen.astype(float)[np.newaxis] @ inverse
+    found = {round(mode.eigenvalue.real, 6): mode for mode in hidden_modes(A, C)}
+    assert sorted(found) == sorted(modes[~seen])
+    for eigenvalue, mode in found.items():
+        assert np.linalg.norm(A @ mode.shape - mode.eigenvalue * mode.shape) < 1e-12
+        assert np.linalg.norm(C @ mode.shape) < 1e-12
+        assert np.linalg.norm(mode.shape) == pytest.approx(1.0)
+        true = basis[:, list(modes).index(eigenvalue)]
+        assert abs(mode.shape @ true) == pytest.approx(np.linalg.norm(true), rel=1e-9)
+
+
+def test_a_hidden_mode_that_decays_is_detectable() -> None:
+    A, C = np.diag([-1.0, 2.0]), np.array([[0.0, 1.0]])
+    assert [mode.eigenvalue for mode in hidden_modes(A, C)] == [-1.0]
+    assert undetectable_modes(A, C) == []
+    assert [mode.eigenvalue for mode in undetectable_modes(A, np.array([[1.0, 0.0]]))] == [2.0]
+
+
+def test_without_information_the_undamped_arm_has_four_modes_that_persist() -> None:
+    modes = undetectable_modes(ElasticJointArm().slope_matrix(1.0), np.zeros((1, 4)))
+    frequencies = sorted(mode.eigenvalue.imag for mode in modes)
+    assert frequencies == pytest.approx([-4.7757, -1.4806, 1.4806, 4.7757], abs=5e-5)
+    damped = ElasticJointArm(link_damping=0.5, motor_damping=0.5).slope_matrix(1.0)
+    assert undetectable_modes(damped, np.zeros((1, 4))) == []
+    assert len(hidden_modes(damped, np.zeros((1, 4)))) == 4
+
+
+def test_a_bias_hides_where_gravity_has_no_slope() -> None:
+    flow = ArmFlow(ElasticJointArm(), bias(), ProcessNoise(), 0.005)
+    (mode,) = undetectable_modes(flow.slope_matrix(0.0), flow.output_matrix)
+    # Link and motor turned by the same angle, and the bias takes it back: q₁ = q₂ = −w.
+    assert abs(mode.eigenvalue) < 1e-6
+    shape = mode.shape / mode.shape[0]
+    assert shape == pytest.approx([1.0, 0.0, 10.0, 0.0, -1.0], abs=1e-6)
+
+
+@PROPERTY
+@given(
+    st.floats(0.2, 5.0), st.floats(0.2, 5.0), st.floats(1.0, 50.0), st.floats(1.0, 50.0),
+    st.floats(0.05, 1.0), st.sampled_from([1.0, -1.0]),
+)  # fmt: skip
+def test_a_bias_is_seen_wherever_gravity_has_a_slope(
+    j1: float, j2: float, k: float, mgl: float, slope: float, sign: float
+) -> None:
+    flow = ArmFlow(ElasticJointArm(j1, j2, k, mgl), bias(), ProcessNoise(), 0.005)
+    assert hidden_modes(flow.slope_matrix(sign * slope), flow.output_matrix) == []
+
+
+@pytest.mark.parametrize("slope", [0.75, 0.9, 1.0])
+def test_a_tone_hides_at_the_arms_own_frequencies_and_nowhere_else(slope: float) -> None:
+    arm = ElasticJointArm()
+    own = np.linalg.eigvals(arm.slope_matrix(slope)).imag
+    for frequency in own[own > 0.0]:
+        flow = ArmFlow(arm, sinusoid(float(frequency)), ProcessNoise(), 0.005)
+        modes = undetectable_modes(flow.slope_matrix(slope), flow.output_matrix)
+        assert sorted(mode.eigenvalue.imag for mode in modes) == pytest.approx(
+            [-frequency, frequency]
+        )
+        flow = ArmFlow(arm, sinusoid(1.05 * float(frequency)), ProcessNoise(), 0.005)
+        assert undetectable_modes(flow.slope_matrix(slope), flow.output_matrix) == []

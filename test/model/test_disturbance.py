@@ -1,0 +1,176 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Disturbance models: their exosystems generate the signals they are named after."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.disturbance import (
+    DisturbanceModel,
+    arbitrary,
+    bias,
+    clean,
+    gauss_markov,
+    per_channel,
+    ramp,
+    sinusoid,
+)
+
+Array = NDArray[np.float64]
+PROPERTY = settings(derandomize=True, deadline=None, max_examples=60)
+STATES = st.floats(-2.0, 2.0)
+TIMES = st.floats(0.0, 20.0)
+MODELS = st.one_of(
+    st.builds(clean), st.builds(bias), st.builds(ramp),
+    st.builds(gauss_markov, st.floats(0.01, 1.0), st.floats(0.1, 50.0)),
+    st.builds(sinusoid, st.floats(0.1, 20.0)),
+)  # fmt: skip
+
+
+def generated(model: DisturbanceModel, start: Any, time: float) -> Array:
+    """Return ω(t) = H e^{St} w(0)."""
+    return np.asarray(model.H @ expm(model.S * time) @ np.asarray(start, dtype=np.float64))
+
+
+@PROPERTY
+@given(STATES, STATES, TIMES, st.floats(0.1, 20.0))
+def test_exosystems_generate_their_signals(a: float, b: float, t: float, number: float) -> None:
+    expected = {
+        "bias": (bias(), [a], a),
+        "drift": (gauss_markov(0.1, number), [a], a * np.exp(-t / number)),
+        "tone": (sinusoid(number), [a, b], a * np.cos(number * t) + b * np.sin(number * t)),
+        "ramp": (ramp(), [a, b], a + b * t),
+    }
+    for name, (model, start, value) in expected.items():
+        assert generated(model, start, t) == pytest.approx([value], abs=1e-11), name
+
+
+@PROPERTY
+@given(st.floats(0.01, 1.0), st.floats(0.1, 50.0))
+def test_the_drift_keeps_its_stationary_variance(std: float, tau: float) -> None:
+    model = gauss_markov(std, tau)
+    variance = std**2 * np.eye(1)
+    balance = model.S @ variance + variance @ model.S.T + model.G @ model.G.T
+    np.testing.assert_allclose(balance, 0.0, atol=1e-14 * std**2 / tau)
+    assert model.initial_std == pytest.approx([std])
+
+
+@pytest.mark.parametrize(
+    ("model", "densities"),
+    [
+        (bias(4e-4), [4e-4]),
+        (sinusoid(3.0, 4e-4), [4e-4, 4e-4]),
+        (ramp(4e-4, 9e-6), [4e-4, 9e-6]),
+        (clean(), []),
+    ],
+)
+def test_driving_noise_has_the_given_density(model: DisturbanceModel, densities: Any) -> None:
+    np.testing.assert_allclose(model.G @ model.G.T, np.diag(densities), rtol=1e-14, atol=1e-20)
+
+
+@PROPERTY
+@given(st.data(), MODELS, MODELS, TIMES)
+def test_a_sum_generates_the_sum_of_its_signals(
+    data: st.DataObject, first: DisturbanceModel, second: DisturbanceModel, t: float
+) -> None:
+    total = first + second
+    start = [data.draw(STATES) for _ in range(total.state_count)]
+    split = first.state_count
+    parts = generated(first, start[:split], t) + generated(second, start[split:], t)
+    np.testing.assert_allclose(generated(total, start, t), parts, atol=1e-10)
+    assert total.state_count == first.state_count + second.state_count
+    assert (total.initial_std == [*first.initial_std, *second.initial_std]).all()
+    driven = total.G @ total.G.T
+    assert (driven[:split, :split] == first.G @ first.G.T).all()
+    assert (driven[split:, split:] == second.G @ second.G.T).all()
+    assert not driven[:split, split:].any()
+
+
+def test_a_sum_is_named_after_its_terms_and_remembers_an_arbitrary_one() -> None:
+    assert (bias() + sinusoid(3.0)).label == "bias+sinusoid"
+    assert (clean() + bias()).label == "bias"
+    assert (clean() + clean()).label == "clean"
+    assert (bias() + arbitrary()).label == "bias+arbitrary"
+    assert (bias() + arbitrary()).arbitrary
+    assert not (bias() + clean()).arbitrary
+
+
+@PROPERTY
+@given(MODELS, TIMES)
+def test_the_rate_map_is_the_derivative_of_the_signal(model: DisturbanceModel, t: float) -> None:
+    start = np.linspace(0.5, 1.0, model.state_count)
+    state = expm(model.S * t) @ start
+    step = 1e-6
+    numeric = (generated(model, state, step) - generated(model, state, -step)) / (2.0 * step)
+    np.testing.assert_allclose(model.rate_map @ state, numeric, rtol=1e-6, atol=1e-8)
+
+
+def test_channels_stand_side_by_side() -> None:
+    model = per_channel([bias(), clean(), sinusoid(2.0)])
+    assert (model.channel_count, model.state_count) == (3, 3)
+    assert (model.H == [[1, 0, 0], [0, 0, 0], [0, 1, 0]]).all()
+    value = generated(model, [0.3, 0.0, 0.5], 0.7)
+    assert value == pytest.approx([0.3, 0.0, 0.5 * np.sin(1.4)])
+    assert model.label == "bias, clean, sinusoid"
+    assert per_channel([bias(), arbitrary()]).arbitrary
+
+
+def test_a_disturbance_acts_through_the_fault_matrix() -> None:
+    model = per_channel([bias(), ramp()]).through([[1.0, 0.0], [0.0, 2.0], [1.0, 1.0]])
+    assert model.channel_count == 3
+    assert generated(model, [0.3, 0.5, 0.1], 2.0) == pytest.approx([0.3, 1.4, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: bias().through([[0.0], [0.0]]), "D_s: expected full column rank"),
+        (
+            lambda: per_channel([bias(), bias()]).through([[1.0, 2.0], [2.0, 4.0]]),
+            "D_s: expected full column rank",
+        ),
+        (lambda: per_channel([bias(), bias()]).through([[1.0, 2.0]]), "full column rank"),
+        (lambda: bias().through([[1.0, 0.0]]), r"D_s: expected shape \(1, 1\), got \(1, 2\)"),
+        (lambda: bias().through([1.0]), r"D_s: expected shape \(0, 1\), got \(1,\)"),
+        (lambda: bias().through([[np.nan]]), "D_s: every entry must be finite"),
+        (lambda: bias() + clean(2), "same number of channels, got 1 and 2"),
+        (lambda: per_channel([]), "at least one disturbance model"),
+        (lambda: bias(-1e-4), "bias density: expected a finite number of at least 0, got -0.0001"),
+        (lambda: bias(initial_std=np.nan), "bias initial_std: expected a finite number"),
+        (lambda: gauss_markov(std=0.0), "gauss_markov std: expected a finite number above 0"),
+        (lambda: gauss_markov(time_constant=0.0), "gauss_markov time_constant: expected"),
+        (lambda: sinusoid(0.0), "sinusoid frequency: expected a finite number above 0, got 0.0"),
+        (lambda: sinusoid(1.0, density=-1.0), "sinusoid density: expected"),
+        (lambda: sinusoid(1.0, initial_std=-1.0), "sinusoid initial_std: expected"),
+        (lambda: ramp(density=-1.0), "ramp density: expected"),
+        (lambda: ramp(rate_density=np.inf), "ramp rate_density: expected"),
+        (lambda: ramp(initial_std=-1.0), "ramp initial_std: expected"),
+        (lambda: ramp(initial_rate_std=-1.0), "ramp initial_rate_std: expected"),
+        (
+            lambda: DisturbanceModel("x", np.eye(2), np.ones((1, 3)), np.eye(2), np.ones(2)),
+            r"disturbance H: expected shape \(1, 2\), got \(1, 3\)",
+        ),
+        (
+            lambda: DisturbanceModel("x", np.ones((2, 3)), np.ones((1, 2)), np.eye(2), np.ones(2)),
+            r"disturbance S: expected shape \(2, 2\), got \(2, 3\)",
+        ),
+        (
+            lambda: DisturbanceModel("x", np.eye(2), np.ones((1, 2)), np.ones(2), np.ones(2)),
+            r"disturbance G: expected shape \(2, 0\), got \(2,\)",
+        ),
+        (
+            lambda: DisturbanceModel("x", np.eye(2), np.ones((1, 2)), np.eye(2), np.ones(3)),
+            r"disturbance initial_std: expected shape \(2,\), got \(3,\)",
+        ),
+    ],
+)
+def test_a_wrong_model_is_named(build: Any, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        build()

@@ -1,0 +1,377 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The one-step prediction: its linear flow, its order, its exact error map, its covariance."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag, expm
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.disturbance import bias, clean, gauss_markov, ramp, sinusoid
+from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+
+Array = NDArray[np.float64]
+PROPERTY = settings(derandomize=True, deadline=None, max_examples=60)
+
+ARMS = st.builds(
+    ElasticJointArm, st.floats(0.2, 5.0), st.floats(0.2, 5.0), st.floats(1.0, 50.0),
+    st.floats(0.5, 50.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0),
+)  # fmt: skip
+DISTURBANCES = st.one_of(
+    st.builds(clean), st.builds(bias), st.builds(ramp), st.builds(gauss_markov),
+    st.builds(sinusoid, st.floats(0.5, 10.0)),
+    st.builds(lambda frequency: bias() + sinusoid(frequency), st.floats(0.5, 10.0)),
+)  # fmt: skip
+NOISES = st.builds(ProcessNoise, st.floats(1e-6, 1e-2), st.floats(1e-6, 1e-2))
+RATES = st.floats(25.0, 1000.0)
+FLOWS = st.builds(
+    lambda arm, disturbance, noise, rate: ArmFlow(arm, disturbance, noise, 1.0 / rate),
+    ARMS, DISTURBANCES, NOISES, RATES,
+)  # fmt: skip
+
+
+def shipped(period: float = 0.005, **arm: float) -> ArmFlow:
+    return ArmFlow(ElasticJointArm(**arm), bias(), ProcessNoise(), period)
+
+
+def draw_state(data: st.DataObject, flow: ArmFlow, *batch: int, bound: float = 2.0) -> Array:
+    """Draw augmented states whose motor angle lies within the spring's reach of the link's."""
+    shape = (*batch, flow.state_count)
+    x = data.draw(hnp.arrays(np.float64, shape, elements=st.floats(-bound, bound)))
+    x[..., 2] = flow.arm.stiffness / flow.arm.link_inertia * (x[..., 0] + 0.2 * x[..., 2])
+    return x
+
+
+def drift(flow: ArmFlow) -> Array:
+    return np.asarray(block_diag(flow.arm.spring_matrix, flow.disturbance.S))
+
+
+def density(flow: ArmFlow) -> Array:
+    """Return the white noise density, written out from the physics."""
+    gain = flow.arm.stiffness / flow.arm.link_inertia
+    arm = np.diag([0.0, flow.process_noise.link, 0.0, flow.process_noise.motor * gain**2])
+    return np.asarray(block_diag(arm, flow.disturbance.G @ flow.disturbance.G.T))
+
+
+def kick(flow: ArmFlow, slope: float, duration: float) -> Array:
+    matrix = np.eye(flow.state_count)
+    matrix[1, 0] = -0.5 * duration * flow.arm.gravity_torque / flow.arm.link_inertia * slope
+    return matrix
+
+
+def jacobian(flow: ArmFlow, x: Array, u: Array, duration: float) -> Array:
+    """Return ∂predict/∂x by complex steps, exact to rounding."""
+    columns = []
+    for index in range(flow.state_count):
+        shifted = x.astype(np.complex128)
+        shifted[index] += 1e-30j
+        columns.append(flow.predict(shifted, u, duration).imag / 1e-30)  # type: ignore[arg-type]
+    return np.stack(columns, axis=-1)
+
+
+def secant(a: float, b: float) -> float:
+    """Return c with sin a − sin b = c (a − b), without cancellation."""
+    return math.cos(0.5 * (a + b)) * float(np.sinc(0.5 * (a - b) / math.pi))
+
+
+@PROPERTY
+@given(FLOWS, st.floats(0.05, 1.0))
+def test_the_linear_flow_is_the_matrix_exponential(flow: ArmFlow, fraction: float) -> None:
+    for duration in (flow.period, fraction * flow.period):
+        step = flow.transition(duration)
+        n = flow.state_count
+        torque = np.vstack([flow.arm.input_matrix, np.zeros((n - 4, 1))])
+        joined = expm(np.block([[drift(flow), torque], [np.zeros((1, n + 1))]]) * duration)
+        scale = np.abs(joined).max()
+        np.testing.assert_allclose(step.phi, joined[:n, :n], rtol=1e-12, atol=1e-14 * scale)
+        np.testing.assert_allclose(step.gamma, joined[:n, n:], rtol=1e-10, atol=1e-15 * scale)
+
+
+@PROPERTY
+@given(FLOWS, st.floats(0.05, 1.0))
+def test_the_noise_is_van_loans(flow: ArmFlow, fraction: float) -> None:
+    for duration in (flow.period, fraction * flow.period):
+        n, step = flow.state_count, flow.transition(duration)
+        A, W = drift(flow), density(flow)
+        joined = expm(np.block([[-A, W], [np.zeros((n, n)), A.T]]) * duration)
+        expected = joined[n:, n:].T @ joined[:n, n:]
+        # Entries differ by ten orders of magnitude, so each is judged by its own standard
+        # deviations; Van Loan's form loses digits to cancellation in the smallest.
+        scale = np.sqrt(np.outer(np.diag(step.noise), np.diag(step.noise)))
+        np.testing.assert_allclose(step.noise / scale, expected / scale, atol=1e-8)
+        assert (step.noise == step.noise.T).all()
+
+
+def test_the_noise_is_the_integral_that_defines_it() -> None:
+    """∫ e^{As} W e^{Aᵀs} ds by Gauss–Legendre, which loses no digits in the smallest entries."""
+    flow = shipped(0.04, link_damping=0.3)
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    expected = np.zeros((5, 5))
+    for node, weight in zip(nodes, weights, strict=True):
+        phi = expm(drift(flow) * 0.02 * (node + 1.0))
+        expected += 0.02 * weight * phi @ density(flow) @ phi.T
+    np.testing.assert_allclose(flow.nominal.noise, expected, rtol=1e-11, atol=1e-26)
+
+
+@PROPERTY
+@given(FLOWS, st.floats(0.05, 0.95))
+def test_two_linear_flows_in_a_row_are_one(flow: ArmFlow, fraction: float) -> None:
+    first = flow.transition(fraction * flow.period)
+    second = flow.transition(flow.period - fraction * flow.period)
+    phi = second.phi @ first.phi
+    scale = np.abs(phi).max()
+    np.testing.assert_allclose(flow.nominal.phi, phi, rtol=1e-12, atol=1e-14 * scale)
+    np.testing.assert_allclose(
+        flow.nominal.gamma, second.phi @ first.gamma + second.gamma, rtol=1e-10, atol=1e-15 * scale
+    )
+    noise = second.phi @ first.noise @ second.phi.T + second.noise
+    deviations = np.sqrt(np.outer(np.diag(noise), np.diag(noise)))
+    np.testing.assert_allclose(flow.nominal.noise / deviations, noise / deviations, atol=1e-10)
+
+
+@PROPERTY
+@given(st.data(), FLOWS, st.floats(-5.0, 5.0))
+def test_without_gravity_prediction_is_linear_and_a_semigroup(
+    data: st.DataObject, flow: ArmFlow, torque: float
+) -> None:
+    # The arm's gravity must be positive; 1e-300 N m is none in floating point.
+    weightless = ElasticJointArm(stiffness=flow.arm.stiffness, gravity_torque=1e-300)
+    flow = ArmFlow(weightless, flow.disturbance, flow.process_noise, flow.period)
+    x, u = draw_state(data, flow), np.array([torque])
+    split = data.draw(st.floats(0.1, 2.9)) * flow.period
+    whole = flow.predict(x, u, 3.0 * flow.period)
+    parts = flow.predict(flow.predict(x, u, split), u, 3.0 * flow.period - split)
+    scale = 1.0 + np.abs(x).max() + abs(torque)
+    np.testing.assert_allclose(parts, whole, rtol=1e-11, atol=1e-11 * scale)
+    phi = np.linalg.matrix_power(flow.nominal.phi, 3)
+    free = whole - flow.predict(np.zeros_like(x), u, 3.0 * flow.period)
+    np.testing.assert_allclose(free, phi @ x, rtol=1e-11, atol=1e-11 * scale)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_prediction_is_of_second_order(seed: int) -> None:
+    """Halving the period quarters the error against an accurate solution of the equations."""
+    rng = np.random.default_rng(seed)
+    arm = ElasticJointArm(*rng.uniform(0.5, 2.0, 2), *rng.uniform(5.0, 20.0, 2), 0.3, 0.2)
+    model = bias() + sinusoid(3.0)
+    x = np.concatenate([rng.uniform(-1.0, 1.0, 4), [0.1, 0.2, -0.1]])
+    u, horizon = rng.uniform(-5.0, 5.0, 1), 0.4
+
+    def rate(_: float, z: Array) -> Array:
+        return np.concatenate([arm.derivative(z[:4], u), model.S @ z[4:]])
+
+    exact = solve_ivp(rate, (0.0, horizon), x, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+    errors = []
+    for count in (20, 40, 80):
+        flow = ArmFlow(arm, model, ProcessNoise(), horizon / count)
+        z = x
+        for _ in range(count):
+            z = flow.predict(z, u, flow.period)
+        errors.append(float(np.linalg.norm(z - exact)))
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.03)
+    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.03)
+    assert errors[2] < 2e-3
+
+
+@pytest.mark.parametrize("rate", [25.0, 200.0])
+def test_one_step_is_far_closer_than_eulers(rate: float) -> None:
+    arm, x, u = ElasticJointArm(), np.array([0.6, 0.5, 3.0, -1.0]), np.array([1.0])
+    flow = ArmFlow(arm, clean(), ProcessNoise(), 1.0 / rate)
+    solution = solve_ivp(
+        lambda _, z: arm.derivative(z, u), (0.0, 1.0 / rate), x, rtol=1e-12, atol=1e-13
+    )
+    error = np.linalg.norm(flow.predict(x, u, 1.0 / rate) - solution.y[:, -1])
+    euler = np.linalg.norm(x + arm.derivative(x, u) / rate - solution.y[:, -1])
+    assert error < 0.1 * euler
+
+
+@PROPERTY
+@given(st.data(), FLOWS, st.integers(0, 4), st.floats(0.05, 0.95))
+def test_a_long_prediction_is_nominal_steps_and_a_remainder(
+    data: st.DataObject, flow: ArmFlow, whole: int, fraction: float
+) -> None:
+    x, u = draw_state(data, flow), np.array([1.0])
+    duration = (whole + fraction) * flow.period
+    stepped = x
+    for _ in range(whole):
+        stepped = flow.predict(stepped, u, flow.period)
+    stepped = flow.predict(stepped, u, duration - whole * flow.period)
+    np.testing.assert_allclose(flow.predict(x, u, duration), stepped, rtol=1e-10, atol=1e-10)
+    durations = [step.duration for step in flow.steps(duration)]
+    assert durations[:-1] == [flow.period] * whole
+    assert sum(durations) == pytest.approx(duration, rel=1e-13)
+
+
+@pytest.mark.parametrize("count", range(1, 12))
+def test_a_multiple_of_the_period_takes_as_many_periods_whatever_the_rounding(count: int) -> None:
+    flow = shipped()
+    x, u = np.array([0.4, 0.1, 3.0, 0.2, 0.1]), np.array([0.5])
+    expected = x
+    for _ in range(count):
+        expected = flow.predict(expected, u, flow.period)
+    np.testing.assert_allclose(flow.predict(x, u, count * 0.005), expected, rtol=0.0, atol=1e-13)
+
+
+def test_no_time_is_no_change() -> None:
+    flow, x, covariance = shipped(), np.arange(5.0), np.eye(5)
+    after, spread = flow.predict_with_covariance(x, covariance, np.array([3.0]), 0.0)
+    assert (after == x).all()
+    assert (spread == covariance).all()
+    assert (flow.predict(x, np.array([3.0]), 0.0) == x).all()
+
+
+def test_prediction_leaves_its_arguments_alone() -> None:
+    flow, x, covariance = shipped(), np.linspace(0.1, 0.5, 5), np.eye(5)
+    kept = x.copy()
+    flow.predict(x, np.array([1.0]), 0.012)
+    flow.predict_with_covariance(x, covariance, np.array([1.0]), 0.012)
+    assert (x == kept).all()
+    assert (covariance == np.eye(5)).all()
+
+
+@PROPERTY
+@given(st.data(), FLOWS, st.floats(0.1, 2.5))
+def test_a_batch_is_its_members_side_by_side(
+    data: st.DataObject, flow: ArmFlow, periods: float
+) -> None:
+    # To rounding, not bit for bit: BLAS adds in another order for a matrix than for a vector.
+    x, u = draw_state(data, flow, 2, 2), np.array([[[1.0], [-2.0]], [[0.0], [3.0]]])
+    root = data.draw(
+        hnp.arrays(np.float64, (2, 2, *[flow.state_count] * 2), elements=st.floats(-1.0, 1.0))
+    )
+    covariance = root @ np.swapaxes(root, -1, -2)
+    duration = periods * flow.period
+    after = flow.predict(x, u, duration)
+    tracked, spread = flow.predict_with_covariance(x, covariance, u, duration)
+    for place in np.ndindex(2, 2):
+        single = flow.predict(x[place], u[place], duration)
+        scale = 1.0 + np.abs(single).max()
+        np.testing.assert_allclose(after[place], single, rtol=0.0, atol=1e-13 * scale)
+        mean, one = flow.predict_with_covariance(x[place], covariance[place], u[place], duration)
+        np.testing.assert_allclose(tracked[place], mean, rtol=0.0, atol=1e-13 * scale)
+        size = 1.0 + np.abs(one).max()
+        np.testing.assert_allclose(spread[place], one, rtol=0.0, atol=1e-12 * size)
+        np.testing.assert_allclose(mean, single, rtol=0.0, atol=1e-13 * scale)
+
+
+@settings(PROPERTY, max_examples=150)
+@given(st.data(), FLOWS, st.floats(0.05, math.pi), st.floats(-5.0, 5.0))
+def test_the_error_after_a_step_is_one_of_the_certified_error_systems(
+    data: st.DataObject, flow: ArmFlow, x_max: float, torque: float
+) -> None:
+    """The mean value theorem behind the certificate, on true and estimated states at random."""
+    truth, estimate = draw_state(data, flow, 2, bound=1.0)
+    truth[0] *= x_max
+    estimate[0] *= x_max
+    u, n = np.array([torque]), flow.state_count
+    ahead = [flow.predict(z, u, flow.period) for z in (truth, estimate)]
+    # The second kick changes velocities only, so these are the angles at which it acted.
+    if x_max < math.pi:
+        assume(max(abs(z[0]) for z in ahead) <= x_max)
+    slopes = secant(truth[0], estimate[0]), secant(ahead[0][0], ahead[1][0])
+    lowest, highest = slope_range(x_max)
+    assert all(lowest - 1e-15 <= slope <= highest + 1e-15 for slope in slopes)
+
+    # The corner (i, j) of the vertex list has the weight of its slopes' barycentric coordinates.
+    second, first = ((slope - lowest) / (highest - lowest) for slope in slopes[::-1])
+    weights = {
+        (lowest, lowest): (1.0 - first) * (1.0 - second),
+        (lowest, highest): (1.0 - first) * second,
+        (highest, lowest): first * (1.0 - second),
+        (highest, highest): first * second,
+    }
+    vertices = flow.vertices(lowest, highest)
+    assert [vertex.slopes for vertex in vertices] == list(weights)
+    blend = sum(
+        (weights[vertex.slopes] * vertex.transition for vertex in vertices), np.zeros((n, n))
+    )
+    exact = kick(flow, slopes[1], flow.period) @ expm(drift(flow) * flow.period)
+    exact = exact @ kick(flow, slopes[0], flow.period)
+    scale = np.abs(exact).max()
+    np.testing.assert_allclose(blend, exact, rtol=1e-10, atol=1e-12 * scale)
+    error = truth - estimate
+    size = 1.0 + np.abs(truth).max() + np.abs(estimate).max() + abs(torque)
+    np.testing.assert_allclose(exact @ error, ahead[0] - ahead[1], rtol=0.0, atol=1e-11 * size)
+
+
+@PROPERTY
+@given(FLOWS)
+def test_vertices_are_the_steps_jacobians_at_the_equilibria(flow: ArmFlow) -> None:
+    hanging, upright = np.zeros(flow.state_count), np.zeros(flow.state_count)
+    upright[:4] = flow.arm.from_physical([math.pi, 0.0, math.pi, 0.0])
+    corners = {vertex.slopes: vertex.transition for vertex in flow.vertices(-1.0, 1.0)}
+    for state, slope in ((hanging, 1.0), (upright, -1.0)):
+        matrix = jacobian(flow, state, np.zeros(1), flow.period)
+        np.testing.assert_allclose(corners[slope, slope], matrix, rtol=1e-9, atol=1e-9)
+
+
+@PROPERTY
+@given(FLOWS, st.floats(-1.0, 0.9))
+def test_a_vertex_passes_its_noise_through_the_second_kick(flow: ArmFlow, lowest: float) -> None:
+    for vertex in flow.vertices(lowest, 1.0):
+        after = kick(flow, vertex.slopes[1], flow.period)
+        expected = after @ flow.nominal.noise @ after.T
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        np.testing.assert_allclose(vertex.noise / scale, expected / scale, atol=1e-12)
+        assert (vertex.noise == vertex.noise.T).all()
+
+
+@PROPERTY
+@given(st.data(), FLOWS, st.sampled_from([0.4, 1.0, 1.7, 3.0]))
+def test_the_covariance_follows_the_steps_own_jacobian(
+    data: st.DataObject, flow: ArmFlow, periods: float
+) -> None:
+    """Σ⁺ = F Σ Fᵀ + noise, step by step, with F by complex differentiation of the prediction."""
+    n, u = flow.state_count, np.array([2.0])
+    state = draw_state(data, flow)
+    root = data.draw(hnp.arrays(np.float64, (n, n), elements=st.floats(-1.0, 1.0)))
+    covariance = root @ root.T
+    duration = periods * flow.period
+    _, predicted = flow.predict_with_covariance(state, covariance, u, duration)
+    for step in flow.steps(duration):
+        F = jacobian(flow, state, u, step.duration)
+        state = flow.predict(state, u, step.duration)
+        after = kick(flow, math.cos(state[0]), step.duration)
+        covariance = F @ covariance @ F.T + after @ step.noise @ after.T
+    np.testing.assert_allclose(
+        predicted, covariance, rtol=1e-9, atol=1e-11 * (1.0 + np.abs(covariance).max())
+    )
+
+
+def test_output_and_physical_coordinates_of_the_augmented_state() -> None:
+    flow = ArmFlow(ElasticJointArm(), bias() + sinusoid(3.0), ProcessNoise(), 0.005)
+    assert flow.state_count == 7
+    assert (flow.output_matrix == [[1, 0, 0, 0, 1, 1, 0]]).all()
+    np.testing.assert_allclose(flow.to_physical(np.arange(7.0)), [0.0, 1.0, 0.2, 0.3])
+    expected = block_diag(flow.arm.slope_matrix(0.3), flow.disturbance.S)
+    assert (flow.slope_matrix(0.3) == expected).all()
+
+
+@pytest.mark.parametrize(
+    ("x_max", "lowest"), [(0.5, math.cos(0.5)), (math.pi / 2, 0.0), (math.pi, -1.0), (7.0, -1.0)]
+)
+def test_the_slope_range_is_that_of_the_cosine(x_max: float, lowest: float) -> None:
+    assert slope_range(x_max) == (pytest.approx(lowest, abs=1e-15), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: shipped(0.0), "period: expected a finite number above 0, got 0.0"),
+        (lambda: shipped(math.nan), "period: expected a finite number above 0, got nan"),
+        (lambda: ProcessNoise(link=-1.0), "process noise density of the link: expected"),
+        (lambda: ProcessNoise(motor=math.inf), "process noise density of the motor: expected"),
+    ],
+)
+def test_a_wrong_number_is_named(build: Any, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        build()
