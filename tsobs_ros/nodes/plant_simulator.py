@@ -1,0 +1,304 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `plant_simulator`: an arm to try an observer on, with its truth on topics of their own.
+
+The simulation decides every number, this node only when to publish it: all samples that are due
+are published, late or not, so a run's data do not depend on how the process was scheduled.
+
+Time comes from one of three places: the system clock; an external /clock (use_sim_time); or the
+node itself, which then publishes /clock (publish_clock) ahead of each sample.
+"""
+
+import math
+from typing import Any
+
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from tsobs_ros.nodes.draining import DrainedSubscription
+from tsobs_ros.nodes.parameters import ParameterBinding
+from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
+from tsobs_ros.nodes.sample_schedule import SampleSchedule, ScaledTime
+from tsobs_ros.nodes.stamps import NANOSECONDS, set_stamp
+from tsobs_ros.simulation.plant import Plant, Sample
+
+# A process that was stopped for longer does not flood its subscribers when it goes on.
+_LONGEST_LAG = NANOSECONDS
+# The system clock may be slewed a little; simulated time never goes back unless it starts anew.
+_SLEW_MARGIN = NANOSECONDS
+# Driven time starts here: a zero stamp means "no time" to most of ROS.
+_DRIVEN_START = NANOSECONDS
+# Without a callback the first tick, and so t = 0, would come with the message after the jump.
+_BACKWARD = JumpThreshold(
+    min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+)
+_START_POLL = 0.02
+_CLOCK_PATIENCE = 5 * NANOSECONDS
+_WARN_EVERY = 5.0
+_ACKNOWLEDGE_TIMEOUT = 1.0
+
+
+class PlantSimulatorNode(Node):
+    """Publishes the simulated sensor, the truth behind it and, if asked, the time.
+
+    Args:
+        **node_kwargs: Passed on to the node, e.g. `context` and `parameter_overrides`.
+
+    Raises:
+        ParameterError: A parameter is of the wrong type, out of range, or describes no plant.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("plant_simulator", **node_kwargs)
+        self._binding = ParameterBinding(self, PlantSimulatorParameters, on_change=self._apply)
+        self._settings = parameters = self._binding.value
+        self.rejected_commands = 0
+        self._command = self._command_end = 0.0
+        self._publish_sample = _SamplePublisher(self, parameters)
+        self._commands = DrainedSubscription(
+            self, Float64MultiArray, "joint_torque_command", QoSProfile(depth=10)
+        )
+        self.create_service(Trigger, "~/reset", self._reset)
+        self._schedule = SampleSchedule(parameters.rate)
+        self._driven = ScaledTime(parameters.real_time_factor) if parameters.publish_clock else None
+        self._new_plant()
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._created = self._steady_ns()
+        self._latest = 0
+        self._timer: Any = None
+        self._start_timer = self.create_timer(_START_POLL, self._start, clock=self._steady)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the duration has been simulated; a process then ends."""
+        duration = self._settings.duration
+        return duration > 0.0 and self._plant.index >= self._plant.scenario.sample_count
+
+    def close(self) -> None:
+        """Let the last truth reach its subscribers."""
+        self._publish_sample.wait_for_acknowledgement()
+
+    def _steady_ns(self) -> int:
+        return int(self._steady.now().nanoseconds)
+
+    def _now_ns(self) -> int:
+        """Return the time that samples are stamped by [ns]; 0 before the first /clock."""
+        if self._driven is not None:
+            return self._driven.at(self._steady_ns())
+        return int(self.get_clock().now().nanoseconds)
+
+    @property
+    def _follows_clock(self) -> bool:
+        """Whether time is an external /clock."""
+        return self._driven is None and bool(self.get_clock().ros_time_is_active)
+
+    def _start(self) -> None:
+        """Start sampling as soon as there is a time and somebody to measure for."""
+        waited = self._steady_ns() - self._created
+        if self._driven is None and self._now_ns() == 0:
+            if waited > _CLOCK_PATIENCE:
+                self.get_logger().warning("waiting for /clock", throttle_duration_sec=_WARN_EVERY)
+            return
+        if not self._is_subscribed(waited):
+            return
+        self._start_timer.cancel()
+        if self._driven is not None:
+            self._driven.start(self._steady_ns(), _DRIVEN_START)
+            self._latest = _DRIVEN_START
+        else:
+            self._latest = self._now_ns()
+            self._jump_handle = self.get_clock().create_jump_callback(
+                _BACKWARD, post_callback=lambda _jump: self._tick()
+            )
+        self._schedule.start(self._latest)
+        # A timer on the node's clock wakes up with each /clock message; only then does it serve,
+        # since a system clock that is set back would stop it.
+        clock = self.get_clock() if self._follows_clock else self._steady
+        self._timer = self.create_timer(1.0 / self._settings.rate, self._tick, clock=clock)
+        self._tick()
+
+    def _is_subscribed(self, waited: int) -> bool:
+        wanted, there = self._settings.wait_for_subscribers, self._publish_sample.subscribers
+        if there >= wanted:
+            return True
+        timeout = self._settings.wait_timeout
+        if timeout == 0.0 or waited < timeout * NANOSECONDS:
+            return False
+        self.get_logger().warning(
+            f"starting with {there} of {wanted} subscriptions of joint_measurements "
+            f"after {timeout:g} s"
+        )
+        return True
+
+    def _tick(self) -> None:
+        """Publish every sample that is due and sleep until the next one is."""
+        now = self._now_ns()
+        if self._went_back(now):
+            return
+        self._latest = now
+        self._take_commands()
+        now = self._limit_lag(now)
+        while not self.finished and (stamp := self._schedule.take(now)) is not None:
+            self._publish_sample(stamp, self._plant.step(self._present_command()))
+        if self.finished:
+            self._timer.cancel()
+            return
+        self._sleep()
+
+    def _sleep(self) -> None:
+        """Wake up again when the next sample is due."""
+        wait = self._schedule.next_stamp - self._now_ns()
+        if self._driven is not None:
+            wait = math.ceil(wait / self._settings.real_time_factor)
+        self._timer.timer_period_ns = max(wait, 1)
+        self._timer.reset()
+
+    def _went_back(self, now: int) -> bool:
+        """Start anew if the clock went back, and say whether there is nothing to do now."""
+        if now == 0:
+            return True
+        back = self._latest - now
+        if back > (0 if self._follows_clock else _SLEW_MARGIN):
+            self.get_logger().warning(
+                f"the clock went back by {back / NANOSECONDS:g} s: the plant starts anew"
+            )
+            self._new_plant()
+            self._schedule.start(now)
+        return False
+
+    def _limit_lag(self, now: int) -> int:
+        """Give up catching up after too long a stop; return the time to publish up to."""
+        lag = self._schedule.lag(now)
+        pace = 1.0 if self._driven is None else self._settings.real_time_factor
+        if lag <= _LONGEST_LAG * max(1.0, pace):
+            return now
+        self.get_logger().warning(
+            f"{lag / NANOSECONDS:.3f} s behind: going on from here",
+            throttle_duration_sec=_WARN_EVERY,
+        )
+        if self._driven is not None:
+            self._driven.hold_back(lag)
+            return now - lag
+        self._schedule.start(now)
+        return now
+
+    def _take_commands(self) -> None:
+        for message, _ in self._commands.drain():
+            values = message.data
+            if len(values) != 1 or not math.isfinite(values[0]):
+                self.rejected_commands += 1
+                self.get_logger().warning(
+                    f"rejected {self.rejected_commands} torque commands so far: expected one "
+                    f"finite number, got {list(values)[:4]}",
+                    throttle_duration_sec=_WARN_EVERY,
+                )
+                continue
+            limit, timeout = self._settings.torque_limit, self._settings.command_timeout
+            self._command = min(max(values[0], -limit), limit)
+            held = max(1, round(timeout * self._settings.rate))
+            self._command_end = self._plant.index + held if timeout > 0.0 else math.inf
+
+    def _present_command(self) -> float | None:
+        return self._command if self._plant.index < self._command_end else None
+
+    def _new_plant(self) -> None:
+        self._plant = Plant(self._settings.scenario(), self._settings.seed)
+        self._command = 0.0
+        self._command_end = 0.0
+
+    def _apply(self, parameters: PlantSimulatorParameters) -> None:
+        """Take changed parameters over from the next sample on."""
+        old, new = self._settings.scenario(), parameters.scenario()
+        self._settings = parameters
+        if new.disturbance != old.disturbance:
+            self._plant.exchange_disturbance(new.disturbance)
+            self.get_logger().info(
+                f"disturbance is now {parameters.disturbance.kind}, "
+                f"counted from t = {self._plant.time:g} s"
+            )
+        self._plant.exchange_excitation(new.excitation)
+        self._plant.exchange_sensor(new.sensor)
+
+    def _reset(self, _request: Any, response: Any) -> Any:
+        """Start the plant anew at the next sample; the stamps go on."""
+        was_finished = self.finished
+        self._new_plant()
+        if was_finished:
+            self._schedule.start(self._now_ns())
+            self._sleep()
+        response.success = True
+        response.message = f"restarted with seed {self._settings.seed}"
+        self.get_logger().info(response.message)
+        return response
+
+
+class _SamplePublisher:
+    """Turns samples into messages; messages are made once and overwritten."""
+
+    def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
+        joint, reliable = parameters.joint, QoSProfile(depth=10)
+        self._measurement = JointState(name=[joint], position=[0.0], effort=[0.0])
+        self._states = JointState(
+            name=[f"{joint}_link", f"{joint}_motor"], position=[0.0] * 2, velocity=[0.0] * 2
+        )
+        self._disturbance = JointState(name=[joint], position=[0.0])
+        self._clock = ClockMessage()
+        self._to_measurements = node.create_publisher(
+            JointState, "joint_measurements", qos_profile_sensor_data
+        )
+        self._to_states = node.create_publisher(JointState, "ground_truth/joint_states", reliable)
+        self._to_disturbance = node.create_publisher(
+            JointState, "ground_truth/disturbance", reliable
+        )
+        self._to_clock = (
+            node.create_publisher(ClockMessage, "/clock", reliable)
+            if parameters.publish_clock
+            else None
+        )
+
+    @property
+    def subscribers(self) -> int:
+        """Matched subscriptions of the measurements."""
+        return int(self._to_measurements.get_subscription_count())
+
+    def __call__(self, stamp: int, sample: Sample) -> None:
+        """Publish the time, the truth and, unless it was lost, the measurement of a sample."""
+        if self._to_clock is not None:
+            set_stamp(self._clock.clock, stamp)
+            self._to_clock.publish(self._clock)
+        for message in (self._measurement, self._states, self._disturbance):
+            set_stamp(message.header.stamp, stamp)
+        states = self._states
+        states.position[0], states.velocity[0], states.position[1], states.velocity[1] = (
+            sample.physical.tolist()
+        )
+        self._to_states.publish(states)
+        self._disturbance.position[0] = sample.disturbance.item()
+        self._to_disturbance.publish(self._disturbance)
+        if not sample.lost:
+            self._measurement.position[0] = sample.measurement.item()
+            self._measurement.effort[0] = sample.torque.item()
+            self._to_measurements.publish(self._measurement)
+
+    def wait_for_acknowledgement(self) -> None:
+        """Wait, not for ever, until subscribers have the truth that was published."""
+        for publisher in (self._to_states, self._to_disturbance):
+            publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+
+
+def create(**node_kwargs: Any) -> PlantSimulatorNode:
+    """Return the node, ready to be spun.
+
+    Args:
+        **node_kwargs: Passed on to the node.
+
+    Raises:
+        ParameterError: A parameter is of the wrong type, out of range, or describes no plant.
+    """
+    return PlantSimulatorNode(**node_kwargs)
