@@ -63,3 +63,10 @@ def _run(name: str) -> int:
     stop.ignore_further()
     guard.arm(_FINALISE_TIMEOUT, exit_code)
     return exit_code
+
+
+if __name__ == "__main__":
+    # `python -m tsobs_ros.executables observer …` where no script has been installed.
+    if len(sys.argv) < 2 or sys.argv[1] not in ("observer", "plant_simulator", "recorder"):
+        sys.exit("usage: python -m tsobs_ros.executables observer|plant_simulator|recorder …")
+    sys.exit(_run(sys.argv.pop(1)))
