@@ -1,0 +1,148 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The report on a bag: a table, a figure, an interactive page, and the same numbers as JSON."""
+
+import json
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tsobs_ros.design.record import Design
+from tsobs_ros.errors import TsobsError
+from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
+from tsobs_ros.report.reference import EkfComparison, compare_with_ekf
+from tsobs_ros.report.run import RecordedRun, read_run
+from tsobs_ros.report.table import render_metrics
+
+
+class ReportError(TsobsError, RuntimeError):
+    """A report cannot be made or written."""
+
+
+@dataclass(frozen=True)
+class BagReport:
+    """A report that has been made.
+
+    Attributes:
+        bag: The bag it is on.
+        metrics: Of the recorded estimates.
+        comparison: With an EKF on the same measurements, if asked for.
+        files: What was written, in order of interest.
+        remarks: What the reader should know about the report itself.
+    """
+
+    bag: Path
+    metrics: RunMetrics
+    comparison: EkfComparison | None
+    files: tuple[Path, ...]
+    remarks: tuple[str, ...]
+
+    def text(self) -> str:
+        """Return the report for a terminal."""
+        parts = [f"{self.bag}: {render_metrics(self.metrics, self.comparison)}"]
+        if self.remarks:
+            parts.append("\n".join(f"note: {remark}" for remark in self.remarks))
+        parts.append("\n".join(f"wrote {path}" for path in self.files))
+        return "\n\n".join(parts)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the report as plain data that JSON can hold."""
+        return {
+            "bag": str(self.bag),
+            **self.metrics.as_mapping(),
+            "ekf": None if self.comparison is None else self.comparison.as_mapping(),
+            "files": [str(path) for path in self.files],
+            "remarks": list(self.remarks),
+        }
+
+
+def make_bag_report(
+    bag: Path,
+    output: Path,
+    design: Design | None,
+    *,
+    ekf: bool,
+    html: bool = True,
+    joint: str = "elastic_joint",
+    namespace: str | None = None,
+    options: MetricsOptions | None = None,
+) -> BagReport:
+    """Measure a bag and write `report.png`, `report.html` and `report.json`.
+
+    Args:
+        bag: Bag folder or MCAP file.
+        output: Folder for the files; it is created, files of the same names are replaced.
+        design: The design the estimates were made with; without it the innovations have nothing
+            to be compared with, and there is no EKF.
+        ekf: Whether to run an EKF over the same measurements; takes about a second a minute.
+        html: Whether to write the page too; it is left out, with a remark, without plotly.
+        joint: Name of the joint in the bag.
+        namespace: Namespace of the topics, for a bag with several arms.
+        options: How to measure; the expected innovation comes from the design unless set.
+
+    Raises:
+        BagReadError: The bag cannot be read or lacks what a report needs.
+        ReportError: An EKF is asked for without a design, or a file cannot be written.
+        ModuleNotFoundError: matplotlib is not installed.
+    """
+    if ekf and design is None:
+        raise ReportError("comparing with an EKF needs the design file, which holds its model")
+    run = read_run(bag, joint, namespace=namespace)
+    options = options or MetricsOptions()
+    if design is not None and options.innovation_std is None:
+        options = replace(options, innovation_std=expected_innovation(design))
+    metrics = measure(run, options)
+    comparison = compare_with_ekf(run, design, options) if ekf and design is not None else None
+    page = html and find_spec("plotly") is not None
+    remarks = _remarks(run, metrics, html and not page)
+    report = BagReport(bag, metrics, comparison, _files(output, page), remarks)
+    _write(report, run, options.innovation_std)
+    return report
+
+
+def expected_innovation(design: Design) -> float:
+    """Return the 1σ that a design's certificate expects of an innovation [rad]."""
+    C = design.request.flow.output_matrix
+    spread = C @ design.covariance_bound @ C.T + design.request.measurement_covariance
+    return float(np.sqrt(spread[0, 0]))
+
+
+def _files(output: Path, page: bool) -> tuple[Path, ...]:
+    names = ["report.png", *(["report.html"] if page else []), "report.json"]
+    return tuple(output / name for name in names)
+
+
+def _remarks(run: RecordedRun, metrics: RunMetrics, page_missing: bool) -> tuple[str, ...]:
+    remarks = []
+    if run.truth is None:
+        remarks.append("the bag has no ground truth, so there are bounds but no errors")
+    if run.passes > 1:
+        remarks.append(f"time began anew {run.passes - 1} times; this is the longest pass")
+    if not metrics.windows:
+        remarks.append("the run is too short to have a settled part, so there are no errors")
+    if page_missing:
+        remarks.append("no report.html: the Python package plotly is not installed")
+    return tuple(remarks)
+
+
+def _write(report: BagReport, run: RecordedRun, innovation_std: float | None) -> None:
+    # Here, so that plotly is needed only where a page is written.
+    from tsobs_ros.report.figures import draw_run
+
+    try:
+        for path in report.files:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.suffix == ".png":
+                draw_run(run, report.metrics, path, innovation_std)
+            elif path.suffix == ".html":
+                from tsobs_ros.report.page import write_html
+
+                write_html(run, report.metrics, path, innovation_std)
+            else:
+                text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
+                path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ReportError(f"cannot write the report: {error}") from error

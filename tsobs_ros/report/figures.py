@@ -1,0 +1,254 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A run as one picture, drawn without any display and without matplotlib's global state."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from tsobs_ros.checks import Array
+from tsobs_ros.report import panels as content
+from tsobs_ros.report.metrics import SIGMAS, RunMetrics
+from tsobs_ros.report.panels import Panel
+from tsobs_ros.report.run import RecordedRun
+
+_WIDTH = 10.0
+_DPI = 140
+_TALL, _FLAT = 1.72, 1.35
+_TOP, _BOTTOM = 1.0, 0.52
+_LARGEST_BAND = 1500
+_FAINT, _STRONG = 0.13, 0.32
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.edgecolor": "#C4C9D0",
+    "axes.linewidth": 0.8,
+    "axes.labelcolor": content.INK,
+    "text.color": content.INK,
+    "xtick.color": content.MUTED,
+    "ytick.color": content.MUTED,
+    "grid.color": "#E3E6EA",
+    "grid.linewidth": 0.7,
+    "svg.hashsalt": "tsobs_ros",  # the same run gives the same file
+}
+
+
+def draw_run(
+    run: RecordedRun,
+    metrics: RunMetrics,
+    path: Path | Sequence[Path],
+    innovation_std: float | None = None,
+) -> None:
+    """Draw a run, 1400 pixels wide as PNG.
+
+    Args:
+        run: The recorded run, with or without truth.
+        metrics: Its metrics.
+        path: One file or several of the same figure, `.png` or `.svg`; they are replaced.
+        innovation_std: 1σ the design expects of an innovation [rad]; None if unknown.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    with matplotlib.rc_context(_STYLE):
+        figure = _figure(run, metrics, content.panels(run, metrics, innovation_std))
+        for target in [path] if isinstance(path, Path) else path:
+            # Without the date the same run gives the same SVG.
+            metadata = {"Date": None} if target.suffix == ".svg" else {}
+            figure.savefig(target, dpi=_DPI, metadata=metadata)
+
+
+def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> Figure:
+    with_errors = any(panel.error is not None for panel in panels)
+    heights = [_TALL if panel.estimate else _FLAT for panel in panels]
+    height = sum(heights) + _TOP + _BOTTOM
+    figure = Figure(figsize=(_WIDTH, height))
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(
+        len(panels),
+        2,
+        width_ratios=[1.45, 1.0] if with_errors else [4.6, 1.0],
+        height_ratios=heights,
+        left=0.092,
+        right=0.985,
+        top=1.0 - _TOP / height,
+        bottom=_BOTTOM / height,
+        hspace=0.3 if with_errors else 0.16,
+        wspace=0.27 if with_errors else 0.02,
+    )
+    left: list[Axes] = []
+    right: list[Axes] = []
+    for row, panel in enumerate(panels):
+        axes = figure.add_subplot(grid[row, 0], sharex=left[0] if left else None)
+        left.append(axes)
+        _draw_values(axes, panel)
+        if panel.error is None:
+            _write_beside(axes, panel)
+        else:
+            right.append(figure.add_subplot(grid[row, 1], sharex=left[0]))
+            _draw_error(right[-1], panel)
+    for column in (left, right):
+        for axes in column:
+            _mark_events(axes, run, metrics)
+            axes.tick_params(labelbottom=axes is column[-1])
+    for axes in [column[-1] for column in (left, right) if column]:
+        axes.set_xlabel("time since the first sample [s]")
+    left[0].xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
+    left[0].set_xlim(content.time_range(run))
+    _label_jumps(left[0], metrics)
+    figure.align_ylabels(left)
+    figure.align_ylabels(right)
+    _head(figure, run, metrics, height)
+    return figure
+
+
+def _head(figure: Figure, run: RecordedRun, metrics: RunMetrics, height: float) -> None:
+    def at(inches: float) -> float:
+        return 1.0 - inches / height
+
+    figure.text(0.02, at(0.14), run.name, fontsize=13, fontweight="bold", va="top")
+    figure.text(
+        0.02, at(0.40), content.headline(run, metrics), fontsize=9, color=content.MUTED, va="top"
+    )
+    figure.legend(
+        handles=_legend(run),
+        loc="upper left",
+        bbox_to_anchor=(0.013, at(0.58)),
+        ncols=6,
+        frameon=False,
+        handlelength=1.6,
+        columnspacing=1.6,
+        borderpad=0.0,
+    )
+
+
+def _legend(run: RecordedRun) -> list[Line2D | Patch]:
+    entries: list[Line2D | Patch] = [
+        Line2D(
+            [], [], marker="o", ls="", ms=3.5, color=content.MEASUREMENT_COLOUR, label="measured"
+        )
+    ]
+    if run.truth is not None or run.true_disturbance is not None:
+        entries.append(Line2D([], [], color=content.TRUTH_COLOUR, lw=3.0, label="true"))
+    blue = content.ESTIMATE_COLOUR
+    return [
+        *entries,
+        Line2D([], [], color=blue, lw=1.3, label="estimated"),
+        Patch(color=blue, alpha=_STRONG, lw=0, label="bound 1σ"),
+        Patch(color=blue, alpha=_FAINT, lw=0, label=f"bound {SIGMAS:g}σ"),
+        Patch(color="#E4E7EB", lw=0, label="settling, not counted"),
+    ]
+
+
+def _draw_values(axes: Axes, panel: Panel) -> None:
+    _prepare(axes)
+    axes.set_ylabel(f"{panel.title}\n[{panel.unit}]", linespacing=1.4)
+    axes.set_ylim(panel.limits)
+    if panel.dots is not None:
+        # Thousands of dots as vectors would make an SVG slow and large.
+        axes.plot(
+            *panel.dots,
+            ".",
+            ms=2.2,
+            mew=0,
+            color=content.MEASUREMENT_COLOUR,
+            alpha=0.6,
+            zorder=2,
+            rasterized=True,
+        )
+    if panel.truth is not None:
+        axes.plot(*panel.truth, color=content.TRUTH_COLOUR, lw=3.0, zorder=3)
+    if panel.estimate is not None:
+        if panel.bound is not None:
+            _draw_bound(axes, panel.estimate.times, panel.estimate.values, panel.bound)
+        axes.plot(*panel.estimate, color=content.ESTIMATE_COLOUR, lw=1.1, zorder=5)
+    if panel.level is not None:
+        for sign in (-1.0, 1.0):
+            axes.axhline(
+                sign * panel.level[0], color=content.MUTED, lw=0.9, ls=(0, (5, 3)), zorder=4
+            )
+
+
+def _draw_error(axes: Axes, panel: Panel) -> None:
+    assert panel.estimate is not None
+    assert panel.error is not None
+    times = panel.estimate.times
+    _prepare(axes)
+    axes.set_ylim(-panel.largest_error, panel.largest_error)
+    if panel.bound is not None:
+        _draw_bound(axes, times, np.zeros(len(times)), panel.bound)
+    axes.axhline(0.0, color=content.TRUTH_COLOUR, lw=1.6, zorder=4)
+    axes.plot(times, panel.error, color=content.ESTIMATE_COLOUR, lw=0.9, zorder=5)
+    axes.set_ylabel(f"error\n[{panel.unit}]", linespacing=1.4)
+    axes.set_title("  ·  ".join(panel.remark), loc="left", fontsize=8.5, pad=5)
+
+
+def _draw_bound(axes: Axes, times: Array, centre: Array, bound: Array) -> None:
+    step = -(-len(times) // _LARGEST_BAND)
+    times, centre, bound = times[::step], centre[::step], bound[::step]
+    for sigmas, alpha in ((SIGMAS, _FAINT), (1.0, _STRONG - _FAINT)):
+        axes.fill_between(
+            times,
+            centre - sigmas * bound,
+            centre + sigmas * bound,
+            color=content.ESTIMATE_COLOUR,
+            alpha=alpha,
+            lw=0,
+            zorder=4,
+        )
+
+
+def _prepare(axes: Axes) -> None:
+    axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
+    axes.grid(True)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(length=0)
+
+
+def _write_beside(axes: Axes, panel: Panel) -> None:
+    lines = list(panel.remark)
+    if panel.level is not None:
+        lines.insert(0, f"– – {panel.level[1]}")
+    axes.text(
+        1.02,
+        0.5,
+        "\n".join(lines),
+        transform=axes.transAxes,
+        va="center",
+        fontsize=8.5,
+        linespacing=1.55,
+    )
+
+
+def _mark_events(axes: Axes, run: RecordedRun, metrics: RunMetrics) -> None:
+    for begin, end in content.settling_spans(run, metrics):
+        axes.axvspan(begin, end, color=content.SETTLING_COLOUR, lw=0, zorder=0)
+    for event in metrics.events:
+        if event.what == "jump":
+            axes.axvline(event.time, color=content.EVENT_COLOUR, lw=1.0, ls=(0, (2, 2)), zorder=6)
+
+
+def _label_jumps(axes: Axes, metrics: RunMetrics) -> None:
+    jumps = [event for event in metrics.events if event.what == "jump"]
+    for event in jumps if len(jumps) <= 4 else []:
+        after = event.settled_after
+        settled = "" if after is None else f", settled after {after:.1f} s"
+        axes.annotate(
+            f"fault {event.size:+.2g} rad{settled}",
+            (event.time, 1.0),
+            xycoords=axes.get_xaxis_transform(),
+            xytext=(4, 3),
+            textcoords="offset points",
+            fontsize=8.5,
+            color=content.EVENT_COLOUR,
+        )

@@ -1,0 +1,215 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What a figure of a run shows, whatever draws it: panels of curves on one time axis."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.report.metrics import QUANTITIES, SIGMAS, Quantity, RunMetrics, errors
+from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.report.settling import inside_windows
+
+LARGEST_CURVE = 5000
+"""Longer curves are thinned: more points than pixels only make files large."""
+
+# Errors after a jump may leave the picture, so that the bound keeps a tenth of its height.
+_LARGEST_TRANSIENT = 10.0
+
+# Okabe and Ito's palette, which the colour-blind can tell apart; truth is also wider.
+ESTIMATE_COLOUR = "#0072B2"
+TRUTH_COLOUR = "#E69F00"
+MEASUREMENT_COLOUR = "#8A8F98"
+EVENT_COLOUR = "#D55E00"
+INK = "#24292F"
+MUTED = "#6B7280"
+SETTLING_COLOUR = "#F1F3F5"
+
+
+class Curve(NamedTuple):
+    """Points of one curve: times [s] and values, both (n,)."""
+
+    times: Array
+    values: Array
+
+
+class Panel(NamedTuple):
+    """One plot; what is None is not drawn.
+
+    Attributes:
+        title: The quantity.
+        unit: Of the values.
+        remark: Phrases on how good the estimate is.
+        dots: Measured values.
+        truth: True values.
+        estimate: Estimated values.
+        bound: 1σ bound at the estimate's times, shape (n,).
+        error: Estimate − truth at the same times, shape (n,).
+        level: A constant ± line, e.g. what is expected of noise, and what to call it.
+        limits: Range of values to show.
+        largest_error: Errors and bounds are shown up to this size.
+    """
+
+    title: str
+    unit: str
+    remark: tuple[str, ...]
+    dots: Curve | None = None
+    truth: Curve | None = None
+    estimate: Curve | None = None
+    bound: Array | None = None
+    error: Array | None = None
+    level: tuple[float, str] | None = None
+    limits: tuple[float, float] = (-1.0, 1.0)
+    largest_error: float = 1.0
+
+
+def panels(
+    run: RecordedRun, metrics: RunMetrics, innovation_std: float | None = None
+) -> list[Panel]:
+    """Return the panels of a run: four states, the disturbance and, if recorded, innovations.
+
+    Args:
+        run: The recorded run.
+        metrics: Its metrics.
+        innovation_std: 1σ the design expects of an innovation [rad]; None if unknown.
+    """
+    error = errors(run)
+    made = [
+        _panel(run, metrics, place, None if error is None else error[:, place])
+        for place in range(len(QUANTITIES))
+    ]
+    if run.innovations is not None and len(run.innovations.stamps):
+        made.append(_innovation_panel(run, metrics, innovation_std))
+    return made
+
+
+def thin(curve: Curve) -> Curve:
+    """Return every k-th point, so that at most `LARGEST_CURVE` are left."""
+    step = -(-len(curve.times) // LARGEST_CURVE) or 1
+    return Curve(curve.times[::step], curve.values[::step])
+
+
+def time_range(run: RecordedRun) -> tuple[float, float]:
+    """Return the begin and end of the time axis [s]: all measurements and estimates."""
+    measured = run.measurements.ordered().seconds(run.origin)
+    last = float(measured[-1]) if len(measured) else 0.0
+    # A stamp from a wrong clock must not squeeze the rest.
+    end = float(run.times[-1])
+    return 0.0, last if end <= last <= end + 1.0 else end
+
+
+def settling_spans(run: RecordedRun, metrics: RunMetrics) -> Iterator[tuple[float, float]]:
+    """Yield the parts of a run that do not count as settled, (begin, end) in seconds."""
+    begin = float(run.times[0])
+    for window_begin, window_end in metrics.windows:
+        yield begin, window_begin
+        begin = window_end
+    if begin < run.times[-1]:
+        yield begin, float(run.times[-1])
+
+
+def headline(run: RecordedRun, metrics: RunMetrics) -> str:
+    """Return one line on the run as a whole."""
+    parts = [f"{metrics.duration:.1f} s", f"{metrics.estimates} estimates"]
+    parts.append(f"{metrics.measurements} measurements")
+    if metrics.normalised_rmse is not None:
+        parts.append(f"normalised RMSE {metrics.normalised_rmse:.3g}")
+    if metrics.nis is not None:
+        parts.append(f"innovation² / expected {metrics.nis:.2f}")
+    if run.truth is None:
+        parts.append("no ground truth recorded")
+    return "  ·  ".join(parts)
+
+
+def _panel(run: RecordedRun, metrics: RunMetrics, place: int, error: Array | None) -> Panel:
+    quantity = QUANTITIES[place]
+    values = np.column_stack([run.states, run.disturbance])[:, place]
+    bounds = np.column_stack([run.state_bounds, run.disturbance_bounds])[:, place]
+    source, column = (run.true_disturbance, 0) if place == 4 else (run.truth, place)
+    truth = dots = None
+    if source is not None:
+        truth = Curve(source.seconds(run.origin), source.values[:, column])
+    if place == 0:
+        measured = run.measurements.ordered()
+        dots = Curve(measured.seconds(run.origin), measured.values[:, 0])
+    estimate = thin(Curve(run.times, values))
+    bound = thin(Curve(run.times, bounds)).values
+    if error is not None and not np.isfinite(error).any():
+        error = None
+    return Panel(
+        title=quantity.name,
+        unit=quantity.unit,
+        remark=_remark(metrics, quantity),
+        dots=None if dots is None else thin(dots),
+        truth=None if truth is None else thin(truth),
+        estimate=estimate,
+        bound=bound,
+        error=None if error is None else thin(Curve(run.times, error)).values,
+        limits=_limits(dots, truth, estimate, bound),
+        largest_error=_largest_error(run, metrics, error, bounds),
+    )
+
+
+def _innovation_panel(run: RecordedRun, metrics: RunMetrics, std: float | None) -> Panel:
+    assert run.innovations is not None
+    curve = Curve(run.innovations.seconds(run.origin), run.innovations.values[:, 0])
+    finite = curve.values[np.isfinite(curve.values)]
+    size = 1.2 * float(np.quantile(np.abs(finite), 0.998)) if len(finite) else 1.0
+    size = max(size, 3.5 * (std or 0.0)) or 1.0
+    return Panel(
+        title="innovation",
+        unit="rad",
+        remark=() if metrics.nis is None else (f"mean square {metrics.nis:.2f} × expected",),
+        dots=thin(curve),
+        level=None if std is None else (SIGMAS * std, f"±{SIGMAS:g}σ expected"),
+        limits=(-size, size),
+    )
+
+
+def _remark(metrics: RunMetrics, quantity: Quantity) -> tuple[str, ...]:
+    measured = metrics[quantity.key]
+    lines = []
+    if measured.rmse is not None:
+        lines.append(f"RMSE {measured.rmse:.2g}")
+    if measured.bound is not None:
+        lines.append(f"1σ bound {measured.bound:.2g}")
+    if measured.inside is not None:
+        lines.append(f"{100.0 * measured.inside:.4g} % inside {SIGMAS:g}σ")
+    return tuple(lines)
+
+
+def _largest_error(
+    run: RecordedRun, metrics: RunMetrics, error: Array | None, bounds: Array
+) -> float:
+    """Return a size with all settled errors and bounds inside, and most of what a jump does."""
+    settled = inside_windows(run.times, metrics.windows)
+    sizes = [(SIGMAS + 1.0) * bounds[settled]]
+    if error is not None:
+        sizes.append(1.2 * np.abs(error[settled]))
+        after_start = run.times >= (metrics.windows[0][0] if metrics.windows else 0.0)
+        sizes.append(np.minimum(1.1 * np.abs(error), _LARGEST_TRANSIENT * bounds)[after_start])
+    joined = np.concatenate(sizes)
+    return float(joined[np.isfinite(joined)].max(initial=0.0)) or 1.0
+
+
+def _limits(
+    dots: Curve | None, truth: Curve | None, estimate: Curve, bound: Array
+) -> tuple[float, float]:
+    """Return a range with all truth and nearly all else: the first guesses may be far off."""
+    edges = []
+    if truth is not None and np.isfinite(truth.values).any():
+        edges += [float(np.nanmin(truth.values)), float(np.nanmax(truth.values))]
+    for values, share in (
+        (estimate.values, 0.01),
+        (estimate.values + SIGMAS * bound, 0.1),
+        (estimate.values - SIGMAS * bound, 0.1),
+        (np.empty(0) if dots is None else dots.values, 0.002),
+    ):
+        finite = values[np.isfinite(values)]
+        if len(finite):
+            edges += np.quantile(finite, [share, 1.0 - share]).tolist()
+    low, high = (min(edges), max(edges)) if edges else (-1.0, 1.0)
+    margin = 0.08 * (high - low) or 0.1
+    return low - margin, high + margin

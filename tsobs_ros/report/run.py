@@ -1,0 +1,261 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One recorded run of the observer as plain arrays, read from a bag."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.checks import Array
+from tsobs_ros.errors import BagReadError
+from tsobs_ros.report.series import Series, Stamps, align, hold, interpolate_motion
+
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+_NANOSECONDS = 1_000_000_000
+# Stamps this far back are not late any more: the run began anew (a looped bag, a new simulation).
+_RESTART = _NANOSECONDS
+# So many messages in a row must lie back, for a single straggler is not a new run.
+_RESTART_MESSAGES = 10
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """What was measured, estimated and, in a simulation, true.
+
+    Attributes:
+        name: Where it comes from, for titles.
+        joint: The joint's name.
+        measurements: In order of arrival: [y (rad), u (N m)] at the sampling stamps, (n, 2).
+        stamps: Of the estimates [ns], ascending, shape (m,).
+        states: Estimated [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (m, 4).
+        state_bounds: Published 1σ bound of each, NaN where lost, shape (m, 4).
+        disturbance: Estimated sensor disturbance [rad], NaN where lost, shape (m,).
+        disturbance_bounds: Published 1σ bound of it [rad], NaN where lost, shape (m,).
+        innovations: y − ŷ [rad] at the measurements' stamps, values (n', 1); None if not recorded.
+        truth: True [q₁, q̇₁, q₂, q̇₂] at the sampling stamps, values (k, 4); None on a robot.
+        true_disturbance: [rad] at the sampling stamps, values (k', 1); None on a robot.
+        passes: How often the recorded time began anew, plus one; this is the longest pass.
+    """
+
+    name: str
+    joint: str
+    measurements: Series
+    stamps: Stamps
+    states: Array
+    state_bounds: Array
+    disturbance: Array
+    disturbance_bounds: Array
+    innovations: Series | None = None
+    truth: Series | None = None
+    true_disturbance: Series | None = None
+    passes: int = 1
+
+    @cached_property
+    def origin(self) -> int:
+        """Stamp that times count from: the first measurement's, or estimate's if earlier [ns]."""
+        first = int(self.stamps[0])
+        stamped = self.measurements.stamps[self.measurements.stamps > 0]
+        return min(first, int(stamped.min())) if len(stamped) else first
+
+    @cached_property
+    def times(self) -> Array:
+        """Times of the estimates since the origin [s], shape (m,)."""
+        return np.asarray((self.stamps - self.origin) / _NANOSECONDS, dtype=np.float64)
+
+    @cached_property
+    def true_states(self) -> Array | None:
+        """Truth at the estimates' stamps, NaN where unknown, shape (m, 4); see `series`."""
+        return None if self.truth is None else interpolate_motion(self.truth, self.stamps)
+
+    @cached_property
+    def true_disturbance_held(self) -> Array | None:
+        """True disturbance at the estimates' stamps, NaN where unknown [rad], shape (m,)."""
+        if self.true_disturbance is None:
+            return None
+        return hold(self.true_disturbance, self.stamps)[:, 0]
+
+
+class _Topic(NamedTuple):
+    """A topic to read: for each name in a message, these fields, in this order."""
+
+    suffix: str
+    names: tuple[str, ...]
+    fields: tuple[str, ...]
+    required: bool
+
+
+class _Stream(NamedTuple):
+    """The messages of one topic in order of recording."""
+
+    log_times: Stamps
+    series: Series
+
+
+def read_run(
+    bag: Path,
+    joint: str = "elastic_joint",
+    *,
+    namespace: str | None = None,
+    observer: str = "observer",
+) -> RecordedRun:
+    """Read a run from a bag.
+
+    The topics are found by how their names end, so that any namespace will do. Where the recorded
+    time begins anew, as in a looped bag, the pass with the longest estimates is read.
+
+    Args:
+        bag: Bag folder or MCAP file.
+        joint: Name of the joint in `joint_measurements`.
+        namespace: Namespace of all topics, for a bag with several arms.
+        observer: Name of the observer node.
+
+    Raises:
+        BagReadError: The bag cannot be read, lacks a topic that is needed or messages of the
+            joint on it, or has several topics that could be meant.
+    """
+    reader = BagReader(bag)
+    wanted = _topics(joint, observer)
+    names = {key: _find(reader, topic.suffix, namespace) for key, topic in wanted.items()}
+    missing = [wanted[key].suffix for key in wanted if wanted[key].required and names[key] is None]
+    if missing:
+        has = ", ".join(reader.topics) or "none"
+        raise BagReadError(f"{bag}: no topic ends in {', '.join(missing)}; topics: {has}")
+    streams = _read(reader, {name: wanted[key] for key, name in names.items() if name is not None})
+    found = {key: streams[name] for key, name in names.items() if name is not None}
+    empty = [names[key] for key in found if wanted[key].required and not len(found[key].log_times)]
+    if empty:
+        raise BagReadError(
+            f"{bag}: no message about joint '{joint}' on {', '.join(map(str, empty))}"
+        )
+    chosen, passes = _longest_pass(found)
+    return _assemble(bag, joint, chosen, passes)
+
+
+def _topics(joint: str, observer: str) -> dict[str, _Topic]:
+    arm, angle_rate = (f"{joint}_link", f"{joint}_motor"), ("position", "velocity")
+    own = (joint,)
+    return {
+        "measurements": _Topic("joint_measurements", own, ("position", "effort"), True),
+        "states": _Topic(f"{observer}/joint_states", arm, angle_rate, True),
+        "bounds": _Topic(f"{observer}/error_bound", arm, angle_rate, True),
+        "disturbance": _Topic(f"{observer}/disturbance", own, ("position",), True),
+        "disturbance_bound": _Topic(f"{observer}/disturbance_bound", own, ("position",), True),
+        "innovations": _Topic(f"{observer}/innovation", own, ("position",), False),
+        "truth": _Topic("ground_truth/joint_states", arm, angle_rate, False),
+        "true_disturbance": _Topic("ground_truth/disturbance", own, ("position",), False),
+    }
+
+
+def _find(reader: BagReader, suffix: str, namespace: str | None) -> str | None:
+    if namespace is None:
+        matches = [name for name in reader.topics if f"/{name}".endswith(f"/{suffix}")]
+    else:
+        exact = f"/{namespace.strip('/')}/{suffix}".replace("//", "/")
+        matches = [name for name in reader.topics if name == exact]
+    if len(matches) > 1:
+        raise BagReadError(
+            f"{reader.path}: several topics end in {suffix}: {', '.join(matches)}; choose one by "
+            "its namespace"
+        )
+    if matches and (type_ := reader.topics[matches[0]].type) != _JOINT_STATE:
+        raise BagReadError(f"{reader.path}: {matches[0]} is {type_}, expected {_JOINT_STATE}")
+    return matches[0] if matches else None
+
+
+def _read(reader: BagReader, topics: dict[str, _Topic]) -> dict[str, _Stream]:
+    log_times: dict[str, list[int]] = {name: [] for name in topics}
+    stamps: dict[str, list[int]] = {name: [] for name in topics}
+    rows: dict[str, list[list[float]]] = {name: [] for name in topics}
+    for name, _, message, log_time, _ in reader.decoded(list(topics)):
+        row = _row(message, topics[name])
+        if row is not None:
+            stamp = message.header.stamp
+            log_times[name].append(log_time)
+            stamps[name].append(stamp.sec * _NANOSECONDS + stamp.nanosec)
+            rows[name].append(row)
+    return {
+        name: _Stream(
+            np.array(log_times[name], dtype=np.int64),
+            Series(
+                np.array(stamps[name], dtype=np.int64),
+                np.array(rows[name], dtype=np.float64).reshape(
+                    -1, len(topic.names) * len(topic.fields)
+                ),
+            ),
+        )
+        for name, topic in topics.items()
+    }
+
+
+def _row(message: Any, topic: _Topic) -> list[float] | None:
+    """Return the fields of the joint in a message, NaN for those left empty."""
+    try:
+        places = [message.name.index(name) for name in topic.names]
+    except ValueError:
+        return None
+    columns = [getattr(message, field) for field in topic.fields]
+    return [
+        column[place] if place < len(column) else float("nan")
+        for place in places
+        for column in columns
+    ]
+
+
+def _longest_pass(streams: dict[str, _Stream]) -> tuple[dict[str, Series], int]:
+    """Return of every stream the pass in which the estimates last longest, and their number."""
+    estimates = _passes(streams["states"])
+    longest = max(estimates, key=lambda one: int(np.ptp(one.series.stamps)))
+    begin = longest.log_times[0]
+
+    def matching(stream: _Stream) -> Series:
+        # Each topic begins anew at its own moment, but all of them at about the same.
+        return min(_passes(stream), key=lambda one: abs(int(one.log_times[0] - begin))).series
+
+    chosen = {key: matching(stream) for key, stream in streams.items() if len(stream.log_times)}
+    return chosen, len(estimates)
+
+
+def _passes(stream: _Stream) -> list[_Stream]:
+    borders = [0, *restarts(stream.series.stamps.tolist()), len(stream.log_times)]
+    return [
+        _Stream(stream.log_times[a:b], Series(stream.series.stamps[a:b], stream.series.values[a:b]))
+        for a, b in pairwise(borders)
+    ]
+
+
+def restarts(stamps: Sequence[int]) -> list[int]:
+    """Return where stamps [ns] begin anew: back by more than a second, and staying back."""
+    found, highest = [], 0
+    for place, stamp in enumerate(stamps):
+        floor = highest - _RESTART
+        if 0 < stamp < floor and max(stamps[place : place + _RESTART_MESSAGES]) < floor:
+            found.append(place)
+            highest = stamp
+        highest = max(highest, stamp)
+    return found
+
+
+def _assemble(bag: Path, joint: str, chosen: dict[str, Series], passes: int) -> RecordedRun:
+    states = chosen["states"].ordered()
+    truth, fault = chosen.get("truth"), chosen.get("true_disturbance")
+    innovations = chosen.get("innovations")
+    return RecordedRun(
+        name=Path(bag).name,
+        joint=joint,
+        measurements=chosen["measurements"],
+        stamps=states.stamps,
+        states=states.values,
+        state_bounds=align(chosen["bounds"], states.stamps),
+        disturbance=align(chosen["disturbance"], states.stamps)[:, 0],
+        disturbance_bounds=align(chosen["disturbance_bound"], states.stamps)[:, 0],
+        innovations=None if innovations is None else innovations.ordered(),
+        truth=None if truth is None else truth.ordered(),
+        true_disturbance=None if fault is None else fault.ordered(),
+        passes=passes,
+    )
