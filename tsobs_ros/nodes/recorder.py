@@ -49,7 +49,7 @@ class RecorderParameters:
         5.0, "What is older survives a power cut", unit="s", minimum=0.1, read_only=True
     )
     drain_period: float = parameter(
-        0.005, "How often queues are emptied", unit="s", minimum=0.001, maximum=1, read_only=True
+        0.01, "How often queues are emptied", unit="s", minimum=0.001, maximum=1, read_only=True
     )
     queue_depth: int = parameter(
         5000, "Messages of a topic that may wait to be drained", minimum=1, read_only=True
