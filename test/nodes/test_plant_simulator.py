@@ -4,9 +4,12 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+import yaml
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -20,6 +23,7 @@ from tsobs_ros.nodes.plant_simulator import PlantSimulatorNode, create
 from tsobs_ros.nodes.stamps import set_stamp, to_nanoseconds, to_stamp
 from tsobs_ros.simulation.plant import Plant, Sample
 
+CONFIG = Path(__file__).parents[2] / "config" / "plant_simulator.yaml"
 PERIOD = 5_000_000
 SECOND = 1_000_000_000
 BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -389,3 +393,30 @@ def test_nothing_is_published_before_the_first_clock(ros: Any) -> None:
     listener.wait_for(listener.states, 1)
     assert listener.states[0].stamp == 7 * SECOND
     assert node.get_clock().now().nanoseconds == 7 * SECOND
+
+
+def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    return {
+        name: value
+        for key, branch in tree.items()
+        for name, value in (
+            flat(branch, f"{prefix}{key}.") if isinstance(branch, dict) else {prefix + key: branch}
+        ).items()
+    }
+
+
+def test_the_shipped_parameter_file_is_the_defaults() -> None:
+    shipped = flat(yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"])
+    defaults = flat(asdict(PlantSimulatorParameters()))
+    assert {k: tuple(v) if isinstance(v, list) else v for k, v in shipped.items()} == defaults
+    assert list(shipped) == list(defaults)
+
+
+def test_the_executable_ends_by_itself_after_its_duration(ros_process: Any) -> None:
+    process = ros_process(
+        "plant_simulator", params_file=CONFIG, parameters={"duration": 1, "noise_std": 0}
+    )
+    ended = process.finish(60.0)
+    assert ended.exit_code == 0
+    assert "unknown" not in ended.stderr
+    assert "Traceback" not in ended.stderr

@@ -14,6 +14,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -117,6 +118,8 @@ class PlantSimulatorNode(Node):
                 _BACKWARD, post_callback=lambda _jump: self._tick()
             )
         self._schedule.start(self._latest)
+        subscribers = self._publish_sample.subscribers
+        self.get_logger().info(f"started: {subscribers} subscriptions of joint_measurements")
         # A timer on the node's clock wakes up with each /clock message; only then does it serve,
         # since a system clock that is set back would stop it.
         clock = self.get_clock() if self._follows_clock else self._steady
@@ -242,7 +245,7 @@ class _SamplePublisher:
     """Turns samples into messages; messages are made once and overwritten."""
 
     def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
-        joint, reliable = parameters.joint, QoSProfile(depth=10)
+        joint = parameters.joint
         self._measurement = JointState(name=[joint], position=[0.0], effort=[0.0])
         self._states = JointState(
             name=[f"{joint}_link", f"{joint}_motor"], position=[0.0] * 2, velocity=[0.0] * 2
@@ -252,15 +255,17 @@ class _SamplePublisher:
         self._to_measurements = node.create_publisher(
             JointState, "joint_measurements", qos_profile_sensor_data
         )
-        self._to_states = node.create_publisher(JointState, "ground_truth/joint_states", reliable)
+        # Executors look at every event of every publisher at every wake-up. A reliable publisher
+        # suits all usual subscribers, so only the best-effort one is asked about mismatches.
+        silent = PublisherEventCallbacks(use_default_callbacks=False)
+        options = {"qos_profile": QoSProfile(depth=10), "event_callbacks": silent}
+        self._to_states = node.create_publisher(JointState, "ground_truth/joint_states", **options)
         self._to_disturbance = node.create_publisher(
-            JointState, "ground_truth/disturbance", reliable
+            JointState, "ground_truth/disturbance", **options
         )
-        self._to_clock = (
-            node.create_publisher(ClockMessage, "/clock", reliable)
-            if parameters.publish_clock
-            else None
-        )
+        self._to_clock: Any = None
+        if parameters.publish_clock:
+            self._to_clock = node.create_publisher(ClockMessage, "/clock", **options)
 
     @property
     def subscribers(self) -> int:

@@ -55,7 +55,7 @@ class _Drift:
         self._start = component.start
         self._decay = math.exp(-period / component.time_constant)
         self._step_std = component.std * math.sqrt(1.0 - self._decay**2)
-        self._stream = RandomStream(seeds, Source.DISTURBANCE, 1, key)
+        self._stream = RandomStream(seeds, Source.DISTURBANCE, (1,), key=key)
         self._value: Array | None = None
 
     def sample(self, time: float) -> Array:

@@ -69,22 +69,26 @@ class Plant:
         self._shape = batch_shape(seeds)
         self._period = 1.0 / scenario.rate
         self._integrator = ArmIntegrator(scenario.true_arm, self._period)
-        noise = scenario.process_noise
-        densities = [noise.link_acceleration_density, noise.motor_acceleration_density]
-        self._kick_std = np.sqrt(np.array(densities) * self._integrator.substep)
         self.reset()
 
     def reset(self) -> None:
         """Start again, exactly as a new plant of the same scenario and seeds."""
         scenario = self.scenario
-        spread = RandomStream(self._seeds, Source.INITIAL_STATE, 4).draw()
-        start = np.array(scenario.initial_state) + np.array(scenario.initial_spread) * spread
+        spread = RandomStream(
+            self._seeds, Source.INITIAL_STATE, (4,), scale=scenario.initial_spread
+        ).draw()
+        start = np.array(scenario.initial_state) + spread
         self._physical = scenario.arm.to_physical(start)
         self._index = 0
         self._excitation = scenario.excitation
         self._sensor = scenario.sensor
         self._sensor_noise = SensorNoise(self._seeds)
-        self._process = RandomStream(self._seeds, Source.PROCESS, 2 * self._integrator.substeps)
+        noise = scenario.process_noise
+        densities = [noise.link_acceleration_density, noise.motor_acceleration_density]
+        substeps, substep = self._integrator.substeps, self._integrator.substep
+        kick_std = np.sqrt(np.array(densities) * substep)
+        kicks = self._stream(Source.PROCESS, (substeps, 2), kick_std)
+        self._kicks = kicks if any(densities) else None
         self._generation = -1
         self.exchange_disturbance(scenario.disturbance)
 
@@ -133,10 +137,14 @@ class Plant:
         lost = self._sensor.drops(time)
         if lost:
             measurement = np.full_like(measurement, np.nan)
-        self._physical = self._integrator.advance(physical, applied, self._kicks())
+        kicks = None if self._kicks is None else self._kicks.draw()
+        self._physical = self._integrator.advance(physical, applied, kicks)
         self._index = index + 1
         state = self.scenario.arm.from_physical(physical)
         return Sample(index, time, state, physical, disturbance, measurement, applied, lost)
+
+    def _stream(self, source: Source, shape: tuple[int, ...], scale: ArrayLike) -> RandomStream:
+        return RandomStream(self._seeds, source, shape, scale=scale)
 
     def _torque(self, time: float, torque: ArrayLike | None) -> Array:
         shape = (*self._shape, 1)
@@ -154,7 +162,7 @@ class Plant:
         """Return disturbance and measurement of the link angle, shape (..., 1) each."""
         elapsed = (self._index - self._injected_at) / self.scenario.rate
         disturbance = self._disturbance.sample(elapsed)
-        noise, outlier = self._sensor_noise.sample(self._sensor)
+        noise, outliers = self._sensor_noise.sample(self._sensor)
         measured = angle + disturbance + noise
         if not self._disturbance.stuck(elapsed):
             self._frozen = None
@@ -163,10 +171,4 @@ class Plant:
                 self._frozen = measured
             measured = self._frozen
             disturbance = measured - angle
-        return disturbance, measured + outlier
-
-    def _kicks(self) -> Array | None:
-        if not self._kick_std.any():
-            return None
-        draws = self._process.draw()
-        return draws.reshape(*self._shape, self._integrator.substeps, 2) * self._kick_std
+        return disturbance, measured if outliers is None else measured + outliers

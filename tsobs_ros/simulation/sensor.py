@@ -57,18 +57,19 @@ class SensorNoise:
     """
 
     def __init__(self, seeds: Seeds) -> None:
-        self._noise = RandomStream(seeds, Source.MEASUREMENT, 1)
-        self._luck = RandomStream(seeds, Source.OUTLIER, 1, uniform=True)
+        self._noise = RandomStream(seeds, Source.MEASUREMENT, (1,))
+        self._luck = RandomStream(seeds, Source.OUTLIER, (1,), uniform=True)
 
-    def sample(self, sensor: Sensor) -> tuple[Array, Array]:
-        """Return white noise and outlier [rad] of the next sample, each (1,) or (runs, 1).
+    def sample(self, sensor: Sensor) -> tuple[Array, Array | None]:
+        """Return white noise and outliers [rad] of the next sample, each (1,) or (runs, 1).
 
-        Both streams move on whatever the sensor's numbers are, so that these may change at any
-        sample without a change of the others.
+        The outliers are None where there cannot be any. Both streams move on whatever the
+        sensor's numbers are, so that these may change at any sample without a change of the
+        others.
         """
         noise = sensor.noise_std * self._noise.draw()
         luck, probability = self._luck.draw(), sensor.outlier_probability
         if probability == 0.0:
-            return noise, np.zeros_like(noise)
+            return noise, None
         sign = np.where(luck < 0.5 * probability, -1.0, 1.0)
         return noise, np.where(luck < probability, sensor.outlier_size * sign, 0.0)

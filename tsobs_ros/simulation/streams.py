@@ -10,6 +10,7 @@ import enum
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
@@ -32,12 +33,13 @@ class Source(enum.IntEnum):
 
 
 class RandomStream:
-    """Standard normal numbers, or uniform ones in [0, 1), drawn in order, `width` a sample.
+    """Normal numbers, or uniform ones in [0, scale), drawn in order, an array a sample.
 
     Args:
-        seeds: A seed, for samples of shape (width,), or a sequence, for (runs, width).
+        seeds: A seed, for samples of the given shape, or a sequence, for (runs, *shape).
         source: What the numbers are for.
-        width: Numbers a sample.
+        shape: Shape of a sample.
+        scale: Standard deviations, broadcast to the shape: a whole block is scaled at once.
         key: Further integers that tell streams of the same source apart.
         uniform: Draw uniform numbers.
 
@@ -49,9 +51,10 @@ class RandomStream:
         self,
         seeds: Seeds,
         source: Source,
-        width: int,
-        key: tuple[int, ...] = (),
+        shape: tuple[int, ...],
         *,
+        scale: ArrayLike = 1.0,
+        key: tuple[int, ...] = (),
         uniform: bool = False,
     ) -> None:
         self._batched = batch_shape(seeds) != ()
@@ -61,26 +64,31 @@ class RandomStream:
             )
             for seed in checked_seeds(seeds)
         ]
-        self._width = width
+        self._shape = (_BLOCK, *shape)
+        self._scale = np.asarray(scale, dtype=np.float64)
         self._uniform = uniform
         self._block = np.empty((0,))
         self._next = 0
 
     def draw(self) -> Array:
-        """Return the next sample, shape (width,) or (runs, width)."""
+        """Return the next sample, of the given shape or (runs, *shape)."""
         if self._next == len(self._block):
             self._refill()
-        sample = self._block[self._next]
+        sample: Array = self._block[self._next]
         self._next += 1
-        return np.asarray(sample)
+        return sample
 
     def _refill(self) -> None:
-        shape = (_BLOCK, self._width)
         blocks = [
-            generator.random(shape) if self._uniform else generator.standard_normal(shape)
+            generator.random(self._shape)
+            if self._uniform
+            else generator.standard_normal(self._shape)
             for generator in self._generators
         ]
-        self._block = np.stack(blocks, axis=1) if self._batched else blocks[0]
+        block = np.stack(blocks, axis=1) if self._batched else blocks[0]
+        # Samples are handed out as views, so nobody may write into them.
+        self._block = block * self._scale
+        self._block.setflags(write=False)
         self._next = 0
 
 
