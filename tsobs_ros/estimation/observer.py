@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix, non_negative
+from tsobs_ros.estimation.estimator import Correction, Readout
 from tsobs_ros.model.flow import ArmFlow
 
 PERIOD_TOLERANCE = 0.1
@@ -60,20 +61,6 @@ class ObserverState(NamedTuple):
     corrected: bool
 
 
-class Correction(NamedTuple):
-    """What a measurement did.
-
-    Attributes:
-        innovation: y − C̄x̂ before the correction, shape (..., p).
-        spread: Covariance expected of the innovation, shape (..., p, p) or (p, p).
-        gain: The gain that was used, shape (..., n, p) or (n, p).
-    """
-
-    innovation: Array
-    spread: Array
-    gain: Array
-
-
 class TSObserver:
     """The certified adaptive-gain observer of one arm, or of a batch of arms in step.
 
@@ -110,6 +97,11 @@ class TSObserver:
         self._certified_spread = self._C @ self.certified.X @ self._C.T + self._R
         self._certified_std = np.sqrt(np.diag(self.certified.X))
         self._certified_disturbance_std = self._disturbance_std(self.certified.X)
+
+    @property
+    def period(self) -> float:
+        """Nominal sampling period [s]."""
+        return self.flow.period
 
     def initial(self, batch: tuple[int, ...] = ()) -> ObserverState:
         """Return the state before any measurement: zero estimate, wide covariance."""
@@ -171,6 +163,33 @@ class TSObserver:
             return ObserverState(x, self.certified.X, 0.0, True, False)
         x, covariance = self.flow.predict_with_covariance(state.x, state.covariance, u, duration)
         return ObserverState(x, covariance, state.settling, False, False)
+
+    def reopened(self, state: ObserverState, variance: Array, duration: float) -> ObserverState:
+        """Return the state with more uncertainty, for a change that the model does not foresee.
+
+        Args:
+            state: After a correction.
+            variance: What is added to the error covariance, shape (n, n).
+            duration: Least time with Riccati gains [s].
+        """
+        settling = max(duration, state.settling)
+        return ObserverState(state.x, state.covariance + variance, settling, False, True)
+
+    def readout(self, state: ObserverState) -> Readout:
+        """Return the estimate and its bounds in physical units."""
+        model, w = self.flow.disturbance, state.x[..., 4:]
+        return Readout(
+            state=self.flow.to_physical(state.x),
+            state_bound=self.flow.to_physical(self.error_bound(state)),
+            disturbance=w @ model.H.T,
+            disturbance_rate=w @ model.rate_map.T,
+            disturbance_bound=self.disturbance_bound(state),
+            certified=state.certified,
+        )
+
+    def events(self, state: ObserverState) -> dict[str, int]:
+        """Return no counts: this observer judges nothing."""
+        return {}
 
     def error_bound(self, state: ObserverState) -> Array:
         """Return the 1σ bound of each augmented state in design coordinates, shape (..., n).

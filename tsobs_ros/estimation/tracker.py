@@ -11,12 +11,12 @@ one that arrival in order would have given.
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import non_negative, positive
-from tsobs_ros.estimation.observer import ObserverState, TSObserver
+from tsobs_ros.estimation.estimator import Estimator, S
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -53,14 +53,14 @@ class _Step(NamedTuple):
     """A used measurement and the state after it."""
 
     measurement: Measurement
-    state: ObserverState
+    state: Any
 
 
-class Tracker:
-    """Runs an observer over measurements in the order of their stamps.
+class Tracker(Generic[S]):
+    """Runs an estimator over measurements in the order of their stamps.
 
     Attributes:
-        observer: The step functions.
+        estimator: The step functions.
         options: Limits.
         used: Number of measurements that corrected the estimate.
         rejected: Number of measurements not used, by reason.
@@ -69,8 +69,8 @@ class Tracker:
         failures: Number of numerical failures (a state that was not finite).
     """
 
-    def __init__(self, observer: TSObserver, options: TrackerOptions) -> None:
-        self.observer = observer
+    def __init__(self, estimator: Estimator[S], options: TrackerOptions) -> None:
+        self.estimator = estimator
         self.options = options
         self._history = round(options.history * NANOSECONDS)
         self._future = round(options.future_tolerance * NANOSECONDS)
@@ -92,9 +92,9 @@ class Tracker:
         return self._steps[-1].measurement.stamp if self._steps else None
 
     @property
-    def certified(self) -> bool:
-        """Whether the certified gain is in use."""
-        return bool(self._steps) and self._steps[-1].state.certified
+    def events(self) -> dict[str, int]:
+        """What the estimator noticed up to the newest measurement, by name."""
+        return self.estimator.events(self._steps[-1].state) if self._steps else {}
 
     def reject(self, reason: RejectReason) -> None:
         """Count a measurement that the caller could not even read."""
@@ -137,17 +137,22 @@ class Tracker:
         step = self._steps[place]
         u = step.measurement.u
         state, elapsed = self._coast(step, stamp)
-        state = self.observer.extrapolate(state, u, elapsed)
-        if not np.isfinite(state.x).all():
+        readout = self.estimator.readout(self.estimator.extrapolate(state, u, elapsed))
+        if not np.isfinite(readout.state).all():
             self._fail()
             return None
-        return self._as_estimate(state, stamp, stamp - step.measurement.stamp)
+        return Estimate(
+            stamp,
+            *readout,
+            in_domain=bool(abs(readout.state[0]) <= self.options.x_max),
+            age=(stamp - step.measurement.stamp) / NANOSECONDS,
+        )
 
     def _begin(self) -> None:
         self._base: _Step | None = None
         self._steps: list[_Step] = []
         self._stamps: list[int] = []
-        self._coasted: tuple[_Step, int, ObserverState] | None = None
+        self._coasted: tuple[_Step, int, S] | None = None
 
     def _refusal(self, measurement: Measurement, now: int) -> RejectReason | None:
         stamp = measurement.stamp
@@ -171,14 +176,15 @@ class Tracker:
         """Predict to the measurement from the step before it, correct, and remember."""
         previous = self._steps[-1] if self._steps else self._base
         if previous is None:
-            predicted = self.observer.initial()
+            predicted = self.estimator.initial()
         else:
             duration = (measurement.stamp - previous.measurement.stamp) / NANOSECONDS
-            predicted = self.observer.predict(previous.state, previous.measurement.u, duration)
-        corrected, correction = self.observer.correct(predicted, measurement.y)
-        if not np.isfinite(corrected.x).all():
+            predicted = self.estimator.predict(previous.state, previous.measurement.u, duration)
+        corrected, correction = self.estimator.correct(predicted, measurement.y)
+        if not np.isfinite(correction.innovation).all():
             self._fail()
-            corrected, correction = self.observer.correct(self.observer.initial(), measurement.y)
+            fresh = self.estimator.initial()
+            corrected, correction = self.estimator.correct(fresh, measurement.y)
         self._stamps.append(measurement.stamp)
         self._steps.append(_Step(measurement, corrected))
         expected_std = np.sqrt(np.diagonal(correction.spread))
@@ -190,13 +196,13 @@ class Tracker:
             self._base = self._steps[keep_from - 1]
             del self._stamps[:keep_from], self._steps[:keep_from]
 
-    def _coast(self, step: _Step, stamp: int) -> tuple[ObserverState, float]:
+    def _coast(self, step: _Step, stamp: int) -> tuple[S, float]:
         """Return the state at the last whole period before `stamp`, and what remains [s].
 
         Whole periods are remembered from one call to the next; without that every tick of a
         long gap would predict through the whole gap again.
         """
-        period = self.observer.flow.period
+        period = self.estimator.period
         duration = (stamp - step.measurement.stamp) / NANOSECONDS
         whole = int(duration // period)
         if duration <= 2.0 * period:
@@ -205,7 +211,7 @@ class Tracker:
         if self._coasted is not None and self._coasted[0] is step and self._coasted[1] <= whole:
             _, taken, state = self._coasted
         for _ in range(whole - taken):
-            state = self.observer.predict(state, step.measurement.u, period)
+            state = self.estimator.predict(state, step.measurement.u, period)
         self._coasted = (step, whole, state)
         return state, duration - whole * period
 
@@ -213,20 +219,3 @@ class Tracker:
         self.failures += 1
         self.restarts += 1
         self._begin()
-
-    def _as_estimate(self, state: ObserverState, stamp: int, age: int) -> Estimate:
-        flow = self.observer.flow
-        w = state.x[4:]
-        bound = self.observer.error_bound(state)
-        H = flow.disturbance.H
-        return Estimate(
-            stamp=stamp,
-            state=flow.to_physical(state.x),
-            state_bound=flow.to_physical(bound),
-            disturbance=H @ w,
-            disturbance_rate=flow.disturbance.rate_map @ w,
-            disturbance_bound=self.observer.disturbance_bound(state),
-            certified=state.certified,
-            in_domain=bool(abs(state.x[0]) <= self.options.x_max),
-            age=age / NANOSECONDS,
-        )

@@ -10,6 +10,7 @@ a sum of them. Several channels: D_s H takes the place of H.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,7 +57,7 @@ class DisturbanceModel:
         """Number of output channels p."""
         return int(self.H.shape[0])
 
-    @property
+    @cached_property
     def rate_map(self) -> Array:
         """Exosystem states to the disturbance's modelled rate dω/dt, shape (p, q)."""
         return np.asarray(self.H @ self.S)

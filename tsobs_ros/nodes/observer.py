@@ -22,6 +22,7 @@ from tsobs_ros.estimation.health import (
 )
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, RejectReason
+from tsobs_ros.estimation.supervised import SupervisedObserver, SupervisedState
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -66,7 +67,9 @@ class Observer(Node):
         self._design = load_design(path)
         self._design_path = path
         self._tracker = Tracker(
-            self._design.observer(parameters.settle_time, GainMode(parameters.gain_mode)),
+            SupervisedObserver(
+                self._design.observer(parameters.settle_time, GainMode(parameters.gain_mode))
+            ),
             TrackerOptions(
                 x_max=self._design.request.x_max,
                 history=parameters.history,
@@ -99,7 +102,7 @@ class Observer(Node):
         self.get_logger().info(f"design {path}: certificate holds ({certificate})")
 
     @property
-    def tracker(self) -> Tracker:
+    def tracker(self) -> Tracker[SupervisedState]:
         """The tracker behind the node, with its counts."""
         return self._tracker
 
@@ -239,6 +242,7 @@ class Observer(Node):
         }[phase]
         values = {"resets": str(self._resets), "restarts": str(self._tracker.restarts)}
         values["numerical failures"] = str(self._tracker.failures)
+        values |= {name: str(count) for name, count in self._tracker.events.items()}
         if age is not None:
             values["measurement age [s]"] = f"{age:.4f}"
         if not self._enabled:
@@ -268,7 +272,7 @@ class Observer(Node):
         return Status("premise domain", Level.WARN, "outside: the bound is not certified", values)
 
     def _certificate_status(self) -> Status:
-        certified = self._tracker.certified
+        certified = self._estimate is not None and self._estimate.certified
         request = self._design.request
         values = {
             "design": str(self._design_path),

@@ -1,0 +1,76 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What every estimator of one joint offers, so that one tracker and one node run them all."""
+
+from typing import NamedTuple, Protocol, TypeVar
+
+from tsobs_ros.checks import Array
+
+S = TypeVar("S")
+
+
+class Correction(NamedTuple):
+    """What a measurement did.
+
+    Attributes:
+        innovation: y − ŷ before the correction, shape (..., p).
+        spread: Covariance expected of the innovation, shape (..., p, p) or (p, p).
+        gain: The gain that was used, shape (..., n, p) or (n, p).
+    """
+
+    innovation: Array
+    spread: Array
+    gain: Array
+
+
+class Readout(NamedTuple):
+    """An estimator's state in physical units.
+
+    Attributes:
+        state: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (..., 4).
+        state_bound: 1σ bound of each, shape (..., 4) or (4,).
+        disturbance: Output disturbance [rad], shape (..., p).
+        disturbance_rate: Its modelled rate [rad/s], shape (..., p).
+        disturbance_bound: 1σ bound of the disturbance [rad], shape (..., p) or (p,).
+        certified: Whether the bounds are the certificate's.
+    """
+
+    state: Array
+    state_bound: Array
+    disturbance: Array
+    disturbance_rate: Array
+    disturbance_bound: Array
+    certified: bool
+
+
+class Estimator(Protocol[S]):
+    """Pure steps of an estimator; the state S holds all it remembers and is never changed."""
+
+    @property
+    def period(self) -> float:
+        """Nominal sampling period [s]."""
+        ...
+
+    def initial(self) -> S:
+        """Return the state before any measurement."""
+        ...
+
+    def correct(self, state: S, y: Array) -> tuple[S, Correction]:
+        """Use one measurement y [rad], shape (1,)."""
+        ...
+
+    def predict(self, state: S, u: Array, duration: float) -> S:
+        """Predict over `duration` [s] with the torque u [N m], shape (1,), held."""
+        ...
+
+    def extrapolate(self, state: S, u: Array, duration: float) -> S:
+        """Predict to a time between samples; the result is only read."""
+        ...
+
+    def readout(self, state: S) -> Readout:
+        """Return the estimate in physical units."""
+        ...
+
+    def events(self, state: S) -> dict[str, int]:
+        """Return counts of what the estimator noticed, by name, for diagnostics."""
+        ...
