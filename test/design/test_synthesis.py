@@ -1,0 +1,313 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Synthesis: optimal where the optimum is known, known numbers, and refusals that explain."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, solve_continuous_are, solve_discrete_are
+
+from tsobs_ros.design.feasibility import find_obstacles, require_detectable
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
+from tsobs_ros.design.synthesis import MARGIN, synthesise
+from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.flow import ProcessNoise
+
+Array = NDArray[np.float64]
+PROPERTY = settings(derandomize=True, deadline=None, max_examples=60)
+
+
+def tone(frequency: float) -> tuple[DisturbanceTerm, ...]:
+    return (DisturbanceTerm("sinusoid", {"frequency": frequency}),)
+
+
+def relative_eigenvalues(covariance: Array, P: Array) -> Array:
+    """Return the eigenvalues of X⁻¹Σ."""
+    root = np.linalg.cholesky(P)
+    return np.asarray(np.linalg.eigvalsh(root.T @ covariance @ root))
+
+
+def test_the_shipped_design_can_be_made_again(shipped: Design) -> None:
+    again = synthesise(DesignRequest())
+    assert again.request == shipped.request
+    # Solver versions differ in the last digits; the design they agree on does not.
+    np.testing.assert_allclose(again.K, shipped.K, rtol=2e-3)
+    np.testing.assert_allclose(again.bound_std, shipped.bound_std, rtol=2e-3)
+
+
+def test_the_shipped_gain_and_bound_are_the_known_ones(shipped: Design) -> None:
+    np.testing.assert_allclose(shipped.K[:, 0], [0.0063, 0.0412, 0.0083, 0.0872, 0.0257], rtol=0.03)
+    design_std = np.sqrt(np.diag(shipped.covariance_bound))
+    np.testing.assert_allclose(design_std, [0.0057, 0.0174, 0.0803, 0.1216, 0.0070], rtol=0.01)
+    np.testing.assert_allclose(shipped.bound_std[:4], design_std[:4] * [1.0, 1.0, 0.1, 0.1])
+
+
+def test_on_a_single_slope_the_bound_is_the_riccati_solution() -> None:
+    request = DesignRequest(x_max=1e-5)
+    design = synthesise(request)
+    (vertex,) = request.flow.vertices(1.0, 1.0)[:1]
+    # The strict margin is bought with a little more noise than there is.
+    margin = MARGIN * request.period * design.covariance_bound
+    for noise, tolerance in ((vertex.noise, 1e-3), (vertex.noise + margin, 1e-6)):
+        kalman = solve_discrete_are(
+            vertex.transition.T,
+            request.flow.output_matrix.T,
+            noise,
+            request.measurement_covariance,
+        )
+        ratios = relative_eigenvalues(kalman, design.P)
+        assert ratios == pytest.approx(np.ones(5), abs=tolerance)
+
+
+def test_fast_sampling_tends_to_the_continuous_filter() -> None:
+    """With R T held, bound and gain rate approach the Kalman–Bucy filter's in proportion to T."""
+    noise_density = 0.028**2 / 200.0
+    gaps = []
+    for rate in (50.0, 200.0, 800.0):
+        std = math.sqrt(noise_density * rate)
+        request = DesignRequest(x_max=1e-5, rate=rate, measurement_std=std)
+        design = synthesise(request)
+        C, driving = request.flow.output_matrix, block_diag(np.diag([0.0, 1e-4, 0.0, 1e-3]), 1e-4)
+        bucy = solve_continuous_are(
+            request.flow.slope_matrix(1.0).T, C.T, driving, np.array([[noise_density]])
+        )
+        gain = bucy @ C.T / noise_density
+        gaps.append(np.abs(design.K * rate / gain - 1.0).max())
+        assert relative_eigenvalues(bucy, design.P) == pytest.approx(np.ones(5), abs=3.2 / rate)
+    assert gaps[1] < 0.3 * gaps[0]
+    assert gaps[2] < 0.3 * gaps[1]
+    assert gaps[2] < 5e-3
+
+
+def test_fast_sampling_tends_to_the_continuous_inequality() -> None:
+    """P satisfies the continuous-time form at both slopes up to what is left of T."""
+    noise_density = 0.028**2 / 200.0
+    excess = []
+    for rate in (100.0, 400.0):
+        std = math.sqrt(noise_density * rate)
+        design = synthesise(DesignRequest(rate=rate, measurement_std=std))
+        flow, P = design.request.flow, design.P
+        driving = block_diag(np.diag([0.0, 1e-4, 0.0, 1e-3]), 1e-4)
+        information = flow.output_matrix.T @ flow.output_matrix / noise_density
+        T = np.linalg.cholesky(design.covariance_bound)
+        smallest = []
+        for slope in design.request.slope_range:
+            A = flow.slope_matrix(slope)
+            form = information - P @ A - A.T @ P - P @ driving @ P
+            smallest.append(np.linalg.eigvalsh(T.T @ form @ T)[0])
+        excess.append(-min(smallest))
+    assert excess[1] < 0.35 * excess[0]
+    assert excess[1] < 5e-3
+
+
+@pytest.mark.parametrize(
+    ("x_max", "known"), [(0.45, 0.006), (1.05, 0.009), (1.27, 0.012), (1.52, 0.028)]
+)
+def test_a_bias_is_seen_worse_the_wider_the_domain(x_max: float, known: float) -> None:
+    # The known values are to one or two digits and for a bound of least trace, not of least volume.
+    design = synthesise(DesignRequest(x_max=x_max))
+    assert design.bound_std[4] == pytest.approx(known, rel=0.15)
+
+
+@pytest.mark.parametrize("rate", [25.0, 1000.0])
+def test_designs_exist_from_25_to_1000_hz(rate: float) -> None:
+    design = synthesise(DesignRequest(rate=rate))
+    assert design.certificate.holds
+    assert design.bound_std[0] < 0.01
+
+
+@pytest.mark.parametrize(
+    "disturbance",
+    [
+        (DisturbanceTerm("ramp"),),
+        (DisturbanceTerm("gauss_markov"),),
+        tone(3.0),
+        (DisturbanceTerm("bias"), *tone(3.0)),
+    ],
+    ids=lambda terms: "+".join(term.kind for term in terms),
+)
+def test_designs_exist_for_every_kind_of_disturbance(
+    disturbance: tuple[DisturbanceTerm, ...],
+) -> None:
+    design = synthesise(DesignRequest(disturbance=disturbance))
+    assert design.certificate.holds
+    assert (design.bound_std[:4] < [0.02, 0.05, 0.03, 0.04]).all()
+    assert design.solver.name == "Clarabel"
+
+
+def test_a_clean_sensor_serves_the_full_turn_at_a_modest_price() -> None:
+    clean = (DisturbanceTerm("clean"),)
+    half = synthesise(DesignRequest(disturbance=clean, x_max=math.pi / 3))
+    full = synthesise(DesignRequest(disturbance=clean, x_max=math.pi))
+    assert full.certificate.holds
+    assert full.request.slope_range == (-1.0, 1.0)
+    assert (full.bound_std > half.bound_std).all()
+    assert (full.bound_std < 3.0 * half.bound_std).all()
+
+
+def test_a_faster_decay_than_any_gain_gives_is_refused() -> None:
+    with pytest.raises(DesignError, match="no common matrix P exists") as caught:
+        synthesise(DesignRequest(decay_rate=5.0))
+    assert not isinstance(caught.value, DetectabilityError)
+    for part in (r"[0.7317, 1]", "0.75 rad", "decay rate 5 1/s", "200 Hz", "a smaller decay_rate"):
+        assert part in str(caught.value)
+
+
+def test_a_noise_free_bias_has_no_stationary_filter() -> None:
+    frozen = (DisturbanceTerm("bias", {"density": 0.0}),)
+    with pytest.raises(DesignError, match=r"no stationary Kalman filter.*check the noise"):
+        synthesise(DesignRequest(disturbance=frozen))
+
+
+@pytest.mark.parametrize(
+    ("request_", "parts"),
+    [
+        pytest.param(
+            DesignRequest(disturbance=(DisturbanceTerm("arbitrary"),)),
+            [
+                "kind arbitrary", "|q1| <= 0.75 rad", "c = 1 (|q1| = 0.0 deg)", "c = 0.7317",
+                "0 ± 4.776j", "0 ± 1.481j", "a model of the disturbance", "known to be clean",
+                "damping of link and motor",
+            ],
+            id="arbitrary",
+        ),
+        pytest.param(
+            DesignRequest(x_max=math.pi / 2),
+            [
+                "kind bias", "c = 0 (|q1| = 90.0 deg)", "eigenvalue 0 1/s", "q1 1, q1' 0, q2 1",
+                "w1 -1", "x_max below 1.571 rad", "kind gauss_markov", "kind clean",
+            ],
+            id="bias at the horizontal",
+        ),
+        pytest.param(
+            DesignRequest(x_max=2.5), ["c = 0 (|q1| = 90.0 deg)", "x_max below 1.571 rad"],
+            id="bias beyond it",
+        ),
+        pytest.param(
+            DesignRequest(disturbance=tone(1.4)),
+            ["kind sinusoid", "c = 0.8407 (|q1| = 32.8 deg)", "0 ± 1.4j", "x_max below 0.5722 rad",
+             "a disturbance frequency away"],
+            id="lower blind band",
+        ),
+        pytest.param(
+            DesignRequest(disturbance=tone(4.6)), ["0 ± 4.6j", "a disturbance frequency away"],
+            id="upper blind band",
+        ),
+        pytest.param(
+            DesignRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("bias"))),
+            ["kind bias+bias", "q1 0, q1' 0, q2 0, q2' 0, w1 -1, w2 1"],
+            id="two biases",
+        ),
+    ],
+)  # fmt: skip
+def test_an_impossible_design_names_mode_slope_and_help(
+    request_: DesignRequest, parts: list[str]
+) -> None:
+    with pytest.raises(DetectabilityError) as caught:
+        synthesise(request_)
+    for part in parts:
+        assert part in str(caught.value)
+
+
+@PROPERTY
+@given(st.floats(0.5, 6.0))
+def test_a_tone_is_refused_exactly_in_the_arms_blind_bands(frequency: float) -> None:
+    """Bands of the arm's own frequencies over the domain, from the quartic's two roots in ω²."""
+
+    def own(slope: float) -> Array:
+        middle, product = 15.0 + 10.0 * slope, 50.0 * slope
+        root = math.sqrt(middle**2 / 4.0 - product)
+        return np.sqrt([middle / 2.0 - root, middle / 2.0 + root])
+
+    bands = np.stack([own(math.cos(0.75)), own(1.0)])
+    assume(np.abs(bands - frequency).min() > 1e-6)
+    blind = bool(((bands[0] < frequency) & (frequency < bands[1])).any())
+    assert bool(find_obstacles(DesignRequest(disturbance=tone(frequency)))) == blind
+
+
+def test_the_known_blind_bands() -> None:
+    for frequency in (1.34, 1.47, 4.54, 4.77):
+        with pytest.raises(DetectabilityError):
+            require_detectable(DesignRequest(disturbance=tone(frequency)))
+    for frequency in (1.32, 1.49, 4.52, 4.79):
+        require_detectable(DesignRequest(disturbance=tone(frequency)))
+
+
+@PROPERTY
+@given(st.floats(0.1, 1.55), st.floats(0.2, 5.0), st.floats(1.0, 50.0), st.floats(1.0, 50.0))
+def test_a_bias_is_detectable_below_the_horizontal(
+    x_max: float, inertia: float, stiffness: float, gravity: float
+) -> None:
+    arm = ElasticJointArm(inertia, 1.0, stiffness, gravity)
+    assert find_obstacles(DesignRequest(arm=arm, x_max=x_max)) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"measurement_std": 0.0}, "measurement_std: expected a finite number above 0, got 0.0"),
+        ({"rate": -200.0}, "rate: expected a finite number above 0, got -200.0"),
+        ({"decay_rate": -0.1}, "decay_rate: expected a finite number of at least 0, got -0.1"),
+        ({"x_max": 0.0}, "x_max: expected 0 < x_max <= π, got 0.0"),
+        ({"x_max": 3.2}, "x_max: expected 0 < x_max <= π, got 3.2"),
+        ({"x_max": math.nan}, "x_max: expected 0 < x_max <= π, got nan"),
+        ({"initial_std": (0.3, 0.6, 0.3)}, r"initial_std: expected shape \(4,\), got \(3,\)"),
+        ({"initial_std": (0.3, 0.0, 0.3, 0.4)}, "initial_std: expected values above 0"),
+        ({"disturbance": ()}, "disturbance: expected at least one term"),
+    ],
+)
+def test_a_request_out_of_range_is_named(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        replace(DesignRequest(), **change)
+
+
+@pytest.mark.parametrize(
+    ("kind", "parameters", "message"),
+    [
+        ("wind", {}, "disturbance kind: expected one of clean, arbitrary, bias.*got 'wind'"),
+        ("bias", {"tau": 1.0}, "disturbance bias: unknown parameter 'tau'.*density, initial_std"),
+        ("clean", {"channels": 2}, "disturbance clean: unknown parameter 'channels'.*none"),
+        ("sinusoid", {}, "disturbance sinusoid: parameter 'frequency' is missing"),
+    ],
+)
+def test_a_wrong_disturbance_term_is_named(
+    kind: str, parameters: dict[str, float], message: str
+) -> None:
+    with pytest.raises(ModelError, match=message):
+        DisturbanceTerm(kind, parameters)
+
+
+def test_terms_are_filled_with_defaults_and_added_up() -> None:
+    term = DisturbanceTerm("sinusoid", {"frequency": 3.0})
+    assert term.as_mapping() == {
+        "kind": "sinusoid", "frequency": 3.0, "density": 1e-4, "initial_std": 0.3
+    }  # fmt: skip
+    request = DesignRequest(disturbance=[DisturbanceTerm("bias"), term])
+    assert request.disturbance_model.label == "bias+sinusoid"
+    assert request.flow.state_count == 7
+
+
+def test_the_initial_covariance_is_given_in_physical_units() -> None:
+    arm = ElasticJointArm(link_inertia=2.0, stiffness=30.0)
+    request = DesignRequest(arm=arm, initial_std=(0.1, 0.2, 0.3, 0.4))
+    expected = np.diag([0.01, 0.04, (15 * 0.3) ** 2, (15 * 0.4) ** 2, 0.09])
+    np.testing.assert_allclose(request.initial_covariance, expected, rtol=1e-14)
+
+
+def test_process_noise_makes_the_bound() -> None:
+    """Ten times the densities of everything, ten times the bound: the problem is homogeneous."""
+    loud = DesignRequest(
+        process_noise=ProcessNoise(1e-3, 1e-4),
+        measurement_std=0.028 * math.sqrt(10.0),
+        disturbance=(DisturbanceTerm("bias", {"density": 1e-3}),),
+    )
+    ratio = synthesise(loud).bound_std / synthesise(DesignRequest()).bound_std
+    np.testing.assert_allclose(ratio, math.sqrt(10.0), rtol=1e-3)
