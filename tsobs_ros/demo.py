@@ -155,8 +155,8 @@ def run_demo(output: Path, options: DemoOptions, show_progress: Callable[[float]
                 "duration": options.duration,
                 "wait_for_subscribers": 2,
                 "disturbance.kind": "bias_step" if options.bias else "none",
-                "disturbance.amplitude": options.bias,
-                "disturbance.start": options.bias_at,
+                "disturbance.bias_step.amplitude": options.bias,
+                "disturbance.bias_step.start": options.bias_at,
             },
         )
         nodes = [observer, recorder, plant]
