@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulator node publishes the core's numbers, at exact stamps, whatever happens around it."""
 
+import itertools
 import math
+import time
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -393,6 +395,41 @@ def test_nothing_is_published_before_the_first_clock(ros: Any) -> None:
     listener.wait_for(listener.states, 1)
     assert listener.states[0].stamp == 7 * SECOND
     assert node.get_clock().now().nanoseconds == 7 * SECOND
+
+
+def test_a_late_tick_catches_up_and_a_long_stop_does_not(ros: Any) -> None:
+    listener = Listener(ros)
+    publisher = listener.node.create_publisher(Clock, "/clock", 10)
+    listener.start(use_sim_time=True)
+    listener.wait_until(lambda: publisher.get_subscription_count() == 1, "matching of /clock")
+
+    def come(now: int) -> list[Received]:
+        already = len(listener.states)
+        publisher.publish(Clock(clock=to_stamp(now)))
+        listener.wait_until(
+            lambda: len(listener.states) > already and listener.states[-1].stamp == now,
+            "the sample at the clock's time",
+        )
+        return listener.states[already:]
+
+    come(10 * SECOND)
+    # Depth 10 of the publisher bounds what may reach the listener, not what is published.
+    caught_up = come(10 * SECOND + 10 * PERIOD)
+    assert [item.stamp for item in caught_up] == [10 * SECOND + k * PERIOD for k in range(1, 11)]
+    assert [item.stamp for item in come(20 * SECOND)] == [20 * SECOND]
+    samples = core(13)
+    expected = [sample.physical[0].item() for sample in samples[:12]]
+    assert [item.message.position[0] for item in listener.states] == expected
+
+
+def test_a_stopped_process_holds_its_driven_clock_back(listener: Listener) -> None:
+    listener.listen_to_clock()
+    listener.start(publish_clock=True)
+    listener.wait_for(listener.clock, 10)
+    time.sleep(1.5)  # the stop itself, which no other means brings about
+    listener.wait_for(listener.clock, 100)
+    steps = {b - a for a, b in itertools.pairwise(listener.clock)}
+    assert steps == {PERIOD}
 
 
 def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -187,7 +187,8 @@ class PlantSimulatorNode(Node):
         )
         if self._driven is not None:
             self._driven.hold_back(lag)
-            return now - lag
+            self._latest = now - lag
+            return self._latest
         self._schedule.start(now)
         return now
 

@@ -27,7 +27,7 @@ class DisturbanceSource:
     ) -> None:
         self._plain = [c for c in components if not isinstance(c, GaussMarkov | StuckSensor)]
         self._stuck = [c for c in components if isinstance(c, StuckSensor)]
-        self._shape = (*batch_shape(seeds), 1)
+        self._ones = np.ones((*batch_shape(seeds), 1))
         self._drifts = [
             _Drift(component, period, seeds, (generation, place))
             for place, component in enumerate(components)
@@ -36,14 +36,17 @@ class DisturbanceSource:
 
     def sample(self, time: float) -> Array:
         """Return the added disturbance [rad] at the next time [s], shape (1,) or (runs, 1)."""
-        total = np.full(self._shape, sum(c.value(time) for c in self._plain))
+        value = 0.0
+        for component in self._plain:
+            value += component.value(time)
+        total = value * self._ones
         for drift in self._drifts:
             total = total + drift.sample(time)
-        return np.asarray(total)
+        return total
 
     def stuck(self, time: float) -> bool:
         """Return whether the sensor is stuck at a time [s]."""
-        return any(component.holds(time) for component in self._stuck)
+        return bool(self._stuck) and any(component.holds(time) for component in self._stuck)
 
 
 class _Drift:

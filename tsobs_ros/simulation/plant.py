@@ -66,7 +66,8 @@ class Plant:
         checked_seeds(seeds)
         self.scenario = scenario
         self._seeds = seeds
-        self._shape = batch_shape(seeds)
+        # A number times this is the cheapest array of equal numbers, for one sample at a time.
+        self._ones = np.ones((*batch_shape(seeds), 1))
         self._period = 1.0 / scenario.rate
         self._integrator = ArmIntegrator(scenario.true_arm, self._period)
         self.reset()
@@ -147,16 +148,14 @@ class Plant:
         return RandomStream(self._seeds, source, shape, scale=scale)
 
     def _torque(self, time: float, torque: ArrayLike | None) -> Array:
-        shape = (*self._shape, 1)
         if torque is None:
-            return np.full(shape, self._excitation.torque(time))
+            return self._excitation.torque(time) * self._ones
         given = np.asarray(torque, dtype=np.float64)
         if not np.isfinite(given).all():
             raise ModelError(f"torque of sample {self._index}: expected finite numbers")
-        try:
-            return np.array(np.broadcast_to(given, shape))
-        except ValueError as error:
-            raise ModelError(f"torque: expected shape {shape}, got {given.shape}") from error
+        if given.shape not in ((), self._ones.shape):
+            raise ModelError(f"torque: expected shape {self._ones.shape}, got {given.shape}")
+        return np.asarray(given * self._ones)
 
     def _measure(self, angle: Array) -> tuple[Array, Array]:
         """Return disturbance and measurement of the link angle, shape (..., 1) each."""
