@@ -231,7 +231,10 @@ class Recorder(Node):
 
     def _publish_diagnostics(self) -> None:
         statistics, missing = self.statistics, self._finder.missing
-        status = DiagnosticStatus(name="recorder: recording", hardware_id=str(self.path))
+        status = DiagnosticStatus(
+            name=f"{self.get_fully_qualified_name().lstrip('/')}: recording",
+            hardware_id=str(self.path),
+        )
         if statistics.lost:
             status.level, status.message = DiagnosticStatus.WARN, f"{statistics.lost} messages lost"
         elif missing:
