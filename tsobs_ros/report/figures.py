@@ -145,7 +145,7 @@ def _legend(run: RecordedRun) -> list[Line2D | Patch]:
         Line2D([], [], color=blue, lw=1.3, label="estimated"),
         Patch(color=blue, alpha=_STRONG, lw=0, label="bound 1σ"),
         Patch(color=blue, alpha=_FAINT, lw=0, label=f"bound {SIGMAS:g}σ"),
-        Patch(color="#E4E7EB", lw=0, label="settling, not counted"),
+        Patch(color="#E4E7EB", lw=0, label="not counted"),
     ]
 
 

@@ -194,13 +194,11 @@ def errors(run: RecordedRun) -> Array | None:
 
 
 def _quantity(key: str, error: Array | None, bound: Array) -> QuantityMetrics:
-    size = root_mean_square(bound)
-    rmse = None if error is None else root_mean_square(error)
-    inside = None
-    if error is not None:
-        known = np.isfinite(error) & np.isfinite(bound)
-        if known.any():
-            inside = float((np.abs(error[known]) <= SIGMAS * bound[known]).mean())
+    if error is None or not np.isfinite(error).any():
+        return QuantityMetrics(key, None, root_mean_square(bound), None, None)
+    known = np.isfinite(error) & np.isfinite(bound)
+    rmse, size = root_mean_square(error), root_mean_square(bound[known])
+    inside = float((np.abs(error[known]) <= SIGMAS * bound[known]).mean()) if known.any() else None
     ratio = rmse / size if rmse is not None and size else None
     return QuantityMetrics(key, rmse, size, ratio, inside)
 

@@ -246,7 +246,7 @@ def _assemble(bag: Path, joint: str, chosen: dict[str, Series], passes: int) -> 
     truth, fault = chosen.get("truth"), chosen.get("true_disturbance")
     innovations = chosen.get("innovations")
     return RecordedRun(
-        name=Path(bag).name,
+        name="/".join(Path(bag).absolute().parts[-2:]),
         joint=joint,
         measurements=chosen["measurements"],
         stamps=states.stamps,

@@ -71,13 +71,18 @@ def settled_windows(
 ) -> Windows:
     """Return the parts of a run without the time after its start and after each jump.
 
+    The run ends with its last measurement: what an observer that is left running predicts after
+    that says nothing about it.
+
     Args:
         run: The recorded run.
         jumps: Its jumps, in order.
         after_start: What to leave out after the first estimate [s].
         after_jump: What to leave out after a jump [s].
     """
-    starts, last = run.times[0] + after_start, float(run.times[-1])
+    measured = run.measurements.ordered().seconds(run.origin)
+    last = min([float(run.times[-1]), *measured[-1:].tolist()])
+    starts = run.times[0] + after_start
     # A jump during the start does not end the start, hence the running maximum.
     begins = np.maximum.accumulate([starts] + [jump.time + after_jump for jump in jumps]).tolist()
     ends = [jump.time for jump in jumps] + [last]

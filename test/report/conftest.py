@@ -1,0 +1,194 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Runs to report on: a simulated one, and bags written without ROS."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from tsobs_ros.bag.definitions import MessageDefinition
+from tsobs_ros.bag.writer import BagWriter
+from tsobs_ros.design.file import load_design
+from tsobs_ros.design.record import Design
+from tsobs_ros.report.reference import rerun
+from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.report.series import Series
+from tsobs_ros.resources import config_path
+from tsobs_ros.simulation.scenario import Scenario
+from tsobs_ros.simulation.scenarios import simulate
+from tsobs_ros.simulation.signals import BiasStep
+
+START = 1_700_000_000_000_000_000
+TICK_LAG = 1_300_000
+
+_TYPES = get_typestore(Stores.ROS2_JAZZY)
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+class Row(NamedTuple):
+    """One JointState: stamp [ns], names, and what it says of them."""
+
+    stamp: int
+    names: Sequence[str]
+    position: Sequence[float] = ()
+    velocity: Sequence[float] = ()
+    effort: Sequence[float] = ()
+
+
+def blank_run(measurements: Series, stamps: Any, **truth: Any) -> RecordedRun:
+    """Return a run whose estimates are still to be made."""
+    m = len(stamps)
+    return RecordedRun(
+        name="run",
+        joint="elastic_joint",
+        measurements=measurements,
+        stamps=stamps,
+        states=np.full((m, 4), np.nan),
+        state_bounds=np.full((m, 4), np.nan),
+        disturbance=np.full(m, np.nan),
+        disturbance_bounds=np.full(m, np.nan),
+        **truth,
+    )
+
+
+@pytest.fixture(scope="session")
+def design() -> Design:
+    """The shipped design."""
+    return load_design(config_path("elastic_joint.design.yaml"))
+
+
+@pytest.fixture(scope="session")
+def unobserved() -> RecordedRun:
+    """Twenty seconds of the arm with a bias step at 8 s, and stamps that ask for estimates."""
+    scenario = Scenario(duration=20.0, disturbance=(BiasStep(0.1, 8.0),))
+    runs = simulate(scenario, [1])
+    stamps = START + np.round(runs.times * 1e9).astype(np.int64)
+    return blank_run(
+        Series(stamps, np.column_stack([runs.measurements[0, :, 0], runs.torques[0, :, 0]])),
+        stamps[:-1] + TICK_LAG,
+        truth=Series(stamps, scenario.arm.to_physical(runs.states[0])),
+        true_disturbance=Series(stamps, runs.disturbances[0]),
+    )
+
+
+@pytest.fixture(scope="session")
+def simulated(unobserved: RecordedRun, design: Design) -> RecordedRun:
+    """The same with the certified observer's estimates."""
+    return rerun(unobserved, design.observer(), design.request.x_max)
+
+
+@pytest.fixture
+def write_bag(tmp_path: Path) -> Callable[..., Path]:
+    """Write topics of JointStates to `tmp_path/bag`, logged in the order of `log_times`."""
+
+    def write(
+        topics: dict[str, Iterable[Row]], log_times: dict[str, Sequence[int]] | None = None
+    ) -> Path:
+        path = tmp_path / "bag"
+        text, _ = _TYPES.generate_msgdef(_JOINT_STATE, ros_version=2)
+        with BagWriter(path) as writer:
+            for topic, rows in topics.items():
+                writer.add_topic(
+                    topic, _JOINT_STATE, definition=MessageDefinition(_JOINT_STATE, text, "")
+                )
+                for place, row in enumerate(rows):
+                    log = log_times[topic][place] if log_times else row.stamp + 100_000
+                    writer.write(topic, _serialised(row), log, log)
+        return path
+
+    return write
+
+
+def _serialised(row: Row) -> bytes:
+    stamp = _TYPES.types["builtin_interfaces/msg/Time"](
+        sec=row.stamp // 1_000_000_000, nanosec=row.stamp % 1_000_000_000
+    )
+    message = _TYPES.types[_JOINT_STATE](
+        header=_TYPES.types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
+        name=list(row.names),
+        position=np.array(row.position, dtype=np.float64),
+        velocity=np.array(row.velocity, dtype=np.float64),
+        effort=np.array(row.effort, dtype=np.float64),
+    )
+    return bytes(_TYPES.serialize_cdr(message, _JOINT_STATE))
+
+
+def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
+    """Return the messages that the nodes publish in a run."""
+    own, arm = [run.joint], [f"{run.joint}_link", f"{run.joint}_motor"]
+
+    def motion(stamps: Any, values: Any) -> list[Row]:
+        return [Row(s, arm, v[0::2], v[1::2]) for s, v in zip(stamps.tolist(), values, strict=True)]
+
+    def scalar(stamps: Any, values: Any) -> list[Row]:
+        return [Row(s, own, [v]) for s, v in zip(stamps.tolist(), values, strict=True)]
+
+    measured = [
+        Row(s, own, [y], effort=[u])
+        for s, (y, u) in zip(run.measurements.stamps.tolist(), run.measurements.values, strict=True)
+    ]
+    topics = {
+        "joint_measurements": measured,
+        "observer/joint_states": motion(run.stamps, run.states),
+        "observer/error_bound": motion(run.stamps, run.state_bounds),
+        "observer/disturbance": scalar(run.stamps, run.disturbance),
+        "observer/disturbance_bound": scalar(run.stamps, run.disturbance_bounds),
+    }
+    if run.innovations is not None:
+        stamps, values = run.innovations
+        topics["observer/innovation"] = scalar(stamps, values[:, 0])
+    if run.truth is not None:
+        topics["ground_truth/joint_states"] = motion(*run.truth)
+    if run.true_disturbance is not None:
+        stamps, values = run.true_disturbance
+        topics["ground_truth/disturbance"] = scalar(stamps, values[:, 0])
+    return {f"{namespace}/{name}": rows for name, rows in topics.items()}
+
+
+def shortened(run: RecordedRun, count: int) -> RecordedRun:
+    """Return the first `count` samples of a run, for bags that are quick to write."""
+
+    def cut(series: Series | None) -> Series | None:
+        return None if series is None else Series(series.stamps[:count], series.values[:count])
+
+    return replace(
+        run,
+        measurements=Series(run.measurements.stamps[:count], run.measurements.values[:count]),
+        stamps=run.stamps[:count],
+        states=run.states[:count],
+        state_bounds=run.state_bounds[:count],
+        disturbance=run.disturbance[:count],
+        disturbance_bounds=run.disturbance_bounds[:count],
+        innovations=cut(run.innovations),
+        truth=cut(run.truth),
+        true_disturbance=cut(run.true_disturbance),
+    )
+
+
+@pytest.fixture
+def short(simulated: RecordedRun) -> RecordedRun:
+    """The first second of the simulated run."""
+    return shortened(simulated, 200)
+
+
+@pytest.fixture
+def messages_of() -> Callable[..., dict[str, list[Row]]]:
+    """`topics_of` for tests, which cannot import this file."""
+    return topics_of
+
+
+@pytest.fixture
+def new_run() -> Callable[..., RecordedRun]:
+    """`blank_run` for tests."""
+    return blank_run
+
+
+@pytest.fixture
+def row() -> type[Row]:
+    """`Row` for tests."""
+    return Row

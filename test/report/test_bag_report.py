@@ -1,0 +1,84 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A report on a bag: the same numbers in the table, the JSON and the figures' captions."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from tsobs_ros.errors import BagReadError
+from tsobs_ros.report.bag_report import ReportError, expected_innovation, make_bag_report
+from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.report.reference import compare_with_ekf
+
+
+def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, tmp_path) -> None:
+    output = tmp_path / "new" / "folder"
+
+    report = make_bag_report(write_bag(messages_of(simulated)), output, design, ekf=True)
+
+    options = MetricsOptions(innovation_std=expected_innovation(design))
+    assert report.metrics == measure(simulated, options)
+    assert report.comparison == compare_with_ekf(simulated, design, options)
+    names = ["report.png", "report.html", "report.json"]
+    assert [path.name for path in report.files] == names
+    assert sorted(path.name for path in output.iterdir()) == sorted(names)
+    assert json.loads((output / "report.json").read_text()) == json.loads(
+        json.dumps(report.as_mapping())
+    )
+    text = report.text()
+    assert f"{report.metrics['link_angle'].rmse:#.3g}" in text
+    assert all(f"wrote {output / name}" in text for name in names)
+    assert "note:" not in text
+    assert report.as_mapping()["ekf"]["ratio"]["disturbance"] == pytest.approx(
+        report.metrics["disturbance"].rmse / report.comparison.ekf["disturbance"].rmse
+    )
+
+
+def test_a_report_of_a_robot_without_design(short, messages_of, write_bag, tmp_path) -> None:
+    bag = write_bag(messages_of(replace(short, truth=None, true_disturbance=None)))
+
+    report = make_bag_report(bag, tmp_path, None, ekf=False, html=False)
+
+    assert report.comparison is None
+    assert report.as_mapping()["ekf"] is None
+    assert report.metrics.nis is None
+    assert [path.name for path in report.files] == ["report.png", "report.json"]
+    assert "note: the bag has no ground truth" in report.text()
+    assert "note: the run is too short" in report.text()
+
+
+def test_a_report_is_made_again_over_the_old_one(short, messages_of, write_bag, tmp_path) -> None:
+    bag = write_bag(messages_of(short))
+    (tmp_path / "report.json").write_text("old")
+
+    make_bag_report(bag, tmp_path, None, ekf=False, html=False)
+
+    assert json.loads((tmp_path / "report.json").read_text())["estimates"] == 200
+
+
+def test_an_ekf_needs_a_design(short, messages_of, write_bag, tmp_path) -> None:
+    with pytest.raises(ReportError, match="needs the design file"):
+        make_bag_report(write_bag(messages_of(short)), tmp_path, None, ekf=True)
+
+
+def test_a_report_that_cannot_be_written_says_where(
+    short, messages_of, write_bag, tmp_path
+) -> None:
+    (tmp_path / "file").write_text("")
+
+    with pytest.raises(ReportError, match=r"cannot write the report: .*/file"):
+        make_bag_report(write_bag(messages_of(short)), tmp_path / "file", None, ekf=False)
+
+
+def test_a_bag_that_is_none_is_refused(tmp_path) -> None:
+    with pytest.raises(BagReadError, match="nothing"):
+        make_bag_report(tmp_path / "nothing", tmp_path, None, ekf=False)
+
+
+def test_the_expected_innovation_is_noise_and_bound(design) -> None:
+    X, R = design.covariance_bound, design.request.measurement_std**2
+    variance = X[0, 0] + 2.0 * X[0, 4] + X[4, 4] + R
+
+    assert expected_innovation(design) == pytest.approx(variance**0.5)

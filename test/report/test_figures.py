@@ -1,0 +1,152 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Figures and pages show what is known, stand alone and leave matplotlib as it was."""
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+
+from tsobs_ros.report import panels as content
+from tsobs_ros.report.figures import draw_run
+from tsobs_ros.report.metrics import measure
+from tsobs_ros.report.page import write_html
+from tsobs_ros.report.panels import LARGEST_CURVE, Curve, panels, settling_spans, thin, time_range
+from tsobs_ros.report.series import Series
+
+
+def has_colour(path: Path, colour: str) -> bool:
+    pixels = imread(path)[..., :3]
+    return bool((np.abs(pixels - np.array(to_rgb(colour))).max(axis=-1) < 2 / 255).sum() > 100)
+
+
+@pytest.fixture
+def robot(simulated):
+    """The same run as a real robot would give it."""
+    return replace(simulated, truth=None, true_disturbance=None)
+
+
+def test_a_figure_shows_truth_only_where_it_is_known(simulated, robot, tmp_path) -> None:
+    for name, run in (("known.png", simulated), ("unknown.png", robot)):
+        draw_run(run, measure(run), tmp_path / name)
+
+    assert imread(tmp_path / "known.png").shape[1] == 1400
+    assert has_colour(tmp_path / "known.png", content.TRUTH_COLOUR)
+    assert has_colour(tmp_path / "known.png", content.EVENT_COLOUR)
+    assert not has_colour(tmp_path / "unknown.png", content.TRUTH_COLOUR)
+    assert has_colour(tmp_path / "unknown.png", content.ESTIMATE_COLOUR)
+
+
+def test_the_same_run_gives_the_same_picture(short, tmp_path) -> None:
+    names = [tmp_path / "a.svg", tmp_path / "b.svg"]
+    for name in names:
+        draw_run(short, measure(short), [name])
+
+    assert names[0].read_bytes() == names[1].read_bytes()
+
+
+def test_drawing_leaves_global_state_alone(short, tmp_path) -> None:
+    before = dict(matplotlib.rcParams)
+    pyplot_was_there = "matplotlib.pyplot" in sys.modules
+
+    draw_run(short, measure(short), tmp_path / "run.png")
+
+    assert dict(matplotlib.rcParams) == before
+    assert ("matplotlib.pyplot" in sys.modules) == pyplot_was_there
+
+
+def test_a_figure_survives_what_a_bag_may_lack(robot, tmp_path) -> None:
+    nothing = np.full(robot.states.shape, np.nan)
+    run = replace(
+        robot,
+        innovations=None,
+        state_bounds=nothing,
+        disturbance=nothing[:, 0],
+        disturbance_bounds=nothing[:, 0],
+    )
+
+    draw_run(run, measure(run), tmp_path / "run.png")
+    write_html(run, measure(run), tmp_path / "run.html")
+
+    assert has_colour(tmp_path / "run.png", content.ESTIMATE_COLOUR)
+    assert (tmp_path / "run.html").stat().st_size > 1_000_000
+
+
+def test_long_curves_are_thinned_evenly() -> None:
+    times = np.arange(3 * LARGEST_CURVE + 1, dtype=float)
+
+    thinned = thin(Curve(times, 2.0 * times))
+
+    assert LARGEST_CURVE / 2 < len(thinned.times) <= LARGEST_CURVE
+    assert set(np.diff(thinned.times)) == {4.0}
+    np.testing.assert_array_equal(thinned.values, 2.0 * thinned.times)
+    short = Curve(times[:LARGEST_CURVE], times[:LARGEST_CURVE])
+    np.testing.assert_array_equal(thin(short).times, short.times)
+
+
+def test_panels_hold_the_run_in_its_units(simulated) -> None:
+    shown = panels(simulated, measure(simulated), innovation_std=0.03)
+
+    assert [(panel.title, panel.unit) for panel in shown] == [
+        ("link angle", "rad"),
+        ("link velocity", "rad/s"),
+        ("motor angle", "rad"),
+        ("motor velocity", "rad/s"),
+        ("sensor disturbance", "rad"),
+        ("innovation", "rad"),
+    ]
+    np.testing.assert_array_equal(shown[0].dots.values, simulated.measurements.values[:, 0])
+    np.testing.assert_array_equal(shown[2].truth.values, simulated.truth.values[:, 2])
+    np.testing.assert_array_equal(shown[4].estimate.values, simulated.disturbance)
+    np.testing.assert_array_equal(shown[3].bound, simulated.state_bounds[:, 3])
+    assert shown[5].level[0] == pytest.approx(0.09)
+    assert all(panel.dots is None for panel in shown[1:5])
+
+
+def test_wild_first_guesses_do_not_flatten_the_rest(simulated) -> None:
+    states = simulated.states.copy()
+    states[:20] = 1e3
+
+    panel = panels(replace(simulated, states=states), measure(simulated))[0]
+
+    assert panel.limits[1] < 1.5
+
+
+def test_spans_that_do_not_count_are_the_windows_complement(simulated) -> None:
+    spans = list(settling_spans(simulated, measure(simulated)))
+
+    assert spans == [pytest.approx((0.0013, 5.0013)), pytest.approx((8.0, 13.0))]
+
+
+def test_a_wrong_stamp_does_not_stretch_the_time_axis(simulated) -> None:
+    stamps, values = (a.copy() for a in simulated.measurements)
+    assert time_range(simulated) == (0.0, 20.0)
+    stamps[100] += 10**15
+
+    assert time_range(replace(simulated, measurements=Series(stamps, values))) == (0.0, 19.9963)
+
+
+def test_a_page_needs_nothing_but_itself(simulated, tmp_path) -> None:
+    path = tmp_path / "run.html"
+
+    write_html(replace(simulated, name="<b>&run"), measure(simulated), path, 0.03)
+
+    text = path.read_text(encoding="utf-8")
+    assert "<title>&lt;b&gt;&amp;run</title>" in text
+    assert not re.search(r"<(script|link|img)[^>]+(src|href)=", text)
+    for name in ("measured", "true", "estimated", "error", "innovation"):
+        assert f'"name":"{name}"' in text
+    assert [p.name for p in tmp_path.iterdir()] == ["run.html"]
+
+
+def test_a_page_of_the_same_run_is_the_same(short, tmp_path) -> None:
+    for name in ("a.html", "b.html"):
+        write_html(short, measure(short), tmp_path / name)
+
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()

@@ -1,0 +1,306 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics against errors that were put in by hand, and against an EKF that is the same observer."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.observer import GainMode
+from tsobs_ros.estimation.records import Measurement
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.report.metrics import QUANTITIES, MetricsOptions, measure
+from tsobs_ros.report.reference import compare_with_ekf, rerun
+from tsobs_ros.report.series import Series
+from tsobs_ros.report.table import render_metrics
+
+PERIOD = 5_000_000
+START = 1_000_000_000
+BOUND = 0.1
+
+
+@pytest.fixture
+def exact(new_run):
+    """Forty seconds of an arm at rest, estimated without error; the bias is 0.1 from 20 s on."""
+    stamps = START + np.arange(8001) * PERIOD
+    bias = np.where(stamps >= START + 20_000_000_000, 0.1, 0.0)
+    run = new_run(
+        Series(stamps, np.zeros((8001, 2))),
+        stamps,
+        truth=Series(stamps, np.zeros((8001, 4))),
+        true_disturbance=Series(stamps, bias[:, np.newaxis]),
+    )
+    return replace(
+        run,
+        states=np.zeros((8001, 4)),
+        state_bounds=np.full((8001, 4), BOUND),
+        disturbance=bias,
+        disturbance_bounds=np.full(8001, BOUND),
+    )
+
+
+def with_error(run, begin: float, end: float, size: float, column: int = 0):
+    """Return the run with an error of one state in part of it."""
+    states = run.states.copy()
+    states[(run.times >= begin) & (run.times < end), column] += size
+    return replace(run, states=states)
+
+
+def test_errors_count_where_the_run_is_settled(exact) -> None:
+    run = with_error(exact, 10.0, 15.0, 0.06)  # 5 of 15 + 15 settled seconds
+    run = with_error(run, 0.0, 5.0, 9.0)
+    run = with_error(run, 20.0, 25.0, 9.0)
+
+    metrics = measure(run)
+
+    assert metrics.windows == ((5.0, 20.0), (25.0, 40.0))
+    assert metrics.settled_time == pytest.approx(30.0)
+    assert metrics["link_angle"].rmse == pytest.approx(0.06 / math.sqrt(6.0), rel=1e-6)
+    assert metrics["link_angle"].bound == pytest.approx(BOUND)
+    assert metrics["link_angle"].ratio == pytest.approx(0.6 / math.sqrt(6.0), rel=1e-6)
+    assert metrics["link_angle"].inside == 1.0
+    assert metrics["motor_velocity"].rmse == 0.0
+    assert metrics["disturbance"].rmse == 0.0
+
+
+def test_inside_counts_three_sigma_of_the_bound(exact) -> None:
+    metrics = measure(with_error(exact, 10.0, 13.0, 0.31, column=2))
+
+    assert metrics["motor_angle"].inside == pytest.approx(0.9)
+    assert measure(with_error(exact, 10.0, 13.0, -0.29, column=2))["motor_angle"].inside == 1.0
+
+
+def test_the_normalised_error_weighs_the_states_by_their_scale(exact) -> None:
+    scale = (0.226, 0.60, 0.355, 0.464)
+    run = replace(exact, states=exact.states + 0.01 * np.array(scale))
+
+    assert measure(run).normalised_rmse == pytest.approx(0.01)
+    assert measure(run, MetricsOptions(scale=(0.113, 0.3, 0.1775, 0.232))).normalised_rmse == (
+        pytest.approx(0.02)
+    )
+
+
+def test_settling_is_timed_from_the_start_and_from_each_jump(exact) -> None:
+    run = with_error(exact, 0.0, 1.5, 0.4)
+    run = with_error(run, 1.9, 2.0, 0.4, column=3)  # quiet for less than the hold time before
+    run = with_error(run, 20.0, 22.25, -0.4, column=1)
+
+    start, jump = measure(run).events
+
+    assert (start.what, start.time, start.size) == ("start", 0.0, 0.0)
+    assert start.settled_after == pytest.approx(2.0)
+    assert (jump.what, jump.time) == ("jump", 20.0)
+    assert jump.size == pytest.approx(0.1)
+    assert jump.settled_after == pytest.approx(2.25)
+
+
+def test_errors_that_never_settle_have_no_settling_time(exact) -> None:
+    start, jump = measure(with_error(exact, 0.0, 30.0, 0.4)).events
+
+    assert start.settled_after is None
+    assert jump.settled_after == pytest.approx(10.0)
+
+
+def test_a_wide_bound_at_the_start_does_not_make_the_start_settled(exact) -> None:
+    bounds = exact.state_bounds.copy()
+    bounds[exact.times < 3.0] = 5.0
+    run = with_error(replace(exact, state_bounds=bounds), 0.0, 2.0, 1.0)
+
+    assert measure(run).events[0].settled_after == pytest.approx(2.0)
+
+
+def test_small_steps_of_the_disturbance_are_no_jumps(exact) -> None:
+    stamps, values = exact.true_disturbance
+    ramp = Series(stamps, 0.2 * np.sin(3.0 * exact.times)[:, np.newaxis])
+    chatter = values.copy()
+    chatter[4001:4010:2] = 0.0
+
+    assert len(measure(replace(exact, true_disturbance=ramp)).events) == 1
+    events = measure(replace(exact, true_disturbance=Series(stamps, chatter))).events
+    assert [event.time for event in events] == [0.0, 20.0]
+
+
+def test_a_jump_during_the_start_does_not_end_it(exact) -> None:
+    stamps = exact.stamps
+    early = (stamps >= START + 1_000_000_000).astype(float)[:, np.newaxis]
+    run = replace(exact, true_disturbance=Series(stamps, early), disturbance=early[:, 0])
+
+    assert measure(run, MetricsOptions(jump_settle_time=1.0)).windows == ((5.0, 40.0),)
+
+
+def test_what_follows_the_last_measurement_does_not_count(exact) -> None:
+    measured = Series(exact.stamps[:7001], exact.measurements.values[:7001])
+
+    metrics = measure(with_error(replace(exact, measurements=measured), 35.0, 40.0, 9.0))
+
+    assert metrics.windows == ((5.0, 20.0), (25.0, 35.0))
+    assert metrics["link_angle"].rmse == 0.0
+
+
+def test_without_truth_there_are_bounds_but_no_errors(exact) -> None:
+    metrics = measure(replace(exact, truth=None, true_disturbance=None))
+
+    assert metrics.windows == ((5.0, 40.0),)
+    assert metrics["link_angle"].bound == pytest.approx(BOUND)
+    assert all(one.rmse is one.ratio is one.inside is None for one in metrics.quantities)
+    assert metrics.normalised_rmse is None
+    assert metrics.events[0].settled_after is None
+
+
+def test_lost_truth_and_bounds_are_left_out(exact) -> None:
+    bounds = exact.state_bounds.copy()
+    bounds[2000:2400] = np.nan
+    keep = (exact.times < 12.0) | (exact.times > 13.0)
+    truth = Series(exact.truth.stamps[keep], exact.truth.values[keep])
+    run = with_error(replace(exact, state_bounds=bounds, truth=truth), 12.0, 13.0, 9.0)
+
+    metrics = measure(run)
+
+    assert metrics["link_angle"].rmse == 0.0
+    assert metrics["link_angle"].bound == pytest.approx(BOUND)
+    assert metrics["link_angle"].inside == 1.0
+
+
+def test_a_run_that_is_too_short_has_no_settled_part(short) -> None:
+    metrics = measure(short)
+
+    assert metrics.windows == ()
+    assert metrics.settled_time == 0.0
+    assert metrics["link_angle"].rmse is None
+
+
+def test_the_innovation_is_measured_against_the_expected_one(exact) -> None:
+    values = np.full((8001, 1), 0.03)
+    values[exact.times < 5.0] = 9.0
+    run = replace(exact, innovations=Series(exact.stamps, values))
+
+    assert measure(run, MetricsOptions(innovation_std=0.02)).nis == pytest.approx(2.25)
+    assert measure(run).nis is None
+    assert measure(exact, MetricsOptions(innovation_std=0.02)).nis is None
+
+
+def test_metrics_are_plain_data(simulated, exact) -> None:
+    options = MetricsOptions(innovation_std=0.03)
+    for run in (simulated, replace(exact, truth=None, true_disturbance=None)):
+        metrics = measure(run, options)
+        text = json.dumps(metrics.as_mapping(), allow_nan=False)
+        assert list(json.loads(text)["quantities"]) == [one.key for one in QUANTITIES]
+    assert json.loads(text)["quantities"]["link_angle"]["rmse"] is None
+
+
+def test_unknown_quantities_are_refused(exact) -> None:
+    with pytest.raises(KeyError, match="elbow"):
+        measure(exact)["elbow"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("start_settle_time", -1.0),
+        ("jump_threshold", 0.0),
+        ("hold_time", math.nan),
+        ("scale", (1.0, 1.0, 1.0)),
+        ("scale", (1.0, 1.0, 1.0, 0.0)),
+        ("innovation_std", 0.0),
+    ],
+)
+def test_senseless_options_are_refused(name, value) -> None:
+    with pytest.raises(ModelError, match=name):
+        MetricsOptions(**{name: value})
+
+
+def test_the_table_says_what_the_metrics_say(simulated, design) -> None:
+    comparison = compare_with_ekf(simulated, design)
+    metrics = comparison.observer
+
+    lines = render_metrics(metrics, comparison).splitlines()
+
+    row = next(line for line in lines if line.startswith("motor velocity")).split()
+    one, other = metrics["motor_velocity"], comparison.ekf["motor_velocity"]
+    assert row[2:5] == ["rad/s", f"{one.rmse:#.3g}", f"{one.bound:#.3g}"]
+    assert row[5:8] == [f"{one.ratio:.2f}", f"{100.0 * one.inside:.1f}", "%"]
+    assert row[8:] == [f"{other.rmse:#.3g}", f"{one.rmse / other.rmse:.2f}"]
+    table = lines[2:10]
+    assert len({len(line) for line in table[1:]}) == 1, "columns are not aligned"
+    assert any(line.startswith("jump of +0.1 rad at 8.00 s: errors settled") for line in lines)
+
+
+def test_the_table_of_a_real_robot_has_no_settling(exact) -> None:
+    text = render_metrics(measure(replace(exact, truth=None, true_disturbance=None)))
+
+    assert "settling" not in text
+    assert "EKF" not in text
+    assert "–" in text
+
+
+def test_the_certified_observer_keeps_its_bound_on_simulated_data(simulated) -> None:
+    metrics = measure(simulated)
+
+    assert all(one.inside == 1.0 for one in metrics.quantities)
+    assert all(one.ratio < 1.3 for one in metrics.quantities)
+    assert all(event.settled_after < 5.0 for event in metrics.events)
+
+
+def test_an_ekf_compared_with_itself_is_as_good(unobserved, design) -> None:
+    ekf = rerun(unobserved, design.observer(gain_mode=GainMode.RICCATI), design.request.x_max)
+
+    comparison = compare_with_ekf(ekf, design)
+
+    assert set(comparison.ratios.values()) == {1.0}
+    assert comparison.normalised_ratio == 1.0
+
+
+def test_without_truth_there_is_no_ratio(simulated, design) -> None:
+    run = replace(simulated, truth=None, true_disturbance=None)
+
+    comparison = compare_with_ekf(run, design)
+
+    assert set(comparison.ratios.values()) == {None}
+    assert comparison.normalised_ratio is None
+    assert comparison.as_mapping()["ratio"]["link_angle"] is None
+
+
+def test_a_rerun_takes_measurements_as_they_arrived(unobserved, design) -> None:
+    """One late, one twice, one not finite, one from after the end: as a tracker takes them."""
+    stamps, values = (a[:400].copy() for a in unobserved.measurements)
+    order = np.arange(400)
+    order[[100, 120]] = order[[120, 100]]
+    order[200] = 199
+    values[250, 0] = np.nan
+    stamps[399] += 10**12
+    run = replace(
+        unobserved,
+        measurements=Series(stamps[order], values[order]),
+        stamps=unobserved.stamps[:390],
+    )
+    tracker = Tracker(design.observer(), TrackerOptions(x_max=design.request.x_max))
+    expected, place = [], 0
+    for stamp in run.stamps.tolist():
+        while run.measurements.stamps[place] <= stamp:
+            y, u = run.measurements.values[place]
+            tracker.offer(
+                Measurement(int(run.measurements.stamps[place]), np.array([y]), np.array([u])),
+                stamp,
+            )
+            place += 1
+        expected.append(tracker.estimate(stamp).state)
+
+    again = rerun(run, design.observer(), design.request.x_max)
+
+    np.testing.assert_array_equal(again.states, expected)
+    assert len(again.innovations.stamps) == tracker.used
+    # What was measured 20 samples later arrived first, so those between had to be put before it.
+    assert tracker.rewinds > 0
+
+
+def test_estimates_before_the_first_measurement_are_blank(unobserved, design) -> None:
+    stamps = np.concatenate([unobserved.stamps[:1] - 10_000_000, unobserved.stamps[:50]])
+
+    again = rerun(replace(unobserved, stamps=stamps), design.observer(), design.request.x_max)
+
+    assert np.isnan(again.states[0]).all()
+    assert np.isfinite(again.states[1:]).all()

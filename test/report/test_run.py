@@ -1,0 +1,203 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A run is read from a bag as it was recorded, whatever its topics are called."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tsobs_ros.errors import BagReadError
+from tsobs_ros.report.run import read_run, restarts
+from tsobs_ros.report.series import Series, align, hold, interpolate_motion
+
+SECOND = 1_000_000_000
+
+
+@pytest.mark.parametrize("namespace", ["", "/lab/left"])
+def test_a_run_comes_back_from_its_bag(short, messages_of, write_bag, namespace) -> None:
+    run = read_run(write_bag(messages_of(short, namespace)))
+
+    for name in ("stamps", "states", "state_bounds", "disturbance", "disturbance_bounds"):
+        np.testing.assert_array_equal(getattr(run, name), getattr(short, name), err_msg=name)
+    for name in ("measurements", "innovations", "truth", "true_disturbance"):
+        for read, written in zip(getattr(run, name), getattr(short, name), strict=True):
+            np.testing.assert_array_equal(read, written, err_msg=name)
+    assert run.joint == "elastic_joint"
+    assert run.passes == 1
+    assert run.origin == short.measurements.stamps[0]
+    assert run.name.endswith("/bag")
+
+
+def test_a_bag_of_a_real_robot_has_no_truth(short, messages_of, write_bag) -> None:
+    run = read_run(write_bag(messages_of(replace(short, truth=None, true_disturbance=None))))
+
+    assert run.truth is None
+    assert run.true_states is None
+    assert run.true_disturbance_held is None
+    assert len(run.stamps) == len(short.stamps)
+
+
+def test_missing_topics_are_named_with_the_bag(short, messages_of, write_bag) -> None:
+    topics = messages_of(short)
+    del topics["/observer/error_bound"], topics["/joint_measurements"]
+
+    with pytest.raises(
+        BagReadError, match=r"bag: no topic ends in joint_measurements, observer/error_bound; "
+    ):
+        read_run(write_bag(topics))
+
+
+def test_a_topic_without_the_joint_is_named(short, messages_of, write_bag) -> None:
+    bag = write_bag(messages_of(short))
+
+    with pytest.raises(BagReadError, match=r"no message about joint 'elbow' on /joint_meas"):
+        read_run(bag, "elbow")
+
+
+def test_a_topic_without_messages_is_named(short, messages_of, write_bag) -> None:
+    bag = write_bag({**messages_of(short), "/observer/joint_states": []})
+
+    with pytest.raises(BagReadError, match=r"no message about .* on /observer/joint_states$"):
+        read_run(bag)
+
+
+def test_optional_topics_may_be_empty(short, messages_of, write_bag) -> None:
+    empty = {"/ground_truth/joint_states": [], "/observer/innovation": []}
+
+    run = read_run(write_bag({**messages_of(short), **empty}))
+
+    assert run.truth is None
+    assert run.innovations is None
+    assert run.true_disturbance is not None
+
+
+def test_of_two_arms_one_must_be_chosen(short, messages_of, write_bag) -> None:
+    other = replace(short, states=short.states + 1.0)
+    bag = write_bag({**messages_of(short, "/left"), **messages_of(other, "/right")})
+
+    with pytest.raises(BagReadError, match=r"several topics end in joint_measurements: /left/"):
+        read_run(bag)
+    np.testing.assert_array_equal(read_run(bag, namespace="/right").states, other.states)
+    np.testing.assert_array_equal(read_run(bag, namespace="left/").states, short.states)
+
+
+def test_the_joint_may_be_one_of_several_and_lack_an_effort(
+    short, messages_of, write_bag, row
+) -> None:
+    topics = messages_of(short)
+    stamps = short.measurements.stamps.tolist()
+    topics["/joint_measurements"] = [
+        row(stamps[0], ["elbow", "elastic_joint"], [9.0, 0.5], effort=[8.0, 0.25]),
+        row(stamps[1], ["elastic_joint"], [0.75]),
+        row(stamps[2], ["elbow"], [9.0], effort=[8.0]),
+    ]
+
+    measured = read_run(write_bag(topics)).measurements
+
+    np.testing.assert_array_equal(measured.stamps, stamps[:2])
+    np.testing.assert_array_equal(measured.values, [[0.5, 0.25], [0.75, np.nan]])
+
+
+def test_lost_messages_leave_gaps_and_not_shifts(short, messages_of, write_bag) -> None:
+    topics = messages_of(short)
+    del topics["/observer/error_bound"][10], topics["/observer/disturbance"][20]
+
+    run = read_run(write_bag(topics))
+
+    assert np.flatnonzero(np.isnan(run.state_bounds[:, 0])).tolist() == [10]
+    assert np.flatnonzero(np.isnan(run.disturbance)).tolist() == [20]
+    np.testing.assert_array_equal(run.state_bounds[11:], short.state_bounds[11:])
+
+
+def test_measurements_keep_their_order_of_arrival(short, messages_of, write_bag) -> None:
+    topics = messages_of(short)
+    rows = topics["/joint_measurements"]
+    logs = {name: [r.stamp for r in rows] for name, rows in topics.items()}
+    rows[50], rows[51] = rows[51], rows[50]
+
+    run = read_run(write_bag(topics, logs))
+
+    expected = short.measurements.stamps.copy()
+    expected[[50, 51]] = expected[[51, 50]]
+    np.testing.assert_array_equal(run.measurements.stamps, expected)
+
+
+def test_of_a_looped_bag_the_longest_pass_is_read(short, messages_of, write_bag) -> None:
+    """Three passes over the same two seconds of stamps, the second one being the longest."""
+    parts = ((150, 0), (200, 10 * SECOND), (120, 20 * SECOND))
+    topics, logs = {}, {}
+    for name, rows in messages_of(short).items():
+        # Twice as slow, so that a pass spans more than the second that late messages may have.
+        slow = [r._replace(stamp=2 * r.stamp - rows[0].stamp) for r in rows]
+        topics[name] = [r for count, _ in parts for r in slow[:count]]
+        logs[name] = [r.stamp + lag for count, lag in parts for r in slow[:count]]
+
+    run = read_run(write_bag(topics, logs))
+
+    assert run.passes == 3
+    assert len(run.stamps) == 200
+    np.testing.assert_array_equal(run.states, short.states)
+    np.testing.assert_array_equal(run.truth.values, short.truth.values)
+
+
+def test_restarts_are_told_from_stragglers() -> None:
+    first = [k * SECOND // 10 for k in range(1, 61)]
+
+    assert restarts(first) == []
+    assert restarts([*first, first[0], *(s + 6 * SECOND for s in first)]) == []
+    assert restarts([*first, *first, *first]) == [60, 120]
+    assert restarts([*first[:50], 0, *first[50:]]) == []  # a zero stamp is no time at all
+    assert restarts([*first, *(s - SECOND // 2 for s in first[56:])]) == []  # merely late
+
+
+def test_interpolated_motion_keeps_the_documented_error() -> None:
+    period, w = 5_000_000, 5.0
+    stamps = np.arange(0, 400) * period
+    t = stamps / 1e9
+    values = np.column_stack([np.sin(w * t), w * np.cos(w * t), np.cos(t), -np.sin(t)])
+    wanted = stamps[:-1] + period // 2
+    exact = wanted / 1e9
+
+    motion = interpolate_motion(Series(stamps, values), wanted)
+
+    h = 5e-3
+    angle_error = np.abs(motion[:, 0] - np.sin(w * exact)).max()
+    velocity_error = np.abs(
+        interpolate_motion(Series(stamps, values), stamps[:-1] + 1_056_624)[:, 1]
+        - w * np.cos(w * (t[:-1] + 1.056624e-3))
+    ).max()
+    assert 0.9 < angle_error / (h**4 / 384 * w**4) <= 1.001
+    assert 0.9 < velocity_error / (np.sqrt(3) * h**3 / 216 * w**4) <= 1.001
+    np.testing.assert_allclose(motion[:, 2], np.cos(exact), atol=h**4 / 384)
+
+
+def test_nothing_is_interpolated_outside_or_in_gaps() -> None:
+    stamps = np.array([0, 1, 2, 30, 31]) * 10_000_000
+    series = Series(stamps, np.zeros((5, 4)))
+    wanted = np.array(
+        [-1, 5_000_000, 20_000_000, 25_000_000, 305_000_000, 310_000_000, 310_000_001]
+    )
+
+    known = np.isfinite(interpolate_motion(series, wanted)).all(axis=1)
+
+    assert known.tolist() == [False, True, False, False, True, True, False]
+    assert np.isnan(interpolate_motion(Series(stamps[:1], np.zeros((1, 4))), wanted)).all()
+
+
+def test_a_held_value_is_the_newest_and_not_too_old() -> None:
+    series = Series(np.array([100, 200, 300]) * 1_000_000, np.array([[1.0], [2.0], [3.0]]))
+    wanted = np.array([99, 100, 199, 200, 400, 401]) * 1_000_000
+
+    held = hold(series, wanted)[:, 0]
+
+    np.testing.assert_array_equal(held, [np.nan, 1.0, 1.0, 2.0, 3.0, np.nan])
+
+
+def test_alignment_is_by_stamp_and_the_first_of_equals_counts() -> None:
+    series = Series(np.array([30, 10, 10]), np.array([[3.0], [1.0], [9.0]]))
+
+    aligned = align(series, np.array([10, 20, 30, 40]))[:, 0]
+
+    np.testing.assert_array_equal(aligned, [1.0, np.nan, 3.0, np.nan])
+    assert np.isnan(align(Series(series.stamps[:0], series.values[:0]), np.array([1]))).all()
