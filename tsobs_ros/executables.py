@@ -68,6 +68,9 @@ def _run(name: str) -> int:
 if __name__ == "__main__":
     # `python -m tsobs_ros.executables observer …` where no script has been installed.
     if len(sys.argv) < 2 or sys.argv[1] not in ("observer", "plant_simulator", "recorder"):
-        print("usage: python -m tsobs_ros.executables observer|plant_simulator|recorder …", file=sys.stderr)
+        print(
+            "usage: python -m tsobs_ros.executables observer|plant_simulator|recorder …",
+            file=sys.stderr,
+        )
         sys.exit(2)
     sys.exit(_run(sys.argv.pop(1)))
