@@ -14,20 +14,18 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
-from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import JointState
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
+from tsobs_ros.nodes.plant_topics import SamplePublisher
 from tsobs_ros.nodes.sample_schedule import SampleSchedule, ScaledTime
-from tsobs_ros.nodes.stamps import NANOSECONDS, set_stamp
-from tsobs_ros.simulation.plant import Plant, Sample
+from tsobs_ros.nodes.stamps import NANOSECONDS
+from tsobs_ros.simulation.plant import Plant
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.
 _LONGEST_LAG = NANOSECONDS
@@ -42,7 +40,6 @@ _BACKWARD = JumpThreshold(
 _START_POLL = 0.02
 _CLOCK_PATIENCE = 5 * NANOSECONDS
 _WARN_EVERY = 5.0
-_ACKNOWLEDGE_TIMEOUT = 1.0
 
 
 class PlantSimulatorNode(Node):
@@ -61,7 +58,9 @@ class PlantSimulatorNode(Node):
         self._settings = parameters = self._binding.value
         self.rejected_commands = 0
         self._command = self._command_end = 0.0
-        self._publish_sample = _SamplePublisher(self, parameters)
+        self._publish_sample = SamplePublisher(
+            self, parameters.joint, publish_clock=parameters.publish_clock
+        )
         self._commands = DrainedSubscription(
             self, Float64MultiArray, "joint_torque_command", QoSProfile(depth=10)
         )
@@ -240,62 +239,6 @@ class PlantSimulatorNode(Node):
         response.message = f"restarted with seed {self._settings.seed}"
         self.get_logger().info(response.message)
         return response
-
-
-class _SamplePublisher:
-    """Turns samples into messages; messages are made once and overwritten."""
-
-    def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
-        joint = parameters.joint
-        self._measurement = JointState(name=[joint], position=[0.0], effort=[0.0])
-        self._states = JointState(
-            name=[f"{joint}_link", f"{joint}_motor"], position=[0.0] * 2, velocity=[0.0] * 2
-        )
-        self._disturbance = JointState(name=[joint], position=[0.0])
-        self._clock = ClockMessage()
-        self._to_measurements = node.create_publisher(
-            JointState, "joint_measurements", qos_profile_sensor_data
-        )
-        # Executors look at every event of every publisher at every wake-up. A reliable publisher
-        # suits all usual subscribers, so only the best-effort one is asked about mismatches.
-        silent = PublisherEventCallbacks(use_default_callbacks=False)
-        options = {"qos_profile": QoSProfile(depth=10), "event_callbacks": silent}
-        self._to_states = node.create_publisher(JointState, "ground_truth/joint_states", **options)
-        self._to_disturbance = node.create_publisher(
-            JointState, "ground_truth/disturbance", **options
-        )
-        self._to_clock: Any = None
-        if parameters.publish_clock:
-            self._to_clock = node.create_publisher(ClockMessage, "/clock", **options)
-
-    @property
-    def subscribers(self) -> int:
-        """Matched subscriptions of the measurements."""
-        return int(self._to_measurements.get_subscription_count())
-
-    def __call__(self, stamp: int, sample: Sample) -> None:
-        """Publish the time, the truth and, unless it was lost, the measurement of a sample."""
-        if self._to_clock is not None:
-            set_stamp(self._clock.clock, stamp)
-            self._to_clock.publish(self._clock)
-        for message in (self._measurement, self._states, self._disturbance):
-            set_stamp(message.header.stamp, stamp)
-        states = self._states
-        states.position[0], states.velocity[0], states.position[1], states.velocity[1] = (
-            sample.physical.tolist()
-        )
-        self._to_states.publish(states)
-        self._disturbance.position[0] = sample.disturbance.item()
-        self._to_disturbance.publish(self._disturbance)
-        if not sample.lost:
-            self._measurement.position[0] = sample.measurement.item()
-            self._measurement.effort[0] = sample.torque.item()
-            self._to_measurements.publish(self._measurement)
-
-    def wait_for_acknowledgement(self) -> None:
-        """Wait, not for ever, until subscribers have the truth that was published."""
-        for publisher in (self._to_states, self._to_disturbance):
-            publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
 
 
 def create(**node_kwargs: Any) -> PlantSimulatorNode:

@@ -1,0 +1,104 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A listener to a simulator under test: starts it, collects what it publishes, talks to it."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import pytest
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
+from tsobs_ros.nodes.plant_simulator import PlantSimulatorNode, create
+from tsobs_ros.nodes.stamps import to_nanoseconds
+from tsobs_ros.simulation.plant import Plant, Sample
+
+BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE = QoSProfile(depth=5000)
+
+
+class Received(NamedTuple):
+    stamp: int
+    message: Any
+
+
+class Listener:
+    """Collects what the simulator publishes and talks to it."""
+
+    def __init__(self, ros: Any) -> None:
+        self.ros = ros
+        self.node = ros.node("listener")
+        self.measurements: list[Received] = []
+        self.states: list[Received] = []
+        self.disturbances: list[Received] = []
+        self.clock: list[int] = []
+        for topic, qos, kept in (
+            ("joint_measurements", BEST_EFFORT, self.measurements),
+            ("ground_truth/joint_states", RELIABLE, self.states),
+            ("ground_truth/disturbance", RELIABLE, self.disturbances),
+        ):
+            self.node.create_subscription(JointState, topic, self._keeper(kept), qos)
+        self.commands = self.node.create_publisher(Float64MultiArray, "joint_torque_command", 10)
+        self.resets = self.node.create_client(Trigger, "plant_simulator/reset")
+
+    def listen_to_clock(self) -> None:
+        self.node.create_subscription(
+            Clock, "/clock", lambda m: self.clock.append(to_nanoseconds(m.clock)), RELIABLE
+        )
+
+    def start(self, **overrides: Any) -> PlantSimulatorNode:
+        """Start a simulator which waits for this listener."""
+        given = {"wait_for_subscribers": 1, **overrides}
+        parameters = [Parameter(name.replace("__", "."), value=v) for name, v in given.items()]
+        node = create(context=self.ros.context, parameter_overrides=parameters)
+        return self.ros.add(node)
+
+    def wait_for(self, kept: list[Any], more: int) -> None:
+        wanted = len(kept) + more
+        self.ros.spin_until(lambda: len(kept) >= wanted, 20.0, f"the arrival of {more} messages")
+
+    def wait_until(self, predicate: Callable[[], bool], what: str) -> None:
+        self.ros.spin_until(predicate, 20.0, what)
+
+    def command(self, *values: float) -> None:
+        self.wait_until(lambda: self.commands.get_subscription_count() == 1, "matching")
+        self.commands.publish(Float64MultiArray(data=list(values)))
+
+    def reset(self) -> Any:
+        self.wait_until(self.resets.service_is_ready, "the reset service")
+        future = self.resets.call_async(Trigger.Request())
+        self.wait_until(future.done, "the reset")
+        return future.result()
+
+    @staticmethod
+    def core(count: int, seed: int = 0, **changes: Any) -> list[Sample]:
+        """Return the samples that a simulator with such parameters must publish."""
+        plant = Plant(PlantSimulatorParameters(**changes).scenario(), seed)
+        return [plant.step() for _ in range(count)]
+
+    @staticmethod
+    def places(received: list[Received], samples: list[Sample]) -> list[int]:
+        """Find each measurement, bit for bit, among the samples of the core."""
+        index = {sample.measurement.item(): sample.index for sample in samples}
+        return [index[item.message.position[0]] for item in received]
+
+    @staticmethod
+    def _keeper(kept: list[Received]) -> Callable[[Any], None]:
+        return lambda m: kept.append(Received(to_nanoseconds(m.header.stamp), m))
+
+
+@pytest.fixture
+def listen(ros: Any) -> Callable[[], Listener]:
+    """Make a listener when the test wants one."""
+    return lambda: Listener(ros)
+
+
+@pytest.fixture
+def listener(listen: Callable[[], Listener]) -> Listener:
+    """Give a listener that is there from the beginning."""
+    return listen()

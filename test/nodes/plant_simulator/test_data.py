@@ -1,0 +1,143 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator publishes its core's numbers bit for bit, whoever commands or resets it."""
+
+import math
+from typing import Any
+
+from rclpy.parameter import Parameter
+
+from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
+
+PERIOD = 5_000_000
+SECOND = 1_000_000_000
+
+
+def test_measurements_are_the_cores_bit_for_bit_at_exact_stamps(listener: Any) -> None:
+    listener.start(seed=3)
+    listener.wait_for(listener.measurements, 300)
+    samples = listener.core(5000, seed=3)
+    found = listener.places(listener.measurements, samples)
+    assert found == sorted(set(found))
+    start = listener.measurements[0].stamp - found[0] * PERIOD
+    for k, item in zip(found, listener.measurements, strict=True):
+        assert item.stamp == start + k * PERIOD
+        assert list(item.message.name) == ["elastic_joint"]
+        assert list(item.message.effort) == samples[k].torque.tolist()
+        assert item.message.header.frame_id == ""
+        assert len(item.message.velocity) == 0
+
+
+def test_truth_is_what_the_measurement_was_made_of(listener: Any) -> None:
+    listener.start(disturbance__kind="sinusoid", joint="elbow")
+    listener.wait_for(listener.measurements, 100)
+    disturbance = PlantSimulatorParameters().disturbance
+    samples = listener.core(5000, disturbance=type(disturbance)(kind="sinusoid"))
+    stamps = dict(
+        zip(
+            (item.stamp for item in listener.measurements),
+            listener.places(listener.measurements, samples),
+            strict=True,
+        )
+    )
+    compared = 0
+    for item in listener.states:
+        if item.stamp in stamps:
+            q1, v1, q2, v2 = samples[stamps[item.stamp]].physical.tolist()
+            assert list(item.message.name) == ["elbow_link", "elbow_motor"]
+            assert list(item.message.position) == [q1, q2]
+            assert list(item.message.velocity) == [v1, v2]
+            compared += 1
+    for item in listener.disturbances:
+        if item.stamp in stamps:
+            assert list(item.message.name) == ["elbow"]
+            d = samples[stamps[item.stamp]].disturbance.tolist()
+            assert list(item.message.position) == d
+            compared += 1
+    assert compared > 100
+
+
+def test_a_command_moves_the_arm_until_its_timeout(listener: Any) -> None:
+    listener.start(command_timeout=0.1)
+    listener.wait_for(listener.measurements, 10)
+    listener.command(2.5)
+    efforts = lambda: [item.message.effort[0] for item in listener.measurements]  # noqa: E731
+    listener.wait_until(lambda: 2.5 in efforts() and efforts()[-1] != 2.5, "the command's timeout")
+    assert efforts().count(2.5) <= 20
+    first = efforts().index(2.5)
+    stamps = [item.stamp for item in listener.measurements if item.message.effort[0] == 2.5]
+    assert stamps[-1] - stamps[0] == 19 * PERIOD or len(stamps) < 20
+    samples = listener.core(5000)
+    # The same arm until the sample that applied the command, another one after it.
+    assert listener.places(listener.measurements[: first + 1], samples)[-1] >= 10
+    known = {sample.measurement.item() for sample in samples}
+    assert listener.measurements[-1].message.position[0] not in known
+
+
+def test_a_command_without_timeout_holds_and_saturates(listener: Any) -> None:
+    node = listener.start(command_timeout=0.0, torque_limit=3.0)
+    listener.command(-7.0)
+    listener.wait_until(
+        lambda: [m.message.effort[0] for m in listener.measurements[-150:]] == [-3.0] * 150,
+        "150 samples with the saturated command",
+    )
+    assert node.rejected_commands == 0
+
+
+def test_senseless_commands_are_counted_and_ignored(listener: Any) -> None:
+    node = listener.start()
+    for values in ((math.nan,), (math.inf,), (), (1.0, 2.0)):
+        listener.command(*values)
+    listener.wait_until(lambda: node.rejected_commands == 4, "the rejection of four commands")
+    listener.wait_for(listener.measurements, 50)
+    listener.places(listener.measurements, listener.core(5000))
+
+
+def test_reset_starts_as_fresh_while_stamps_go_on(listener: Any) -> None:
+    listener.start(seed=5, disturbance__kind="gauss_markov")
+    listener.wait_for(listener.measurements, 100)
+    listener.command(4.0)
+    listener.wait_until(
+        lambda: listener.measurements[-1].message.effort[0] == 4.0, "the command's effect"
+    )
+    answer = listener.reset()
+    assert answer.success
+    assert answer.message == "restarted with seed 5"
+    disturbance = PlantSimulatorParameters().disturbance
+    samples = listener.core(5000, seed=5, disturbance=type(disturbance)(kind="gauss_markov"))
+    early = {sample.measurement.item() for sample in samples[:30]}
+    restarted = lambda: [  # noqa: E731
+        place
+        for place in range(100, len(listener.measurements))
+        if listener.measurements[place].message.position[0] in early
+    ]
+    listener.wait_until(lambda: bool(restarted()), "the restart")
+    listener.wait_for(listener.measurements, 50)
+    found = listener.places(listener.measurements[restarted()[0] :], samples)
+    assert found == sorted(set(found))
+    steps = {
+        (item.stamp - listener.measurements[0].stamp) % PERIOD for item in listener.measurements
+    }
+    assert steps == {0}
+
+
+def test_a_new_seed_takes_effect_at_the_reset(listener: Any) -> None:
+    node = listener.start()
+    node.set_parameters([Parameter("seed", value=9)])
+    listener.wait_for(listener.measurements, 20)
+    listener.places(listener.measurements, listener.core(5000))
+    listener.reset()
+    ninth = {sample.measurement.item() for sample in listener.core(5000, seed=9)}
+    listener.wait_until(
+        lambda: listener.measurements[-1].message.position[0] in ninth, "data of seed 9"
+    )
+
+
+def test_lost_samples_are_not_published_but_their_truth_is(listener: Any) -> None:
+    listener.start(dropouts__interval=0.25, dropouts__duration=0.1)
+    listener.wait_for(listener.states, 200)
+    listener.wait_for(listener.measurements, 1)
+    samples = listener.core(5000)
+    found = listener.places(listener.measurements, samples)
+    assert not any(k >= 50 and k % 50 < 20 for k in found)
+    assert len(listener.states) > len(listener.measurements) + 50

@@ -1,0 +1,101 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters describe a plant or are refused, and inject faults while it runs."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from rclpy.parameter import Parameter
+
+from tsobs_ros.errors import ParameterError
+from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
+from tsobs_ros.nodes.plant_simulator import create
+
+CONFIG = Path(__file__).parents[3] / "config" / "plant_simulator.yaml"
+
+
+def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    return {
+        name: value
+        for key, branch in tree.items()
+        for name, value in (
+            flat(branch, f"{prefix}{key}.") if isinstance(branch, dict) else {prefix + key: branch}
+        ).items()
+    }
+
+
+def test_faults_are_injected_by_parameters_while_running(listener: Any) -> None:
+    node = listener.start()
+    listener.wait_for(listener.disturbances, 20)
+    (result,) = node.set_parameters([Parameter("disturbance.kind", value="bias_step")])
+    assert result.successful
+    listener.wait_until(lambda: listener.disturbances[-1].message.position[0] == 0.1, "the bias")
+    node.set_parameters([Parameter("disturbance.bias_step.amplitude", value=-0.3)])
+    listener.wait_until(
+        lambda: listener.disturbances[-1].message.position[0] == -0.3, "the other bias"
+    )
+    node.set_parameters([Parameter("disturbance.kind", value="none")])
+    listener.wait_until(lambda: listener.disturbances[-1].message.position[0] == 0.0, "the end")
+    values = [item.message.position[0] for item in listener.disturbances]
+    assert set(values) == {0.0, 0.1, -0.3}
+    # Neither the motion nor the white noise knows of the fault.
+    index = {s.physical[0].item(): s for s in listener.core(5000)}
+    assert all(item.message.position[0] in index for item in listener.states)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("disturbance.kind", "offset", "got 'offset'"),
+        ("disturbance.gauss_markov.time_constant", -1.0, "gauss_markov time_constant"),
+        ("excitation.frequency", 0.0, "sine frequency"),
+        ("noise_std", -0.1, "noise_std"),
+        ("rate", 100.0, "read-only"),
+    ],
+)
+def test_senseless_sets_are_refused_with_a_reason(
+    listener: Any, name: str, value: Any, reason: str
+) -> None:
+    node = listener.start()
+    before = node.get_parameter(name).value
+    (result,) = node.set_parameters([Parameter(name, value=value)])
+    assert not result.successful
+    assert reason in result.reason
+    assert node.get_parameter(name).value == before
+
+
+@pytest.mark.parametrize(
+    ("overrides", "reason"),
+    [
+        ({"rate": 0.0}, "rate"),
+        ({"initial_state": [0.1, 0.2]}, "initial_state: expected four"),
+        ({"mismatch__stiffness": -1.0}, "mismatch stiffness"),
+        ({"arm__link_inertia": 0.0}, "link_inertia"),
+        ({"excitation__kind": "triangle"}, "excitation.kind"),
+        ({"joint": ""}, "joint"),
+    ],
+)
+def test_senseless_overrides_are_refused(ros: Any, overrides: dict[str, Any], reason: str) -> None:
+    parameters = [Parameter(name.replace("__", "."), value=v) for name, v in overrides.items()]
+    with pytest.raises(ParameterError, match=reason):
+        create(context=ros.context, parameter_overrides=parameters)
+
+
+def test_the_shipped_parameter_file_is_the_defaults() -> None:
+    shipped = flat(yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"])
+    defaults = flat(asdict(PlantSimulatorParameters()))
+    assert {k: tuple(v) if isinstance(v, list) else v for k, v in shipped.items()} == defaults
+    assert list(shipped) == list(defaults)
+
+
+def test_the_executable_ends_by_itself_after_its_duration(ros_process: Any) -> None:
+    process = ros_process(
+        "plant_simulator", params_file=CONFIG, parameters={"duration": 1, "noise_std": 0}
+    )
+    ended = process.finish(60.0)
+    assert ended.exit_code == 0
+    assert "unknown" not in ended.stderr
+    assert "Traceback" not in ended.stderr

@@ -1,0 +1,153 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps are exact and samples complete, whatever clock they follow and however late."""
+
+import itertools
+import time
+from typing import Any
+
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+
+from tsobs_ros.nodes.plant_simulator import create
+from tsobs_ros.nodes.stamps import set_stamp, to_stamp
+
+PERIOD = 5_000_000
+SECOND = 1_000_000_000
+
+
+def test_duration_finishes_the_node_after_its_last_sample(listener: Any) -> None:
+    node = listener.start(duration=0.5)
+    assert not node.finished
+    listener.wait_until(lambda: node.finished, "the end of the duration")
+    last = listener.core(101)[-1].physical[0].item()
+    listener.wait_until(
+        lambda: bool(listener.states) and listener.states[-1].message.position[0] == last,
+        "the last sample",
+    )
+    listener.reset()
+    assert not node.finished
+    listener.wait_until(lambda: node.finished, "the end after the reset")
+
+
+def test_without_subscribers_it_starts_after_the_timeout(ros: Any) -> None:
+    node = create(
+        context=ros.context,
+        parameter_overrides=[
+            Parameter("wait_for_subscribers", value=2),
+            Parameter("wait_timeout", value=0.3),
+            Parameter("duration", value=0.1),
+        ],
+    )
+    ros.add(node)
+    ros.spin_until(lambda: node.finished, 20.0, "a run without subscribers")
+
+
+def test_it_does_not_start_before_its_subscribers(ros: Any, listen: Any) -> None:
+    parameters = [Parameter("wait_for_subscribers", value=1), Parameter("wait_timeout", value=0.0)]
+    node = create(context=ros.context, parameter_overrides=parameters)
+    ros.add(node)
+    ticks: list[int] = []
+    ros.node("metronome").create_timer(0.02, lambda: ticks.append(1))
+    ros.spin_until(lambda: len(ticks) >= 25, what="half a second")
+    late = listen()
+    late.wait_for(late.measurements, 50)
+    # Had it started at once, the first sample to arrive would be at least the hundredth.
+    assert late.places(late.measurements, late.core(5000))[0] < 80
+
+
+def test_driven_clock_starts_at_one_second_and_leads_the_samples(listener: Any) -> None:
+    listener.listen_to_clock()
+    listener.start(publish_clock=True, real_time_factor=4.0, duration=2.0)
+    final = SECOND + 400 * PERIOD
+    listener.wait_until(
+        lambda: bool(listener.clock) and listener.clock[-1] == final, "the last clock"
+    )
+    assert all((time - SECOND) % PERIOD == 0 for time in listener.clock)
+    assert listener.clock == sorted(set(listener.clock))
+    found = listener.places(listener.measurements, listener.core(401))
+    assert [item.stamp for item in listener.measurements] == [SECOND + k * PERIOD for k in found]
+
+
+def test_external_clock_is_followed_and_a_jump_back_starts_anew(listener: Any) -> None:
+    publisher = listener.node.create_publisher(Clock, "/clock", 10)
+    node = listener.start(use_sim_time=True)
+    listener.wait_until(lambda: publisher.get_subscription_count() == 1, "matching of /clock")
+    samples, message, node_clock = listener.core(1000), Clock(), node.get_clock()
+
+    def advance(first: int, count: int) -> list[Any]:
+        """Publish the clock in steps of 12 ms, no multiple of the period; return what came."""
+        already = len(listener.states)
+        times = [first + step * 12_000_000 for step in range(count)]
+        for now in times:
+            set_stamp(message.clock, now)
+            publisher.publish(message)
+            listener.wait_until(lambda n=now: node_clock.now().nanoseconds == n, "the clock")
+        listener.wait_until(
+            lambda: 0 <= times[-1] - listener.states[-1].stamp < PERIOD, "the last sample"
+        )
+        return listener.states[already:]
+
+    def found(received: list[Any]) -> list[int]:
+        index = {sample.physical[0].item(): sample.index for sample in samples}
+        return [index[item.message.position[0]] for item in received]
+
+    set_stamp(message.clock, 50 * SECOND)
+    publisher.publish(message)
+    listener.wait_until(lambda: bool(listener.states), "the first sample")
+    advance(50 * SECOND, 80)
+    came = found(listener.states)
+    assert came == list(range(came[0], 190))
+    assert [item.stamp for item in listener.states] == [50 * SECOND + k * PERIOD for k in came]
+
+    again = advance(20 * SECOND, 20)
+    assert found(again) == list(range(46))
+    assert [item.stamp for item in again] == [20 * SECOND + k * PERIOD for k in range(46)]
+
+
+def test_nothing_is_published_before_the_first_clock(ros: Any, listener: Any) -> None:
+    publisher = listener.node.create_publisher(Clock, "/clock", 10)
+    node = listener.start(use_sim_time=True)
+    listener.wait_until(lambda: publisher.get_subscription_count() == 1, "matching of /clock")
+    ticks: list[int] = []
+    ros.node("metronome").create_timer(0.02, lambda: ticks.append(1))
+    ros.spin_until(lambda: len(ticks) >= 25, what="half a second")
+    assert not listener.states
+    publisher.publish(Clock(clock=to_stamp(7 * SECOND)))
+    listener.wait_for(listener.states, 1)
+    assert listener.states[0].stamp == 7 * SECOND
+    assert node.get_clock().now().nanoseconds == 7 * SECOND
+
+
+def test_a_late_tick_catches_up_and_a_long_stop_does_not(listener: Any) -> None:
+    publisher = listener.node.create_publisher(Clock, "/clock", 10)
+    listener.start(use_sim_time=True)
+    listener.wait_until(lambda: publisher.get_subscription_count() == 1, "matching of /clock")
+
+    def come(now: int) -> list[Any]:
+        already = len(listener.states)
+        publisher.publish(Clock(clock=to_stamp(now)))
+        listener.wait_until(
+            lambda: len(listener.states) > already and listener.states[-1].stamp == now,
+            "the sample at the clock's time",
+        )
+        return listener.states[already:]
+
+    come(10 * SECOND)
+    # Depth 10 of the publisher bounds what may reach the listener, not what is published.
+    caught_up = come(10 * SECOND + 10 * PERIOD)
+    assert [item.stamp for item in caught_up] == [10 * SECOND + k * PERIOD for k in range(1, 11)]
+    assert [item.stamp for item in come(20 * SECOND)] == [20 * SECOND]
+    samples = listener.core(13)
+    expected = [sample.physical[0].item() for sample in samples[:12]]
+    assert [item.message.position[0] for item in listener.states] == expected
+
+
+def test_a_stopped_process_holds_its_driven_clock_back(listener: Any) -> None:
+    listener.listen_to_clock()
+    listener.start(publish_clock=True)
+    listener.wait_for(listener.clock, 10)
+    time.sleep(1.5)  # the stop itself, which no other means brings about
+    listener.wait_for(listener.clock, 100)
+    steps = {b - a for a, b in itertools.pairwise(listener.clock)}
+    assert steps == {PERIOD}
