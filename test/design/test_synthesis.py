@@ -217,6 +217,16 @@ def test_an_impossible_design_names_mode_slope_and_help(
         assert part in str(caught.value)
 
 
+def test_the_domain_advised_is_clear_of_every_obstacle() -> None:
+    """A bias hides at c = 0, a tone of 1 rad/s at c = 0.35: the advice must clear both."""
+    terms = (DisturbanceTerm("bias"), *tone(1.0))
+    with pytest.raises(DetectabilityError, match=r"x_max below 1\.213 rad") as caught:
+        require_detectable(DesignRequest(disturbance=terms, x_max=1.6))
+    assert "c = 0 (|q1| = 90.0 deg)" in str(caught.value)
+    assert "c = 0.35 (|q1| = 69.5 deg)" in str(caught.value)
+    assert find_obstacles(DesignRequest(disturbance=terms, x_max=1.21)) == []
+
+
 @PROPERTY
 @given(st.floats(0.5, 6.0))
 def test_a_tone_is_refused_exactly_in_the_arms_blind_bands(frequency: float) -> None:

@@ -335,6 +335,32 @@ def test_the_error_bound_is_at_least_the_certified_one(design: Design, runs: Dat
             assert observer.disturbance_bound(state) == pytest.approx(bound[4:], rel=1e-12)
 
 
+def test_the_readout_is_in_physical_units(design: Design) -> None:
+    observer = design.observer()
+    readout = observer.readout(settled(observer, [0.1, 0.2, 3.0, 4.0, 0.05]))
+    np.testing.assert_allclose(readout.state, [0.1, 0.2, 0.3, 0.4], rtol=1e-14)
+    np.testing.assert_allclose(readout.state_bound, design.bound_std[:4], rtol=1e-12)
+    np.testing.assert_allclose(readout.disturbance, [0.05], rtol=1e-14)
+    np.testing.assert_allclose(readout.disturbance_bound, design.bound_std[4:], rtol=1e-12)
+    assert (readout.disturbance_rate == [0.0]).all()
+    assert readout.certified
+    assert not observer.readout(observer.initial()).certified
+
+
+def test_a_reopened_state_settles_again(design: Design) -> None:
+    observer, variance = design.observer(settle_time=0.0), np.diag([0.0, 0.0, 0.0, 0.0, 0.15**2])
+    corrected, _ = observer.correct(settled(observer, np.zeros(5)), np.array([0.1]))
+    reopened = observer.reopened(corrected, variance, 1.5)
+    assert not reopened.certified
+    assert (reopened.x == corrected.x).all()
+    assert (reopened.covariance == corrected.covariance + variance).all()
+    assert (reopened.settling, reopened.corrected) == (1.5, True)
+    assert observer.reopened(reopened, variance, 1.0).settling == 1.5
+    # The next gain trusts the measurement of the bias more than the certified one does.
+    _, correction = observer.correct(observer.predict(reopened, np.zeros(1), T), np.array([0.1]))
+    assert correction.gain[4, 0] > 10.0 * design.K[4, 0]
+
+
 @pytest.mark.parametrize("gain_mode", list(GainMode))
 def test_a_batch_is_its_runs_one_by_one(design: Design, runs: Data, gain_mode: GainMode) -> None:
     # To rounding, not bit for bit: BLAS adds in another order for a matrix than for a vector.

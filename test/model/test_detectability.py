@@ -47,6 +47,16 @@ def test_a_hidden_mode_that_decays_is_detectable() -> None:
     assert [mode.eigenvalue for mode in undetectable_modes(A, np.array([[1.0, 0.0]]))] == [2.0]
 
 
+def test_the_shape_of_a_hidden_oscillation_is_its_eigenvector() -> None:
+    """Complex shapes: the conjugate of one belongs to the other eigenvalue of the pair."""
+    A = ElasticJointArm(link_damping=0.4).slope_matrix(0.8)
+    modes = hidden_modes(A, np.zeros((1, 4)))
+    assert len(modes) == 4
+    for mode in modes:
+        assert abs(mode.eigenvalue.imag) > 1.0
+        assert np.linalg.norm(A @ mode.shape - mode.eigenvalue * mode.shape) < 1e-11
+
+
 def test_without_information_the_undamped_arm_has_four_modes_that_persist() -> None:
     modes = undetectable_modes(ElasticJointArm().slope_matrix(1.0), np.zeros((1, 4)))
     frequencies = sorted(mode.eigenvalue.imag for mode in modes)
