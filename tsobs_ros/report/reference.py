@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.observer import GainMode, TSObserver
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
@@ -70,7 +71,7 @@ def compare_with_ekf(
     return EkfComparison(measure(run, options), measure(ekf, options))
 
 
-def rerun(run: RecordedRun, observer: TSObserver, x_max: float) -> RecordedRun:
+def rerun(run: RecordedRun, observer: Estimator[Any], x_max: float) -> RecordedRun:
     """Return the run with the estimates that another observer makes of its measurements.
 
     The measurements are offered in their order of arrival and the estimates asked for at the

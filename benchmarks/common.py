@@ -1,0 +1,72 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What the benchmarks share: one thread, a line on the machine, text or JSON."""
+
+import argparse
+import json
+import os
+import platform
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tsobs_ros.design.file import load_design
+from tsobs_ros.design.record import Design
+from tsobs_ros.resources import config_path
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def use_one_thread() -> None:
+    """Start the script again with BLAS on one thread, unless it is already so.
+
+    The libraries read these variables when they are loaded, which is before any line of a script
+    can set them.
+    """
+    if all(os.environ.get(name) == "1" for name in _THREADS):
+        return
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    os.execv(sys.executable, [sys.executable, *sys.argv])
+
+
+def parser(description: str | None) -> argparse.ArgumentParser:
+    """Return a parser with the options all benchmarks have."""
+    made = argparse.ArgumentParser(description=(description or "").partition("\n\n")[0])
+    made.add_argument("--json", action="store_true", help="print JSON instead of text")
+    made.add_argument("--design", type=Path, metavar="FILE", help="default: the shipped design")
+    return made
+
+
+def design_of(options: argparse.Namespace) -> Design:
+    """Return the design a benchmark was asked to use, its certificate checked."""
+    return load_design(options.design or config_path("elastic_joint.design.yaml"))
+
+
+def machine() -> dict[str, Any]:
+    """Return what numbers depend on besides the code."""
+    import numpy as np
+
+    model = platform.processor() or platform.machine()
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return {
+        "cpu": names[0] if names else model,
+        "cores": len(os.sched_getaffinity(0)),
+        "load": round(os.getloadavg()[0], 2),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+    }
+
+
+def show(results: Mapping[str, Any], text: str, as_json: bool) -> None:
+    """Print the results with the machine they were measured on."""
+    here = machine()
+    if as_json:
+        print(json.dumps({"machine": here, **results}, indent=2, allow_nan=False))
+        return
+    print(text)
+    print(
+        f"\n{here['cpu']}, {here['cores']} cores, load {here['load']}, Python {here['python']}, "
+        f"NumPy {here['numpy']}"
+    )
