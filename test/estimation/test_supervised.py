@@ -1,0 +1,218 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The supervised observer on simulated data: outliers, jumps and losses, and otherwise nothing."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tsobs_ros.design.file import load_design
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.supervised import SupervisedObserver
+from tsobs_ros.estimation.supervision import SupervisionOptions
+from tsobs_ros.resources import config_path
+from tsobs_ros.simulation.scenario import Scenario
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.simulation.signals import BiasStep
+
+Array = NDArray[np.float64]
+T = 0.005
+SCALE = np.array([0.226, 0.60, 3.55, 4.64])
+DESIGN = load_design(config_path("elastic_joint.design.yaml"))
+ARM = DESIGN.request.arm
+
+
+class Run(NamedTuple):
+    """Estimates after each sample, in design coordinates, and the truth."""
+
+    states: Array
+    disturbance: Array
+    true_states: Array
+    true_disturbance: Array
+    innovations: Array
+    events: list[dict[str, int]]
+
+    def first(self, event: str) -> list[int]:
+        """Return the samples at which an event was counted."""
+        counts = [0, *(events[event] for events in self.events)]
+        return np.flatnonzero(np.diff(counts)).tolist()
+
+    @property
+    def error(self) -> float:
+        """Normalised RMSE over the four states, from 8 s on."""
+        error = (self.states - self.true_states)[1600:] / SCALE
+        return float(np.sqrt((error**2).mean()))
+
+
+def observe(
+    estimator: Estimator, scenario: Scenario, seed: int, duration: float, offset: float = 0.0,
+    offset_from: float = 0.0,
+) -> Run:  # fmt: skip
+    """Simulate a scenario, with an offset of the sensor the simulation does not call one."""
+    runs = simulate(scenario, [seed], duration)
+    y = runs.measurements[0] + offset * (runs.times[:, np.newaxis] >= offset_from)
+    state = estimator.initial()
+    states, disturbance, innovations, events = [], [], [], []
+    for measured, torque in zip(y, runs.torques[0], strict=True):
+        state, correction = estimator.correct(state, measured)
+        readout = estimator.readout(state)
+        states.append(ARM.from_physical(readout.state))
+        disturbance.append(readout.disturbance)
+        innovations.append(correction.innovation / np.sqrt(correction.spread[0, 0]))
+        events.append(estimator.events(state))
+        state = estimator.predict(state, torque, T)
+    return Run(
+        np.stack(states),
+        np.stack(disturbance)[:, 0],
+        runs.states[0],
+        runs.disturbances[0, :, 0],
+        np.stack(innovations)[:, 0],
+        events,
+    )
+
+
+def supervised(**options: float) -> SupervisedObserver:
+    return SupervisedObserver(DESIGN.observer(), SupervisionOptions(**options))
+
+
+def test_without_anything_to_notice_it_is_the_observer_bit_for_bit() -> None:
+    watched = observe(supervised(), SCENARIOS["noise"], 1, 15.0)
+    plain = observe(DESIGN.observer(), SCENARIOS["noise"], 1, 15.0)
+    assert set(watched.events[-1]) >= {"outliers weighed down", "sensor jumps", "losses of track"}
+    assert not any(watched.events[-1].values())
+    assert plain.events[-1] == {}
+    for field in ("states", "disturbance", "innovations"):
+        assert (getattr(watched, field) == getattr(plain, field)).all()
+
+
+@pytest.mark.parametrize(("seed", "size"), [(0, 0.1), (1, -0.1), (2, 0.1), (3, -0.1)])
+def test_a_step_of_the_sensor_is_found_at_once_and_forgiven_soon(seed: int, size: float) -> None:
+    step = replace(SCENARIOS["noise"], disturbance=(BiasStep(size, 12.0),))
+    run = observe(supervised(), step, seed, 16.5)
+    (found,) = run.first("sensor jumps")
+    assert 12.0 < found * T < 12.1
+    assert run.events[-1]["losses of track"] == 0
+    error = np.abs(run.disturbance - run.true_disturbance)
+    bound = np.sqrt(DESIGN.covariance_bound[4, 4])
+    assert error[2401] > 0.5 * abs(size)
+    # 3 s after the step the errors are what they were before it.
+    assert error[3000:].max() < 4.0 * bound
+    state_bound = np.sqrt(np.diag(DESIGN.covariance_bound))[:4]
+    assert (np.abs(run.states - run.true_states)[3000:].max(axis=0) < 4.0 * state_bound).all()
+
+
+def test_without_looking_for_jumps_the_same_step_takes_much_longer() -> None:
+    step = replace(SCENARIOS["noise"], disturbance=(BiasStep(0.1, 12.0),))
+    with_, without = (
+        observe(supervised(jump_std=std), step, 0, 16.0) for std in (0.15, 0.0)
+    )  # fmt: skip
+    assert without.events[-1]["sensor jumps"] == 0
+    worst = [
+        np.sqrt((((run.states - run.true_states)[2400:] / SCALE) ** 2).mean())
+        for run in (with_, without)
+    ]
+    assert worst[1] > 2.0 * worst[0]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_outliers_do_little_harm(seed: int) -> None:
+    watched = observe(supervised(), SCENARIOS["outliers"], seed, 24.0)
+    plain = observe(DESIGN.observer(), SCENARIOS["outliers"], seed, 24.0)
+    assert plain.error > 1.5 * watched.error
+    assert watched.error < 0.02  # without outliers it is .013
+    wrong = int((np.abs(watched.innovations) > 15.0).sum())
+    assert wrong > 25
+    assert watched.events[-1]["outliers weighed down"] == pytest.approx(wrong, abs=2)
+    assert watched.events[-1]["sensor jumps"] == 0
+    assert watched.events[-1]["losses of track"] == 0
+
+
+def test_an_outlier_is_weighed_down_to_the_gate() -> None:
+    observer, plain, y = supervised(gate=4.0), DESIGN.observer(), np.array([7.0])
+    state, correction = plain.correct(plain.initial(), y)
+    weighed, same = observer.correct(observer.initial(), y)
+    r = 7.0 / np.sqrt(correction.spread[0, 0])
+    assert r > 4.0
+    assert (same.innovation == correction.innovation).all()
+    whole, part = plain.readout(state), observer.readout(weighed)
+    np.testing.assert_allclose(part.state, whole.state * 4.0 / r, rtol=1e-12)
+    np.testing.assert_allclose(part.disturbance, whole.disturbance * 4.0 / r, rtol=1e-12)
+    # What is weighed down is an outlier; the others are as informative as ever.
+    assert (part.state_bound == whole.state_bound).all()
+    assert observer.events(weighed)["outliers weighed down"] == 1
+
+
+@pytest.mark.parametrize("offset", [1.0, 2.0, -3.0])
+def test_a_lost_arm_is_found_again(offset: float) -> None:
+    # From 2 s on: sooner than jumps are looked for, and far more than the gate lets through.
+    run = observe(supervised(), SCENARIOS["noise"], 5, 8.0, offset, 2.0)
+    (lost,) = run.first("losses of track")
+    assert 2.0 < lost * T < 2.2
+    assert run.events[-1]["sensor jumps"] == 0
+    assert np.abs(run.innovations[lost + 100 :]).max() < 6.0
+    # It is the sensor that moved, and the estimate says so.
+    assert run.disturbance[-1] == pytest.approx(offset, abs=0.15)
+
+
+def test_a_loss_starts_as_a_new_observer_with_the_sample_at_hand() -> None:
+    observer, plain = supervised(), DESIGN.observer()
+    state = observer.initial()
+    for k in range(400):
+        y = np.array([(-1.0) ** k * 8.0])
+        state, correction = observer.correct(state, y)
+        if observer.events(state)["losses of track"]:
+            break
+        state = observer.predict(state, np.zeros(1), T)
+    assert observer.events(state)["losses of track"] == 1
+    assert observer.events(state)["outliers weighed down"] > 0  # counts go on
+    expected, first = plain.correct(plain.initial(), y)
+    came, fresh = observer.readout(state), plain.readout(expected)
+    assert (came.state == fresh.state).all()
+    assert (came.state_bound == fresh.state_bound).all()
+    assert (came.disturbance == fresh.disturbance).all()
+    assert (correction.innovation == first.innovation).all()
+    assert (correction.innovation == y).all()
+
+
+def test_a_jump_opens_the_bound_of_the_disturbance_and_nothing_else() -> None:
+    observer, plain = supervised(jump_std=0.2, jump_duration=0.7), DESIGN.observer()
+    step = replace(SCENARIOS["noise"], disturbance=(BiasStep(0.1, 12.0),))
+    runs = simulate(step, [0], 14.0)
+    watched, alone = observer.initial(), plain.initial()
+    found, certified_again = None, None
+    for k, (y, u) in enumerate(zip(runs.measurements[0], runs.torques[0], strict=True)):
+        watched, _ = observer.correct(watched, y)
+        alone, _ = plain.correct(alone, y)
+        came, other = observer.readout(watched), plain.readout(alone)
+        if found is None:
+            assert (came.state == other.state).all()
+            assert (came.disturbance == other.disturbance).all()
+            assert (came.state_bound == other.state_bound).all()
+            if observer.events(watched)["sensor jumps"]:
+                found = k
+                assert other.certified
+                assert not came.certified
+                assert came.disturbance_bound[0] >= 0.2
+                assert came.disturbance_bound[0] <= np.hypot(0.2, other.disturbance_bound[0])
+        elif came.certified and certified_again is None:
+            certified_again = k
+        watched, alone = observer.predict(watched, u, T), plain.predict(alone, u, T)
+    assert found is not None
+    assert certified_again is not None
+    assert certified_again - found >= 140
+
+
+def test_steps_leave_the_state_they_were_given_alone() -> None:
+    observer = supervised()
+    state, _ = observer.correct(observer.initial(), np.array([0.3]))
+    before = [field.tobytes() for field in observer.readout(state)[:5]]
+    events = observer.events(state)
+    observer.correct(state, np.array([9.0]))
+    observer.predict(state, np.ones(1), T)
+    observer.extrapolate(state, np.ones(1), 3 * T)
+    assert [field.tobytes() for field in observer.readout(state)[:5]] == before
+    assert observer.events(state) == events
+    assert observer.period == T
