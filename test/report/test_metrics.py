@@ -226,6 +226,7 @@ def test_the_table_says_what_the_metrics_say(simulated, design) -> None:
     assert row[8:] == [f"{other.rmse:#.3g}", f"{one.rmse / other.rmse:.2f}"]
     table = lines[2:10]
     assert len({len(line) for line in table[1:]}) == 1, "columns are not aligned"
+    assert "plain" in lines[-1], "a plain EKF must be called one"
     assert any(line.startswith("jump of +0.1 rad at 8.00 s: errors settled") for line in lines)
 
 

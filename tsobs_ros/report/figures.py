@@ -242,7 +242,7 @@ def _label_jumps(axes: Axes, metrics: RunMetrics) -> None:
     jumps = [event for event in metrics.events if event.what == "jump"]
     for event in jumps if len(jumps) <= 4 else []:
         after = event.settled_after
-        settled = "" if after is None else f", settled after {after:.1f} s"
+        settled = "" if after is None else f", settled after {after:.2g} s"
         axes.annotate(
             f"fault {event.size:+.2g} rad{settled}",
             (event.time, 1.0),

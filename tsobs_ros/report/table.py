@@ -8,6 +8,7 @@ from tsobs_ros.report.metrics import QUANTITIES, SIGMAS, RunMetrics
 from tsobs_ros.report.reference import EkfComparison
 
 _NOTHING = "–"
+_ABOUT_THE_EKF = "EKF: same model, data and windows, plain: it does not look for outliers or jumps"
 
 
 def render_metrics(metrics: RunMetrics, comparison: EkfComparison | None = None) -> str:
@@ -33,7 +34,8 @@ def render_metrics(metrics: RunMetrics, comparison: EkfComparison | None = None)
     if comparison is not None:
         total += [_number(comparison.ekf.normalised_rmse), _ratio(comparison.normalised_ratio)]
     rows.append(total)
-    return "\n".join([_first_line(metrics), "", *_aligned(rows), "", *_events(metrics)])
+    last = [] if comparison is None else [_ABOUT_THE_EKF]
+    return "\n".join([_first_line(metrics), "", *_aligned(rows), "", *_events(metrics), *last])
 
 
 def _first_line(metrics: RunMetrics) -> str:
