@@ -4,6 +4,8 @@
 
 from typing import NamedTuple, Protocol, TypeVar
 
+import numpy as np
+
 from tsobs_ros.checks import Array
 
 S = TypeVar("S")
@@ -33,6 +35,9 @@ class Readout(NamedTuple):
         disturbance_rate: Its modelled rate [rad/s], shape (..., p).
         disturbance_bound: 1σ bound of the disturbance [rad], shape (..., p) or (p,).
         certified: Whether the bounds are the certificate's.
+        parameters: Estimated changes θ of the model's parameters, shape (k,).
+        parameter_bound: 1σ of each, shape (k,).
+        parameters_valid: Whether the motion was rich enough for them to be believed.
     """
 
     state: Array
@@ -41,6 +46,9 @@ class Readout(NamedTuple):
     disturbance_rate: Array
     disturbance_bound: Array
     certified: bool
+    parameters: Array = np.zeros(0)  # noqa: RUF009, a constant that is never written to
+    parameter_bound: Array = np.zeros(0)  # noqa: RUF009
+    parameters_valid: bool = False
 
 
 class Estimator(Protocol[S]):

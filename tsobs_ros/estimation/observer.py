@@ -119,20 +119,38 @@ class TSObserver:
         Returns:
             The corrected state, and what the measurement did.
         """
+        correction = self.expect(state, y)
+        return self.apply(state, correction), correction
+
+    def expect(self, state: ObserverState, y: Array) -> Correction:
+        """Return the innovation, the covariance expected of it and the gain for it."""
         innovation = y - state.x @ self._C.T
         if state.certified:
-            x = state.x + innovation @ self._gain_transposed
-            corrected = ObserverState(x, self._posterior, 0.0, True, True)
-            return corrected, Correction(innovation, self._certified_spread, self.certified.K)
+            return Correction(innovation, self._certified_spread, self.certified.K)
         cross = state.covariance @ self._C.T
         spread = self._C @ cross + self._R
         gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, -1, -2)), -1, -2)
-        x = state.x + (gain @ innovation[..., np.newaxis])[..., 0]
-        covariance = self._joseph(state.covariance, gain)
-        return (
-            ObserverState(x, covariance, state.settling, False, True),
-            Correction(innovation, spread, gain),
-        )
+        return Correction(innovation, spread, gain)
+
+    def apply(
+        self, state: ObserverState, correction: Correction, weight: float = 1.0, adapt: bool = True
+    ) -> ObserverState:
+        """Return the state corrected by an innovation.
+
+        Args:
+            state: The state the correction was computed from.
+            correction: From `expect`.
+            weight: Share of the correction to apply; the covariance shrinks as for all of it,
+                since what is weighed down is an outlier.
+            adapt: For observers that learn; this one has nothing to.
+        """
+        innovation = correction.innovation if weight == 1.0 else weight * correction.innovation
+        if state.certified:
+            x = state.x + innovation @ self._gain_transposed
+            return ObserverState(x, self._posterior, 0.0, True, True)
+        x = state.x + (correction.gain @ innovation[..., np.newaxis])[..., 0]
+        covariance = self._joseph(state.covariance, correction.gain)
+        return ObserverState(x, covariance, state.settling, False, True)
 
     def predict(self, state: ObserverState, u: Array, duration: float) -> ObserverState:
         """Predict to the next stamp.
@@ -142,12 +160,51 @@ class TSObserver:
             u: Torque held over the step [N m], shape (..., 1).
             duration: Time to the next stamp [s], at least 0.
         """
-        if state.certified and state.corrected and self._regular(duration):
+        if self.stays_certified(state, duration):
             x = self.flow.predict(state.x, u, duration)
             return ObserverState(x, self.certified.X, 0.0, True, False)
         x, covariance = self.flow.predict_with_covariance(state.x, state.covariance, u, duration)
+        return self.moved(state, x, covariance, duration, certified=False)
+
+    def stays_certified(
+        self, state: ObserverState, duration: float, *, between_samples: bool = False
+    ) -> bool:
+        """Return whether the certified bound covers a step of `duration` [s] from the state.
+
+        Args:
+            state: Before the step.
+            duration: [s].
+            between_samples: Whether the step ends before the next sample and is only read.
+        """
+        if not (state.certified and state.corrected):
+            return False
+        latest = (1.0 + PERIOD_TOLERANCE) * self.flow.period
+        earliest = 0.0 if between_samples else (1.0 - PERIOD_TOLERANCE) * self.flow.period
+        return earliest <= duration <= latest
+
+    def moved(
+        self,
+        state: ObserverState,
+        x: Array,
+        covariance: Array,
+        duration: float,
+        certified: bool,
+        hand_over: bool = True,
+    ) -> ObserverState:
+        """Return the state after a flow that was computed elsewhere.
+
+        Args:
+            state: Before the step.
+            x: Estimate after it, shape (..., n).
+            covariance: Error covariance after it; not looked at if `certified`.
+            duration: Length of the step [s].
+            certified: Answer of `stays_certified` for the step.
+            hand_over: Whether the certified gain may take over here.
+        """
+        if certified:
+            return ObserverState(x, self.certified.X, 0.0, True, False)
         settling = max(0.0, state.settling - duration)
-        if self._covers(covariance, settling):
+        if hand_over and self._covers(covariance, settling):
             return ObserverState(x, self.certified.X, 0.0, True, False)
         return ObserverState(x, covariance, settling, False, False)
 
@@ -157,12 +214,11 @@ class TSObserver:
         As `predict`, except that the certified bound serves the whole interval to the next
         regular sample; the result is for reading and is not stepped on.
         """
-        soon = duration <= (1.0 + PERIOD_TOLERANCE) * self.flow.period
-        if state.certified and state.corrected and soon:
+        if self.stays_certified(state, duration, between_samples=True):
             x = self.flow.predict(state.x, u, duration)
             return ObserverState(x, self.certified.X, 0.0, True, False)
         x, covariance = self.flow.predict_with_covariance(state.x, state.covariance, u, duration)
-        return ObserverState(x, covariance, state.settling, False, False)
+        return self.moved(state, x, covariance, duration, certified=False, hand_over=False)
 
     def reopened(self, state: ObserverState, variance: Array, duration: float) -> ObserverState:
         """Return the state with more uncertainty, for a change that the model does not foresee.
@@ -213,10 +269,6 @@ class TSObserver:
         H = self.flow.disturbance.H
         variance = np.einsum("pi,...ij,pj->...p", H, covariance[..., 4:, 4:], H)
         return np.asarray(np.sqrt(variance))
-
-    def _regular(self, duration: float) -> bool:
-        period = self.flow.period
-        return abs(duration - period) <= PERIOD_TOLERANCE * period
 
     def _covers(self, covariance: Array, settling: float) -> bool:
         """Return whether the certified gain may take over: settled, and Σ ⪯ X."""

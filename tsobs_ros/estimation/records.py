@@ -63,6 +63,9 @@ class Estimate(NamedTuple):
         disturbance_bound: 1σ bound of the disturbance [rad], shape (1,).
         certified: Whether the bound is the certificate's; else it is the larger of that and the
             covariance along the estimate.
+        parameters: Estimated changes θ of the model's parameters, shape (k,).
+        parameter_bound: 1σ of each, shape (k,).
+        parameters_valid: Whether the motion was rich enough for them to be believed.
         in_domain: Whether the estimated link angle lies in the certificate's domain.
         age: Time since the newest measurement behind it [s].
     """
@@ -74,5 +77,8 @@ class Estimate(NamedTuple):
     disturbance_rate: Array
     disturbance_bound: Array
     certified: bool
+    parameters: Array
+    parameter_bound: Array
+    parameters_valid: bool
     in_domain: bool
     age: float

@@ -1,58 +1,72 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The certified observer under supervision: what the node runs, one joint at a time."""
+"""An observer under supervision: what the node runs, one joint at a time."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.estimation.adaptive import AdaptiveObserver
 from tsobs_ros.estimation.estimator import Correction, Readout
-from tsobs_ros.estimation.observer import ObserverState, TSObserver
-from tsobs_ros.estimation.supervision import SupervisionOptions, Watch, elapse, judge
+from tsobs_ros.estimation.observer import TSObserver
+from tsobs_ros.estimation.supervision import SupervisionOptions, Verdict, Watch, elapse, judge
 
 
 class SupervisedState(NamedTuple):
     """State of the observer and of its supervision.
 
     Attributes:
-        observer: The observer's own state.
+        inner: State of the observer underneath.
         watch: What the supervision remembers.
+        pause: Learning rests for so much longer [s].
+        pinned: How long a parameter has been at its limit [s].
         outliers: Number of measurements that were weighed down.
         jumps: Number of sensor jumps found.
         losses: Number of times the estimate was given up and started afresh.
+        relearned: Number of times learning was begun again.
     """
 
-    observer: ObserverState
+    inner: Any
     watch: Watch
+    pause: float = 0.0
+    pinned: float = 0.0
     outliers: int = 0
     jumps: int = 0
     losses: int = 0
+    relearned: int = 0
 
 
 class SupervisedObserver:
-    """A `TSObserver` that weighs outliers down, re-opens after a jump and restarts when lost.
+    """Weighs outliers down, re-opens after a jump, restarts when lost, guards the learning.
 
     It has no batch axis: arms in a batch would react at different times.
 
     Attributes:
-        observer: The certified observer underneath.
+        observer: The observer underneath.
         options: When to react.
     """
 
-    def __init__(self, observer: TSObserver, options: SupervisionOptions | None = None) -> None:
-        self.observer = observer
+    def __init__(
+        self,
+        observer: TSObserver | AdaptiveObserver,
+        options: SupervisionOptions | None = None,
+    ) -> None:
+        # Any: the two kinds of state never mix, which the type system cannot see from here.
+        self.observer: Any = observer
         self.options = options or SupervisionOptions()
+        self._learner = observer if isinstance(observer, AdaptiveObserver) else None
+        certified = observer.observer if isinstance(observer, AdaptiveObserver) else observer
         # What a jump of the sensor re-opens: the states that the disturbance is read from.
-        opened = np.zeros(observer.flow.state_count)
-        opened[4:] = (observer.flow.disturbance.H[0] != 0.0) * self.options.jump_std**2
+        opened = np.zeros(certified.flow.state_count)
+        opened[4:] = (certified.flow.disturbance.H[0] != 0.0) * self.options.jump_std**2
         self._opened = np.diag(opened)
         self._can_jump = bool(opened.any())
 
     @property
     def period(self) -> float:
         """Nominal sampling period [s]."""
-        return self.observer.period
+        return float(self.observer.period)
 
     def initial(self) -> SupervisedState:
         """Return the state before any measurement."""
@@ -60,42 +74,61 @@ class SupervisedObserver:
 
     def correct(self, state: SupervisedState, y: Array) -> tuple[SupervisedState, Correction]:
         """Use one measurement y [rad], shape (1,), as far as it can be believed."""
-        corrected, correction = self.observer.correct(state.observer, y)
+        correction: Correction = self.observer.expect(state.inner, y)
         normalised = float(correction.innovation[0]) / float(correction.spread[0, 0]) ** 0.5
         watch, verdict = judge(state.watch, normalised, self.period, self.options)
         state = state._replace(watch=watch)
         if verdict.lost:
-            again, correction = self.observer.correct(self.observer.initial(), y)
-            return state._replace(observer=again, losses=state.losses + 1), correction
+            inner, correction = self.observer.correct(self.observer.initial(), y)
+            return state._replace(inner=inner, losses=state.losses + 1), correction
+        adapt = state.pause <= 0.0 and not self.frozen(state)
+        inner = self.observer.apply(state.inner, correction, verdict.weight, adapt)
         if verdict.weight < 1.0:
-            prior = state.observer.x
-            corrected = corrected._replace(x=prior + verdict.weight * (corrected.x - prior))
             state = state._replace(outliers=state.outliers + 1)
         if verdict.jumped and self._can_jump:
             duration = self.options.jump_duration
-            corrected = self.observer.reopened(corrected, self._opened, duration)
-            state = state._replace(jumps=state.jumps + 1)
-        return state._replace(observer=corrected), correction
+            inner = self.observer.reopened(inner, self._opened, duration)
+            state = state._replace(jumps=state.jumps + 1, pause=duration)
+        return self._guarded(state._replace(inner=inner), verdict), correction
 
     def predict(self, state: SupervisedState, u: Array, duration: float) -> SupervisedState:
         """Predict over `duration` [s] with the torque u [N m], shape (1,), held."""
         return state._replace(
-            observer=self.observer.predict(state.observer, u, duration),
+            inner=self.observer.predict(state.inner, u, duration),
             watch=elapse(state.watch, duration),
+            pause=max(0.0, state.pause - duration),
         )
 
     def extrapolate(self, state: SupervisedState, u: Array, duration: float) -> SupervisedState:
         """Predict to a time between samples, for reading only."""
-        return state._replace(observer=self.observer.extrapolate(state.observer, u, duration))
+        return state._replace(inner=self.observer.extrapolate(state.inner, u, duration))
 
     def readout(self, state: SupervisedState) -> Readout:
         """Return the estimate and its bounds in physical units."""
-        return self.observer.readout(state.observer)
+        readout: Readout = self.observer.readout(state.inner)
+        return readout._replace(parameters_valid=False) if self.frozen(state) else readout
 
     def events(self, state: SupervisedState) -> dict[str, int]:
-        """Return how many outliers, jumps and losses were found since the start."""
+        """Return how many outliers, jumps, losses and new beginnings were found so far."""
         return {
             "outliers weighed down": state.outliers,
             "sensor jumps": state.jumps,
             "losses of track": state.losses,
+            "learning begun again": state.relearned,
         }
+
+    def frozen(self, state: SupervisedState) -> bool:
+        """Return whether learning was given up: the model differs in other ways than θ."""
+        return self._learner is not None and state.relearned > self.options.relearn_budget
+
+    def _guarded(self, state: SupervisedState, verdict: Verdict) -> SupervisedState:
+        """Begin learning again where the innovations say that it went wrong."""
+        learner = self._learner
+        if learner is None or self.frozen(state):
+            return state
+        pinned = state.pinned + self.period if learner.at_limit(state.inner) else 0.0
+        if not verdict.strained and pinned < self.options.strain:
+            return state._replace(pinned=pinned)
+        again = state._replace(pinned=0.0, relearned=state.relearned + 1)
+        forget = learner.nominal if self.frozen(again) else learner.relearning
+        return again._replace(inner=forget(state.inner))

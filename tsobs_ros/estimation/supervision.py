@@ -35,6 +35,8 @@ class SupervisionOptions:
             innovation leans, and unbudgeted reactions make the error worse.
         jump_budget_window: [s].
         lost: Half-second average of |r| beyond which the estimate is given up.
+        strain: `nis` above 2, or a parameter at its limit, for so long starts learning again [s].
+        relearn_budget: After so many times the parameters are frozen at their nominal values.
     """
 
     gate: float = 5.0
@@ -44,6 +46,8 @@ class SupervisionOptions:
     jump_budget: int = 3
     jump_budget_window: float = 20.0
     lost: float = 6.0
+    strain: float = 1.0
+    relearn_budget: int = 4
 
     def __post_init__(self) -> None:
         positive("gate", self.gate)
@@ -53,6 +57,8 @@ class SupervisionOptions:
         non_negative("jump_budget", self.jump_budget)
         non_negative("jump_budget_window", self.jump_budget_window)
         positive("lost", self.lost)
+        positive("strain", self.strain)
+        non_negative("relearn_budget", self.relearn_budget)
 
 
 class Watch(NamedTuple):
@@ -63,6 +69,7 @@ class Watch(NamedTuple):
         nis: One-second average of min(r², 25); 1 when the model fits.
         calm_nis: `nis` from before the window of recent innovations.
         magnitude: Half-second average of |r|.
+        strained: How long `nis` has been above 2 [s].
         age: Time since the start or the last loss [s].
         jumps: Ages at which a jump was found, newest last.
     """
@@ -71,6 +78,7 @@ class Watch(NamedTuple):
     nis: float = 1.0
     calm_nis: tuple[float, ...] = ()
     magnitude: float = 1.0
+    strained: float = 0.0
     age: float = 0.0
     jumps: tuple[float, ...] = ()
 
@@ -82,11 +90,13 @@ class Verdict(NamedTuple):
         weight: In (0, 1]: the share of the correction to apply.
         jumped: Whether the sensor has jumped.
         lost: Whether the estimate has lost the arm.
+        strained: Whether the innovations have been too large for too long.
     """
 
     weight: float
-    jumped: bool
-    lost: bool
+    jumped: bool = False
+    lost: bool = False
+    strained: bool = False
 
 
 def elapse(watch: Watch, duration: float) -> Watch:
@@ -116,13 +126,16 @@ def judge(
     lost = magnitude > options.lost
     jumped = not lost and _leans(recent) and calm[0] < _CALM and _may_jump(watch, options)
     if lost:
-        return Watch(), Verdict(weight, jumped=False, lost=True)
+        return Watch(), Verdict(weight, lost=True)
     if jumped:
         # The averages start over: they belong to the time before the jump.
         jumps = (*watch.jumps, watch.age)[-max(1, options.jump_budget) :]
-        return Watch(age=watch.age, jumps=jumps), Verdict(weight, jumped=True, lost=False)
-    watched = Watch(recent, nis, calm, magnitude, watch.age, watch.jumps)
-    return watched, Verdict(weight, jumped=False, lost=False)
+        return Watch(age=watch.age, jumps=jumps), Verdict(weight, jumped=True)
+    strained = watch.strained + period if nis > _CALM else 0.0
+    verdict = Verdict(weight, strained=strained >= options.strain)
+    if verdict.strained:
+        strained = 0.0
+    return Watch(recent, nis, calm, magnitude, strained, watch.age, watch.jumps), verdict
 
 
 def _leans(recent: tuple[float, ...]) -> bool:

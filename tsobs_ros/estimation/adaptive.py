@@ -1,0 +1,258 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The certified observer with adaptation to constant parametric uncertainty.
+
+A filtered-regressor (two-stage) adaptive observer after Q. Zhang (2002): Υ = ∂x̂/∂θ is filtered
+through the observer's own error dynamics, so that the innovation is explained as e = Ω θ̃ + noise
+with Ω = C̄Υ, whatever the relative degree of the sensor. θ follows by recursive least squares with
+a bounded gain, projected on its known bounds. The prediction takes θ in with the gravity kicks.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array, non_negative, positive
+from tsobs_ros.estimation.estimator import Correction, Readout
+from tsobs_ros.estimation.observer import ObserverState, TSObserver
+from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY
+from tsobs_ros.model.flow import Transition
+from tsobs_ros.model.uncertainty import VELOCITY_ROWS, ArmUncertainty
+
+_ROWS = list(VELOCITY_ROWS)
+
+
+@dataclass(frozen=True)
+class AdaptationOptions:
+    """How fast parameters are learnt, and when they count as known.
+
+    Attributes:
+        initial_std: 1σ of each θ before any measurement; caps the gain ever after.
+        wander_density: Growth of each θ's variance, which keeps the gain alive [1/s].
+        start: Adaptation begins so long after a (re)start [s]; the start itself leans.
+        memory: Time constant of the measure of excitation [s].
+        excitation: Smallest eigenvalue of the excitation from which θ counts as valid.
+    """
+
+    initial_std: float = 0.2
+    wander_density: float = 1e-6
+    start: float = 2.0
+    memory: float = 10.0
+    excitation: float = 400.0
+
+    def __post_init__(self) -> None:
+        positive("adaptation initial_std", self.initial_std)
+        non_negative("adaptation wander_density", self.wander_density)
+        non_negative("adaptation start", self.start)
+        positive("adaptation memory", self.memory)
+        non_negative("adaptation excitation", self.excitation)
+
+
+class AdaptiveState(NamedTuple):
+    """State of the observer and of its adaptation.
+
+    Attributes:
+        observer: The observer's own state.
+        theta: Estimated parameter changes θ̂, shape (k,).
+        gamma: Their covariance, the adaptation gain Γ, shape (k, k).
+        upsilon: Filtered regressor Υ = ∂x̂/∂θ, shape (n, k).
+        gram: Exponentially forgotten sum of ΩᵀΩ/S, shape (k, k).
+        age: Time since the start [s].
+    """
+
+    observer: ObserverState
+    theta: Array
+    gamma: Array
+    upsilon: Array
+    gram: Array
+    age: float
+
+
+class AdaptiveObserver:
+    """A `TSObserver` that learns the arm's parameters; one joint, no batch axis.
+
+    Attributes:
+        observer: The certified observer underneath.
+        uncertainty: Directions and bounds of θ.
+        options: How fast.
+    """
+
+    def __init__(
+        self,
+        observer: TSObserver,
+        uncertainty: ArmUncertainty,
+        options: AdaptationOptions | None = None,
+    ) -> None:
+        self.observer = observer
+        self.uncertainty = uncertainty
+        self.options = options or AdaptationOptions()
+        k = uncertainty.count
+        self._C = observer.flow.output_matrix
+        self._initial_gamma = np.eye(k) * self.options.initial_std**2
+        self._wander = np.eye(k) * self.options.wander_density
+        self._identity = np.eye(observer.flow.state_count)
+
+    @property
+    def period(self) -> float:
+        """Nominal sampling period [s]."""
+        return self.observer.period
+
+    def initial(self) -> AdaptiveState:
+        """Return the state before any measurement: nominal parameters."""
+        k, n = self.uncertainty.count, self.observer.flow.state_count
+        return AdaptiveState(
+            self.observer.initial(),
+            np.zeros(k),
+            self._initial_gamma,
+            np.zeros((n, k)),
+            np.zeros((k, k)),
+            0.0,
+        )
+
+    def reopened(self, state: AdaptiveState, variance: Array, duration: float) -> AdaptiveState:
+        """Return the state with more uncertainty of the estimate; see `TSObserver.reopened`."""
+        return state._replace(observer=self.observer.reopened(state.observer, variance, duration))
+
+    def relearning(self, state: AdaptiveState) -> AdaptiveState:
+        """Return the state with the adaptation begun again from the present θ."""
+        upsilon = np.zeros_like(state.upsilon)
+        return state._replace(gamma=self._initial_gamma, upsilon=upsilon)
+
+    def nominal(self, state: AdaptiveState) -> AdaptiveState:
+        """Return the state with nominal parameters and nothing learnt."""
+        return self.relearning(state)._replace(
+            theta=np.zeros_like(state.theta), gram=np.zeros_like(state.gram)
+        )
+
+    def at_limit(self, state: AdaptiveState) -> bool:
+        """Return whether a parameter sits at the end of its known range."""
+        return bool((np.abs(state.theta) >= self.uncertainty.limits).any())
+
+    def correct(self, state: AdaptiveState, y: Array) -> tuple[AdaptiveState, Correction]:
+        """Use one measurement y [rad], shape (1,)."""
+        correction = self.expect(state, y)
+        return self.apply(state, correction), correction
+
+    def expect(self, state: AdaptiveState, y: Array) -> Correction:
+        """Return the innovation, what is expected of it, and the gain; nothing is changed."""
+        correction = self.observer.expect(state.observer, y)
+        omega = self._C @ state.upsilon
+        return correction._replace(spread=correction.spread + omega @ state.gamma @ omega.T)
+
+    def apply(
+        self, state: AdaptiveState, correction: Correction, weight: float = 1.0, adapt: bool = True
+    ) -> AdaptiveState:
+        """Correct estimate and parameters by an innovation.
+
+        Args:
+            state: The state the correction was computed from.
+            correction: From `expect`.
+            weight: Share of the correction to apply, in (0, 1].
+            adapt: Whether θ may learn from it.
+        """
+        observer = self.observer.apply(state.observer, correction, weight)
+        omega = self._C @ state.upsilon
+        spread = float(correction.spread[0, 0])
+        gamma_omega = state.gamma @ omega[0]
+        own_spread = spread - float(omega[0] @ gamma_omega)
+        upsilon = state.upsilon - correction.gain @ omega
+        gram = state.gram + omega.T @ omega / own_spread
+        if not adapt or weight < 1.0 or state.age < self.options.start:
+            return state._replace(observer=observer, upsilon=upsilon, gram=gram)
+        limits = self.uncertainty.limits
+        step = gamma_omega * (float(correction.innovation[0]) / spread)
+        theta = np.minimum(np.maximum(state.theta + step, -limits), limits)
+        x = observer.x + upsilon @ (theta - state.theta)
+        gamma = state.gamma - np.outer(gamma_omega, gamma_omega) / spread
+        return AdaptiveState(
+            observer._replace(x=x), theta, 0.5 * (gamma + gamma.T), upsilon, gram, state.age
+        )
+
+    def predict(self, state: AdaptiveState, u: Array, duration: float) -> AdaptiveState:
+        """Predict over `duration` [s] with the torque u [N m], shape (1,), held."""
+        observer, upsilon = self._flow(state, u, duration, stay_certified=True)
+        forgotten = np.exp(-duration / self.options.memory)
+        return AdaptiveState(
+            observer,
+            state.theta,
+            self._capped(state.gamma + self._wander * duration),
+            upsilon,
+            state.gram * forgotten,
+            state.age + duration,
+        )
+
+    def extrapolate(self, state: AdaptiveState, u: Array, duration: float) -> AdaptiveState:
+        """Predict to a time between samples, for reading only."""
+        observer, upsilon = self._flow(state, u, duration, stay_certified=False)
+        return state._replace(observer=observer, upsilon=upsilon)
+
+    def valid(self, state: AdaptiveState) -> bool:
+        """Return whether the motion has been rich enough for θ to be believed."""
+        if not self.uncertainty.count:
+            return False
+        return bool(np.linalg.eigvalsh(state.gram)[0] >= self.options.excitation)
+
+    def readout(self, state: AdaptiveState) -> Readout:
+        """Return the estimate; its bound has what the uncertain parameters add to it."""
+        flow, readout = self.observer.flow, self.observer.readout(state.observer)
+        # x − x̂ is the observer's own error plus Υ(θ − θ̂).
+        spread = state.upsilon @ state.gamma @ state.upsilon.T
+        added = flow.to_physical(np.sqrt(np.maximum(np.diagonal(spread), 0.0)))
+        H = flow.disturbance.H
+        added_disturbance = np.diagonal(H @ spread[4:, 4:] @ H.T)
+        return readout._replace(
+            state_bound=np.hypot(readout.state_bound, added),
+            disturbance_bound=np.sqrt(readout.disturbance_bound**2 + added_disturbance),
+            parameters=state.theta,
+            parameter_bound=np.sqrt(np.diagonal(state.gamma)),
+            parameters_valid=self.valid(state),
+        )
+
+    def events(self, state: AdaptiveState) -> dict[str, int]:
+        """Return no counts: this observer judges nothing."""
+        return {}
+
+    def _capped(self, gamma: Array) -> Array:
+        """Return Γ shrunk so that no variance exceeds the initial one."""
+        variance = np.diagonal(gamma)
+        most = self.options.initial_std**2
+        if (variance <= most).all():
+            return gamma
+        shrink = np.sqrt(np.minimum(1.0, most / variance))
+        return np.asarray(gamma * np.outer(shrink, shrink))
+
+    def _flow(
+        self, state: AdaptiveState, u: Array, duration: float, *, stay_certified: bool
+    ) -> tuple[ObserverState, Array]:
+        """Return observer state and Υ after the flow with θ̂ in its kicks."""
+        observer, inner = state.observer, self.observer
+        certified = inner.stays_certified(observer, duration, between_samples=not stay_certified)
+        torque = float(u[0])
+        x, upsilon, covariance = observer.x, state.upsilon, observer.covariance
+        for step in inner.flow.steps(duration):
+            x, upsilon, jacobian = self._kick(x, upsilon, state.theta, torque, step)
+            if not certified:
+                onward = step.phi @ jacobian
+                covariance = onward @ covariance @ onward.T + step.noise
+            x = step.phi @ x + step.gamma[:, 0] * torque
+            x, upsilon, jacobian = self._kick(x, step.phi @ upsilon, state.theta, torque, step)
+            if not certified:
+                covariance = jacobian @ covariance @ jacobian.T
+        return inner.moved(observer, x, covariance, duration, certified, stay_certified), upsilon
+
+    def _kick(
+        self, x: Array, upsilon: Array, theta: Array, torque: float, step: Transition
+    ) -> tuple[Array, Array, Array]:
+        """Return x and Υ after half a kick by gravity and θ, and the kick's Jacobian in x."""
+        half = 0.5 * step.duration
+        regressor = self.uncertainty.regressor(x, torque)
+        jacobian = self._identity.copy()
+        jacobian[_ROWS, :4] += half * self.uncertainty.jacobian(x, theta)
+        jacobian[LINK_VELOCITY, LINK_ANGLE] -= step.half_kick * np.cos(x[LINK_ANGLE])
+        kicked = x.copy()
+        kicked[LINK_VELOCITY] -= step.half_kick * np.sin(x[LINK_ANGLE])
+        kicked[_ROWS] += half * (regressor @ theta)
+        turned = jacobian @ upsilon
+        turned[_ROWS] += half * regressor
+        return kicked, turned, jacobian
