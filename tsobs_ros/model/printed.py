@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The numbers the method's paper prints as solutions of its conditions, signs restored.
 
-Available are P and M of Example 1, with ε and ‖P⁻¹‖, and P, H₁ and H₂ of Example 3. Q and H of
+Available are P and M of Example 1, with ε and ‖P⁻¹‖, and P and Hᵢ of Example 3. Q and H of
 Example 1 and every solution of Example 2 are not available, so their conditions can only be
 checked in the part that does not depend on them; see `tsobs_ros.model.conditions`.
 """
@@ -52,8 +52,8 @@ EXAMPLE_1_INVERSE_NORM = 6.6987
 
 EXAMPLE_3_P = _symmetric(
     [
-        [2.2592, 0.2010, -0.5134, -0.0768, 2.7653],
-        [1.0801, 0.0789, -0.1328, -0.2981],
+        [2.2592, -0.2010, -0.5134, -0.0768, 2.7653],
+        [1.0801, -0.0789, 0.1328, 0.2981],
         [0.1644, -0.0119, -0.1504],
         [0.0583, -0.0878],
         [16.3296],
@@ -61,13 +61,15 @@ EXAMPLE_3_P = _symmetric(
 )
 """P of Example 3, shape (5, 5), up to changes of sign of coordinates."""
 
-EXAMPLE_3_H1 = np.array(
+EXAMPLE_3_H = np.array(
     [
-        [[27.8133], [8.7405], [89.7378], [65.7083], [22.5315]],
-        [[29.2736], [6.4259], [94.4479], [67.1429], [23.7811]],
+        [[27.8133], [-8.7405], [89.7378], [65.7083], [22.5315]],
+        [[29.2736], [-6.4259], [94.4479], [67.1429], [23.7811]],
     ]
 )
-"""H₁ᵢ of Example 3, shape (2, 5, 1), up to the same changes of sign."""
+"""Hᵢ of Example 3, shape (2, 5, 1), up to the same changes of sign. Of all of them, and of taking
+the numbers for Hᵢ or for E_L⁻¹Hᵢ, this reading violates (37) least where P and H change together,
+and makes the best observer."""
 
 
 def sign_changes(count: int) -> Array:

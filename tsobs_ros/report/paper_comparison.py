@@ -8,12 +8,14 @@ for each; the paper's observer gets the printed gains.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import DisturbanceTerm
 from tsobs_ros.estimation.augmented_observer import AugmentedObserver
 from tsobs_ros.estimation.high_gain import HighGainObserver
 from tsobs_ros.estimation.kalman import ExtendedKalmanFilter
@@ -32,6 +34,9 @@ WINDOW_START = 20.0
 
 SCALE = (0.226, 0.60, 3.55, 4.64)
 """RMS of the states themselves in this scenario, in design coordinates."""
+
+WORK = 7
+"""Pieces of work of `compare_on_arm`: the runs, then six observers."""
 
 _FIRST_SEED = 9000
 
@@ -79,18 +84,20 @@ class ObserverErrors(NamedTuple):
         return np.asarray(np.sqrt(np.mean((self.rmse / np.array(SCALE)) ** 2, axis=1)))
 
 
-class Comparison(NamedTuple):
+@dataclass(frozen=True)
+class Comparison:
     """All observers on the same runs.
 
     Attributes:
         trajectories: The runs.
-        observers: PO, PIO, the paper's, ours and EKF, in this order.
+        observers: PO, PIO, paper (the paper's), ours, EKF (with our disturbance states) and
+            EKF clean (with none), in this order.
     """
 
     trajectories: Trajectories
     observers: tuple[ObserverErrors, ...]
 
-    def __getitem__(self, name: str) -> ObserverErrors:  # type: ignore[override]
+    def __getitem__(self, name: str) -> ObserverErrors:
         """Return an observer by its name."""
         return next(each for each in self.observers if each.name == name)
 
@@ -99,7 +106,7 @@ def paper_observer() -> AugmentedObserver:
     """Return the paper's observer of Example 3 with its printed gains, P and M."""
     augmentation = Augmentation(example_3().system)
     M = np.linalg.solve(printed.EXAMPLE_3_P, augmentation.C_bar.T)
-    return AugmentedObserver(augmentation, printed.EXAMPLE_3_H1, M)
+    return AugmentedObserver(augmentation, augmentation.E_L_inverse @ printed.EXAMPLE_3_H, M)
 
 
 def compare_on_arm(
@@ -117,7 +124,7 @@ def compare_on_arm(
         seeds: Number of runs.
         duration: Of a run [s], above `WINDOW_START`.
         thetas: Grid for PO and PIO [1/s].
-        advance: Called after each of the six pieces of work.
+        advance: Called after each of the `WORK` pieces of work.
     """
     runs = simulate(SCENARIOS["noise"], range(_FIRST_SEED, _FIRST_SEED + seeds), duration)
     advance()
@@ -138,12 +145,13 @@ def compare_on_arm(
     ours = design.observer()
     observers.append(_errors("ours", runs, run(ours, ours.initial((seeds,)), runs)))
     advance()
-    request = design.request
-    ekf = ExtendedKalmanFilter(
-        request.flow, request.measurement_covariance, request.initial_covariance
-    )
-    observers.append(_errors("EKF", runs, run(ekf, ekf.initial((seeds,)), runs)))
-    advance()
+    without = replace(design.request, disturbance=(DisturbanceTerm("clean"),))
+    for name, request in (("EKF", design.request), ("EKF clean", without)):
+        ekf = ExtendedKalmanFilter(
+            request.flow, request.measurement_covariance, request.initial_covariance
+        )
+        observers.append(_errors(name, runs, run(ekf, ekf.initial((seeds,)), runs)))
+        advance()
     return Comparison(runs, tuple(observers))
 
 

@@ -173,7 +173,7 @@ def run_example(
 
 def _simulate(example: PaperExample, period: float, duration: float) -> PlantRecord:
     samples = round(duration / period) + 1
-    times: Array = np.arange(samples) * period
+    times = np.asarray(np.arange(samples) * period, dtype=np.float64)
     uncertainty = np.array(UNCERTAINTIES)[:, np.newaxis]
     states = np.empty((samples, len(UNCERTAINTIES), example.system.state_count))
     x = np.repeat(example.initial_state[np.newaxis], len(UNCERTAINTIES), axis=0)
