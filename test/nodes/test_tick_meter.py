@@ -1,0 +1,100 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The tick meter counts what falls out; only orders of magnitude of real time are looked at."""
+
+import time
+
+import pytest
+
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.nodes.tick_meter import TickMeter
+
+
+def wait(seconds: float) -> None:
+    """Let at least so much time pass on the meter's clock, by working."""
+    end = time.monotonic_ns() + round(seconds * 1e9)
+    while time.monotonic_ns() < end:
+        pass
+
+
+def test_without_ticks_there_is_nothing_to_report() -> None:
+    status = TickMeter(200.0).status()
+    assert (status.name, status.level, status.message) == ("timing", Level.STALE, "no ticks")
+    assert status.values == {"wanted rate [Hz]": "200", "missed ticks": "0"}
+
+
+def test_ticks_that_come_in_time_are_not_missed() -> None:
+    # So slow a rate that no machine comes late: none of these is a period after the other.
+    meter = TickMeter(0.001)
+    for _ in range(5):
+        meter.begin()
+        meter.end()
+    status = meter.status()
+    assert (status.level, status.message, meter.missed) == (Level.OK, "on time", 0)
+    assert float(status.values["achieved rate [Hz]"]) > 0.001
+
+
+def test_periods_without_a_tick_are_missed() -> None:
+    meter = TickMeter(1000.0)
+    meter.begin()
+    meter.end()
+    wait(0.02)
+    meter.begin()
+    meter.end()
+    # At least 20 periods went by, of which the second tick is one.
+    assert meter.missed >= 19
+    status = meter.status()
+    assert status.level is Level.WARN
+    assert status.message == f"missed {meter.missed} ticks"
+    assert status.values["missed ticks"] == str(meter.missed)
+    assert float(status.values["achieved rate [Hz]"]) < 100.0
+
+
+def test_each_status_begins_a_new_interval_but_the_count_goes_on() -> None:
+    meter = TickMeter(1000.0)
+    meter.begin()
+    meter.end()
+    wait(0.01)
+    meter.begin()
+    meter.end()
+    before = meter.missed
+    assert before >= 9
+    meter.status()
+    status = meter.status()
+    assert (status.level, status.message) == (Level.STALE, "no ticks")
+    assert meter.missed == before
+    assert status.values["missed ticks"] == str(before)
+
+
+def test_a_wanted_pause_is_not_missed() -> None:
+    meter = TickMeter(100.0)
+    meter.begin()
+    meter.end()
+    meter.pause()
+    wait(0.05)
+    meter.begin()
+    meter.end()
+    assert meter.missed == 0
+
+
+def test_the_tick_time_is_that_of_the_work() -> None:
+    meter = TickMeter(0.001)
+    for seconds in (0.0, 0.0, 0.0, 0.02):
+        meter.begin()
+        wait(seconds)
+        meter.end()
+    values = meter.status().values
+    median, slow = (float(values[f"tick time {p} [ms]"]) for p in ("p50", "p99"))
+    assert slow >= 20.0
+    assert 0.0 <= median <= slow
+
+
+def test_an_end_without_a_beginning_is_no_tick() -> None:
+    meter = TickMeter(100.0)
+    meter.end()
+    assert meter.status().level is Level.STALE
+
+
+@pytest.mark.parametrize("rate", [1.0, 200.0, 2000.0])
+def test_the_wanted_rate_is_told(rate: float) -> None:
+    assert TickMeter(rate).status().values["wanted rate [Hz]"] == f"{rate:g}"
