@@ -6,6 +6,10 @@ A filtered-regressor (two-stage) adaptive observer after Q. Zhang (2002): Υ = �
 through the observer's own error dynamics, so that the innovation is explained as e = Ω θ̃ + noise
 with Ω = C̄Υ, whatever the relative degree of the sensor. θ follows by recursive least squares with
 a bounded gain, projected on its known bounds. The prediction takes θ in with the gravity kicks.
+
+The regressor is taken at the estimate. While that is far less certain than it will be, innovations
+count for less in θ, by as much as the covariance exceeds the certified bound: otherwise errors of
+the start-up are learnt as parameters, and with great confidence.
 """
 
 from dataclasses import dataclass
@@ -35,7 +39,7 @@ class AdaptationOptions:
         excitation: Smallest eigenvalue of the excitation from which θ counts as valid.
     """
 
-    initial_std: float = 0.2
+    initial_std: float = 0.1
     wander_density: float = 1e-6
     start: float = 2.0
     memory: float = 10.0
@@ -153,13 +157,14 @@ class AdaptiveObserver:
         """
         observer = self.observer.apply(state.observer, correction, weight)
         omega = self._C @ state.upsilon
-        spread = float(correction.spread[0, 0])
         gamma_omega = state.gamma @ omega[0]
-        own_spread = spread - float(omega[0] @ gamma_omega)
+        explained = float(omega[0] @ gamma_omega)
+        own_spread = float(correction.spread[0, 0]) - explained
         upsilon = state.upsilon - correction.gain @ omega
         gram = state.gram + omega.T @ omega / own_spread
         if not adapt or weight < 1.0 or state.age < self.options.start:
             return state._replace(observer=observer, upsilon=upsilon, gram=gram)
+        spread = own_spread * max(1.0, self.observer.covariance_ratio(state.observer)) + explained
         limits = self.uncertainty.limits
         step = gamma_omega * (float(correction.innovation[0]) / spread)
         theta = np.minimum(np.maximum(state.theta + step, -limits), limits)

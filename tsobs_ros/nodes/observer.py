@@ -30,6 +30,7 @@ from tsobs_ros.nodes.observer_io import MEASUREMENT_QOS, EstimatePublisher, to_m
 from tsobs_ros.nodes.observer_parameters import ObserverParameters
 from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.tick_meter import TickMeter
+from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.resources import config_path
 
 _DIAGNOSTICS_PERIOD = 1.0
@@ -94,7 +95,7 @@ class Observer(Node):
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=parameters.joint)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/enable", self._on_enable)
-        self.create_timer(1.0 / parameters.rate, self._tick)
+        self.ticker = Ticker(self, 1.0 / parameters.rate, self._tick)
         # Not the node's clock: a paused simulation is still worth a diagnosis.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=steady)

@@ -3,9 +3,10 @@
 """Run nodes in a process that ends cleanly: Ctrl-C, SIGTERM, a finished node, an error.
 
 `run(create)` initialises rclpy, spins what `create` returns on a single-threaded executor, and
-tears everything down in order. Nodes are ordinary rclpy nodes; two optional members are honoured:
+tears everything down in order. Nodes are ordinary rclpy nodes; three optional members are honoured:
 
 * ``finished`` (bool property): the loop ends once any node says so;
+* ``ticker`` (Ticker): its ticks are made here, between two looks after everything else;
 * ``close()``: called before any node is destroyed. Bags and whatever must not be lost are closed
   here, because destroying a participant is the one step that may hang (see `exit_guard`).
 
@@ -19,6 +20,7 @@ which loses early SIGTERMs and sometimes raises inside take. A flag that the loo
 
 import re
 import sys
+import time
 from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
@@ -29,10 +31,13 @@ from rclpy.signals import SignalHandlerOptions
 
 from tsobs_ros.errors import TsobsError
 from tsobs_ros.nodes.exit_guard import exit_guard
+from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.stop import StopFlag
 
 # A signal wakes nobody: the longest an idle process takes to notice one.
 _SPIN_TIMEOUT = 0.2
+# How often services, parameters and slow timers get their turn where a node's ticks are made here.
+_LOOK_AFTER_PERIOD = 0.02
 # Destroying two nodes and shutting the context down takes some 20 ms, .5 s on a loaded machine.
 _TEARDOWN_TIMEOUT = 5.0
 
@@ -92,13 +97,33 @@ def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
     executor = SingleThreadedExecutor()
     for node in nodes:
         executor.add_node(node)
+    tickers = [ticker for node in nodes if (ticker := getattr(node, "ticker", None)) is not None]
     try:
         while rclpy.ok() and not stop() and not any(_finished(node) for node in nodes):
-            executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
+            if tickers and all(ticker.may_be_taken_over for ticker in tickers):
+                _tick_for_a_while(tickers, stop)
+                executor.spin_once(timeout_sec=0.0)
+            else:
+                for ticker in tickers:
+                    ticker.give_back()
+                executor.spin_once(timeout_sec=_SPIN_TIMEOUT)
     finally:
         for node in nodes:
             executor.remove_node(node)
         executor.shutdown()
+
+
+def _tick_for_a_while(tickers: Sequence[Ticker], stop: Callable[[], bool]) -> None:
+    """Tick and sleep until the executor ought to be looked after."""
+    until = time.monotonic() + _LOOK_AFTER_PERIOD
+    for ticker in tickers:
+        ticker.take_over()
+    while True:
+        wait = min(ticker.run_if_due() for ticker in tickers) * 1e-9
+        left = until - time.monotonic()
+        if left <= 0.0 or stop():
+            return
+        time.sleep(min(wait, left))
 
 
 def _finished(node: RunnableNode) -> bool:
