@@ -3,6 +3,7 @@
 """Checks of numbers and matrices: an error names the quantity, what was expected and what came."""
 
 import math
+import reprlib
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +11,21 @@ from numpy.typing import ArrayLike, NDArray
 from tsobs_ros.errors import ModelError
 
 Array = NDArray[np.float64]
+
+
+_PRINTER = reprlib.Repr()
+_PRINTER.maxlevel, _PRINTER.maxstring, _PRINTER.maxother = 3, 50, 60
+
+
+def shown(value: object) -> str:
+    """Return `value` as text for an error: at most 60 characters, whatever it contains."""
+    try:
+        # repr() alone would write out every alias of a YAML file, exponentially many.
+        text = _PRINTER.repr(value)
+    except ValueError:
+        # Python refuses to print integers of more than 4300 digits.
+        text = f"a {type(value).__name__} too long to print"
+    return text if len(text) <= 60 else text[:57] + "..."
 
 
 def as_matrix(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -20,8 +36,8 @@ def as_matrix(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{name}: expected real numbers, got {value!r}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"{name}: expected real numbers, got {shown(value)}") from error
     if array.shape != shape:
         raise ModelError(f"{name}: expected shape {shape}, got {array.shape}")
     if not np.isfinite(array).all():
@@ -31,14 +47,24 @@ def as_matrix(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 
 def positive(name: str, value: float) -> float:
-    """Return `value` if it is a finite number above zero, else raise `ModelError`."""
-    if not (math.isfinite(value) and value > 0.0):
-        raise ModelError(f"{name}: expected a finite number above 0, got {value!r}")
-    return float(value)
+    """Return `value` as a float if it is a finite number above zero, else raise `ModelError`."""
+    number = _number(value)
+    if not 0.0 < number < math.inf:
+        raise ModelError(f"{name}: expected a finite number above 0, got {shown(value)}")
+    return number
 
 
 def non_negative(name: str, value: float) -> float:
-    """Return `value` if it is a finite number of at least zero, else raise `ModelError`."""
-    if not (math.isfinite(value) and value >= 0.0):
-        raise ModelError(f"{name}: expected a finite number of at least 0, got {value!r}")
-    return float(value)
+    """Return `value` as a float if it is finite and at least zero, else raise `ModelError`."""
+    number = _number(value)
+    if not 0.0 <= number < math.inf:
+        raise ModelError(f"{name}: expected a finite number of at least 0, got {shown(value)}")
+    return number
+
+
+def _number(value: float) -> float:
+    """Return `value` as a float, NaN if it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan

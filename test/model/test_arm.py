@@ -28,7 +28,7 @@ TORQUES = hnp.arrays(np.float64, 1, elements=st.floats(-10.0, 10.0))
 
 
 def states(bound: float = 5.0) -> st.SearchStrategy[Array]:
-    return hnp.arrays(np.float64, 4, elements=st.floats(-bound, bound))
+    return hnp.arrays(np.float64, 4, elements=st.floats(-bound, bound, allow_subnormal=False))
 
 
 def test_the_matrices_of_example_3_are_the_papers() -> None:

@@ -138,7 +138,10 @@ def test_a_disturbance_acts_through_the_fault_matrix() -> None:
         ),
         (lambda: per_channel([bias(), bias()]).through([[1.0, 2.0]]), "full column rank"),
         (lambda: bias().through([[1.0, 0.0]]), r"D_s: expected shape \(1, 1\), got \(1, 2\)"),
-        (lambda: bias().through([1.0]), r"D_s: expected shape \(0, 1\), got \(1,\)"),
+        (
+            lambda: bias().through([1.0]),
+            r"D_s: expected a matrix, shape \(p, 1\), got shape \(1,\)",
+        ),
         (lambda: bias().through([[np.nan]]), "D_s: every entry must be finite"),
         (lambda: bias() + clean(2), "same number of channels, got 1 and 2"),
         (lambda: per_channel([]), "at least one disturbance model"),
@@ -153,6 +156,10 @@ def test_a_disturbance_acts_through_the_fault_matrix() -> None:
         (lambda: ramp(rate_density=np.inf), "ramp rate_density: expected"),
         (lambda: ramp(initial_std=-1.0), "ramp initial_std: expected"),
         (lambda: ramp(initial_rate_std=-1.0), "ramp initial_rate_std: expected"),
+        (
+            lambda: DisturbanceModel("x", 3.0, [[1.0]], [[1.0]], [1.0]),
+            r"disturbance S: expected shape \(0, 0\), got \(\)",
+        ),
         (
             lambda: DisturbanceModel("x", np.eye(2), np.ones((1, 3)), np.eye(2), np.ones(2)),
             r"disturbance H: expected shape \(1, 2\), got \(1, 3\)",

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag, expm
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.disturbance import bias, clean, gauss_markov, ramp, sinusoid
+from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, ramp, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
 
 Array = NDArray[np.float64]
@@ -109,6 +109,78 @@ def test_the_noise_is_van_loans(flow: ArmFlow, fraction: float) -> None:
         scale = np.sqrt(np.outer(np.diag(step.noise), np.diag(step.noise)))
         np.testing.assert_allclose(step.noise / scale, expected / scale, atol=1e-8)
         assert (step.noise == step.noise.T).all()
+
+
+@pytest.mark.parametrize(
+    ("arm", "rate"),
+    [
+        (ElasticJointArm(1e-3, 1e-4, 100.0), 25.0),
+        (ElasticJointArm(0.1, link_damping=100.0), 25.0),
+        (ElasticJointArm(link_damping=1e5), 200.0),
+        (ElasticJointArm(), 0.1),
+    ],
+)
+def test_the_flow_over_a_step_long_for_the_arm_is_the_matrix_exponential(
+    arm: ElasticJointArm, rate: float
+) -> None:
+    """Fast modes turn or decay many times in a step, where a bare series loses every digit."""
+    flow = ArmFlow(arm, bias(), ProcessNoise(), 1.0 / rate)
+    for duration in (flow.period, 0.37 * flow.period):
+        step = flow.transition(duration)
+        exact = expm(drift(flow) * duration)
+        assert np.abs(step.phi - exact).max() < 1e-9 * np.abs(exact).max()
+        deviations = np.sqrt(np.diag(step.noise))
+        correlation = step.noise / np.outer(deviations, deviations)
+        assert np.linalg.eigvalsh(correlation)[0] >= -1e-12
+        half = flow.transition(0.5 * duration)
+        doubled = half.phi @ half.noise @ half.phi.T + half.noise
+        np.testing.assert_allclose(step.noise, doubled, rtol=1e-8, atol=1e-12 * doubled.max())
+        np.testing.assert_allclose(
+            step.gamma, half.phi @ half.gamma + half.gamma, rtol=1e-8, atol=1e-12
+        )
+
+
+def test_the_common_step_needs_no_doubling() -> None:
+    """One product, whatever the length: benchmarks count on it."""
+    flow = shipped()
+    assert flow._linear._reach == flow.period
+
+
+@pytest.mark.parametrize(
+    ("arm", "message"),
+    [
+        ({"stiffness": 1e150}, "at most 65536 rad in a step of 0.005 s"),
+        ({"link_inertia": 1e-200, "motor_inertia": 1e-200}, "every entry must be finite"),
+    ],
+)
+def test_an_arm_too_fast_for_the_period_is_refused(arm: dict[str, float], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        shipped(**arm)
+
+
+def test_noise_beyond_all_numbers_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"every entry over a step of 0\.005 s must be finite"):
+        ArmFlow(ElasticJointArm(1e-3, 1e-4, 1e4), bias(), ProcessNoise(motor=1e308), 0.005)
+
+
+@pytest.mark.parametrize("duration", [-0.001, -math.inf, math.inf, math.nan])
+def test_time_does_not_run_backwards(duration: float) -> None:
+    flow, x, u = shipped(), np.zeros(5), np.zeros(1)
+    with pytest.raises(ModelError, match="duration: expected a finite number of at least 0"):
+        flow.predict(x, u, duration)
+    with pytest.raises(ModelError, match="duration: expected a finite number of at least 0"):
+        flow.predict_with_covariance(x, np.eye(5), u, duration)
+
+
+@pytest.mark.parametrize("duration", [0.0, 0.003, 0.005, 0.012])
+def test_a_batch_may_share_one_covariance(duration: float) -> None:
+    flow, x, covariance = shipped(), np.linspace(-0.3, 0.3, 15).reshape(3, 5), np.eye(5)
+    after, spread = flow.predict_with_covariance(x, covariance, np.zeros((3, 1)), duration)
+    assert spread.shape == (3, 5, 5)
+    for run in range(3):
+        mean, one = flow.predict_with_covariance(x[run], covariance, np.zeros(1), duration)
+        np.testing.assert_allclose(after[run], mean, rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(spread[run], one, rtol=1e-12, atol=1e-15)
 
 
 def test_the_noise_is_the_integral_that_defines_it() -> None:
@@ -369,6 +441,12 @@ def test_the_slope_range_is_that_of_the_cosine(x_max: float, lowest: float) -> N
         (lambda: shipped(0.0), "period: expected a finite number above 0, got 0.0"),
         (lambda: shipped(math.nan), "period: expected a finite number above 0, got nan"),
         (lambda: ProcessNoise(link=-1.0), "process noise density of the link: expected"),
+        (
+            lambda: ArmFlow(
+                ElasticJointArm(), per_channel([bias(), bias()]), ProcessNoise(), 0.005
+            ),
+            "disturbance: expected one channel, the measured angle's, got 2",
+        ),
         (lambda: ProcessNoise(motor=math.inf), "process noise density of the motor: expected"),
     ],
 )

@@ -149,6 +149,10 @@ def test_matrices_of_a_system_cannot_be_changed_behind_its_back() -> None:
         ({"B": [np.full((2, 1), np.inf)]}, "B: every entry must be finite"),
         ({"C": [np.zeros((1, 3))]}, r"C: expected shape \(2, 1, 2\), got \(2, 1, 3\)"),
         ({"C": [np.zeros((1, 2)), np.zeros((2, 2))]}, "C: every rule needs the same shape"),
+        (
+            {"A": [[[1, 2], [3]], np.eye(2)]},
+            r"A: expected rows of equal length, got \[\[1, 2\], \[3",
+        ),
         ({"C": [[[1.0, np.nan]]]}, "C: every entry must be finite"),
     ],
 )
@@ -174,19 +178,45 @@ def test_an_incomplete_rule_base_is_refused(rules: Any, message: str) -> None:
     ("z", "message"),
     [
         ([2.0], "membership of rule 1: expected finite grades of at least 0, got -1.0"),
+        ([[np.nan], [0.1]], "membership of rule 1: expected finite grades of at least 0, got nan"),
         ([-2.0], "membership of rule 2: expected finite grades of at least 0, got -2.0"),
         ([np.nan], "membership of rule 1: expected finite grades of at least 0, got nan"),
         ([0.5, 0.5], r"z: expected a last axis of 1 premise variables, got shape \(2,\)"),
         (0.5, r"z: expected a last axis of 1 premise variables, got shape \(\)"),
     ],
 )
-@pytest.mark.filterwarnings("ignore:All-NaN:RuntimeWarning")
 def test_weights_name_what_is_wrong_with_a_premise(z: Any, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         RAMPS.weights(z)
 
 
-@pytest.mark.parametrize(("z", "place"), [([3.0], r"\[3.0\]"), ([[0.5], [4.0]], r"\[4.0\]")])
+def test_a_system_needs_an_output_matrix_for_each_rule() -> None:
+    with pytest.raises(ModelError, match=r"C: expected one matrix a rule.*got \(1, 2\)"):
+        TSSystem(np.zeros((1, 2, 2)), np.zeros((1, 2, 1)), np.zeros((1, 2)), ONE_RULE, lambda x: x)
+
+
+def test_a_membership_may_be_a_constant_but_not_of_another_shape() -> None:
+    constant = RuleBase(((lambda z: np.float64(2.0),), (np.ones_like,)))
+    np.testing.assert_allclose(constant.weights(np.zeros((3, 1))), [[2 / 3, 1 / 3]] * 3)
+    wrong = RuleBase(((lambda z: np.ones(7),),))
+    with pytest.raises(ModelError, match=r"rule 1: expected one grade an entry, shape \(3,\)"):
+        wrong.weights(np.zeros((3, 1)))
+
+
+@pytest.mark.parametrize("grade", [1e308, 1e-308])
+def test_extreme_grades_still_sum_to_one(grade: float) -> None:
+    rules = RuleBase(((lambda z: np.full_like(z, grade),), (lambda z: np.full_like(z, grade),)))
+    assert rules.weights([0.0]) == pytest.approx([0.5, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("z", "place"),
+    [
+        ([3.0], r"\[3.0\]"),
+        ([[0.5], [4.0]], r"\[4.0\]"),
+        ([[[0.5], [0.1]], [[0.2], [5.0]]], r"\[5.0\]"),
+    ],
+)
 def test_a_premise_at_which_no_rule_fires_is_named(z: Any, place: str) -> None:
     hat = RuleBase(((lambda z: np.clip(1.0 - np.abs(z), 0.0, None),),))
     with pytest.raises(ModelError, match=f"no rule fires at z = {place}"):

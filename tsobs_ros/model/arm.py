@@ -69,7 +69,8 @@ class ElasticJointArm:
                 [0.0, 1.0, 0.0, 0.0],
                 [-k / j1, -self.link_damping / j1, 1.0, 0.0],
                 [0.0, 0.0, 0.0, 1.0],
-                [k * k / (j1 * j2), 0.0, -k / j2, -self.motor_damping / j2],
+                # Not k²/(J₁J₂), whose denominator underflows before the quotients overflow.
+                [(k / j1) * (k / j2), 0.0, -k / j2, -self.motor_damping / j2],
             ],
             (4, 4),
         )
@@ -77,7 +78,7 @@ class ElasticJointArm:
     @cached_property
     def input_matrix(self) -> Array:
         """Torque to state derivative, shape (4, 1)."""
-        gain = self.stiffness / (self.link_inertia * self.motor_inertia)
+        gain = self.stiffness / self.link_inertia / self.motor_inertia
         return as_matrix("input_matrix", [[0.0], [0.0], [0.0], [gain]], (4, 1))
 
     @cached_property

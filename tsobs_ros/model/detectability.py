@@ -25,7 +25,10 @@ class HiddenMode(NamedTuple):
 
 
 def hidden_modes(A: Array, C: Array, tolerance: float = 1e-9) -> list[HiddenMode]:
-    """Return every mode of A that C does not see, by the PBH rank test at each eigenvalue.
+    """Return a mode of A that C does not see for each eigenvalue with one, by the PBH rank test.
+
+    Equal eigenvalues count once: of several hidden directions that share one, the best hidden
+    is returned.
 
     Args:
         A: State matrix, shape (n, n).

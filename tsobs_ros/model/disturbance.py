@@ -41,7 +41,8 @@ class DisturbanceModel:
     arbitrary: bool = False
 
     def __post_init__(self) -> None:
-        q, p = np.shape(self.S)[0], np.shape(self.H)[0]
+        # A wrong number of axes must fail the check of the shape below, by name.
+        q, p = (np.shape(m)[0] if np.ndim(m) == 2 else 0 for m in (self.S, self.H))
         g = np.shape(self.G)[-1] if np.ndim(self.G) == 2 else 0
         for name, shape in (("S", (q, q)), ("H", (p, q)), ("G", (q, g)), ("initial_std", (q,))):
             checked = as_matrix(f"disturbance {name}", getattr(self, name), shape)
@@ -81,8 +82,12 @@ class DisturbanceModel:
 
     def through(self, D_s: ArrayLike) -> "DisturbanceModel":
         """Return the model acting on the outputs through D_s, shape (p, channels)."""
-        rows = np.shape(D_s)[0] if np.ndim(D_s) == 2 else 0
-        mixing = as_matrix("D_s", D_s, (rows, self.channel_count))
+        if np.ndim(D_s) != 2:
+            raise ModelError(
+                f"D_s: expected a matrix, shape (p, {self.channel_count}), "
+                f"got shape {np.shape(D_s)}"
+            )
+        mixing = as_matrix("D_s", D_s, (np.shape(D_s)[0], self.channel_count))
         if np.linalg.matrix_rank(mixing) < self.channel_count:
             raise ModelError(f"D_s: expected full column rank, got {mixing.tolist()}")
         return DisturbanceModel(

@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel
-
-_ROUNDING = np.finfo(np.float64).eps
+from tsobs_ros.model.linear_flow import LinearFlow
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,9 @@ class ProcessNoise:
     motor: float = 1e-5
 
     def __post_init__(self) -> None:
-        non_negative("process noise density of the link", self.link)
-        non_negative("process noise density of the motor", self.motor)
+        for name in ("link", "motor"):
+            density = non_negative(f"process noise density of the {name}", getattr(self, name))
+            object.__setattr__(self, name, density)
 
 
 class Transition(NamedTuple):
@@ -93,8 +94,14 @@ class ArmFlow:
         self.disturbance = disturbance
         self.process_noise = process_noise
         self.period = positive("period", period)
-        self._series = self._flow_series()
-        self.nominal = self._evaluate_series(self.period)
+        if disturbance.channel_count != 1:
+            raise ModelError(
+                f"disturbance: expected one channel, the measured angle's, "
+                f"got {disturbance.channel_count}"
+            )
+        torque = np.vstack([arm.input_matrix, np.zeros((disturbance.state_count, 1))])
+        self._linear = LinearFlow(self.drift, torque, self._noise_density(), self.period)
+        self.nominal = self.transition(self.period)
 
     @property
     def state_count(self) -> int:
@@ -107,21 +114,35 @@ class ArmFlow:
         joined = np.hstack([self.arm.output_matrix, self.disturbance.H])
         return as_matrix("C̄", joined, (1, self.state_count))
 
+    @cached_property
+    def drift(self) -> Array:
+        """Continuous augmented matrix without gravity, what the linear flow integrates, (n, n)."""
+        return np.asarray(block_diag(self.arm.spring_matrix, self.disturbance.S))
+
     def slope_matrix(self, slope: float) -> Array:
         """Return the continuous augmented matrix with gravity slope c, shape (n, n)."""
         return np.asarray(block_diag(self.arm.slope_matrix(slope), self.disturbance.S))
 
     def transition(self, duration: float) -> Transition:
-        """Return the linear flow over `duration` [s], at most one nominal period."""
-        return self.nominal if duration == self.period else self._evaluate_series(duration)
+        """Return the linear flow over `duration` [s]."""
+        phi, gamma, noise = self._linear.over(duration)
+        return Transition(duration, phi, gamma, noise, 0.5 * duration * self.arm.gravity_gain)
 
     def steps(self, duration: float) -> list[Transition]:
-        """Cut `duration` [s] into nominal steps and a remainder, in the order to take them."""
+        """Cut `duration` [s] into nominal steps and a remainder, in the order to take them.
+
+        Raises:
+            ModelError: The duration is negative or not finite.
+        """
         if duration == self.period:
             return [self.nominal]
+        if not 0.0 <= duration < math.inf:
+            raise ModelError(
+                f"duration: expected a finite number of at least 0, got {duration!r} s"
+            )
         whole = int(duration // self.period)
         remainder = duration - whole * self.period
-        tail = [self._evaluate_series(remainder)] if remainder > 0.0 else []
+        tail = [self.transition(remainder)] if remainder > 0.0 else []
         return [self.nominal] * whole + tail
 
     def predict(self, x: Array, u: Array, duration: float) -> Array:
@@ -131,6 +152,9 @@ class ArmFlow:
             x: Augmented state, shape (..., n).
             u: Torque held over the step [N m], shape (..., 1).
             duration: [s], at least 0.
+
+        Raises:
+            ModelError: The duration is negative or not finite.
         """
         for step in self.steps(duration):
             x = self._half_kicked(x, step)
@@ -148,10 +172,18 @@ class ArmFlow:
 
         Args:
             x: Augmented state, shape (..., n).
-            covariance: Its error covariance Σ, shape (..., n, n).
+            covariance: Its error covariance Σ, shape (..., n, n), or (n, n) for all of a batch.
             u: Torque held over the step [N m], shape (..., 1).
             duration: [s], at least 0.
+
+        Returns:
+            State and covariance, shapes (..., n) and (..., n, n).
+
+        Raises:
+            ModelError: The duration is negative or not finite.
         """
+        if covariance.ndim <= x.ndim:
+            covariance = np.broadcast_to(covariance, (*x.shape, x.shape[-1]))
         for step in self.steps(duration):
             covariance = self._sheared(covariance, step.half_kick * np.cos(x[..., LINK_ANGLE]))
             covariance = step.phi @ covariance @ step.phi.T + step.noise
@@ -194,45 +226,6 @@ class ArmFlow:
         sheared[..., LINK_VELOCITY, :] -= gain * sheared[..., LINK_ANGLE, :]
         sheared[..., :, LINK_VELOCITY] -= gain * sheared[..., :, LINK_ANGLE]
         return sheared
-
-    def _flow_series(self) -> Array:
-        """Return Taylor coefficients of Φ, Γ and Q side by side, shape (order + 1, n (2n + 1)).
-
-        Φ' = AΦ, Γ' = AΓ + B, Q' = AQ + QAᵀ + W, all from A^k/k! without inverting anything; a
-        step of any length then costs one product, which matters because real stamps jitter.
-        """
-        n = self.state_count
-        drift = np.asarray(block_diag(self.arm.spring_matrix, self.disturbance.S))
-        torque = np.vstack([self.arm.input_matrix, np.zeros((n - 4, 1))])
-        density = self._noise_density()
-        phi, gamma, noise = np.eye(n), np.zeros((n, 1)), np.zeros((n, n))
-        rows, largest = [], 0.0
-        for order in range(1, 100):
-            row = np.hstack([phi.ravel(), gamma.ravel(), noise.ravel()])
-            rows.append(row)
-            size = float(np.abs(row).max()) * self.period ** (order - 1)
-            largest = max(largest, size)
-            if order > 2 and size <= 1e-3 * _ROUNDING * largest:
-                break
-            phi, gamma, noise = (
-                drift @ phi / order,
-                (drift @ gamma + (torque if order == 1 else 0.0)) / order,
-                (drift @ noise + noise @ drift.T + (density if order == 1 else 0.0)) / order,
-            )
-        return np.array(rows)
-
-    def _evaluate_series(self, duration: float) -> Transition:
-        n = self.state_count
-        flat = duration ** np.arange(self._series.shape[0]) @ self._series
-        square = n * n
-        noise = flat[square + n :].reshape(n, n)
-        return Transition(
-            duration=duration,
-            phi=flat[:square].reshape(n, n),
-            gamma=flat[square : square + n].reshape(n, 1),
-            noise=0.5 * (noise + noise.T),
-            half_kick=0.5 * duration * self.arm.gravity_gain,
-        )
 
     def _noise_density(self) -> Array:
         """Return the white noise density of the augmented state in design coordinates, (n, n)."""

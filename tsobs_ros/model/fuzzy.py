@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix
+from tsobs_ros.checks import Array, as_matrix, shown
 from tsobs_ros.errors import ModelError
 
 MembershipFunction = Callable[[Array], Array]
@@ -64,26 +64,34 @@ class RuleBase:
                 f"z: expected a last axis of {self.premise_count} premise variables, "
                 f"got shape {premise.shape}"
             )
-        grades = np.stack(
-            [
-                np.prod([mu(premise[..., j]) for j, mu in enumerate(rule)], axis=0)
-                for rule in self.rules
-            ],
-            axis=-1,
-        )
-        if not np.isfinite(grades).all() or (grades < 0.0).any():
-            rule = int(np.argwhere(~np.isfinite(grades) | (grades < 0.0))[0][-1])
+        grades = np.stack([self._grade(index, premise) for index in range(self.rule_count)], -1)
+        # A sum of huge grades overflows; dividing by a power of two loses no digit.
+        largest = grades.max(axis=-1, keepdims=True)
+        silent = np.argwhere(largest[..., 0] <= 0.0)
+        if len(silent):
+            where = premise[tuple(silent[0])].tolist()
+            raise ModelError(f"memberships: no rule fires at z = {where}")
+        shares = np.ldexp(grades, -np.frexp(largest)[1])
+        return np.asarray(shares / shares.sum(axis=-1, keepdims=True))
+
+    def _grade(self, rule: int, premise: Array) -> Array:
+        """Return μᵢ(z), shape (...); the product of huge grades may be beyond all numbers."""
+        grade = np.ones(premise.shape[:-1])
+        for place, membership in enumerate(self.rules[rule]):
+            one = np.asarray(membership(premise[..., place]), dtype=np.float64)
+            if one.shape not in ((), grade.shape):
+                raise ModelError(
+                    f"membership of rule {rule + 1}: expected one grade an entry, "
+                    f"shape {grade.shape}, got shape {one.shape}"
+                )
+            grade = grade * one
+        wrong = ~((grade >= 0.0) & np.isfinite(grade))
+        if wrong.any():
             raise ModelError(
                 f"membership of rule {rule + 1}: expected finite grades of at least 0, "
-                f"got {float(np.nanmin(grades[..., rule]))!r}"
+                f"got {float(grade[wrong][0])!r}"
             )
-        total = grades.sum(axis=-1, keepdims=True)
-        if (total <= 0.0).any():
-            where = (
-                premise[np.argwhere(total[..., 0] <= 0.0)[0][0]] if premise.ndim > 1 else premise
-            )
-            raise ModelError(f"memberships: no rule fires at z = {np.asarray(where).tolist()}")
-        return np.asarray(grades / total)
+        return grade
 
 
 @dataclass(frozen=True)
@@ -108,7 +116,8 @@ class TSSystem:
         rules = self.rule_base.rule_count
         n = _last_axis("A", self.A)
         m = _last_axis("B", self.B)
-        p = np.asarray(self.C).shape[1] if np.ndim(self.C) == 3 else 0
+        _last_axis("C", self.C)
+        p = np.shape(self.C)[1]
         object.__setattr__(self, "A", as_matrix("A", self.A, (rules, n, n)))
         object.__setattr__(self, "B", as_matrix("B", self.B, (rules, n, m)))
         object.__setattr__(self, "C", as_matrix("C", self.C, (rules, p, n)))
@@ -128,7 +137,7 @@ class TSSystem:
         def stacked(name: str, matrices: Sequence[ArrayLike]) -> Array:
             if len(matrices) not in (1, rules):
                 raise ModelError(f"{name}: expected 1 or {rules} matrices, got {len(matrices)}")
-            shapes = {np.shape(matrix) for matrix in matrices}
+            shapes = {_shape(name, matrix) for matrix in matrices}
             if len(shapes) != 1:
                 raise ModelError(f"{name}: every rule needs the same shape, got {sorted(shapes)}")
             repeated = list(matrices) * (rules if len(matrices) == 1 else 1)
@@ -166,8 +175,15 @@ class TSSystem:
         return np.asarray(np.einsum("...ab,...b->...a", self.blend(self.C, premise), state))
 
 
+def _shape(name: str, matrix: ArrayLike) -> tuple[int, ...]:
+    try:
+        return np.shape(matrix)
+    except ValueError as error:
+        raise ModelError(f"{name}: expected rows of equal length, got {shown(matrix)}") from error
+
+
 def _last_axis(name: str, matrix: ArrayLike) -> int:
-    array = np.asarray(matrix)
-    if array.ndim != 3:
-        raise ModelError(f"{name}: expected one matrix a rule, shape (r, ·, ·), got {array.shape}")
-    return int(array.shape[-1])
+    shape = _shape(name, matrix)
+    if len(shape) != 3:
+        raise ModelError(f"{name}: expected one matrix a rule, shape (r, ·, ·), got {shape}")
+    return shape[-1]
