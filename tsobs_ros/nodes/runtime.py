@@ -18,6 +18,7 @@ rclpy's own signal handlers are not used: they shut the context down under a run
 which loses early SIGTERMs and sometimes raises inside take. A flag that the loop reads is clean.
 """
 
+import gc
 import re
 import sys
 import time
@@ -37,7 +38,7 @@ from tsobs_ros.stop import StopFlag
 # A signal wakes nobody: the longest an idle process takes to notice one.
 _SPIN_TIMEOUT = 0.2
 # How often services, parameters and slow timers get their turn where a node's ticks are made here.
-_LOOK_AFTER_PERIOD = 0.02
+_LOOK_AFTER_PERIOD = 0.05
 # Destroying two nodes and shutting the context down takes some 20 ms, .5 s on a loaded machine.
 _TEARDOWN_TIMEOUT = 5.0
 
@@ -97,6 +98,9 @@ def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
     executor = SingleThreadedExecutor()
     for node in nodes:
         executor.add_node(node)
+    # What lives until the end need not be looked through again and again.
+    gc.collect()
+    gc.freeze()
     tickers = [ticker for node in nodes if (ticker := getattr(node, "ticker", None)) is not None]
     try:
         while rclpy.ok() and not stop() and not any(_finished(node) for node in nodes):
