@@ -62,6 +62,14 @@ def non_negative(name: str, value: float) -> float:
     return number
 
 
+def finite(name: str, value: float) -> float:
+    """Return `value` as a float if it is a finite number, else raise `ModelError`."""
+    number = _number(value)
+    if not math.isfinite(number):
+        raise ModelError(f"{name}: expected a finite number, got {shown(value)}")
+    return number
+
+
 def _number(value: float) -> float:
     """Return `value` as a float, NaN if it is none."""
     try:

@@ -260,6 +260,8 @@ def test_a_larger_bound_holds_as_well(shipped: Design, factor: float) -> None:
 @pytest.mark.parametrize(
     "tampered",
     [
+        lambda P: perturbed(P, (4, 4), 0.0),
+        lambda P: perturbed(P, (0, 0), math.inf),
         lambda P: perturbed(P, (0, 0), math.nan),
         lambda P: perturbed(P, (2, 3), math.nan),
         lambda P: perturbed(P, (0, 1), P[0, 1] * (1.0 + 1e-12)),
@@ -268,8 +270,18 @@ def test_a_larger_bound_holds_as_well(shipped: Design, factor: float) -> None:
         lambda P: 0.0 * P,
         lambda P: np.ones_like(P),
     ],
-    ids=["nan", "nan beside", "unsymmetric", "indefinite", "negative", "null", "singular"],
-)
+    ids=[
+        "zero",
+        "infinite",
+        "nan",
+        "nan beside",
+        "unsymmetric",
+        "indefinite",
+        "negative",
+        "null",
+        "singular",
+    ],
+)  # fmt: skip
 def test_a_matrix_that_is_no_bound_is_named(
     shipped: Design, tampered: Callable[[Array], Array]
 ) -> None:
@@ -304,6 +316,40 @@ def test_the_proof_of_one_problem_is_none_of_a_harder_one(
     assert not check_certificate(request, shipped.P, shipped.K).holds
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e200, 1e308])
+def test_a_gain_beyond_numbers_is_a_failed_certificate(shipped: Design, value: float) -> None:
+    report = check_certificate(shipped.request, shipped.P, np.full((5, 1), value))
+    assert not report.holds
+    assert report.worst.name == "covariance decrease"
+
+
+@pytest.mark.parametrize("damping", [0.0, 1.0])
+def test_no_certificate_holds_for_an_arbitrary_disturbance(damping: float) -> None:
+    arm = ElasticJointArm(link_damping=damping, motor_damping=damping)
+    design = synthesise(DesignRequest(arm=arm, disturbance=(DisturbanceTerm("clean"),)))
+    for terms in (("arbitrary",), ("clean", "arbitrary")):
+        request = replace(design.request, disturbance=[DisturbanceTerm(kind) for kind in terms])
+        report = check_certificate(request, design.P, design.K)
+        assert not report.holds
+        assert report.worst.name == "disturbance has a model"
+
+
+def test_what_rounding_may_add_is_far_below_the_margin_at_any_rate() -> None:
+    """The allowance is per step, so it grows with the rate; a fixed one would not."""
+    for rate in (25.0, 1000.0):
+        design = synthesise(DesignRequest(rate=rate))
+        (required,) = {each.required for each in design.certificate.inequalities[1:]}
+        assert required < 1e-4 * design.certificate.worst.margin
+        condition = np.linalg.cond(design.P / np.sqrt(np.outer(*[np.diag(design.P)] * 2)))
+        assert required * design.request.period > 1e-15 * condition
+
+
+def test_the_worst_margin_is_the_one_nearest_to_what_it_requires() -> None:
+    """Per second and unitless margins are compared by their ratio to what is required."""
+    near, far = Inequality("near", "", 1e-3, 1e-4), Inequality("far", "", 1e-5, 1e-12)
+    assert CertificateReport((far, near), 0.0).worst is near
+
+
 def test_a_failure_names_source_inequality_vertex_and_margin(shipped: Design) -> None:
     request = replace(shipped.request, x_max=0.8)
     report = check_certificate(request, shipped.P, shipped.K)
@@ -313,7 +359,7 @@ def test_a_failure_names_source_inequality_vertex_and_margin(shipped: Design) ->
     }  # fmt: skip
     pattern = (
         r"my\.yaml: the certificate does not hold: covariance decrease at slopes "
-        r"\(0\.6967, 0\.6967\): DOES NOT HOLD, margin -\d\.\d{3}e-\d\d \(> 1e-09\)"
+        r"\(0\.6967, 0\.6967\): DOES NOT HOLD, margin -\d\.\d{3}e-\d\d \(> 7e-10\)"
     )
     with pytest.raises(CertificateError, match=pattern) as caught:
         report.require("my.yaml")

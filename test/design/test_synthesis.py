@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, solve_continuous_are, solve_discrete_are
 
-from tsobs_ros.design.feasibility import find_obstacles, require_detectable
+from tsobs_ros.design.feasibility import explain, find_obstacles, require_detectable
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
-from tsobs_ros.design.synthesis import MARGIN, synthesise
+from tsobs_ros.design.synthesis import MARGINS, synthesise
 from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
@@ -55,7 +55,7 @@ def test_on_a_single_slope_the_bound_is_the_riccati_solution() -> None:
     design = synthesise(request)
     (vertex,) = request.flow.vertices(1.0, 1.0)[:1]
     # The strict margin is bought with a little more noise than there is.
-    margin = MARGIN * request.period * design.covariance_bound
+    margin = MARGINS[0] * request.period * design.covariance_bound
     for noise, tolerance in ((vertex.noise, 1e-3), (vertex.noise + margin, 1e-6)):
         kalman = solve_discrete_are(
             vertex.transition.T,
@@ -161,6 +161,112 @@ def test_a_faster_decay_than_any_gain_gives_is_refused() -> None:
         assert part in str(caught.value)
 
 
+def test_how_far_the_solver_got_is_not_made_up() -> None:
+    with pytest.raises(DesignError, match="not a single solve succeeded"):
+        synthesise(DesignRequest(decay_rate=100.0))
+
+
+STIFF = [
+    (0.05, 0.005, 200.0, 2.0), (0.01, 0.001, 50.0, 0.5), (1.0, 0.5, 5000.0, 10.0),
+    (0.1, 0.02, 1000.0, 3.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("arm", STIFF)
+def test_a_stiff_or_light_arm_has_a_design(arm: tuple[float, ...]) -> None:
+    request = DesignRequest(arm=ElasticJointArm(*arm))
+    assert find_obstacles(request) == []
+    design = synthesise(request)
+    assert design.certificate.holds
+    assert design.solver.margin in MARGINS[:3]
+    assert design.bound_std[0] < 0.01
+
+
+@PROPERTY
+@given(
+    st.floats(-3.0, 2.0), st.floats(-3.0, 2.0), st.floats(-1.0, 5.0), st.floats(-2.0, 3.0),
+    st.floats(0.02, 1.55),
+)  # fmt: skip
+def test_no_arm_is_refused_for_its_size(
+    j1: float, j2: float, k: float, mgl: float, x_max: float
+) -> None:
+    arm = ElasticJointArm(10.0**j1, 10.0**j2, 10.0**k, 10.0**mgl)
+    assert find_obstacles(DesignRequest(arm=arm, x_max=x_max)) == []
+
+
+@PROPERTY
+@given(
+    st.floats(0.05, 20.0), st.floats(0.05, 20.0), st.floats(0.05, 20.0), st.floats(0.05, 20.0),
+    st.floats(1.58, math.pi),
+)  # fmt: skip
+def test_a_bias_is_refused_beyond_the_horizontal_for_every_arm(
+    j1: float, j2: float, k: float, mgl: float, x_max: float
+) -> None:
+    assert find_obstacles(DesignRequest(arm=ElasticJointArm(j1, j2, k, mgl), x_max=x_max))
+
+
+@PROPERTY
+@given(
+    st.floats(0.05, 20.0), st.floats(0.05, 20.0), st.floats(0.05, 500.0), st.floats(0.05, 20.0),
+    st.floats(-0.9, 0.99), st.sampled_from(["bias", "ramp", "slow", "fast"]),
+)  # fmt: skip
+def test_an_obstacle_is_a_hidden_mode(
+    j1: float, j2: float, k: float, mgl: float, slope: float, kind: str
+) -> None:
+    """Eigenvalue, slope and shape of what is reported solve A v = λ v, C v = 0."""
+    arm = ElasticJointArm(j1, j2, k, mgl)
+    terms = (DisturbanceTerm("ramp" if kind in ("slow", "fast") else kind),)
+    if kind in ("slow", "fast"):
+        squares = np.sort((-(np.linalg.eigvals(arm.slope_matrix(slope)) ** 2)).real)[::2]
+        frequency = math.sqrt(max(squares[0 if kind == "slow" else 1], 0.0))
+        assume(1e-2 < frequency < 600.0)
+        terms = tone(frequency)
+    request = DesignRequest(arm=arm, disturbance=terms, x_max=math.pi)
+    obstacles = find_obstacles(request)
+    assert obstacles
+    for obstacle in obstacles:
+        assert obstacle.slope is not None
+        A, C = request.flow.slope_matrix(obstacle.slope), request.flow.output_matrix
+        shape = obstacle.mode.shape
+        residual = A @ shape - obstacle.mode.eigenvalue * shape
+        assert np.linalg.norm(residual) < 1e-12 * np.linalg.norm(A)
+        assert np.linalg.norm(C @ shape) < 1e-12
+
+
+def test_a_smaller_domain_is_advised_beyond_the_horizontal_too() -> None:
+    request = DesignRequest(disturbance=tone(3.474), x_max=math.pi)
+    assert "a smaller domain: x_max below 2.09" in explain(request, find_obstacles(request))
+
+
+def test_a_smaller_domain_is_not_advised_where_it_cannot_help() -> None:
+    request = DesignRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("ramp")))
+    assert "a smaller domain" not in explain(request, find_obstacles(request))
+
+
+@pytest.mark.parametrize("terms", [("arbitrary",), ("arbitrary", "bias"), ("clean", "arbitrary")])
+def test_a_damped_arm_is_not_designed_as_clean_under_an_arbitrary_disturbance(
+    terms: tuple[str, ...],
+) -> None:
+    arm = ElasticJointArm(link_damping=1.0, motor_damping=1.0)
+    with pytest.raises(DetectabilityError, match="open-loop simulation") as caught:
+        synthesise(DesignRequest(arm=arm, disturbance=[DisturbanceTerm(kind) for kind in terms]))
+    assert "decays by itself but is not seen" in str(caught.value)
+
+
+def test_noiseless_processes_are_refused_by_name() -> None:
+    with pytest.raises(DesignError, match="no stationary Kalman filter"):
+        synthesise(DesignRequest(process_noise=ProcessNoise(0.0, 0.0)))
+
+
+def test_requests_are_equal_and_hashed_by_what_they_ask() -> None:
+    spelled = DisturbanceTerm("bias", {"initial_std": 0.3, "density": 1e-4})
+    same = DesignRequest(disturbance=[spelled], uncertainty={})
+    other = DesignRequest(uncertainty={"stiffness": 0.2})
+    assert same == DesignRequest() != other
+    assert hash(same) == hash(DesignRequest())
+    assert len({same, other, DesignRequest()}) == 2
+
+
 def test_a_noise_free_bias_has_no_stationary_filter() -> None:
     frozen = (DisturbanceTerm("bias", {"density": 0.0}),)
     with pytest.raises(DesignError, match=r"no stationary Kalman filter.*check the noise"):
@@ -175,7 +281,7 @@ def test_a_noise_free_bias_has_no_stationary_filter() -> None:
             [
                 "kind arbitrary", "|q1| <= 0.75 rad", "c = 1 (|q1| = 0.0 deg)", "c = 0.7317",
                 "0 ± 4.776j", "0 ± 1.481j", "a model of the disturbance", "known to be clean",
-                "damping of link and motor",
+                "every mode of the arm is hidden", "open-loop simulation",
             ],
             id="arbitrary",
         ),
@@ -203,7 +309,8 @@ def test_a_noise_free_bias_has_no_stationary_filter() -> None:
         ),
         pytest.param(
             DesignRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("bias"))),
-            ["kind bias+bias", "q1 0, q1' 0, q2 0, q2' 0, w1 -1, w2 1"],
+            ["kind bias+bias", "at every gravity slope", "q1 0, q1' 0, q2 0, q2' 0, w1 1, w2 -1",
+             "two of bias and bias move alike and cannot be told apart"],
             id="two biases",
         ),
     ],
@@ -268,9 +375,29 @@ def test_a_bias_is_detectable_below_the_horizontal(
         ({"decay_rate": -0.1}, "decay_rate: expected a finite number of at least 0, got -0.1"),
         ({"x_max": 0.0}, "x_max: expected 0 < x_max <= π, got 0.0"),
         ({"x_max": 3.2}, "x_max: expected 0 < x_max <= π, got 3.2"),
-        ({"x_max": math.nan}, "x_max: expected 0 < x_max <= π, got nan"),
+        ({"x_max": math.nan}, "x_max: expected a finite number, got nan"),
         ({"initial_std": (0.3, 0.6, 0.3)}, r"initial_std: expected shape \(4,\), got \(3,\)"),
         ({"initial_std": (0.3, 0.0, 0.3, 0.4)}, "initial_std: expected values above 0"),
+        ({"measurement_std": 1e200}, "square of measurement_std: expected a finite number above"),
+        ({"initial_std": (1e200, 1, 1, 1)}, "square of initial_std: expected a finite number abov"),
+        (
+            {"disturbance": tone(629.0)},
+            r"sinusoid frequency: expected less than half the measure.*"
+            r"628\.319 rad/s, got 629\.0",
+        ),
+        ({"disturbance": tone(400.0 * math.pi)}, "sinusoid frequency: expected less than half"),
+        ({"uncertainty": {"wind": 0.1}}, "uncertain parameter: expected one of stiffness"),
+        ({"uncertainty": {"stiffness": 0.0}}, "uncertainty stiffness: expected a finite number ab"),
+        ({"certify_uncertainty": True}, "certify_uncertainty: expected at least one uncertain"),
+        (
+            {
+                "certify_uncertainty": True,
+                "uncertainty": dict.fromkeys(
+                    ("stiffness", "link_damping", "motor_damping", "link_inverse_inertia"), 0.1
+                ),
+            },
+            "certify_uncertainty: expected at most 3 uncertain parameters besides gravity",
+        ),
         ({"disturbance": ()}, "disturbance: expected at least one term"),
     ],
 )
@@ -282,6 +409,8 @@ def test_a_request_out_of_range_is_named(change: dict[str, Any], message: str) -
 @pytest.mark.parametrize(
     ("kind", "parameters", "message"),
     [
+        ("bias", {"density": math.nan}, "bias density: expected a finite number, got nan"),
+        ("bias", {"density": "much"}, "bias density: expected a finite number, got 'much'"),
         ("wind", {}, "disturbance kind: expected one of clean, arbitrary, bias.*got 'wind'"),
         ("bias", {"tau": 1.0}, "disturbance bias: unknown parameter 'tau'.*density, initial_std"),
         ("clean", {"channels": 2}, "disturbance clean: unknown parameter 'channels'.*none"),

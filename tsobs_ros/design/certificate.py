@@ -6,9 +6,13 @@ With X = P⁻¹, the gain K and every slope vertex j of the error system (A_j, Q
 
     A_j [(I − K C̄) X (I − K C̄)ᵀ + K R Kᵀ] A_jᵀ + Q_j ≺ λ² X ,   λ = e^{−ρT} ≤ 1 .
 
-Its left side is matrix-convex in each kick of the prediction, so the four vertices cover every
-slope pair of the domain. Then an error covariance below X before a sample is below X before
+Its left side is matrix-convex in each slope and each uncertain parameter of the prediction's two
+kicks, so the vertices cover every slope of the domain and, where that was asked for, every
+parameter within its bounds. Then an error covariance below X before a sample is below X before
 the next one, along every premise trajectory that is independent of the noise.
+
+An arbitrary disturbance has no model and adds no state, but explains every output: nothing is
+proved for it, whatever the matrices.
 """
 
 import math
@@ -21,10 +25,10 @@ from scipy.linalg import solve_triangular
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import DesignRequest
 from tsobs_ros.errors import CertificateError
-from tsobs_ros.model.flow import VertexSystem
+from tsobs_ros.model.vertices import VertexSystem
 
-_ROUNDING = 1e-9
-"""Margins below this [1/s, relative] are not told from rounding and count as not holding."""
+_ROUNDING = 100.0 * float(np.finfo(np.float64).eps)
+"""Relative error of a sum of n products of matrices, for each row, with a reserve of about 30."""
 
 
 class Inequality(NamedTuple):
@@ -34,7 +38,7 @@ class Inequality(NamedTuple):
         name: What is claimed.
         where: The vertex, e.g. "slopes (0.732, 1)", or "" for one that has none.
         margin: Smallest eigenvalue in coordinates where X = I; per second for the decrease.
-        required: The margin must exceed this.
+        required: The margin must exceed this, which is what rounding may have added to it.
     """
 
     name: str
@@ -51,6 +55,10 @@ class Inequality(NamedTuple):
         place = f" at {self.where}" if self.where else ""
         verdict = "holds" if self.holds else "DOES NOT HOLD"
         return f"{self.name}{place}: {verdict}, margin {self.margin:.3e} (> {self.required:.0e})"
+
+
+UNMODELLED = Inequality("disturbance has a model", "", -math.inf, 0.0)
+"""What fails for an arbitrary disturbance."""
 
 
 @dataclass(frozen=True)
@@ -73,9 +81,14 @@ class CertificateReport:
 
     @property
     def worst(self) -> Inequality:
-        """The first inequality that fails, else the one with the smallest margin."""
+        """The first inequality that fails, else the one nearest to what it requires.
+
+        Margins of different kinds have different units; their ratio to what is required has none.
+        """
         failing = [inequality for inequality in self.inequalities if not inequality.holds]
-        return failing[0] if failing else min(self.inequalities, key=lambda each: each.margin)
+        if failing:
+            return failing[0]
+        return min(self.inequalities, key=lambda each: each.margin / each.required)
 
     def require(self, source: str) -> None:
         """Raise `CertificateError` naming `source` and each failing inequality, if one fails."""
@@ -87,41 +100,63 @@ class CertificateReport:
 def check_certificate(request: DesignRequest, P: Array, K: Array) -> CertificateReport:
     """Check the certificate of gain K and matrix P from the request's model alone.
 
+    Margins are judged against rounding, step by step: P is scaled to unit diagonal, so that units
+    do not matter; its factor is then exact to n ε κ, κ the condition number of what was scaled,
+    and so is the decrease over a step, whose terms are at most of the size of X = I. Dividing by
+    the period gives what is required per second. `exact.verify_exactly` needs no such allowance.
+
     Args:
         request: The model, noise and domain the certificate is for.
         P: Symmetric matrix, shape (n, n), in design coordinates.
         K: Filter gain, shape (n, 1).
 
     Returns:
-        Every inequality with its margin; nothing is raised for one that fails.
+        Every inequality with its margin, NaN where the matrices leave the range of numbers;
+        nothing is raised for one that fails.
+
+    Raises:
+        ModelError: The request describes no model.
     """
-    n = request.flow.state_count
-    asymmetry = float(np.abs(P - P.T).max())
-    scale = np.sqrt(np.abs(np.diag(P)))
-    correlation = P / np.where(scale > 0.0, np.outer(scale, scale), 1.0)
-    smallest = float(np.linalg.eigvalsh(correlation)[0]) if asymmetry == 0.0 else math.nan
-    inequalities = [Inequality("P symmetric and positive definite", "", smallest, _ROUNDING)]
-    if not inequalities[0].holds:
-        return CertificateReport(tuple(inequalities), math.nan)
-
-    root = np.asarray(np.linalg.cholesky(P), dtype=np.float64)
-    decay = math.exp(-request.decay_rate * request.period)
-    growths = []
-    for vertex in request.flow.vertices(*request.slope_range):
-        error_map = _normalised_error_map(root, vertex, K, request.flow.output_matrix)
-        noise_map = root.T @ vertex.transition @ K
-        spread = noise_map @ request.measurement_covariance @ noise_map.T
-        spread += root.T @ vertex.noise @ root
-        decrease = decay**2 * np.eye(n) - error_map @ error_map.T - (spread + spread.T) / 2
-        margin = float(np.linalg.eigvalsh(decrease)[0]) / request.period
-        where = f"slopes ({vertex.slopes[0]:.4g}, {vertex.slopes[1]:.4g})"
-        inequalities.append(Inequality("covariance decrease", where, margin, _ROUNDING))
-        growths.append(float(np.linalg.norm(error_map, 2)))
-    return CertificateReport(tuple(inequalities), -math.log(max(growths)) / request.period)
+    rounding = request.flow.state_count * _ROUNDING
+    with np.errstate(all="ignore"):
+        scale = np.sqrt(np.diag(P))
+        correlation = P / scale / scale[:, np.newaxis]
+        smallest = _smallest_eigenvalue(correlation) if (P == P.T).all() else math.nan
+        inequalities = [
+            *([UNMODELLED] if request.disturbance_model.arbitrary else []),
+            Inequality("P symmetric and positive definite", "", smallest, rounding),
+        ]
+        if not all(inequality.holds for inequality in inequalities):
+            return CertificateReport(tuple(inequalities), math.nan)
+        root = scale[:, np.newaxis] * np.linalg.cholesky(correlation)
+        # The trace of the correlation is n, which bounds its largest eigenvalue.
+        required = rounding * P.shape[0] / smallest / request.period
+        steps = [_check_vertex(request, root, K, vertex) for vertex in request.vertices()]
+        inequalities += [
+            Inequality("covariance decrease", where, margin / request.period, required)
+            for where, margin, _ in steps
+        ]
+        growth = np.max([growth for _, _, growth in steps])
+        return CertificateReport(tuple(inequalities), float(-np.log(growth) / request.period))
 
 
-def _normalised_error_map(root: Array, vertex: VertexSystem, K: Array, C: Array) -> Array:
-    """Return Lᵀ A (I − K C̄) L⁻ᵀ with P = L Lᵀ, shape (n, n)."""
-    closed = vertex.transition @ (np.eye(K.shape[0]) - K @ C)
-    # M L⁻ᵀ is the transpose of the solution Z of L Z = Mᵀ.
-    return np.asarray(solve_triangular(root, (root.T @ closed).T, lower=True).T)
+def _check_vertex(
+    request: DesignRequest, root: Array, K: Array, vertex: VertexSystem
+) -> tuple[str, float, float]:
+    """Return the vertex's name, its decrease over a step with X = I and its error's growth."""
+    closed = vertex.transition @ (np.eye(K.shape[0]) - K @ request.flow.output_matrix)
+    # With P = L Lᵀ the error map is Lᵀ A (I − K C̄) L⁻ᵀ, and M L⁻ᵀ is the transpose of the
+    # solution Z of L Z = Mᵀ.
+    error_map = solve_triangular(root, closed.T @ root, lower=True, check_finite=False).T
+    noise_map = root.T @ vertex.transition @ K
+    spread = noise_map @ request.measurement_covariance @ noise_map.T
+    spread += root.T @ vertex.noise @ root
+    kept = math.exp(-2.0 * request.decay_rate * request.period) * np.eye(K.shape[0])
+    margin = _smallest_eigenvalue(kept - error_map @ error_map.T - (spread + spread.T) / 2)
+    finite = bool(np.isfinite(error_map).all())
+    return vertex.where, margin, float(np.linalg.norm(error_map, 2)) if finite else math.nan
+
+
+def _smallest_eigenvalue(matrix: Array) -> float:
+    """Return the smallest eigenvalue of a symmetric matrix, NaN if an entry is not finite."""
+    return float(np.linalg.eigvalsh(matrix)[0]) if np.isfinite(matrix).all() else math.nan

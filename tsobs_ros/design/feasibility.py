@@ -10,40 +10,39 @@ import numpy as np
 
 from tsobs_ros.design.request import DesignRequest
 from tsobs_ros.errors import DetectabilityError
-from tsobs_ros.model.detectability import HiddenMode, undetectable_modes
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.detectability import HiddenMode, hidden_modes
+
+_PERSISTENT = -1e-9
+"""Real parts above this [1/s] do not decay: the mode would outlive the robot."""
+
+_SLOPE_TOLERANCE = 1e-9
 
 
 class Obstacle(NamedTuple):
-    """A gravity slope of the domain at which the sensor does not see a mode that persists."""
+    """A mode that the sensor does not see, with the gravity slope, or None where it is any."""
 
-    slope: float
+    slope: float | None
     mode: HiddenMode
 
 
 def find_obstacles(request: DesignRequest) -> list[Obstacle]:
     """Return the undetectable modes on the request's domain, one of each conjugate pair.
 
-    The slopes tried are the ends of the domain and every slope at which a mode of the
-    disturbance can hide in the arm: det(A(c) − λI) is affine in c, because gravity enters A(c)
-    in a single place, so these slopes are solved for and not searched.
+    The test is structural, with no rank to judge: the arm alone is observable at every slope, so
+    a hidden mode is one of the disturbance, either hidden among its own terms or at a slope where
+    the arm has a mode of the same eigenvalue. Gravity enters in a single place, so that slope is
+    solved for in closed form. An arbitrary disturbance hides the whole arm, decaying or not.
     """
-    lowest, highest = request.slope_range
-    flow, model = request.flow, request.disturbance_model
-    if model.arbitrary:
+    if request.disturbance_model.arbitrary:
         # ω = y − C x explains every output whatever x does: C̄ carries nothing about the state.
         return [
             Obstacle(slope, mode)
-            for slope in (lowest, highest)
-            for mode in undetectable_modes(request.arm.slope_matrix(slope), np.zeros((1, 4)))
+            for slope in request.slope_range
+            for mode in hidden_modes(request.arm.slope_matrix(slope), np.zeros((1, 4)))
             if mode.eigenvalue.imag >= 0.0
         ]
-    slopes = [lowest, highest, *_resonant_slopes(request, lowest, highest)]
-    return [
-        Obstacle(slope, mode)
-        for slope in dict.fromkeys(slopes)
-        for mode in undetectable_modes(flow.slope_matrix(slope), flow.output_matrix)
-        if mode.eigenvalue.imag >= 0.0
-    ]
+    return [*_indistinct_terms(request), *_resonances(request)]
 
 
 def require_detectable(request: DesignRequest) -> None:
@@ -60,10 +59,73 @@ def explain(request: DesignRequest, obstacles: list[Obstacle]) -> str:
         f"no observer can tell the arm from a disturbance of kind {label} on "
         f"|q1| <= {request.x_max:.6g} rad:"
     ]
+    if request.disturbance_model.arbitrary:
+        lines.append(
+            "  - every mode of the arm is hidden, whether it decays or not: the estimate can only "
+            "be an open-loop simulation"
+        )
     lines += [f"  - {_describe(request, obstacle)}" for obstacle in obstacles]
     lines += ["what would help:"]
     lines += [f"  - {advice}" for advice in _advice(request, obstacles)]
     return "\n".join(lines)
+
+
+def _indistinct_terms(request: DesignRequest) -> Iterator[Obstacle]:
+    """Yield the persistent modes that cancel within the disturbance, whatever the arm does."""
+    model = request.disturbance_model
+    for mode in hidden_modes(model.S, model.H):
+        if mode.eigenvalue.real >= _PERSISTENT and mode.eigenvalue.imag >= 0.0:
+            yield Obstacle(None, mode._replace(shape=np.concatenate([np.zeros(4), mode.shape])))
+
+
+def _resonances(request: DesignRequest) -> Iterator[Obstacle]:
+    """Yield the persistent modes of the disturbance that the arm can copy, with the slope."""
+    lowest, highest = request.slope_range
+    found: list[complex] = []
+    for eigenvalue in np.linalg.eigvals(request.disturbance_model.S).astype(complex):
+        known = any(abs(eigenvalue - other) < 1e-6 for other in found)
+        if known or eigenvalue.real < _PERSISTENT or eigenvalue.imag < 0.0:
+            continue
+        found.append(eigenvalue)
+        slope, twist = _resonance(request.arm, eigenvalue)
+        outside = max(lowest - slope.real, slope.real - highest)
+        # Written so that an infinite slope, at the link's own node, is no obstacle.
+        if abs(slope.imag) <= _SLOPE_TOLERANCE and outside <= _SLOPE_TOLERANCE:
+            nearest = min(max(slope.real, lowest), highest)
+            yield Obstacle(nearest, _shared_mode(request, complex(eigenvalue), twist, nearest))
+
+
+def _resonance(arm: ElasticJointArm, eigenvalue: complex) -> tuple[complex, complex]:
+    """Return the slope at which the arm has the eigenvalue λ, and q₂/q₁ of the mode.
+
+    det(A(c) − λI) = (m₁ + k/J₁ + c mgl/J₁)(m₂ + k/J₂) − k²/(J₁J₂) with mᵢ = λ² + λ bᵢ/Jᵢ vanishes
+    where c mgl/J₁ = −m₁ − (k/J₁) m₂/(m₂ + k/J₂), a form without cancellation at λ = 0.
+    """
+    link = eigenvalue * (eigenvalue + arm.link_damping / arm.link_inertia)
+    motor = eigenvalue * (eigenvalue + arm.motor_damping / arm.motor_inertia)
+    spring = arm.stiffness / arm.motor_inertia
+    if motor + spring == 0.0:
+        return complex(math.inf), complex(math.inf)
+    reaction = arm.stiffness / arm.link_inertia * motor / (motor + spring)
+    return -(link + reaction) / arm.gravity_gain, spring / (motor + spring)
+
+
+def _shared_mode(
+    request: DesignRequest, eigenvalue: complex, twist: complex, slope: float
+) -> HiddenMode:
+    """Return the mode in which the disturbance takes back the arm's motion."""
+    model, arm = request.disturbance_model, request.arm
+    motor = twist * arm.stiffness / arm.link_inertia
+    _, singular, right = np.linalg.svd(model.S - eigenvalue * np.eye(model.state_count))
+    kernel = right[singular <= 1e-9 * max(1.0, float(singular[0]))].conj().T
+    own = kernel @ (kernel.conj().T @ model.H[0])
+    shape = np.concatenate(
+        [[1.0, eigenvalue, motor, motor * eigenvalue], -own / (model.H[0] @ own)]
+    )
+    shape /= np.linalg.norm(shape)
+    pencil = request.flow.slope_matrix(slope) - eigenvalue * np.eye(shape.size)
+    visibility = np.linalg.norm(pencil @ shape) / np.linalg.norm(pencil)
+    return HiddenMode(eigenvalue, shape, float(visibility))
 
 
 def _describe(request: DesignRequest, obstacle: Obstacle) -> str:
@@ -71,15 +133,20 @@ def _describe(request: DesignRequest, obstacle: Obstacle) -> str:
     # A persistent mode's tiny real part, or a defective zero's spread, is rounding.
     clean = complex(*(0.0 if abs(part) < 1e-6 else part for part in _parts(eigenvalue)))
     rate = f"{clean.real:.4g} ± {clean.imag:.4g}j" if clean.imag else f"{clean.real:.4g}"
-    slope = _tidy(obstacle.slope)
-    angle = math.degrees(math.acos(max(-1.0, min(1.0, slope))))
     names = ["q1", "q1'", "q2", "q2'"]
     names += [f"w{index + 1}" for index in range(obstacle.mode.shape.size - 4)]
+    fate = "decays by itself but" if clean.real < 0.0 else "does not decay and"
     return (
-        f"gravity slope c = {slope:.4g} (|q1| = {angle:.1f} deg): the mode with "
-        f"eigenvalue {rate} 1/s does not decay and is not seen; shape "
+        f"{_place(obstacle.slope)}: the mode with eigenvalue {rate} 1/s {fate} is not seen; shape "
         f"{_shape(request, obstacle.mode.shape, names)}"
     )
+
+
+def _place(slope: float | None) -> str:
+    if slope is None:
+        return "at every gravity slope"
+    angle = math.degrees(math.acos(max(-1.0, min(1.0, slope))))
+    return f"gravity slope c = {_tidy(slope):.4g} (|q1| = {angle:.1f} deg)"
 
 
 def _shape(
@@ -113,36 +180,21 @@ def _advice(request: DesignRequest, obstacles: list[Obstacle]) -> Iterator[str]:
     if request.disturbance_model.arbitrary:
         yield "a model of the disturbance: bias, gauss_markov, sinusoid, ramp, or a sum of them"
         yield "a second sensor known to be clean (a motor encoder, say)"
-        if not (request.arm.link_damping and request.arm.motor_damping):
-            yield (
-                "damping of link and motor makes every hidden mode decay; the estimate is then "
-                "an open-loop simulation that forgets its start at that rate"
-            )
         return
-    worst = max(_tidy(obstacle.slope) for obstacle in obstacles)
-    if 0.0 <= worst < 1.0 - 1e-9:
+    slopes = [obstacle.slope for obstacle in obstacles if obstacle.slope is not None]
+    if len(slopes) < len(obstacles):
+        terms = " and ".join(term.kind for term in request.disturbance)
+        yield (
+            f"fewer terms: two of {terms} move alike and cannot be told apart, not even without "
+            f"the arm"
+        )
+    if slopes and max(slopes) < 1.0 - _SLOPE_TOLERANCE:
+        worst = _tidy(max(slopes))
         yield (
             f"a smaller domain: x_max below {math.acos(worst):.4g} rad keeps the slope above "
             f"{worst:.4g}"
         )
-    if any(abs(obstacle.mode.eigenvalue.imag) > 1e-3 for obstacle in obstacles):
+    if any(abs(obstacle.mode.eigenvalue.imag) > 1e-3 for obstacle in obstacles if obstacle.slope):
         yield "a disturbance frequency away from the arm's own frequencies on the domain"
     yield "kind gauss_markov, whose decaying state need not be seen, in place of one that persists"
     yield "kind clean, if the sensor carries noise only"
-
-
-def _resonant_slopes(request: DesignRequest, lowest: float, highest: float) -> Iterator[float]:
-    """Yield the slopes in range at which an eigenvalue of the exosystem is one of the arm's."""
-    identity = np.eye(4)
-    for eigenvalue in np.linalg.eigvals(request.disturbance_model.S):
-        if eigenvalue.real < -1e-9:
-            continue
-        at_zero, at_one = (
-            np.linalg.det(request.arm.slope_matrix(slope) - eigenvalue * identity)
-            for slope in (0.0, 1.0)
-        )
-        if at_zero == at_one:
-            continue
-        slope = at_zero / (at_zero - at_one)
-        if abs(slope.imag) < 1e-9 and lowest <= slope.real <= highest:
-            yield float(slope.real)

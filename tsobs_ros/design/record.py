@@ -10,18 +10,29 @@ import numpy as np
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
 from tsobs_ros.design.request import DesignRequest
+from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.observer import CertifiedGain, GainMode, TSObserver
 
 
 @dataclass(frozen=True)
 class SolverReport:
-    """Who computed the matrices; for the record only, nothing is trusted because of it."""
+    """Who computed the matrices; for the record only, nothing is trusted because of it.
+
+    Attributes:
+        name: Solver.
+        version: Its version.
+        status: What it said of its answer.
+        iterations: Of its last solve.
+        seconds: Time of the whole synthesis [s].
+        margin: Extra noise it was asked to allow for, as a fraction of the bound per second.
+    """
 
     name: str
     version: str
     status: str
     iterations: int
     seconds: float
+    margin: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -56,8 +67,18 @@ class Design:
 
     @cached_property
     def covariance_bound(self) -> Array:
-        """X = P⁻¹, the bound on the error covariance before each sample, shape (n, n)."""
-        bound = np.linalg.inv(self.P)
+        """X = P⁻¹, the bound on the error covariance before each sample, shape (n, n).
+
+        Raises:
+            ModelError: P is not positive definite, and there is no bound.
+        """
+        try:
+            np.linalg.cholesky(self.P)
+            bound = np.linalg.inv(self.P)
+        except np.linalg.LinAlgError as error:
+            raise ModelError(
+                f"P: expected a positive definite matrix, got {self.P.tolist()}"
+            ) from error
         return as_matrix("X", (bound + bound.T) / 2, self.P.shape)
 
     @property

@@ -11,12 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive
+from tsobs_ros.design.frozen import FrozenMapping
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+from tsobs_ros.model.uncertainty import ArmUncertainty
+from tsobs_ros.model.vertices import VertexSystem, linear_directions
 
 DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
     "clean": disturbances.clean,
@@ -37,7 +40,7 @@ class DisturbanceTerm:
     """
 
     kind: str
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, float] = FrozenMapping({})
 
     def __post_init__(self) -> None:
         if self.kind not in DISTURBANCE_KINDS:
@@ -60,11 +63,11 @@ class DisturbanceTerm:
         if missing:
             raise ModelError(f"disturbance {self.kind}: parameter {missing[0]!r} is missing")
         filled = {
-            name: self.parameters.get(name, parameter.default)
+            name: finite(f"{self.kind} {name}", self.parameters.get(name, parameter.default))
             for name, parameter in known.items()
             if name != "channels"
         }
-        object.__setattr__(self, "parameters", filled)
+        object.__setattr__(self, "parameters", FrozenMapping(filled))
 
     def model(self) -> DisturbanceModel:
         """Return the exosystem of this term."""
@@ -88,6 +91,9 @@ class DesignRequest:
         x_max: Half width of the domain |q₁| ≤ x_max the certificate is for [rad], up to π.
         decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
         initial_std: 1σ of [q₁, q̇₁, q₂, q̇₂] before any measurement (rad, rad/s), shape (4,).
+        uncertainty: Bound on |θ| of each uncertain parameter, by its name in
+            `model.uncertainty.DIRECTIONS`: relative, or N m s/rad for a damping.
+        certify_uncertainty: Whether the certificate covers every θ within the bounds.
 
     Raises:
         ModelError: A value is out of range or of the wrong shape.
@@ -101,20 +107,53 @@ class DesignRequest:
     x_max: float = 0.75
     decay_rate: float = 0.0
     initial_std: Sequence[float] = (0.3, 0.6, 0.3, 0.4)
+    uncertainty: Mapping[str, float] = FrozenMapping({})
+    certify_uncertainty: bool = False
 
     def __post_init__(self) -> None:
-        positive("measurement_std", self.measurement_std)
-        positive("rate", self.rate)
-        non_negative("decay_rate", self.decay_rate)
+        checked: dict[str, Any] = {
+            "measurement_std": positive("measurement_std", self.measurement_std),
+            "rate": positive("rate", self.rate),
+            "decay_rate": non_negative("decay_rate", self.decay_rate),
+            "x_max": finite("x_max", self.x_max),
+            "disturbance": tuple(self.disturbance),
+            "initial_std": tuple(as_matrix("initial_std", self.initial_std, (4,)).tolist()),
+            "uncertainty": FrozenMapping(
+                {
+                    name: positive(f"uncertainty {name}", bound)
+                    for name, bound in self.uncertainty.items()
+                }
+            ),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
         if not 0.0 < self.x_max <= math.pi:
             raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}")
-        initial = as_matrix("initial_std", self.initial_std, (4,))
-        if (initial <= 0.0).any():
-            raise ModelError(f"initial_std: expected values above 0, got {initial.tolist()}")
+        if min(self.initial_std) <= 0.0:
+            raise ModelError(f"initial_std: expected values above 0, got {[*self.initial_std]}")
+        # Filters work with squares, which leave the range of numbers earlier.
+        for name, std in (("measurement", [self.measurement_std]), ("initial", self.initial_std)):
+            for one in std:
+                positive(f"square of {name}_std", one * one)
         if not self.disturbance:
             raise ModelError("disturbance: expected at least one term, e.g. kind: clean")
-        object.__setattr__(self, "disturbance", tuple(self.disturbance))
-        object.__setattr__(self, "initial_std", tuple(initial.tolist()))
+        self._require_no_alias()
+        if self.certify_uncertainty:
+            if not self.uncertainty:
+                raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
+            linear_directions(self.uncertainty_model)
+        _ = self.uncertainty_model
+
+    def _require_no_alias(self) -> None:
+        """Refuse tones that look slower in samples than they are, in the limit like a bias."""
+        for term in self.disturbance:
+            frequency = term.parameters.get("frequency", 0.0)
+            if frequency >= math.pi * self.rate:
+                raise ModelError(
+                    f"{term.kind} frequency: expected less than half the measurement rate, "
+                    f"π·rate = {math.pi * self.rate:.6g} rad/s, got {frequency!r}; faster tones "
+                    f"cannot be told from slower ones in the samples"
+                )
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
@@ -127,6 +166,11 @@ class DesignRequest:
         """The prediction model of the arm with its disturbance."""
         return ArmFlow(self.arm, self.disturbance_model, self.process_noise, 1.0 / self.rate)
 
+    @cached_property
+    def uncertainty_model(self) -> ArmUncertainty:
+        """The uncertain parameters of the arm."""
+        return ArmUncertainty(self.arm, self.uncertainty)
+
     @property
     def period(self) -> float:
         """Sampling period T [s]."""
@@ -135,12 +179,25 @@ class DesignRequest:
     @property
     def measurement_covariance(self) -> Array:
         """R, shape (1, 1) [rad²]."""
-        return np.array([[self.measurement_std**2]])
+        return np.array([[self.measurement_std * self.measurement_std]])
 
     @property
     def slope_range(self) -> tuple[float, float]:
         """Smallest and largest gravity slope (cosine) on the domain."""
         return slope_range(self.x_max)
+
+    def vertices(self, share: float = 1.0) -> list[VertexSystem]:
+        """Return the error systems the certificate is about.
+
+        Args:
+            share: How much of the domain and of the certified uncertainty: 0 is the nominal arm
+                hanging down, 1 is all that was asked for.
+        """
+        lowest, highest = self.slope_range
+        if share != 1.0:
+            lowest = highest - share * (highest - lowest)
+        covered = self.uncertainty_model if self.certify_uncertainty else None
+        return self.flow.vertices(lowest, highest, covered, share)
 
     @cached_property
     def initial_covariance(self) -> Array:

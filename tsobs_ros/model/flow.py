@@ -27,6 +27,14 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.uncertainty import VELOCITY_ROWS, ArmUncertainty
+from tsobs_ros.model.vertices import (
+    KickCorner,
+    VertexSystem,
+    describe,
+    kick_corners,
+    linear_directions,
+)
 
 
 @dataclass(frozen=True)
@@ -63,14 +71,6 @@ class Transition(NamedTuple):
     gamma: Array
     noise: Array
     half_kick: float
-
-
-class VertexSystem(NamedTuple):
-    """The error system e⁺ = transition·e + noise, noise covariance given, at one slope vertex."""
-
-    slopes: tuple[float, float]
-    transition: Array
-    noise: Array
 
 
 class ArmFlow:
@@ -192,24 +192,46 @@ class ArmFlow:
             x = self._half_kicked(x, step)
         return x, covariance
 
-    def vertices(self, slope_min: float, slope_max: float) -> list[VertexSystem]:
-        """Return the four vertex error systems of a nominal step for c₁, c₂ ∈ {min, max}."""
+    def vertices(
+        self,
+        slope_min: float,
+        slope_max: float,
+        uncertainty: ArmUncertainty | None = None,
+        share: float = 1.0,
+    ) -> list[VertexSystem]:
+        """Return the vertex error systems of a nominal step, four of them without uncertainty.
+
+        Args:
+            slope_min: Smallest cosine of the domain.
+            slope_max: Largest cosine of the domain.
+            uncertainty: Parameters whose errors are to be covered in both half kicks.
+            share: How much of their bounds.
+        """
         step = self.nominal
+        bounds = [] if uncertainty is None else [share * b for b in uncertainty.limits.tolist()]
+        corners = list(kick_corners((slope_min, slope_max), uncertainty, bounds))
+        kicks = [self._kick_matrix(corner, uncertainty) for corner in corners]
         systems = []
-        for first in (slope_min, slope_max):
-            for second in (slope_min, slope_max):
-                before = self.kick_matrix(step.half_kick * first)
-                after = self.kick_matrix(step.half_kick * second)
+        for first, before in zip(corners, kicks, strict=True):
+            for second, after in zip(corners, kicks, strict=True):
                 noise = after @ step.noise @ after.T
                 systems.append(
-                    VertexSystem((first, second), after @ step.phi @ before, (noise + noise.T) / 2)
+                    VertexSystem(
+                        (first.slope, second.slope),
+                        after @ step.phi @ before,
+                        (noise + noise.T) / 2,
+                        describe(first, second, uncertainty),
+                    )
                 )
         return systems
 
-    def kick_matrix(self, gain: float) -> Array:
-        """Return I − gain·e₂e₁ᵀ, the linear effect of a gravity kick, shape (n, n)."""
+    def _kick_matrix(self, corner: KickCorner[float], uncertainty: ArmUncertainty | None) -> Array:
+        """Return the Jacobian of half a kick at one corner, shape (n, n)."""
         matrix = np.eye(self.state_count)
-        matrix[LINK_VELOCITY, LINK_ANGLE] = -gain
+        if uncertainty is not None:
+            rows = uncertainty.linear[linear_directions(uncertainty)]
+            matrix[VELOCITY_ROWS, :4] += 0.5 * self.period * np.tensordot(corner.theta, rows, 1)
+        matrix[LINK_VELOCITY, LINK_ANGLE] -= self.nominal.half_kick * corner.slope
         return matrix
 
     @staticmethod
