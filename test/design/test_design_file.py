@@ -19,6 +19,7 @@ from hypothesis.extra import numpy as hnp
 from tsobs_ros.design.file import load_design, load_request, parse_design, save_design
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
+from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError, DesignFileError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
@@ -58,11 +59,12 @@ REQUESTS = st.builds(
     x_max=floats(0.01, math.pi),
     decay_rate=floats(0.0, 10.0),
     initial_std=st.tuples(*[floats(0.01, 10.0)] * 4),
+    uncertainty=st.dictionaries(st.sampled_from(["stiffness", "gravity"]), floats(0.01, 0.5)),
 )  # fmt: skip
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 SOLVERS = st.builds(
     SolverReport, st.text(max_size=20), st.text(max_size=20), st.text(max_size=20),
-    st.integers(0, 1000), floats(0.0, 1e3),
+    st.integers(0, 1000), floats(0.0, 1e3), floats(0.0, 1.0),
 )  # fmt: skip
 
 
@@ -183,6 +185,8 @@ MALFORMED: list[tuple[tuple[Any, ...], Any, str]] = [
     (("format",), ..., "format: expected 'tsobs_ros design', got None"),
     (("format",), "rosbag", "format: expected 'tsobs_ros design', got 'rosbag'"),
     (("version",), 2, "version: expected 1, got 2"),
+    (("version",), True, "version: expected 1, got True"),
+    (("version",), 1.0, "version: expected 1, got 1.0"),
     (("version",), ..., "version: expected 1, got None"),
     (("notes",), "mine", "the file: unknown entry 'notes', expected some of format, version"),
     (("design",), ..., "design: expected a mapping, got None"),
@@ -224,6 +228,15 @@ MALFORMED: list[tuple[tuple[Any, ...], Any, str]] = [
         r"design.disturbance\[0\].density: expected a number",
     ),
     (("design", "disturbance", 0, "density"), -1.0, "bias density: expected a finite number of"),
+    (("design", "uncertainty"), 3, "design.uncertainty: expected a mapping, got 3"),
+    (("design", "uncertainty", "stiffness"), "x", "design.uncertainty.stiffness: expected a numb"),
+    (("design", "uncertainty", "stiffness"), -0.1, "uncertainty stiffness: expected a finite numb"),
+    (("design", "uncertainty", "wind"), 0.1, "uncertain parameter: expected one of stiffness"),
+    (("design", "certify_uncertainty"), 1, "design.certify_uncertainty: expected true or false"),
+    (("design", "certify_uncertainty"), True, "certify_uncertainty: expected at least one unc"),
+    (("gain", "L"), 3.0, "gain: unknown entry 'L', expected some of K"),
+    (("certificate", "Q"), 3.0, "certificate: unknown entry 'Q', expected some of P"),
+    (("solver", "name"), [1], r"solver.name: expected text, got \[1\]"),
     (("gain",), ..., "gain: expected a mapping, got None"),
     (("gain", "K"), ..., "gain.K: expected a list of 5, got None"),
     (("gain", "K"), [1.0] * 4, "gain.K: expected a list of 5, got 4"),
@@ -270,6 +283,81 @@ def test_an_edited_design_is_refused_by_its_certificate(
     ):
         load_design(path)
     assert not parse_design(path).certificate.holds
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("design", "measurement_std"), 1e200),
+        (("design", "initial_std", 0), 1e200),
+        (("design", "rate"), 1e-3),
+        (("design", "arm"), {"link_inertia": 1e-200, "motor_inertia": 1e-200}),
+        (("design", "arm"), {"stiffness": 1e150}),
+        (("design", "arm"), {"link_damping": 1e5}),
+        (("design", "process_noise"), {"link": 1e308}),
+        (("design", "disturbance"), [{"kind": "gauss_markov", "time_constant": 1e-300}]),
+        (("design", "disturbance"), [{"kind": "bias", "density": 1e308}]),
+        (("design", "disturbance"), [{"kind": "arbitrary"}]),
+        (("gain", "K"), [1e200] * 5),
+        (("gain", "K"), [1e308] * 5),
+        (("certificate", "P", 4, 4), 0.0),
+    ],
+)
+def test_extreme_entries_are_refused_by_name(
+    valid: dict[str, Any], place: tuple[Any, ...], value: Any, tmp_path: Path
+) -> None:
+    with pytest.raises(DesignFileError, match=r"my\.yaml: "):
+        load_design(written(tmp_path, changed(valid, place, value)))
+
+
+def test_a_clean_design_is_not_one_for_an_arbitrary_disturbance(tmp_path: Path) -> None:
+    """The same matrices with the same state count, and no proof."""
+    clean = synthesise(DesignRequest(disturbance=(DisturbanceTerm("clean"),)))
+    request = replace(clean.request, disturbance=(DisturbanceTerm("arbitrary"),))
+    path = tmp_path / "my.yaml"
+    save_design(replace(clean, request=request), path)
+    with pytest.raises(CertificateError, match="disturbance has a model: DOES NOT HOLD"):
+        load_design(path)
+
+
+@pytest.mark.parametrize("place", ["rate: {}", "format: {}", "design: {{rate: {}}}"])
+def test_an_integer_too_long_to_print_is_refused(place: str, tmp_path: Path) -> None:
+    path = written(tmp_path, place.format("0x" + "f" * 6000))
+    with pytest.raises(DesignFileError, match=r"my\.yaml: "):
+        load_request(path) if "rate" in place else load_design(path)
+
+
+@pytest.mark.parametrize("place", ["format: ", "solver: ", "rate: ", "version: "])
+def test_an_alias_bomb_is_not_written_out(place: str, tmp_path: Path) -> None:
+    """10^30 elements: this must return at once; with repr() it never returns."""
+    lines = ["a0: &a0 [" + "x, " * 9 + "x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)]
+    path = written(tmp_path, "\n".join([*lines, f"{place}*a29"]))
+    with pytest.raises(DesignFileError, match=r"my\.yaml: "):
+        load_design(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "disturbance: [{kind: bias, density: -1}]",
+        "arm: {link_inertia: 1.0e-200, motor_inertia: 1.0e-200}",
+        "arm: {stiffness: 1.0e+100}",
+    ],
+)
+def test_a_request_that_makes_no_model_is_refused_when_read(text: str, tmp_path: Path) -> None:
+    with pytest.raises(DesignFileError, match=r"my\.yaml: "):
+        load_request(written(tmp_path, text))
+
+
+def test_numpy_numbers_are_saved_as_numbers(shipped: Design, tmp_path: Path) -> None:
+    terms = (DisturbanceTerm("bias", {"density": np.float64(1e-4)}),)
+    noise = ProcessNoise(np.float64(1e-4), np.float64(1e-5))
+    request = replace(
+        shipped.request, x_max=np.float64(0.75), rate=200, disturbance=terms, process_noise=noise
+    )
+    save_design(replace(shipped, request=request), tmp_path / "a.yaml")
+    assert load_design(tmp_path / "a.yaml").request == shipped.request
 
 
 def test_a_missing_file_is_said_to_be_missing(tmp_path: Path) -> None:
@@ -350,6 +438,12 @@ def places(data: Any, prefix: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]
             yield from places(value, (*prefix, key))
 
 
+def entry_at(data: Any, place: tuple[Any, ...]) -> Any:
+    for key in place:
+        data = data[key]
+    return data
+
+
 def loaded(path: Path) -> Design | str:
     """Return the design a file holds, or the text of its refusal; any other error gets out."""
     try:
@@ -360,8 +454,8 @@ def loaded(path: Path) -> Design | str:
 
 WRONG = st.recursive(
     st.one_of(
-        st.none(), st.booleans(), st.integers(-10, 10), st.sampled_from([-3.7, 0.1, 3.7, math.nan]),
-        st.just(math.inf), st.text("abc: 1.-", max_size=8), st.dates(), st.binary(max_size=4),
+        st.none(), st.booleans(), st.integers(), st.floats(), st.just(10**400),
+        st.text("abc: 1.-", max_size=8), st.dates(), st.binary(max_size=4),
     ),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("ab", max_size=2), inner),
     max_leaves=6,
@@ -389,6 +483,21 @@ def test_a_mutated_file_is_either_a_design_or_a_named_refusal(
         assert outcome.certificate.holds
     else:
         assert outcome.startswith(f"{path}: ")
+
+
+@settings(PROPERTY, max_examples=300)
+@given(data=st.data())
+def test_any_numbers_are_either_a_design_or_a_named_refusal(
+    valid: dict[str, Any], data: st.DataObject, tmp_path: Path
+) -> None:
+    """One number or several set to any other that a file can hold, however large or small."""
+    numeric = [place for place in places(valid) if isinstance(entry_at(valid, place), float)]
+    edited = valid
+    for place in data.draw(st.lists(st.sampled_from(numeric), min_size=1, max_size=3)):
+        edited = changed(edited, place, data.draw(st.floats()))
+    outcome = loaded(written(tmp_path, edited))
+    if isinstance(outcome, Design):
+        assert outcome.certificate.holds
 
 
 @settings(PROPERTY, max_examples=150)
@@ -420,3 +529,9 @@ def test_a_design_has_matrices_of_the_right_shape(
 ) -> None:
     with pytest.raises(ModelError, match=message):
         replace(shipped, **change)
+
+
+@pytest.mark.parametrize("P", [-np.eye(5), np.zeros((5, 5)), np.ones((5, 5))])
+def test_a_matrix_that_is_no_bound_has_no_covariance(shipped: Design, P: Any) -> None:
+    with pytest.raises(ModelError, match="P: expected a positive definite matrix"):
+        _ = replace(shipped, P=P).covariance_bound

@@ -7,8 +7,7 @@ was saved and loaded is the same design to the last bit. Loading re-checks the c
 """
 
 import contextlib
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from tsobs_ros.checks import shown
+from tsobs_ros.design.entries import floats, known_only, mapping, number, numbers, text
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
 from tsobs_ros.errors import DesignFileError, ModelError
@@ -39,12 +40,12 @@ def save_design(design: Design, path: Path) -> None:
     Raises:
         DesignFileError: The file cannot be written.
     """
-    text = _HEADER + yaml.safe_dump(
+    written = _HEADER + yaml.safe_dump(
         _to_mapping(design), sort_keys=False, default_flow_style=None, width=100
     )
     temporary = path.with_name(path.name + ".tmp")
     try:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(written, encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
         raise DesignFileError(f"{path}: cannot write the design file: {error.strerror}") from error
@@ -71,12 +72,11 @@ def parse_design(path: Path) -> Design:
         DesignFileError: As for `load_design`.
     """
     data = _read_yaml(path)
-    try:
-        return _from_mapping(data)
-    except DesignFileError as error:
-        raise DesignFileError(f"{path}: {error}") from error
-    except (ModelError, np.linalg.LinAlgError, OverflowError) as error:
-        raise DesignFileError(f"{path}: {error}") from error
+    with _naming(path):
+        design = _from_mapping(data)
+        # Evaluated here, where numbers no proof can be made of are refused with the file's name.
+        _ = design.certificate
+        return design
 
 
 def load_request(path: Path) -> DesignRequest:
@@ -88,10 +88,20 @@ def load_request(path: Path) -> DesignRequest:
         DesignFileError: As for `load_design`.
     """
     data = _read_yaml(path)
+    with _naming(path):
+        request = _request(mapping("design", data.get("design", data)))
+        # Built here, so that a request no model can be made of is refused with the file's name.
+        _ = request.flow
+        return request
+
+
+@contextlib.contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Turn every error of what a file asks for into one that names the file."""
     try:
-        return _request(_mapping("design", data.get("design", data)))
-    except (DesignFileError, ModelError) as error:
-        raise DesignFileError(f"{path}: {error}") from error
+        yield
+    except (DesignFileError, ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError) as e:
+        raise DesignFileError(f"{path}: {e}") from e
 
 
 def _read_yaml(path: Path) -> Mapping[str, Any]:
@@ -125,6 +135,8 @@ def _to_mapping(design: Design) -> dict[str, Any]:
             "x_max": request.x_max,
             "decay_rate": request.decay_rate,
             "initial_std": list(request.initial_std),
+            "uncertainty": dict(request.uncertainty),
+            "certify_uncertainty": request.certify_uncertainty,
         },
         "gain": {"K": design.K[:, 0].tolist()},
         "certificate": {"P": design.P.tolist()},
@@ -134,114 +146,78 @@ def _to_mapping(design: Design) -> dict[str, Any]:
 
 def _from_mapping(data: Mapping[str, Any]) -> Design:
     if data.get("format") != FORMAT:
-        raise DesignFileError(f"format: expected {FORMAT!r}, got {_short(data.get('format'))}")
-    if data.get("version") != VERSION:
-        raise DesignFileError(f"version: expected {VERSION}, got {_short(data.get('version'))}")
-    _known("the file", data, ("format", "version", "design", "gain", "certificate", "solver"))
-    request = _request(_mapping("design", data.get("design")))
-    gain = _mapping("gain", data.get("gain"))
-    certificate = _mapping("certificate", data.get("certificate"))
-    solver = _mapping("solver", data.get("solver"))
+        raise DesignFileError(f"format: expected {FORMAT!r}, got {shown(data.get('format'))}")
+    version = data.get("version")
+    # True == 1 == 1.0 in Python, but only one of them is a version.
+    if type(version) is not int or version != VERSION:
+        raise DesignFileError(f"version: expected {VERSION}, got {shown(version)}")
+    known_only("the file", data, ("format", "version", "design", "gain", "certificate", "solver"))
+    request = _request(mapping("design", data.get("design")))
+    gain = mapping("gain", data.get("gain"))
+    certificate = mapping("certificate", data.get("certificate"))
+    solver = mapping("solver", data.get("solver"))
+    known_only("gain", gain, ("K",))
+    known_only("certificate", certificate, ("P",))
     n = request.flow.state_count
-    K = _numbers("gain.K", gain.get("K"), (n,))
-    P = _numbers("certificate.P", certificate.get("P"), (n, n))
+    K = numbers("gain.K", gain.get("K"), (n,))
+    P = numbers("certificate.P", certificate.get("P"), (n, n))
     return Design(request, P, K[:, np.newaxis], _solver(solver))
 
 
 def _request(data: Mapping[str, Any]) -> DesignRequest:
-    _known("design", data, [field.name for field in fields(DesignRequest)])
+    known_only("design", data, [field.name for field in fields(DesignRequest)])
     values: dict[str, Any] = {}
     if "arm" in data:
-        values["arm"] = ElasticJointArm(**_floats("design.arm", data["arm"], ElasticJointArm))
+        values["arm"] = ElasticJointArm(**floats("design.arm", data["arm"], ElasticJointArm))
     if "process_noise" in data:
-        densities = _floats("design.process_noise", data["process_noise"], ProcessNoise)
+        densities = floats("design.process_noise", data["process_noise"], ProcessNoise)
         values["process_noise"] = ProcessNoise(**densities)
     if "disturbance" in data:
         values["disturbance"] = _terms(data["disturbance"])
     if "initial_std" in data:
-        values["initial_std"] = _numbers("design.initial_std", data["initial_std"], (4,)).tolist()
+        values["initial_std"] = numbers("design.initial_std", data["initial_std"], (4,)).tolist()
     for name in ("measurement_std", "rate", "x_max", "decay_rate"):
         if name in data:
-            values[name] = _number(f"design.{name}", data[name])
+            values[name] = number(f"design.{name}", data[name])
+    if "uncertainty" in data:
+        bounds = mapping("design.uncertainty", data["uncertainty"])
+        values["uncertainty"] = {
+            name: number(f"design.uncertainty.{name}", bounds[name]) for name in bounds
+        }
+    if "certify_uncertainty" in data:
+        values["certify_uncertainty"] = data["certify_uncertainty"]
+        if not isinstance(data["certify_uncertainty"], bool):
+            raise DesignFileError(
+                f"design.certify_uncertainty: expected true or false, "
+                f"got {shown(data['certify_uncertainty'])}"
+            )
     return DesignRequest(**values)
 
 
 def _terms(data: Any) -> list[DisturbanceTerm]:
     if not isinstance(data, list):
-        raise DesignFileError(f"design.disturbance: expected a list, got {_short(data)}")
+        raise DesignFileError(f"design.disturbance: expected a list, got {shown(data)}")
     terms = []
     for index, item in enumerate(data):
         name = f"design.disturbance[{index}]"
-        entry = dict(_mapping(name, item))
+        entry = dict(mapping(name, item))
         kind = entry.pop("kind", None)
         if not isinstance(kind, str):
-            raise DesignFileError(f"{name}.kind: expected a name, got {_short(kind)}")
+            raise DesignFileError(f"{name}.kind: expected a name, got {shown(kind)}")
         terms.append(
-            DisturbanceTerm(kind, {key: _number(f"{name}.{key}", entry[key]) for key in entry})
+            DisturbanceTerm(kind, {key: number(f"{name}.{key}", entry[key]) for key in entry})
         )
     return terms
 
 
 def _solver(data: Mapping[str, Any]) -> SolverReport:
-    _known("solver", data, [field.name for field in fields(SolverReport)])
+    known_only("solver", data, [field.name for field in fields(SolverReport)])
     return SolverReport(
-        name=str(data.get("name", "")),
-        version=str(data.get("version", "")),
-        status=str(data.get("status", "")),
-        iterations=int(_number("solver.iterations", data.get("iterations", 0))),
-        seconds=_number("solver.seconds", data.get("seconds", 0.0)),
+        **{
+            name: text(f"solver.{name}", data.get(name, ""))
+            for name in ("name", "version", "status")
+        },
+        iterations=int(number("solver.iterations", data.get("iterations", 0))),
+        seconds=number("solver.seconds", data.get("seconds", 0.0)),
+        margin=number("solver.margin", data.get("margin", SolverReport.margin)),
     )
-
-
-def _mapping(name: str, value: Any) -> Mapping[str, Any]:
-    if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
-        raise DesignFileError(f"{name}: expected a mapping, got {_short(value)}")
-    return value
-
-
-def _known(name: str, data: Mapping[str, Any], allowed: Any) -> None:
-    unknown = [key for key in data if key not in allowed]
-    if unknown:
-        raise DesignFileError(
-            f"{name}: unknown entry {_short(unknown[0])}, expected some of {', '.join(allowed)}"
-        )
-
-
-def _floats(name: str, data: Any, cls: type) -> dict[str, float]:
-    entries = _mapping(name, data)
-    _known(name, entries, [field.name for field in fields(cls)])
-    return {key: _number(f"{name}.{key}", value) for key, value in entries.items()}
-
-
-def _number(name: str, value: Any) -> float:
-    # YAML reads 1e-4 (without a point) as text; people write it, so it is accepted as a number.
-    if isinstance(value, str):
-        with contextlib.suppress(ValueError):
-            value = float(value)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise DesignFileError(f"{name}: expected a number, got {_short(value)}")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise DesignFileError(f"{name}: expected a finite number, got {_short(value)}")
-    return number
-
-
-def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray[Any, Any]:
-    def walk(item: Any, depth: int, place: str) -> Any:
-        if depth == 0:
-            return _number(place, item)
-        length = shape[len(shape) - depth]
-        if not isinstance(item, list) or len(item) != length:
-            got = f"{len(item)}" if isinstance(item, list) else _short(item)
-            raise DesignFileError(f"{place}: expected a list of {length}, got {got}")
-        return [walk(child, depth - 1, f"{place}[{i}]") for i, child in enumerate(item)]
-
-    return np.array(walk(value, len(shape), name), dtype=np.float64)
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
