@@ -192,6 +192,7 @@ class Observer(Node):
         self._resets += 1
         self._last_output = 0
         self._estimate = None
+        self._publisher.restart()
         self._innovations = InnovationMonitor()
         self._disturbances = DisturbanceMonitor(self._limits(self._binding.value))
 

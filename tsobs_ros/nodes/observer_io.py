@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """JointState messages in, estimates out: the observer node's only knowledge of messages."""
 
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -17,6 +18,9 @@ MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFO
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
 
 _RELIABLE = 10
+
+_PARAMETER_PERIOD = 100_000_000
+"""Parameters change slowly: published ten times a second [ns]."""
 
 
 def to_measurement(
@@ -39,48 +43,77 @@ def to_measurement(
     return Measurement(stamp, np.array([angle]), np.array([torque]))
 
 
-class EstimatePublisher:
-    """Publishes estimates and innovations under the node's private names.
+class _Output:
+    """A publisher with the one message that it sends again and again.
 
-    The messages are filled again and again: building new ones costs as much as publishing them.
+    Building new messages costs as much as publishing them.
     """
 
-    def __init__(self, node: Node, joint: str) -> None:
-        def publisher(topic: str) -> Any:
-            # Every QoS event is one more thing the executor gathers for each of its waits.
-            quiet = PublisherEventCallbacks(use_default_callbacks=False)
-            return node.create_publisher(JointState, topic, _RELIABLE, event_callbacks=quiet)
+    def __init__(self, node: Node, topic: str, names: Sequence[str]) -> None:
+        # Every QoS event is one more thing the executor gathers for each of its waits.
+        quiet = PublisherEventCallbacks(use_default_callbacks=False)
+        self._publisher = node.create_publisher(JointState, topic, _RELIABLE, event_callbacks=quiet)
+        self._message = JointState(name=list(names))
 
-        link_and_motor = [f"{joint}_link", f"{joint}_motor"]
-        self._states = JointState(name=link_and_motor)
-        self._bounds = JointState(name=link_and_motor)
-        self._disturbance = JointState(name=[joint])
-        self._disturbance_bound = JointState(name=[joint])
-        self._innovation = JointState(name=[joint])
-        self._outputs = [
-            (publisher("~/joint_states"), self._states),
-            (publisher("~/error_bound"), self._bounds),
-            (publisher("~/disturbance"), self._disturbance),
-            (publisher("~/disturbance_bound"), self._disturbance_bound),
-        ]
-        self._innovation_publisher = publisher("~/innovation")
+    def publish(
+        self, stamp: Time, position: Sequence[float], velocity: Sequence[float] = ()
+    ) -> None:
+        """Send positions and, where there are any, velocities."""
+        self._message.header.stamp = stamp
+        self._message.position = position
+        self._message.velocity = velocity
+        self._publisher.publish(self._message)
+
+
+class EstimatePublisher:
+    """Publishes estimates, innovations and parameters under the node's private names.
+
+    Args:
+        node: The node.
+        joint: Name of the joint.
+        parameters: Names of the parameters that are learnt; their topics exist only if there
+            are any.
+    """
+
+    def __init__(self, node: Node, joint: str, parameters: Sequence[str] = ()) -> None:
+        sides = [f"{joint}_link", f"{joint}_motor"]
+        self._states = _Output(node, "~/joint_states", sides)
+        self._state_bounds = _Output(node, "~/error_bound", sides)
+        self._disturbance = _Output(node, "~/disturbance", [joint])
+        self._disturbance_bound = _Output(node, "~/disturbance_bound", [joint])
+        self._innovation = _Output(node, "~/innovation", [joint])
+        self._parameters, self._parameter_bounds = (
+            _Output(node, topic, parameters) if parameters else None
+            for topic in ("~/parameters_estimate", "~/parameters_bound")
+        )
+        self._parameters_due = 0
 
     def publish(self, estimate: Estimate) -> None:
-        """Publish one estimate on all topics, with the same stamp."""
-        q1, v1, q2, v2 = estimate.state.tolist()
-        self._states.position, self._states.velocity = [q1, q2], [v1, v2]
-        q1, v1, q2, v2 = estimate.state_bound.tolist()
-        self._bounds.position, self._bounds.velocity = [q1, q2], [v1, v2]
-        self._disturbance.position = estimate.disturbance.tolist()
-        self._disturbance.velocity = estimate.disturbance_rate.tolist()
-        self._disturbance_bound.position = estimate.disturbance_bound.tolist()
+        """Publish one estimate, all of it with the same stamp; what it lacks is left out."""
         stamp = to_stamp(estimate.stamp)
-        for publisher, message in self._outputs:
-            message.header.stamp = stamp
-            publisher.publish(message)
+        q1, v1, q2, v2 = estimate.state.tolist()
+        self._states.publish(stamp, [q1, q2], [v1, v2])
+        if estimate.state_bound.size:
+            q1, v1, q2, v2 = estimate.state_bound.tolist()
+            self._state_bounds.publish(stamp, [q1, q2], [v1, v2])
+        if estimate.disturbance.size:
+            rate = estimate.disturbance_rate.tolist()
+            self._disturbance.publish(stamp, estimate.disturbance.tolist(), rate)
+        if estimate.disturbance_bound.size:
+            self._disturbance_bound.publish(stamp, estimate.disturbance_bound.tolist())
+        if estimate.parameters_valid and estimate.stamp >= self._parameters_due:
+            self._publish_parameters(stamp, estimate)
 
     def publish_innovation(self, innovation: Innovation) -> None:
         """Publish y − ŷ, stamped as its measurement."""
-        self._innovation.header.stamp = to_stamp(innovation.stamp)
-        self._innovation.position = innovation.value.tolist()
-        self._innovation_publisher.publish(self._innovation)
+        self._innovation.publish(to_stamp(innovation.stamp), innovation.value.tolist())
+
+    def restart(self) -> None:
+        """Forget when parameters were last published, as stamps may have gone back."""
+        self._parameters_due = 0
+
+    def _publish_parameters(self, stamp: Time, estimate: Estimate) -> None:
+        if self._parameters is not None and self._parameter_bounds is not None:
+            self._parameters.publish(stamp, estimate.parameters.tolist())
+            self._parameter_bounds.publish(stamp, estimate.parameter_bound.tolist())
+            self._parameters_due = estimate.stamp + _PARAMETER_PERIOD
