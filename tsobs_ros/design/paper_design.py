@@ -13,8 +13,6 @@ when P and Qᵢ are multiplied by a number, so (38) never decides whether a desi
 """
 
 import time
-from dataclasses import dataclass
-from functools import cached_property
 from importlib.metadata import version
 
 import cvxpy as cp
@@ -22,20 +20,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
-from tsobs_ros.design.paper_stability import StabilityVerdict, common_lyapunov
+from tsobs_ros.design.paper_record import AdaptiveDesign, StabilityVerdict
+from tsobs_ros.design.paper_stability import common_lyapunov
 from tsobs_ros.design.record import SolverReport
 from tsobs_ros.errors import DesignError, DetectabilityError
 from tsobs_ros.estimation.adaptation import checked_gamma
-from tsobs_ros.estimation.augmented_observer import AugmentedObserver
 from tsobs_ros.model.augmentation import Augmentation
-from tsobs_ros.model.conditions import ConditionReport, check_conditions, least_epsilon
+from tsobs_ros.model.conditions import least_epsilon
 from tsobs_ros.model.fuzzy import TSSystem
 
 EPSILON_STEP = 1e-3
 """Remark 3's step of ε, relative."""
 
 INNOVATION_RATE = 20.0
-"""Default rate at which the innovation decays [1/s]. The slower it is, the longer the adaptive law
+"""Default of the decay asked of the innovation [1/s]. The slower it is, the longer the adaptive law
 integrates what is left of the observer's own start, and the further Ξ̂ wanders from the truth."""
 
 _MOST_STEPS = 20
@@ -43,65 +41,6 @@ _MARGIN = 0.02
 """How far below zero the left side of (18) is asked to be, times its natural size 1/ε."""
 
 _GAIN_WEIGHT = 1e-2
-
-
-@dataclass(frozen=True)
-class AdaptiveDesign:
-    """A solution of the method's conditions, re-checked.
-
-    Attributes:
-        augmentation: The system in augmented form, with L (Step 1).
-        alpha: Bounds αᵢ, shape (r,).
-        xi: Bounds ξᵢ, shape (r,).
-        epsilon: The ε that was accepted (Step 2, Remark 3).
-        steps: How many ε were tried.
-        P: Shape (n + p, n + p) (Step 3).
-        H1: H₁ᵢ, shape (r, n + p, p) (Step 4).
-        Gamma: Γᵢ, shape (r, p, p) (Step 5).
-        solver: Who computed P and Qᵢ; nothing is trusted because of it.
-    """
-
-    augmentation: Augmentation
-    alpha: Array
-    xi: Array
-    epsilon: float
-    steps: int
-    P: Array
-    H1: Array
-    Gamma: Array
-    solver: SolverReport
-
-    @cached_property
-    def M(self) -> Array:
-        """P⁻¹C̄ᵀ, shape (n + p, p)."""
-        return np.asarray(np.linalg.solve(self.P, self.augmentation.C_bar.T))
-
-    @cached_property
-    def conditions(self) -> ConditionReport:
-        """Every condition, re-checked by eigenvalues from the stored matrices."""
-        return check_conditions(
-            self.augmentation,
-            self.P,
-            alpha_1=self.augmentation.alpha_1(self.alpha),
-            H1=self.H1,
-            M=self.M,
-            epsilon=least_epsilon(self.augmentation, self.alpha, self.xi),
-        )
-
-    def observer(self, *, adapt: bool = True, project: bool = True) -> AugmentedObserver:
-        """Return the observer of Theorem 1, or 2 where the Cᵢ differ.
-
-        Args:
-            adapt: Whether the uncertainty is estimated.
-            project: Whether its estimates are kept within ‖Ξ̂ᵢ‖ ≤ ξᵢ.
-        """
-        return AugmentedObserver(
-            self.augmentation,
-            self.H1,
-            self.M,
-            self.Gamma if adapt else None,
-            self.xi if adapt and project else None,
-        )
 
 
 def design_adaptive_observer(
@@ -125,7 +64,8 @@ def design_adaptive_observer(
         L: Shape (n + p, p); [0; I] by default.
         output_rule: Index of the rule whose Cᵢ is the common C.
         epsilon_step: Relative step of ε.
-        innovation_rate: Rate at which the innovation decays, about [1/s]; (37) leaves it open.
+        innovation_rate: Asked decay of the innovation [1/s], which (37) leaves open. It is asked
+            for where P is smallest; elsewhere the rate may be lower by up to cond(P).
 
     Raises:
         ModelError: A matrix has the wrong shape, Γᵢ is not symmetric positive definite, or E_L

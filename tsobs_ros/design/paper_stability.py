@@ -11,40 +11,18 @@ answer is proved by a matrix that the solver returns and that is re-checked here
           Σ tr Zᵢ(AᵢᵀP + PAᵢ + 2α₁ᵢP) = tr P Σ(…) ≥ 0 for every P ≻ 0, while (18) makes it negative.
 """
 
-from dataclasses import dataclass
-
 import cvxpy as cp
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix
+from tsobs_ros.design.paper_record import StabilityVerdict
 from tsobs_ros.errors import DesignError, ModelError
 from tsobs_ros.model.analysis import format_mode
 from tsobs_ros.model.detectability import HiddenMode, hidden_modes
 
 _UNDECIDED = 1e-7
 """Relative eigenvalue below which neither answer counts as proved by its matrix."""
-
-
-@dataclass(frozen=True)
-class StabilityVerdict:
-    """Whether matrices share a Lyapunov matrix at given decay rates, with the proof.
-
-    Attributes:
-        feasible: The answer.
-        margin: Feasible: the largest eigenvalue of AᵢᵀP + PAᵢ + 2α₁ᵢP over the rules, negative,
-            with trace P = n. Else the smallest eigenvalue of Σ (Aᵢ + α₁ᵢI)Zᵢ + Zᵢ(…)ᵀ with
-            Σ tr Zᵢ = 1, not negative but for rounding.
-        P: The Lyapunov matrix, shape (n, n); None if there is none.
-        Z: The proof that there is none, shape (r, n, n); None if there is one.
-        reason: One line for people.
-    """
-
-    feasible: bool
-    margin: float
-    P: Array | None
-    Z: Array | None
-    reason: str
 
 
 def common_lyapunov(A: ArrayLike, rates: ArrayLike) -> StabilityVerdict:

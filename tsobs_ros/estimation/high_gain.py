@@ -22,8 +22,8 @@ from tsobs_ros.model.arm import LINK_ANGLE, ElasticJointArm
 POLE_RATIOS = (1.0, 1.1, 1.2, 1.3)
 """Poles as multiples of −θ; distinct, so that a small change of a gain moves them little."""
 
-STEP_LIMIT = 0.2
-"""Largest step times |pole|: keeps Runge–Kutta's own error below a millionth a step."""
+STEP_LIMIT = 0.1
+"""Largest step times |pole|: Runge–Kutta's own error is then about 1e-6 of the estimate a step."""
 
 Derivative = Callable[[Array], Array]
 """ẋ as a function of x alone, shapes (..., n)."""

@@ -97,8 +97,8 @@ def check_autonomous_innovation(augmentation: Augmentation) -> Proposition:
     slip = float(np.abs(invariance).max() / np.linalg.norm(augmentation.A1, 2, axis=(1, 2)).max())
     return Proposition(
         "Proposition 1",
-        f"the plant drives the innovation with relative gain {number:.1e}; {{C̄x̄ = 0}} is "
-        f"invariant under every A₁ᵢ, which acts there as Aᵢ, to {slip:.1e}: all {n} modes of every "
+        f"the plant drives the innovation with relative gain {number:.0e}; {{C̄x̄ = 0}} is "
+        f"invariant under every A₁ᵢ, which acts there as Aᵢ, to {slip:.0e}: all {n} modes of every "
         f"rule are unobservable",
         max(number, slip),
         max(number, slip) < 1e-10,

@@ -17,8 +17,6 @@ from tqdm import tqdm
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
-from tsobs_ros.design.paper_design import design_adaptive_observer
-from tsobs_ros.design.paper_stability import common_lyapunov
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.analysis import augmented_modes, check_autonomous_innovation
 from tsobs_ros.model.augmentation import Augmentation
@@ -82,6 +80,9 @@ def make_paper_report(output: Path, *, progress: bool = True, seeds: int = 20) -
         ModelError: `seeds` is below 1.
         OSError: The folder or a file cannot be written.
     """
+    # A page can be read, and its parts used, where no solver is installed.
+    from tsobs_ros.design.paper_stability import common_lyapunov
+
     if seeds < 1:
         raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
     started = time.perf_counter()
@@ -133,6 +134,8 @@ def make_paper_report(output: Path, *, progress: bool = True, seeds: int = 20) -
 
 
 def _run(example: PaperExample, doing: Callable[[str], Callable[[], None]]) -> ExampleRun:
+    from tsobs_ros.design.paper_design import design_adaptive_observer
+
     advance = doing(example.name.replace("_", " "))
     design = design_adaptive_observer(
         example.system, example.alpha, example.xi, Gamma=example.Gamma
@@ -142,6 +145,8 @@ def _run(example: PaperExample, doing: Callable[[str], Callable[[], None]]) -> E
 
 
 def _analysis(example: PaperExample) -> str:
+    from tsobs_ros.design.paper_stability import common_lyapunov
+
     augmentation = Augmentation(example.system)
     lines = [f"Example {example.name[-1]}", str(check_autonomous_innovation(augmentation))]
     lines += [str(modes) for modes in augmented_modes(augmentation)]

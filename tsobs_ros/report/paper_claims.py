@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.paper_stability import StabilityVerdict
+from tsobs_ros.design.paper_record import StabilityVerdict
 from tsobs_ros.model import printed
 from tsobs_ros.model.analysis import (
     check_autonomous_innovation,
@@ -75,7 +75,7 @@ def _printed_claims(checks: PrintedChecks) -> list[Claim]:
         Claim(
             "Example 1: the printed P has ‖P⁻¹‖ ≥ ε (38).",
             _verdict(norm.holds),
-            "by its own digits it just misses; (38) restricts nothing, as P may be scaled",
+            "as recomputed; by its own digits it just misses, but P may be scaled at will",
             f"‖P⁻¹‖ = {norm.number:.4f} (printed {printed.EXAMPLE_1_INVERSE_NORM}), "
             f"ε = {checks.epsilon:.4f} (printed {printed.EXAMPLE_1_EPSILON})",
             _DESIGN + "test_scaling_meets_any_epsilon",
@@ -92,9 +92,8 @@ def _design_claims(runs: Mapping[str, ExampleRun], verdict_3: StabilityVerdict) 
             "Examples 1 and 2: the LMIs (37) have a solution.",
             _verdict(all(design.conditions.holds for design in designs)),
             "re-checked by eigenvalues",
-            f"solved in {seconds:.2f} s or less; ε accepted after "
-            + ", ".join(str(design.steps) for design in designs)
-            + " step(s)",
+            f"solved in {seconds:.2f} s or less; ε accepted at step "
+            + ", ".join(str(design.steps) for design in designs),
             _DESIGN + "test_examples_are_designed_and_hold_on_rechecking",
         ),
         Claim(
@@ -127,7 +126,7 @@ def _convergence_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
             "Without uncertainty (λ = 0), V decreases.",
             _verdict(max(rises) < 1e-6),
             "",
-            f"largest rise in a step {max(rises):.0e} of V(0)",
+            f"largest rise in a step {_tiny(max(rises))} of V(0)",
             _REPORT + "test_lyapunov_function_falls_without_uncertainty",
         ),
         Claim(
@@ -166,13 +165,13 @@ def _structure_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
             "The output error y − ŷ corrects the state estimate.",
             _verdict(drive > 1e-10),
             "the innovation is autonomous (Proposition 1)",
-            f"relative gain from the plant to e_y: {drive:.0e}",
+            f"relative gain from the plant to e_y: {_tiny(drive)}",
             _ANALYSIS + "test_innovation_is_autonomous_for_every_l",
         ),
         Claim(
             "The state estimate depends on the measurement.",
             Verdict.HOLDS_ONLY_IF if moved < 1e-10 else Verdict.HOLDS,
-            "through the premise z = y₁: with z given, y may be replaced by noise",
+            "its premise z = y₁ does: with z given, y may be replaced by noise",
             f"x̂ changes by {moved:.0e} (Examples 1 and 2, no adaptation); from 10 s on it is "
             f"the open-loop model to {late:.0e}",
             _OBSERVER + "test_estimate_is_the_same_from_noise",
@@ -233,6 +232,10 @@ def _verdict(holds: bool) -> Verdict:
 
 def _list(values: Sequence[float] | Array, style: str, separator: str = ", ") -> str:
     return separator.join(f"{value:{style}}" for value in values)
+
+
+def _tiny(value: float) -> str:
+    return f"{value:.0e}" if value else "0"
 
 
 def _largest_rise(run: ExampleRun, uncertainty: int) -> float:

@@ -14,6 +14,7 @@ from tsobs_ros.report.paper_runs import SETTLED, ExampleRun
 from tsobs_ros.report.paper_style import (
     ESTIMATE,
     FOURTH,
+    LIGHT,
     MUTED,
     SECOND,
     THIRD,
@@ -247,7 +248,7 @@ def _noise_fed(run: ExampleRun, axes: Panels) -> None:
         name = f"x{_low(row)}"
         panel.plot(times, run.plant.states[:, 0, row], color=TRUTH, label=name)
         estimate = fixed.states[:, 0, row]
-        panel.plot(times, estimate, color=SECOND, linewidth=3.0, label=f"{_hat(name)} from y")
+        panel.plot(times, estimate, color=LIGHT, linewidth=4.0, label=f"{_hat(name)} from y")
         estimate = fed.states[:, 0, row]
         panel.plot(
             times, estimate, color=ESTIMATE, linestyle="--", label=f"{_hat(name)} from noise"

@@ -191,8 +191,8 @@ def _rmse(comparison: Comparison, axes: Panels) -> None:
             panel.hlines(mean, place - 0.32, place + 0.32, color=TRUTH, linewidth=1.4)
             panel.annotate(
                 f"{mean:.3g}",
-                (place, mean),
-                xytext=(0, 16),
+                (place, float(run_values.max())),
+                xytext=(0, 6),
                 textcoords="offset points",
                 ha="center",
                 color=TRUTH,

@@ -34,7 +34,8 @@ td { vertical-align: top; border-bottom: 1px solid #e3e6ea; padding: .45rem .6re
 .does_not_hold { border-left-color: #d1495b; }
 .test { font: .72rem/1.4 ui-monospace, monospace; overflow-wrap: anywhere; color: #52606d; }
 figure { margin: 1.5rem 0; } img { max-width: 100%; height: auto; }
-pre { background: #f5f7fa; padding: .8rem; overflow-x: auto; font-size: .8rem; line-height: 1.45; }
+pre { background: #f5f7fa; padding: .8rem; white-space: pre-wrap; font-size: .8rem;
+      line-height: 1.45; }
 """
 
 

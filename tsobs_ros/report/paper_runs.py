@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.paper_design import AdaptiveDesign
+from tsobs_ros.design.paper_record import AdaptiveDesign
 from tsobs_ros.estimation.augmented_observer import AugmentedObserver
 from tsobs_ros.estimation.high_gain import integrate
 from tsobs_ros.model.examples import PaperExample

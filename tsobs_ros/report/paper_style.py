@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 INK, MUTED, GREY, GRID = "#1F2933", "#52606D", "#9AA5B1", "#E3E6EA"
 TRUTH, ESTIMATE, SECOND, THIRD, FOURTH = "#1F2933", "#D1495B", "#00798C", "#EDAE49", "#7A5195"
-"""Told apart in grey, too, together with the line styles below."""
+LIGHT = "#8CC7D0"
 
 _DPI = 130
 _WIDTH = 9.6
