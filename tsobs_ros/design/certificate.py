@@ -23,9 +23,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.request import DesignRequest
+from tsobs_ros.design.problem import DesignProblem, ErrorVertex
 from tsobs_ros.errors import CertificateError
-from tsobs_ros.model.vertices import VertexSystem
 
 _ROUNDING = 100.0 * float(np.finfo(np.float64).eps)
 """Relative error of a sum of n products of matrices, for each row, with a reserve of about 30."""
@@ -97,8 +96,8 @@ class CertificateReport:
             raise CertificateError(f"{source}: the certificate does not hold: {'; '.join(failing)}")
 
 
-def check_certificate(request: DesignRequest, P: Array, K: Array) -> CertificateReport:
-    """Check the certificate of gain K and matrix P from the request's model alone.
+def check_certificate(problem: DesignProblem, P: Array, K: Array) -> CertificateReport:
+    """Check the certificate of gain K and matrix P from the problem's model alone.
 
     Margins are judged against rounding, step by step: P is scaled to unit diagonal, so that units
     do not matter; its factor is then exact to n ε κ, κ the condition number of what was scaled,
@@ -106,9 +105,9 @@ def check_certificate(request: DesignRequest, P: Array, K: Array) -> Certificate
     the period gives what is required per second. `exact.verify_exactly` needs no such allowance.
 
     Args:
-        request: The model, noise and domain the certificate is for.
+        problem: The model, noise and domain the certificate is for.
         P: Symmetric matrix, shape (n, n), in design coordinates.
-        K: Filter gain, shape (n, 1).
+        K: Filter gain, shape (n, p).
 
     Returns:
         Every inequality with its margin, NaN where the matrices leave the range of numbers;
@@ -117,41 +116,41 @@ def check_certificate(request: DesignRequest, P: Array, K: Array) -> Certificate
     Raises:
         ModelError: The request describes no model.
     """
-    rounding = request.flow.state_count * _ROUNDING
+    rounding = problem.flow.state_count * _ROUNDING
     with np.errstate(all="ignore"):
         scale = np.sqrt(np.diag(P))
         correlation = P / scale / scale[:, np.newaxis]
         smallest = _smallest_eigenvalue(correlation) if (P == P.T).all() else math.nan
         inequalities = [
-            *([UNMODELLED] if request.disturbance_model.arbitrary else []),
+            *([UNMODELLED] if problem.disturbance_model.arbitrary else []),
             Inequality("P symmetric and positive definite", "", smallest, rounding),
         ]
         if not all(inequality.holds for inequality in inequalities):
             return CertificateReport(tuple(inequalities), math.nan)
         root = scale[:, np.newaxis] * np.linalg.cholesky(correlation)
         # The trace of the correlation is n, which bounds its largest eigenvalue.
-        required = rounding * P.shape[0] / smallest / request.period
-        steps = [_check_vertex(request, root, K, vertex) for vertex in request.vertices()]
+        required = rounding * P.shape[0] / smallest / problem.period
+        steps = [_check_vertex(problem, root, K, vertex) for vertex in problem.vertices()]
         inequalities += [
-            Inequality("covariance decrease", where, margin / request.period, required)
+            Inequality("covariance decrease", where, margin / problem.period, required)
             for where, margin, _ in steps
         ]
         growth = np.max([growth for _, _, growth in steps])
-        return CertificateReport(tuple(inequalities), float(-np.log(growth) / request.period))
+        return CertificateReport(tuple(inequalities), float(-np.log(growth) / problem.period))
 
 
 def _check_vertex(
-    request: DesignRequest, root: Array, K: Array, vertex: VertexSystem
+    problem: DesignProblem, root: Array, K: Array, vertex: ErrorVertex
 ) -> tuple[str, float, float]:
     """Return the vertex's name, its decrease over a step with X = I and its error's growth."""
-    closed = vertex.transition @ (np.eye(K.shape[0]) - K @ request.flow.output_matrix)
+    closed = vertex.transition @ (np.eye(K.shape[0]) - K @ problem.flow.output_matrix)
     # With P = L Lᵀ the error map is Lᵀ A (I − K C̄) L⁻ᵀ, and M L⁻ᵀ is the transpose of the
     # solution Z of L Z = Mᵀ.
     error_map = solve_triangular(root, closed.T @ root, lower=True, check_finite=False).T
     noise_map = root.T @ vertex.transition @ K
-    spread = noise_map @ request.measurement_covariance @ noise_map.T
+    spread = noise_map @ problem.measurement_covariance @ noise_map.T
     spread += root.T @ vertex.noise @ root
-    kept = math.exp(-2.0 * request.decay_rate * request.period) * np.eye(K.shape[0])
+    kept = math.exp(-2.0 * problem.decay_rate * problem.period) * np.eye(K.shape[0])
     margin = _smallest_eigenvalue(kept - error_map @ error_map.T - (spread + spread.T) / 2)
     finite = bool(np.isfinite(error_map).all())
     return vertex.where, margin, float(np.linalg.norm(error_map, 2)) if finite else math.nan

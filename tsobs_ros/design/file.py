@@ -6,26 +6,24 @@ Floats are written with the shortest text that reads back to the same number, so
 was saved and loaded is the same design to the last bit. Loading re-checks the certificate.
 """
 
-import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from tsobs_ros.checks import shown
 from tsobs_ros.design.entries import floats, known_only, mapping, number, numbers, text
+from tsobs_ros.design.plain import naming_file, read_yaml, write_yaml
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
-from tsobs_ros.errors import DesignFileError, ModelError
+from tsobs_ros.errors import DesignFileError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 
 FORMAT = "tsobs_ros design"
 VERSION = 1
-_LARGEST_FILE = 1 << 20
 _HEADER = """\
 # A certified observer design for an arm with an elastic joint, made by `tsobs design`.
 # Units are SI and radians. P and K are in design coordinates [q1, q1', (k/J1) q2, (k/J1) q2',
@@ -40,15 +38,7 @@ def save_design(design: Design, path: Path) -> None:
     Raises:
         DesignFileError: The file cannot be written.
     """
-    written = _HEADER + yaml.safe_dump(
-        _to_mapping(design), sort_keys=False, default_flow_style=None, width=100
-    )
-    temporary = path.with_name(path.name + ".tmp")
-    try:
-        temporary.write_text(written, encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        raise DesignFileError(f"{path}: cannot write the design file: {error.strerror}") from error
+    write_yaml(path, _HEADER, _to_mapping(design))
 
 
 def load_design(path: Path) -> Design:
@@ -71,8 +61,8 @@ def parse_design(path: Path) -> Design:
     Raises:
         DesignFileError: As for `load_design`.
     """
-    data = _read_yaml(path)
-    with _naming(path):
+    data = read_yaml(path)
+    with naming_file(path):
         design = _from_mapping(data)
         # Evaluated here, where numbers no proof can be made of are refused with the file's name.
         _ = design.certificate
@@ -87,38 +77,12 @@ def load_request(path: Path) -> DesignRequest:
     Raises:
         DesignFileError: As for `load_design`.
     """
-    data = _read_yaml(path)
-    with _naming(path):
+    data = read_yaml(path)
+    with naming_file(path):
         request = _request(mapping("design", data.get("design", data)))
         # Built here, so that a request no model can be made of is refused with the file's name.
         _ = request.flow
         return request
-
-
-@contextlib.contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Turn every error of what a file asks for into one that names the file."""
-    try:
-        yield
-    except (DesignFileError, ModelError, ArithmeticError, ValueError, np.linalg.LinAlgError) as e:
-        raise DesignFileError(f"{path}: {e}") from e
-
-
-def _read_yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise DesignFileError(f"{path}: larger than {_LARGEST_FILE} bytes, not a design file")
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise DesignFileError(f"{path}: no such design file") from error
-    except OSError as error:
-        raise DesignFileError(f"{path}: cannot read the design file: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DesignFileError(f"{path}: not valid YAML: {first}") from error
-    if not isinstance(data, dict):
-        raise DesignFileError(f"{path}: expected a mapping, got {type(data).__name__}")
-    return data
 
 
 def _to_mapping(design: Design) -> dict[str, Any]:

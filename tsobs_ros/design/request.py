@@ -199,6 +199,31 @@ class DesignRequest:
         covered = self.uncertainty_model if self.certify_uncertainty else None
         return self.flow.vertices(lowest, highest, covered, share)
 
+    def starts(self) -> list[VertexSystem]:
+        """Return the nominal arm in the middle of the slopes and hanging down."""
+        middle = sum(self.slope_range) / 2
+        return [self.flow.vertices(slope, slope)[0] for slope in (middle, 1.0)]
+
+    @property
+    def domain(self) -> str:
+        """The slopes and the uncertainty that the certificate covers, in words."""
+        slopes = f"gravity slopes [{self.slope_range[0]:.4g}, 1] (|q1| <= {self.x_max:.4g} rad)"
+        if not self.certify_uncertainty:
+            return slopes
+        bounds = " and ".join(f"{name} ± {bound:.4g}" for name, bound in self.uncertainty.items())
+        return f"{slopes}, {bounds}"
+
+    @property
+    def remedies(self) -> list[str]:
+        """What would help where no common matrix is found."""
+        smaller = ["smaller bounds of uncertainty"] if self.certify_uncertainty else []
+        return [
+            *smaller,
+            "a smaller x_max",
+            "a smaller decay_rate",
+            "a disturbance model that decays",
+        ]
+
     @cached_property
     def initial_covariance(self) -> Array:
         """Error covariance before any measurement in design coordinates, shape (n, n)."""

@@ -34,10 +34,10 @@ from scipy.linalg import solve_discrete_are
 from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.feasibility import require_detectable
+from tsobs_ros.design.problem import DesignProblem, ErrorVertex
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import DesignRequest
 from tsobs_ros.errors import DesignError
-from tsobs_ros.model.vertices import VertexSystem
 
 MARGINS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Extra noise density, as a fraction of the bound per second, that makes the claim strict."""
@@ -54,6 +54,20 @@ class _Solution(NamedTuple):
     iterations: int
 
 
+class Gain(NamedTuple):
+    """A gain with the matrix that proves it, and who computed them.
+
+    Attributes:
+        P: Certificate matrix, shape (n, n).
+        K: Filter gain, shape (n, p).
+        solver: For the record.
+    """
+
+    P: Array
+    K: Array
+    solver: SolverReport
+
+
 def synthesise(request: DesignRequest) -> Design:
     """Design the certified gain for a request.
 
@@ -68,23 +82,34 @@ def synthesise(request: DesignRequest) -> Design:
         DesignError: The solver found no common matrix P, or its answer failed the re-check.
     """
     require_detectable(request)
+    return Design(request, *solve_gain(request))
+
+
+def solve_gain(problem: DesignProblem) -> Gain:
+    """Return the gain with the smallest proved bound, its certificate re-checked.
+
+    Args:
+        problem: Error systems and noise, every one of them detectable.
+
+    Raises:
+        DesignError: The solver found no common matrix P, or its answer failed the re-check.
+    """
     started = time.perf_counter()
-    solution = _walk_to_domain(request, MARGINS[0])
+    solution = _walk_to_domain(problem, MARGINS[0])
     for margin in MARGINS:
-        solution = _settle(request, solution, margin)
-        P, K = _answer(request, solution.covariance)
-        report = check_certificate(request, P, K)
+        solution = _settle(problem, solution, margin)
+        P, K = _answer(problem, solution.covariance)
+        report = check_certificate(problem, P, K)
         if report.holds:
             break
     else:
         raise DesignError(
             f"the solver answered {solution.status!r}, but on re-checking: {report.worst}"
         )
-    return Design(
-        request=request,
-        P=P,
-        K=K,
-        solver=SolverReport(
+    return Gain(
+        P,
+        K,
+        SolverReport(
             name="Clarabel",
             version=_solver_version(),
             status=solution.status,
@@ -95,63 +120,66 @@ def synthesise(request: DesignRequest) -> Design:
     )
 
 
-def _answer(request: DesignRequest, covariance: Array) -> tuple[Array, Array]:
+def _answer(problem: DesignProblem, covariance: Array) -> tuple[Array, Array]:
     """Return P and the gain that is optimal for it."""
     P = np.linalg.inv(covariance)
     P = (P + P.T) / 2
-    C, R = request.flow.output_matrix, request.measurement_covariance
+    C, R = problem.flow.output_matrix, problem.measurement_covariance
     bound = np.linalg.inv(P)
     return P, bound @ C.T @ np.linalg.inv(C @ bound @ C.T + R)
 
 
-def _walk_to_domain(request: DesignRequest, margin: float) -> _Solution:
-    """Solve for all that is asked, from a single slope in as few steps as the solver bears."""
-    scaling = _kalman_covariance(request, sum(request.slope_range) / 2)
-    if scaling is None:
-        scaling = _kalman_covariance(request, 1.0)
-    if scaling is None:
-        raise DesignError("no stationary Kalman filter exists at gravity slope 1; check the noise")
+def _walk_to_domain(problem: DesignProblem, margin: float) -> _Solution:
+    """Solve for all that is asked, from its middle in as few steps as the solver bears."""
+    starts = problem.starts()
+    guesses = [
+        guess for start in starts if (guess := _kalman_covariance(problem, start)) is not None
+    ]
+    if not guesses:
+        raise DesignError(
+            f"no stationary Kalman filter exists at {starts[-1].where}; check the noise"
+        )
+    scaling = guesses[0]
     solution: _Solution | None = None
     share, step = 0.0, 1.0
     while share < 1.0 or solution is None:
         target = min(1.0, share + step)
-        candidate = _solve(request, request.vertices(target), scaling, margin)
+        candidate = _solve(problem, problem.vertices(target), scaling, margin)
         if candidate is None:
             step = step / 2
             if step < _SMALLEST_STEP:
-                raise DesignError(_no_common_matrix(request, None if solution is None else share))
+                raise DesignError(_no_common_matrix(problem, None if solution is None else share))
             if solution is None:
-                hanging = _kalman_covariance(request, 1.0)
-                scaling = scaling if hanging is None else hanging
+                scaling = guesses[-1]
             continue
         solution, share, scaling = candidate, target, candidate.covariance
     return solution
 
 
-def _settle(request: DesignRequest, solution: _Solution, margin: float) -> _Solution:
+def _settle(problem: DesignProblem, solution: _Solution, margin: float) -> _Solution:
     """Repeat the solve around its own answer until the bound's volume stops shrinking."""
-    vertices = request.vertices()
+    vertices = problem.vertices()
     best = solution
     for _ in range(_PASSES):
-        candidate = _solve(request, vertices, best.covariance, margin)
+        candidate = _solve(problem, vertices, best.covariance, margin)
         if candidate is None:
             return best
         best = candidate
-        if abs(candidate.objective - request.flow.state_count) < _SETTLED:
+        if abs(candidate.objective - problem.flow.state_count) < _SETTLED:
             return best
     return best
 
 
 def _solve(
-    request: DesignRequest, vertices: Sequence[VertexSystem], scaling: Array, margin: float
+    problem: DesignProblem, vertices: Sequence[ErrorVertex], scaling: Array, margin: float
 ) -> _Solution | None:
     """Minimise trace(Z⁻¹X) over the vertices with Z = `scaling`; None if the solver gives up."""
-    n, period = request.flow.state_count, request.period
+    n, period = problem.flow.state_count, problem.period
     root = np.linalg.cholesky(scaling)
     inverse = np.linalg.inv(root)
-    decay = np.exp(-2.0 * request.decay_rate * period)
-    output = request.flow.output_matrix @ root
-    information = output.T @ output / (request.measurement_covariance[0, 0] * period)
+    decay = np.exp(-2.0 * problem.decay_rate * period)
+    output = problem.flow.output_matrix @ root
+    information = output.T @ np.linalg.inv(period * problem.measurement_covariance) @ output
 
     P = cp.Variable((n, n), symmetric=True)
     W = cp.Variable((n, n), symmetric=True)
@@ -171,15 +199,15 @@ def _solve(
             ]
         )
         constraints.append((block + block.T) / 2 >> 0)
-    problem = cp.Problem(cp.Minimize(cp.trace(W)), constraints)
+    program = cp.Problem(cp.Minimize(cp.trace(W)), constraints)
     try:
         with warnings.catch_warnings():
             # "Solution may be inaccurate": every answer is re-checked, whatever its status.
             warnings.simplefilter("ignore", UserWarning)
-            problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-6, tol_gap_rel=1e-6, tol_feas=1e-7)
+            program.solve(solver=cp.CLARABEL, tol_gap_abs=1e-6, tol_gap_rel=1e-6, tol_feas=1e-7)
     except cp.SolverError:
         return None
-    if P.value is None or problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+    if P.value is None or program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         return None
     normalised = np.linalg.inv((P.value + P.value.T) / 2)
     if np.linalg.eigvalsh(normalised)[0] <= 0.0:
@@ -188,20 +216,19 @@ def _solve(
     return _Solution(
         covariance=(covariance + covariance.T) / 2,
         objective=float(np.trace(normalised)),
-        status=str(problem.status),
-        iterations=int(problem.solver_stats.num_iters or 0),
+        status=str(program.status),
+        iterations=int(program.solver_stats.num_iters or 0),
     )
 
 
-def _kalman_covariance(request: DesignRequest, slope: float) -> Array | None:
-    """Return the stationary prior covariance of the Kalman filter at one slope, or None."""
-    vertex = request.flow.vertices(slope, slope)[0]
+def _kalman_covariance(problem: DesignProblem, vertex: ErrorVertex) -> Array | None:
+    """Return the stationary prior covariance of the Kalman filter of one system, or None."""
     try:
         covariance = solve_discrete_are(
             vertex.transition.T,
-            request.flow.output_matrix.T,
+            problem.flow.output_matrix.T,
             vertex.noise,
-            request.measurement_covariance,
+            problem.measurement_covariance,
         )
         np.linalg.cholesky((covariance + covariance.T) / 2)
     except (np.linalg.LinAlgError, ValueError):
@@ -210,23 +237,16 @@ def _kalman_covariance(request: DesignRequest, slope: float) -> Array | None:
     return np.asarray((covariance + covariance.T) / 2)
 
 
-def _no_common_matrix(request: DesignRequest, share: float | None) -> str:
-    lowest = request.slope_range[0]
+def _no_common_matrix(problem: DesignProblem, share: float | None) -> str:
     if share is None:
         reached = "not a single solve succeeded"
     else:
         reached = f"it got as far as {100.0 * share:.3g} % of that range"
-    advice = ["a smaller x_max", "a smaller decay_rate", "a disturbance model that decays"]
-    uncertainty = ""
-    if request.certify_uncertainty:
-        uncertainty = " and ".join(f"{k} ± {v:.4g}" for k, v in request.uncertainty.items())
-        uncertainty = f", {uncertainty}"
-        advice.insert(0, "smaller bounds of uncertainty")
+    *advice, last = problem.remedies
     return (
-        f"no common matrix P exists, or none the solver can find, for gravity slopes "
-        f"[{lowest:.4g}, 1] (|q1| <= {request.x_max:.4g} rad){uncertainty} at decay rate "
-        f"{request.decay_rate:.4g} 1/s and {request.rate:.4g} Hz; {reached}. Every single slope "
-        f"is detectable. What would help: {', '.join(advice[:-1])}, or {advice[-1]}"
+        f"no common matrix P exists, or none the solver can find, for {problem.domain} at decay "
+        f"rate {problem.decay_rate:.4g} 1/s and {1.0 / problem.period:.4g} Hz; {reached}. What "
+        f"would help: {', '.join(advice)}, or {last}"
     )
 
 
