@@ -1,0 +1,206 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The exact proof: enclosures contain what they enclose, and only what is true is proved."""
+
+import math
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from tsobs_ros.design.certificate import check_certificate
+from tsobs_ros.design.exact import verify_exactly
+from tsobs_ros.design.rational import (
+    cosine_below,
+    decay_below,
+    exponential,
+    inverse,
+    is_positive_definite,
+    noise_integral,
+    rational,
+)
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
+from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.arm import ElasticJointArm
+
+Array = NDArray[np.float64]
+PROPERTY = settings(derandomize=True, deadline=None, max_examples=40)
+MATRICES = hnp.arrays(np.float64, (3, 3), elements=st.floats(-3.0, 3.0, allow_subnormal=False))
+
+
+def as_floats(matrix: Any) -> Array:
+    return np.array(matrix, dtype=np.float64)
+
+
+@PROPERTY
+@given(MATRICES)
+def test_a_matrix_exponential_is_enclosed(matrix: Array) -> None:
+    enclosure = exponential(rational(matrix))
+    assert enclosure.radius < Fraction(1, 10**60)
+    scale = math.exp(float(np.abs(matrix).sum(axis=1).max()))
+    np.testing.assert_allclose(as_floats(enclosure.centre), expm(matrix), atol=1e-13 * scale)
+    # e^M e^M = e^{2M} to a hundred digits, not only to those of a float.
+    doubled = exponential(rational(matrix) * 2)
+    gap = np.abs(enclosure.centre @ enclosure.centre - doubled.centre).max()
+    largest = np.abs(enclosure.centre).max() + enclosure.radius
+    assert gap <= 2 * 3 * largest * enclosure.radius + doubled.radius
+
+
+@PROPERTY
+@given(MATRICES, MATRICES)
+def test_a_noise_integral_is_enclosed(matrix: Array, root: Array) -> None:
+    density = rational(root) @ rational(root).T
+    enclosure = noise_integral(rational(matrix), density)
+    joined = expm(np.block([[-matrix, as_floats(density)], [np.zeros((3, 3)), matrix.T]]))
+    expected = joined[3:, 3:].T @ joined[:3, 3:]
+    scale = 1.0 + np.abs(joined).max() ** 2
+    np.testing.assert_allclose(as_floats(enclosure.centre), expected, atol=1e-13 * scale)
+    assert (enclosure.centre == enclosure.centre.T).all()
+
+
+def test_pi_to_sixty_digits_has_the_right_cosine() -> None:
+    pi = Fraction("3.14159265358979323846264338327950288419716939937510582097494459")
+    assert 0 <= cosine_below(pi) + 1 < Fraction(1, 10**60)
+    assert abs(cosine_below(pi / 3) - Fraction(1, 2)) < Fraction(1, 10**60)
+    assert cosine_below(pi / 3 + Fraction(1, 10**50)) < Fraction(1, 2)
+
+
+@pytest.mark.parametrize("x", [0.0, 1e-9, 0.3, 5.0, 40.0])
+def test_a_decay_is_bounded_from_below(x: float) -> None:
+    lower = decay_below(Fraction(x))
+    assert float(lower) == pytest.approx(math.exp(-x), rel=1e-14)
+    assert lower * decay_below(Fraction(-x)) <= 1
+
+
+@PROPERTY
+@given(MATRICES)
+def test_positive_definiteness_and_inverse_are_exact(root: Array) -> None:
+    # With a unit in the last place of 10^-40 taken away it is singular, then indefinite.
+    gram = rational(root) @ rational(root).T
+    tiny = Fraction(1, 10**40)
+    shifted = gram + tiny * rational(np.eye(3))
+    assert is_positive_definite(shifted)
+    assert (shifted @ inverse(shifted) == rational(np.eye(3))).all()
+    singular = gram.copy()
+    singular[2], singular[:, 2] = singular[1], singular[:, 1]
+    singular[2, 2] = singular[1, 1]
+    assert not is_positive_definite(singular)
+    assert not is_positive_definite(singular - tiny * rational(np.eye(3)))
+
+
+def test_the_shipped_design_is_proved_with_its_margins(shipped: Design) -> None:
+    report = verify_exactly(shipped)
+    assert report.holds
+    for exact, rounded in zip(report.inequalities, shipped.certificate.inequalities, strict=True):
+        assert (exact.name, exact.where) == (rounded.name, rounded.where)
+        assert exact.margin == pytest.approx(rounded.margin, rel=2e-3)
+    assert "the certificate: proved in exact arithmetic" in report.text()
+    mapping = report.as_mapping()
+    assert mapping["holds"] is True
+    assert mapping["inequalities"][1] == {
+        "name": "covariance decrease", "where": "slopes (0.7317, 0.7317)", "holds": True,
+        "margin": report.inequalities[1].margin,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        DesignRequest(decay_rate=0.05),
+        DesignRequest(disturbance=(DisturbanceTerm("clean"),), x_max=math.pi),
+        DesignRequest(disturbance=(DisturbanceTerm("gauss_markov"),), rate=25.0),
+        DesignRequest(
+            arm=ElasticJointArm(0.05, 0.005, 200.0, 2.0, 0.01, 0.01),
+            disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("sinusoid", {"frequency": 3.0})),
+        ),
+    ],
+    ids=["decay", "full turn", "25 Hz", "stiff with a tone"],
+)
+def test_designs_of_every_sort_are_proved(request_: DesignRequest) -> None:
+    assert verify_exactly(synthesise(request_)).holds
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"K": 0.0 * np.ones((5, 1))},
+        {"K": np.full((5, 1), 1e200)},
+        {"P": -np.eye(5)},
+        {"P": np.eye(5) + np.eye(5, k=1)},
+        {"P": np.ones((5, 5))},
+        {"request": DesignRequest(x_max=0.76)},
+        {"request": DesignRequest(decay_rate=0.05)},
+        {"request": DesignRequest(certify_uncertainty=True, uncertainty={"stiffness": 0.2})},
+        {"request": DesignRequest(disturbance=(DisturbanceTerm("bias", {"density": 2e-4}),))},
+    ],
+    ids=["no gain", "huge gain", "negative", "unsymmetric", "singular", "domain", "decay",
+         "uncertainty", "noise"],
+)  # fmt: skip
+def test_a_tampered_design_is_not_proved(shipped: Design, change: dict[str, Any]) -> None:
+    report = verify_exactly(replace(shipped, **change))
+    assert not report.holds
+    assert "NOT PROVED IN EXACT ARITHMETIC" in report.text()
+
+
+def test_an_arbitrary_disturbance_is_not_proved() -> None:
+    clean = synthesise(DesignRequest(disturbance=(DisturbanceTerm("clean"),)))
+    request = replace(clean.request, disturbance=(DisturbanceTerm("arbitrary"),))
+    report = verify_exactly(replace(clean, request=request))
+    assert [each.name for each in report.inequalities] == ["disturbance has a model"]
+    assert not report.holds
+
+
+def test_a_matrix_singular_only_beyond_the_digits_of_floats_is_told_apart(
+    shipped: Design,
+) -> None:
+    """[[1, a], [a, b]] with b the float next to a²: the sign of b − a² is below rounding."""
+    a = 1.0 + 2.0**-27
+    above = a * a
+    assert Fraction(above) < Fraction(a) ** 2
+    P = np.eye(5)
+    P[:2, :2] = [[1.0, a], [a, above]]
+    first = verify_exactly(replace(shipped, P=P)).inequalities[0]
+    assert not first.holds
+    P[1, 1] = np.nextafter(above, 2.0)
+    first = verify_exactly(replace(shipped, P=P)).inequalities[0]
+    assert first.holds
+    assert not check_certificate(shipped.request, P, shipped.K).inequalities[0].holds
+
+
+def test_the_exact_verdict_turns_where_the_true_margin_does(shipped: Design) -> None:
+    """Scale P until the decrease barely fails: exact arithmetic sees 1e-11, floats do not.
+
+    The allowance for rounding refuses near the edge on both sides of it, so the check in floating
+    point is the stricter; on the far side neither accepts.
+    """
+    proved, refuted = 1.0, 1.1
+    for _ in range(34):
+        middle = 0.5 * (proved + refuted)
+        if verify_exactly(replace(shipped, P=middle * shipped.P)).holds:
+            proved = middle
+        else:
+            refuted = middle
+    assert refuted - proved < 1e-11
+    assert 1.0 < proved < 1.001
+    at_the_edge = check_certificate(shipped.request, proved * shipped.P, shipped.K)
+    beyond = check_certificate(shipped.request, refuted * shipped.P, shipped.K)
+    assert abs(at_the_edge.worst.margin - beyond.worst.margin) < at_the_edge.worst.required
+    assert not at_the_edge.holds
+    assert not beyond.holds
+
+
+def test_an_arm_too_fast_to_enclose_is_said_to_be() -> None:
+    arm = ElasticJointArm(link_damping=5e5)
+    request = DesignRequest(arm=arm, disturbance=(DisturbanceTerm("clean"),))
+    solver: Any = None
+    with pytest.raises(ModelError, match="the arm is too fast for the period"):
+        verify_exactly(Design(request, np.eye(4), np.zeros((4, 1)), solver))
