@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tsobs_ros.design.paper_analysis import analyse
 from tsobs_ros.design.paper_design import AdaptiveDesign, design_adaptive_observer
 from tsobs_ros.design.paper_stability import common_lyapunov
 from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
@@ -110,6 +111,28 @@ def test_too_large_an_uncertainty_is_refused_with_the_rate_it_asks_for() -> None
         DetectabilityError, match=r"rule 2 .* not decay faster than α₁ = 0\.6286 1/s"
     ):
         design_adaptive_observer(example.system, [0.0608, 0.3], example.xi)
+
+
+def test_verdict_on_any_model_is_one_call_and_readable() -> None:
+    example = example_1()
+    L = np.random.default_rng(4).normal(size=(6, 3))
+    for free in (None, L):
+        good = analyse(example.system, 0.1 * example.alpha, delta_A=example.delta_A, L=free)
+        assert good.feasible
+        assert good.innovation.holds
+        assert good.matching is not None
+        assert good.matching.holds
+        assert all(modes.detectable for modes in good.modes)
+        assert "Proposition 2: (37) is FEASIBLE" in str(good)
+        assert "holds for ΔA = 0 only" in str(good)
+    bad = analyse(example_3().system)
+    assert not bad.feasible
+    assert bad.matching is None
+    text = str(bad)
+    assert "rule 2: NOT DETECTABLE" in text
+    assert "(37) is INFEASIBLE: rule 1 has a mode that does not decay" in text
+    with pytest.raises(ModelError, match=r"alpha: expected shape \(2,\), got \(1,\)"):
+        analyse(example.system, [0.1])
 
 
 def test_rules_that_are_stable_alone_but_not_together_are_refuted_by_a_dual() -> None:

@@ -97,8 +97,8 @@ def check_autonomous_innovation(augmentation: Augmentation) -> Proposition:
     slip = float(np.abs(invariance).max() / np.linalg.norm(augmentation.A1, 2, axis=(1, 2)).max())
     return Proposition(
         "Proposition 1",
-        f"the plant drives the innovation with relative gain {number:.0e}; {{C̄x̄ = 0}} is "
-        f"invariant under every A₁ᵢ, which acts there as Aᵢ, to {slip:.0e}: all {n} modes of every "
+        f"the plant drives the innovation with relative gain {number:.1g}; {{C̄x̄ = 0}} is "
+        f"invariant under every A₁ᵢ, which acts there as Aᵢ, to {slip:.1g}: all {n} modes of every "
         f"rule are unobservable",
         max(number, slip),
         max(number, slip) < 1e-10,
@@ -152,7 +152,7 @@ def check_matching(augmentation: Augmentation, P: ArrayLike, delta_A: ArrayLike)
     number = min(left_over)
     return Proposition(
         "Proposition 3",
-        f"the best Ξ reproduces {1.0 - number:.1e} of E_L⁻¹ΔĀ (C̄ P⁻¹C̄ᵀ has smallest eigenvalue "
+        f"the best Ξ reproduces {1.0 - number:.1g} of E_L⁻¹ΔĀ (C̄ P⁻¹C̄ᵀ has smallest eigenvalue "
         f"{smallest:.4g} > 0, while C̄ E_L⁻¹ΔĀ = 0): the matching assumption (15) holds for ΔA = 0 "
         f"only",
         number,
