@@ -149,7 +149,15 @@ def test_conditions_see_every_slip() -> None:
     assert not check_conditions(aug, np.eye(6), alpha_1=[0, 0], M=M)["(19)"].holds
     assert not check_conditions(aug, np.eye(6), alpha_1=[0, 0], epsilon=1.1)["(38)"].holds
     assert check_conditions(aug, np.eye(6), alpha_1=[0, 0], epsilon=0.9)["(38)"].holds
-    assert not check_conditions(aug, np.eye(6), alpha_1=[5.0, 0])["(37) rule 1"].holds
+    # With P = I, the term 2α₁P adds 2α₁ to every eigenvalue.
+    numbers = [
+        [
+            check_conditions(aug, np.eye(6), alpha_1=[0.0, a])[f"(37) rule {rule}"].number
+            for rule in (1, 2)
+        ]
+        for a in (0.0, 0.4)
+    ]
+    np.testing.assert_allclose(np.diff(numbers, axis=0), [[0.0, 0.8]], atol=1e-12)
     with pytest.raises(ModelError, match=r"P: expected shape \(6, 6\), got \(5, 5\)"):
         check_conditions(aug, np.eye(5), alpha_1=[0, 0])
 
