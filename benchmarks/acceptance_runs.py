@@ -1,0 +1,205 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The contenders of the acceptance benchmark on simulated runs, and the errors that they make.
+
+Errors are those of the estimate at a sample, after its correction if it was not lost, in design
+coordinates. PO and PIO hold a sample until the next one, so theirs is the estimate before it.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from acceptance_ekf import AugmentedFilter, knowing_filter
+from numpy.typing import NDArray
+
+from tsobs_ros.checks import Array
+from tsobs_ros.design.record import Design
+from tsobs_ros.estimation.adaptive import AdaptiveObserver
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.high_gain import HighGainObserver
+from tsobs_ros.estimation.observer import GainMode
+from tsobs_ros.estimation.proportional_integral import ProportionalIntegralObserver
+from tsobs_ros.estimation.supervised import SupervisedObserver
+from tsobs_ros.model.uncertainty import ArmUncertainty
+from tsobs_ros.simulation.scenario import Scenario
+from tsobs_ros.simulation.scenarios import Trajectories
+
+SCALE = np.array([0.226, 0.60, 3.55, 4.64])
+"""Typical size of the motion in design coordinates, by which errors are divided."""
+
+WINDOWS = {"settled": (45.0, 60.0), "full": (20.0, 60.0)}
+"""Parts of a run [s]."""
+
+BOUNDS = {"stiffness": 0.4, "gravity": 0.4}
+"""What the adaptive contenders are told to be uncertain."""
+
+GRID = np.geomspace(0.7, 20.0, 12)
+"""θ of the PO and the PIO [1/s]."""
+
+STEP, CALM, HOLD = 30.0, (20.0, 30.0), 5.0
+
+
+class Outcome(NamedTuple):
+    """What one contender did in a scenario, each run by itself.
+
+    Attributes:
+        errors: Normalised RMSE by window, shape (runs,).
+        theta: RMS error of each parameter over the settled window, shape (runs, k).
+        settled_after: Time after the step of the sensor until settled again [s], shape (runs,).
+        events: What the supervision counted in each run.
+        tuning: θ of a PO or a PIO by window.
+    """
+
+    errors: dict[str, Array]
+    theta: Array | None = None
+    settled_after: Array | None = None
+    events: list[dict[str, int]] | None = None
+    tuning: dict[str, float] | None = None
+
+
+def uncertainty_of(design: Design) -> ArmUncertainty:
+    """Return what the adaptive contenders learn."""
+    return ArmUncertainty(design.request.arm, BOUNDS)
+
+
+def supervised(design: Design, mode: GainMode, adaptive: bool = True) -> SupervisedObserver:
+    """Return the observer under test."""
+    observer = design.observer(gain_mode=mode)
+    if not adaptive:
+        return SupervisedObserver(observer)
+    return SupervisedObserver(AdaptiveObserver(observer, uncertainty_of(design)))
+
+
+def true_theta(scenario: Scenario) -> Array:
+    """Return the parameters to be learnt."""
+    return np.array([scenario.mismatch.stiffness, scenario.mismatch.gravity_torque])
+
+
+def observe(
+    make: Callable[[], Estimator[Any]], runs: Trajectories
+) -> tuple[Array, Array | None, list[dict[str, int]]]:
+    """Return states (runs, samples, 4), parameters (runs, samples, k) if any, and event counts."""
+    estimates = np.empty(runs.states.shape)
+    thetas: Array | None = None
+    events = []
+    for run in range(len(estimates)):
+        estimator = make()
+        state = estimator.initial()
+        for sample, y in enumerate(runs.measurements[run]):
+            if np.isfinite(y).all():
+                state, _ = estimator.correct(state, y)
+            inner = getattr(state, "inner", state)
+            if hasattr(inner, "theta"):
+                if thetas is None:
+                    thetas = np.empty((*estimates.shape[:2], len(inner.theta)))
+                thetas[run, sample] = inner.theta
+                inner = inner.observer
+            estimates[run, sample] = inner.x[:4]
+            state = estimator.predict(state, runs.torques[run, sample], estimator.period)
+        events.append(estimator.events(state))
+    return estimates, thetas, events
+
+
+def knowing(design: Design, scenario: Scenario, runs: Trajectories) -> Array:
+    """Return the estimates of the EKF that knows the true arm."""
+    arm = scenario.true_arm
+    ekf = knowing_filter(design, arm)
+    state = ekf.initial(runs.states.shape[:1])
+    estimates = np.empty(runs.states.shape)
+    for sample in range(estimates.shape[1]):
+        y = runs.measurements[:, sample]
+        if np.isfinite(y).all():
+            state, _ = ekf.correct(state, y)
+        estimates[:, sample] = state.x[:, :4]
+        state = ekf.predict(state, runs.torques[:, sample], design.request.period)
+    return scenario.arm.from_physical(arm.to_physical(estimates))
+
+
+def augmented(design: Design, runs: Trajectories) -> tuple[Array, Array]:
+    """Return the estimates and parameters of the EKF that has them as states."""
+    ekf = AugmentedFilter(design, uncertainty_of(design))
+    state = ekf.initial(runs.states.shape[:1])
+    n = ekf.flow.state_count
+    estimates = np.empty(runs.states.shape)
+    thetas = np.empty((*runs.states.shape[:2], ekf.uncertainty.count))
+    with np.errstate(all="ignore"):  # a filter that diverges is a result
+        for sample in range(estimates.shape[1]):
+            y = runs.measurements[:, sample]
+            if np.isfinite(y).all():
+                state = ekf.correct(state, y)
+            estimates[:, sample], thetas[:, sample] = state.x[:, :4], state.x[:, n:]
+            state = ekf.predict(state, runs.torques[:, sample])
+    return estimates, thetas
+
+
+def high_gain(
+    kind: type[HighGainObserver | ProportionalIntegralObserver], design: Design, runs: Trajectories
+) -> Outcome:
+    """Return the outcome at the best θ of the grid, chosen for each window."""
+    observer = kind(design.request.arm, GRID[:, np.newaxis])
+    # Any: the two kinds of state never mix, which the type system cannot see from here.
+    state: Any = observer.initial((len(GRID), len(runs.states)))
+    squares = {name: np.zeros((len(GRID), len(runs.states), 4)) for name in WINDOWS}
+    parts = {name: _inside(runs.times, window) for name, window in WINDOWS.items()}
+    for sample in range(len(runs.times)):
+        error = state.x - runs.states[:, sample]
+        for name, part in parts.items():
+            if part[sample]:
+                squares[name] += error**2
+        y = runs.measurements[:, sample]
+        if np.isfinite(y).all():
+            state, _ = observer.correct(state, np.broadcast_to(y, (len(GRID), *y.shape)))
+        state = observer.predict(state, runs.torques[:, sample], design.request.period)
+    errors, tuning = {}, {}
+    for name, part in parts.items():
+        normalised = np.sqrt((squares[name] / part.sum() / SCALE**2).mean(axis=2))
+        best = int(normalised.mean(axis=1).argmin())
+        errors[name], tuning[name] = normalised[best], float(GRID[best])
+    return Outcome(errors, tuning=tuning)
+
+
+def outcome(
+    scenario: Scenario,
+    runs: Trajectories,
+    estimates: Array,
+    thetas: Array | None = None,
+    events: list[dict[str, int]] | None = None,
+) -> Outcome:
+    """Return the errors of estimates (runs, samples, 4)."""
+    with np.errstate(all="ignore"):
+        squares = (((estimates - runs.states) / SCALE) ** 2).mean(axis=2)
+        errors = {
+            name: np.sqrt(squares[:, _inside(runs.times, window)].mean(axis=1))
+            for name, window in WINDOWS.items()
+        }
+    theta = None
+    if thetas is not None:
+        wrong = (thetas - true_theta(scenario))[:, _inside(runs.times, WINDOWS["settled"])]
+        theta = np.sqrt((wrong**2).mean(axis=1))
+    steps = any(one.kind == "bias_step" for one in scenario.disturbance)
+    after = settled_after(runs.times, np.sqrt(squares)) if steps else None
+    return Outcome(errors, theta, after, events)
+
+
+def settled_after(times: Array, errors: Array) -> Array:
+    """Return when each run's normalised error (runs, samples) has settled after the step [s].
+
+    That is from when on it stays, for `HOLD` seconds, below three times its root mean square of
+    the ten seconds before the step; infinite if never.
+    """
+    calm = np.sqrt((errors[:, _inside(times, CALM)] ** 2).mean(axis=1))
+    after = times >= STEP
+    result = np.full(len(errors), np.inf)
+    for run, error in enumerate(errors[:, after]):
+        loud = times[after][~(error < 3.0 * calm[run])]
+        begins = np.concatenate([[STEP], loud])
+        ends = np.concatenate([loud, [times[-1]]])
+        quiet = np.flatnonzero(ends - begins >= HOLD)
+        if len(quiet):
+            result[run] = begins[quiet[0]] - STEP
+    return result
+
+
+def _inside(times: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
+    return (times >= window[0]) & (times < window[1])
