@@ -5,10 +5,12 @@
 import enum
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from tsobs_ros.checks import positive
 from tsobs_ros.errors import ModelError
+
+T = TypeVar("T")
 
 _CLIP = 25.0
 _INCONSISTENT = 2.0
@@ -104,28 +106,53 @@ class DisturbanceLimits:
                 f"got {self.error!r}"
             )
 
+    def level_of(self, magnitude: float) -> Level:
+        """Return the level of a magnitude [rad] at the moment."""
+        if magnitude >= self.error:
+            return Level.ERROR
+        return Level.WARN if magnitude >= self.warn else Level.OK
+
+
+class Debounce(Generic[T]):
+    """Passes a value on once it has lasted.
+
+    Attributes:
+        value: What is passed on.
+        since: When that began [ns], None as long as it is the one from the start.
+    """
+
+    def __init__(self, value: T) -> None:
+        self.value = value
+        self.since: int | None = None
+        self._candidate = value
+        self._from: int | None = None
+
+    def update(self, stamp: int, value: T, hold: float) -> T:
+        """Take in the value at a stamp [ns]; return the one that lasted `hold` [s]."""
+        if value != self._candidate or self._from is None:
+            self._candidate, self._from = value, stamp
+        if stamp - self._from >= hold * 1e9 and value != self.value:
+            self.value, self.since = value, self._from
+        return self.value
+
 
 class DisturbanceMonitor:
     """Debounces the magnitude of the estimated disturbance into a fault level."""
 
     def __init__(self, limits: DisturbanceLimits) -> None:
         self.limits = limits
-        self.level = Level.OK
-        self._candidate = Level.OK
-        self._since: int | None = None
+        self._level = Debounce(Level.OK)
         self._magnitude = 0.0
+
+    @property
+    def level(self) -> Level:
+        """The debounced level."""
+        return self._level.value
 
     def update(self, stamp: int, disturbance: float) -> Level:
         """Take in the estimated disturbance [rad] at a stamp [ns]; return the level."""
         self._magnitude = abs(disturbance)
-        raw = Level.OK
-        if self._magnitude >= self.limits.warn:
-            raw = Level.ERROR if self._magnitude >= self.limits.error else Level.WARN
-        if raw != self._candidate or self._since is None:
-            self._candidate, self._since = raw, stamp
-        if stamp - self._since >= self.limits.hold * 1e9:
-            self.level = raw
-        return self.level
+        return self._level.update(stamp, self.limits.level_of(self._magnitude), self.limits.hold)
 
     def status(self) -> Status:
         """Return the debounced fault level."""

@@ -1,0 +1,357 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Which fault is told from repeats, innovations and the history of the estimated disturbance."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tsobs_ros.design.file import load_design
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.fault_evidence import Repeats, Whiteness
+from tsobs_ros.estimation.fault_shapes import shape_of
+from tsobs_ros.estimation.faults import Fault, FaultKind, FaultMonitor
+from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level
+from tsobs_ros.estimation.supervised import SupervisedObserver
+from tsobs_ros.resources import config_path
+from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.scenario import Mismatch, Scenario
+from tsobs_ros.simulation.signals import Sinusoid
+
+SECOND = 1_000_000_000
+PERIOD = SECOND // 200
+STD, BOUND = 0.028, 0.007
+
+Signal = Callable[[float], float]
+
+
+def nothing(_: float) -> float:
+    return 0.0
+
+
+def constant(value: float) -> Signal:
+    return lambda _: value
+
+
+def swing(time: float) -> float:
+    """An arm's motion."""
+    return 0.3 * math.sin(time)
+
+
+def feed(
+    monitor: FaultMonitor,
+    disturbance: Signal,
+    seconds: float,
+    *,
+    begin: float = 1.0,
+    motion: Signal = swing,
+    noise: float = 1.0,
+    colour: float = 0.0,
+    seed: int = 1,
+) -> list[Fault]:
+    """Feed what an ideal estimator would give, 200 times a second; return each fault told."""
+    rng, faults, r = np.random.default_rng(seed), [], 0.0
+    for k in range(round(200 * seconds)):
+        stamp = round(begin * SECOND) + k * PERIOD
+        now = stamp / SECOND
+        r = colour * r + math.sqrt(1.0 - colour**2) * noise * float(rng.standard_normal())
+        predicted = motion(now) + disturbance(now)
+        monitor.measured(stamp, predicted + STD * r, STD * r, STD)
+        wander = 0.003 * math.sin(7.3 * now)
+        faults.append(monitor.estimated(stamp, disturbance(now) + wander, BOUND))
+    return faults
+
+
+def test_a_sensor_with_its_usual_noise_has_no_fault() -> None:
+    faults = feed(FaultMonitor(STD), nothing, 30.0)
+    assert {fault.kind for fault in faults} == {FaultKind.NONE}
+    assert {fault.level for fault in faults} == {Level.OK}
+    assert faults[-1].bound == pytest.approx(BOUND, rel=0.1)
+    assert faults[-1].since is None
+
+
+def test_a_bias_is_told_with_its_size_and_when_it_was_first_seen() -> None:
+    faults = feed(FaultMonitor(STD), lambda t: 0.1 if t >= 21.0 else 0.0, 30.0)
+    kinds = [fault.kind for fault in faults]
+    told = kinds.index(FaultKind.BIAS)
+    assert 20.5 <= told / 200 <= 22.0
+    assert set(kinds) == {FaultKind.NONE, FaultKind.BIAS}
+    last = faults[-1]
+    assert last.magnitude == pytest.approx(0.1, abs=0.005)
+    assert last.bound == pytest.approx(BOUND, rel=0.1)
+    assert last.rate is None
+    assert last.frequency is None
+    assert last.since is not None
+    assert told / 200 - 0.7 <= last.since / SECOND - 1.0 <= told / 200 - 0.5
+    # Small by the limits, and a bias all the same.
+    assert last.level is Level.OK
+
+
+def test_a_ramp_is_a_drift_with_its_rate() -> None:
+    last = feed(FaultMonitor(STD), lambda t: 0.01 * (t - 1.0), 25.0)[-1]
+    assert last.kind is FaultKind.DRIFT
+    assert last.rate == pytest.approx(0.01, rel=0.1)
+    assert last.frequency is None
+    assert last.magnitude == pytest.approx(0.245, abs=0.01)
+    assert last.level is Level.WARN
+
+
+# The history holds but two periods of the slowest.
+@pytest.mark.parametrize(("frequency", "tolerance"), [(0.9, 0.08), (3.0, 0.01), (12.0, 0.01)])
+def test_a_tone_is_an_oscillation_with_amplitude_and_frequency(
+    frequency: float, tolerance: float
+) -> None:
+    last = feed(FaultMonitor(STD), lambda t: 0.3 * math.sin(frequency * t), 20.0)[-1]
+    assert last.kind is FaultKind.OSCILLATION
+    assert last.frequency == pytest.approx(frequency, rel=tolerance)
+    # Means over a tenth of a second lose a twentieth of the fastest.
+    assert last.magnitude == pytest.approx(0.3, rel=0.08)
+    # Its zero crossings do not make it small.
+    assert last.level is Level.WARN
+
+
+def test_a_tone_that_sets_in_is_told_before_it_fills_the_history() -> None:
+    faults = feed(
+        FaultMonitor(STD), lambda t: 0.2 * math.sin(4.0 * (t - 21.0)) if t > 21.0 else 0.0, 27.0
+    )
+    assert faults[-1].kind is FaultKind.OSCILLATION
+    assert faults[-1].frequency == pytest.approx(4.0, rel=0.05)
+
+
+def test_a_tone_with_which_the_arm_moves_as_much_proves_nothing() -> None:
+    def tone(time: float) -> float:
+        return 0.1 * math.sin(1.4 * time)
+
+    def moved(amplitude: float) -> Signal:
+        return lambda time: amplitude * math.cos(1.4 * time)
+
+    kinds = [
+        feed(FaultMonitor(STD), tone, 20.0, motion=moved(amplitude))[-1].kind
+        for amplitude in (0.05, 0.2)
+    ]
+    assert kinds == [FaultKind.OSCILLATION, FaultKind.UNKNOWN]
+
+
+@pytest.mark.parametrize("noise", [1.8, 3.0])
+def test_louder_white_innovations_are_noise_of_their_size(noise: float) -> None:
+    faults = feed(FaultMonitor(STD), nothing, 10.0, noise=noise)
+    assert {fault.kind for fault in faults[400:]} == {FaultKind.NOISE}
+    last = faults[-1]
+    assert last.level is Level.WARN
+    # Innovations are clipped at five expected deviations.
+    assert last.magnitude == pytest.approx(noise * STD, rel=0.15)
+    assert last.bound == pytest.approx(last.magnitude * math.sqrt(1.0 / 800.0), rel=1e-3)
+
+
+def test_large_innovations_with_a_colour_are_unknown_and_nothing_is_bounded() -> None:
+    last = feed(FaultMonitor(STD), nothing, 10.0, noise=3.0, colour=0.9)[-1]
+    assert last.kind is FaultKind.UNKNOWN
+    assert last.level is Level.WARN
+    assert last.bound == math.inf
+
+
+def test_a_bias_that_the_model_does_not_fit_is_told_without_a_bound() -> None:
+    last = feed(FaultMonitor(STD), constant(0.3), 10.0, noise=3.0, colour=0.9)[-1]
+    assert last.kind is FaultKind.BIAS
+    assert last.bound == math.inf
+    louder = feed(FaultMonitor(STD), constant(0.3), 10.0, noise=2.0)[-1]
+    assert louder.kind is FaultKind.BIAS
+    assert louder.bound == pytest.approx(2.0 * BOUND, rel=0.2)
+
+
+def stick(monitor: FaultMonitor, begin: float, seconds: float, spread: float = 0.0) -> list[Fault]:
+    """Feed samples that stay within `spread` [rad] of each other."""
+    faults = []
+    for k in range(round(200 * seconds)):
+        stamp = round(begin * SECOND) + k * PERIOD
+        monitor.measured(stamp, 0.2 + (k % 2) * spread, 0.0, STD)
+        faults.append(monitor.estimated(stamp, 0.0, BOUND))
+    return faults
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.01 * STD])
+def test_samples_that_repeat_are_stuck_within_a_tenth_of_a_second(spread: float) -> None:
+    monitor = FaultMonitor(STD)
+    feed(monitor, nothing, 5.0)
+    faults = stick(monitor, 6.0, 1.0, spread)
+    kinds = [fault.kind for fault in faults]
+    assert kinds.index(FaultKind.STUCK) == 20
+    assert set(kinds[20:]) == {FaultKind.STUCK}
+    assert {fault.level for fault in faults[20:]} == {Level.ERROR}
+    # The estimate has to recover before its shape says anything.
+    after = feed(monitor, constant(0.1), 30.0, begin=7.0)
+    later = [fault.kind for fault in after]
+    assert set(later[:100]) == {FaultKind.STUCK}
+    assert set(later[120:1900]) == {FaultKind.UNKNOWN}
+    assert later[-1] is FaultKind.BIAS
+    assert after[-1].level is Level.OK
+
+
+def test_samples_that_move_a_little_are_not_stuck() -> None:
+    monitor = FaultMonitor(STD)
+    faults = stick(monitor, 1.0, 2.0, spread=0.1 * STD)
+    assert {fault.kind for fault in faults} == {FaultKind.NONE}
+
+
+def test_a_sensor_slower_than_its_messages_is_not_stuck() -> None:
+    repeats = Repeats(1e-3)
+    for k in range(1000):
+        # 50 new values a second in 1000 messages.
+        repeats.update(SECOND + k * SECOND // 1000, float(k // 20))
+        assert not repeats.stuck
+
+
+def test_few_samples_that_repeat_are_chance() -> None:
+    repeats = Repeats(0.0)
+    seen = []
+    for k in range(12):
+        repeats.update(SECOND + k * SECOND // 10, 0.25)
+        seen.append(repeats.stuck)
+    assert seen == [False] * 9 + [True] * 3
+
+
+def test_levels_follow_the_limits_and_their_changes() -> None:
+    monitor = FaultMonitor(STD, DisturbanceLimits(0.05, 0.5, 0.5))
+    assert feed(monitor, constant(0.1), 5.0)[-1].level is Level.WARN
+    monitor.limits = DisturbanceLimits(0.02, 0.08, 0.5)
+    faults = feed(monitor, constant(0.1), 2.0, begin=6.0)
+    levels = [fault.level for fault in faults]
+    change = levels.index(Level.ERROR)
+    assert 100 <= change <= 140
+    assert set(levels[:change]) == {Level.WARN}
+    assert {fault.kind for fault in faults} == {FaultKind.BIAS}
+
+
+def test_after_a_gap_the_history_begins_anew() -> None:
+    def tone(time: float) -> float:
+        return 0.2 * math.sin(3.0 * time)
+
+    gapless, gap = FaultMonitor(STD), FaultMonitor(STD)
+    for monitor in (gapless, gap):
+        assert feed(monitor, tone, 20.0)[-1].kind is FaultKind.OSCILLATION
+    assert feed(gapless, nothing, 3.0, begin=21.0)[-1].kind is not FaultKind.NONE
+    assert feed(gap, nothing, 3.0, begin=26.0)[-1].kind is FaultKind.NONE
+
+
+def test_what_was_estimated_with_a_wide_bound_is_not_looked_at() -> None:
+    open_bound, closed = FaultMonitor(STD), FaultMonitor(STD)
+    for monitor, bound in ((open_bound, 0.1), (closed, BOUND)):
+        for k in range(600):
+            stamp = SECOND + k * PERIOD
+            monitor.measured(stamp, k * 1e-3, 0.0, STD)
+            monitor.estimated(stamp, 0.2 * math.sin(4.0 * k / 200), bound)
+    assert feed(open_bound, nothing, 3.0, begin=4.0)[-1].kind is FaultKind.NONE
+    assert feed(closed, nothing, 3.0, begin=4.0)[-1].kind is not FaultKind.NONE
+
+
+def test_a_stamp_that_does_not_rise_changes_nothing() -> None:
+    once, again = FaultMonitor(STD), FaultMonitor(STD)
+    rng = np.random.default_rng(3)
+    for k in range(2000):
+        stamp, r = SECOND + k * PERIOD, float(rng.standard_normal())
+        for monitor in (once, again):
+            monitor.measured(stamp, r * STD, r * STD, STD)
+            monitor.estimated(stamp, 1e-3 * k, BOUND)
+        assert again.estimated(stamp, 5.0, 1.0) is again.fault
+        assert again.estimated(stamp - 1, -5.0, 1.0) is again.fault
+        assert again.fault == once.fault
+    assert once.fault.kind is FaultKind.DRIFT
+
+
+def test_late_innovations_have_no_weight() -> None:
+    whiteness = Whiteness()
+    whiteness.update(2 * SECOND, 1.0)
+    whiteness.update(SECOND, 5.0)
+    assert whiteness.square == 1.0
+
+
+def test_alternating_innovations_are_not_white() -> None:
+    whiteness = Whiteness()
+    for k in range(1000):
+        whiteness.update(SECOND + k * PERIOD, 3.0 * (-1.0) ** k)
+    assert whiteness.large
+    assert not whiteness.white
+    assert whiteness.widening == 1.0
+
+
+@pytest.mark.parametrize("split", [30, 75, 140])
+def test_a_step_anywhere_in_the_history_is_a_bias_and_no_drift(split: int) -> None:
+    times = 0.1 * np.arange(150)
+    values = np.where(np.arange(150) < split, 0.0, 0.2)
+    shape = shape_of(times, values, np.zeros(150), BOUND)
+    assert shape.kind is FaultKind.BIAS
+    assert shape.magnitude == pytest.approx(0.2)
+    gone = shape_of(times, values[::-1].copy(), np.zeros(150), BOUND)
+    assert gone.kind is FaultKind.NONE
+
+
+def test_less_than_half_a_slow_swing_is_a_drift() -> None:
+    times = 0.1 * np.arange(150)
+    values = 0.3 * np.sin(0.2 * times - 1.5)
+    assert shape_of(times, values, np.zeros(150), BOUND).kind is FaultKind.DRIFT
+
+
+def test_white_values_have_no_shape() -> None:
+    values = 0.1 * np.random.default_rng(2).standard_normal(150)
+    shape = shape_of(0.1 * np.arange(150), values, np.zeros(150), BOUND)
+    assert shape.kind is FaultKind.UNKNOWN
+
+
+def test_debouncing_tells_since_when() -> None:
+    debounce = Debounce("a")
+    said = [debounce.update(k * SECOND, value, 2.0) for k, value in enumerate("aabbabbbb")]
+    assert said == list("aaaaaaabb")
+    assert debounce.since == 5 * SECOND
+
+
+def test_the_status_has_the_fault_in_words_and_numbers() -> None:
+    monitor = FaultMonitor(STD)
+    assert monitor.status().message == "none"
+    fault = feed(monitor, lambda t: 0.3 * math.sin(3.0 * t), 20.0)[-1]
+    status = monitor.status()
+    assert (status.name, status.level, status.message) == (
+        "sensor fault",
+        Level.WARN,
+        "oscillation",
+    )
+    assert status.values["frequency [rad/s]"] == f"{fault.frequency:.4g}"
+    assert status.values["magnitude [rad]"] == f"{fault.magnitude:.4g}"
+    assert "rate [rad/s]" not in status.values
+    feed(monitor, lambda t: 0.02 * t, 20.0, begin=40.0)
+    assert monitor.status().values["rate [rad/s]"] == f"{monitor.fault.rate:.4g}"
+
+
+@pytest.mark.parametrize("std", [0.0, -1.0, math.nan])
+def test_a_senseless_noise_is_refused(std: float) -> None:
+    with pytest.raises(ModelError, match="measurement_std"):
+        FaultMonitor(std)
+
+
+def observed(scenario: Scenario, seconds: float) -> Fault:
+    """Return what is told of a simulated arm under the shipped observer."""
+    design = load_design(config_path("elastic_joint.design.yaml"))
+    observer, plant = SupervisedObserver(design.observer()), Plant(scenario, 5)
+    monitor, state = FaultMonitor(design.request.measurement_std), observer.initial()
+    for _ in range(round(seconds * 200)):
+        sample = plant.step()
+        state, correction = observer.correct(state, sample.measurement)
+        stamp = SECOND + round(sample.time * SECOND)
+        innovation, std = correction.innovation[0], math.sqrt(correction.spread[0, 0])
+        monitor.measured(stamp, float(sample.measurement[0]), float(innovation), std)
+        known = observer.readout(state)
+        monitor.estimated(stamp, float(known.disturbance[0]), float(known.disturbance_bound[0]))
+        state = observer.predict(state, sample.torque, observer.period)
+    return monitor.fault
+
+
+def test_on_a_simulated_arm_a_disturbed_sensor_and_a_wrong_arm_are_told_apart() -> None:
+    scenario = Scenario()
+    sensor = observed(replace(scenario, disturbance=(Sinusoid(0.2, 3.0, 2.0),)), 15.0)
+    assert sensor.kind is FaultKind.OSCILLATION
+    assert sensor.frequency == pytest.approx(3.0, rel=0.03)
+    arm = observed(replace(scenario, mismatch=Mismatch(stiffness=0.2)), 15.0)
+    assert arm.kind is FaultKind.UNKNOWN
+    assert observed(scenario, 15.0).kind is FaultKind.NONE

@@ -1,0 +1,158 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Which fault a sensor has: stuck, noisier than it should be, biased, drifting or oscillating.
+
+Told from three things. Raw samples that repeat although they are noisy: stuck. Innovations that
+are too large: noise if they are white; if they are not, the model does not fit, and the bound of
+the disturbance says nothing. And from the last seconds of the estimated disturbance, whose shape
+`fault_shapes` tells. A level is about size, a kind about shape; both must last to be reported.
+"""
+
+import math
+from typing import NamedTuple
+
+from tsobs_ros.checks import positive
+from tsobs_ros.estimation.fault_evidence import History, Repeats, Whiteness
+from tsobs_ros.estimation.fault_shapes import FaultKind
+from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level, Status
+
+__all__ = ["Fault", "FaultKind", "FaultMonitor"]
+
+_SAME_SIGMAS = 0.02
+
+
+class Fault(NamedTuple):
+    """What is known about the sensor's fault.
+
+    Attributes:
+        kind: What it looks like.
+        level: How bad it is: of a size by the limits, WARN if the innovations are too large, ERROR
+            if the sensor is stuck.
+        magnitude: Of a bias or drift its present size, of an oscillation its amplitude, of noise
+            its standard deviation, else the largest disturbance of the last second [rad].
+        bound: 1σ of the magnitude [rad]; infinite where the model does not hold.
+        since: Stamp at which the kind was first seen [ns], None if there never was another.
+        rate: Of a drift [rad/s], else None.
+        frequency: Of an oscillation [rad/s], else None.
+    """
+
+    kind: FaultKind = FaultKind.NONE
+    level: Level = Level.OK
+    magnitude: float = 0.0
+    bound: float = math.inf
+    since: int | None = None
+    rate: float | None = None
+    frequency: float | None = None
+
+
+class FaultMonitor:
+    """Tells the fault of one sensor from what its estimator takes in and gives out.
+
+    Args:
+        measurement_std: 1σ of the noise of one sample that the design expects [rad].
+        limits: When a disturbance is bad, and how long that, and a kind, must last.
+
+    Attributes:
+        limits: May be changed at any time.
+        fault: The present one.
+
+    Raises:
+        ModelError: The standard deviation is not a finite number above zero.
+    """
+
+    def __init__(self, measurement_std: float, limits: DisturbanceLimits | None = None) -> None:
+        self.limits = limits or DisturbanceLimits()
+        self.fault = Fault()
+        self._std = positive("measurement_std", measurement_std)
+        self._repeats = Repeats(_SAME_SIGMAS * self._std)
+        self._innovations = Whiteness()
+        self._history = History()
+        self._kind, self._level = Debounce(FaultKind.NONE), Debounce(Level.OK)
+        self._told: dict[FaultKind, Fault] = {}
+        self._predicted = 0.0
+        self._stamp: int | None = None
+
+    def measured(self, stamp: int, y: float, innovation: float, expected_std: float) -> None:
+        """Take in a measurement that was used.
+
+        Args:
+            stamp: Its stamp [ns].
+            y: Raw angle [rad].
+            innovation: y − ŷ [rad].
+            expected_std: 1σ expected of the innovation [rad].
+        """
+        was_stuck = self._repeats.stuck
+        self._repeats.update(stamp, y)
+        if was_stuck and not self._repeats.stuck:
+            # What came before says nothing about what comes, and the estimate was led astray.
+            self._history = History(after_fault=True)
+        self._innovations.update(stamp, innovation / expected_std)
+        self._predicted = y - innovation
+
+    def estimated(self, stamp: int, disturbance: float, bound: float) -> Fault:
+        """Take in an estimate and return the fault, which is judged ten times a second.
+
+        Args:
+            stamp: Of the estimate [ns]; one that does not rise is passed over.
+            disturbance: Estimated disturbance [rad].
+            bound: Its 1σ bound [rad].
+        """
+        if self._stamp is not None and stamp <= self._stamp:
+            return self.fault
+        self._stamp = stamp
+        if self._history.broken_at(stamp):
+            self._history = History()
+        motion, widening = self._predicted - disturbance, self._innovations.widening
+        if self._history.add(stamp, disturbance, motion, bound, widening) or (
+            self._repeats.stuck and self.fault.kind is not FaultKind.STUCK
+        ):
+            self.fault = self._judge(stamp, disturbance, bound)
+        return self.fault
+
+    def status(self) -> Status:
+        """Return the fault for diagnostics."""
+        fault = self.fault
+        values = {
+            "kind": fault.kind.value,
+            "magnitude [rad]": f"{fault.magnitude:.4g}",
+            "bound [rad]": f"{fault.bound:.4g}",
+            "normalised innovation squared": f"{self._innovations.square:.3g}",
+        }
+        if fault.since is not None:
+            values["since [s]"] = f"{fault.since * 1e-9:.3f}"
+        if fault.rate is not None:
+            values["rate [rad/s]"] = f"{fault.rate:.4g}"
+        if fault.frequency is not None:
+            values["frequency [rad/s]"] = f"{fault.frequency:.4g}"
+        return Status("sensor fault", fault.level, fault.kind.value, values)
+
+    def _judge(self, stamp: int, disturbance: float, bound: float) -> Fault:
+        now = self._candidate(disturbance, bound)
+        self._told[now.kind] = now
+        hold = 0.0 if now.kind is FaultKind.STUCK else self.limits.hold
+        kind = self._kind.update(stamp, now.kind, hold)
+        level = self._level.update(stamp, now.level, hold)
+        told = self._told.get(kind, Fault())
+        return told._replace(level=level, since=self._kind.since)
+
+    def _candidate(self, disturbance: float, bound: float) -> Fault:
+        """Return what the fault looks like at the moment."""
+        innovations, shape = self._innovations, self._history.shape
+        if self._repeats.stuck:
+            return Fault(FaultKind.STUCK, Level.ERROR, abs(disturbance))
+        fits = innovations.white or not innovations.large
+        certain = bound * innovations.widening if fits else math.inf
+        level = self.limits.level_of(shape.magnitude)
+        if shape.kind not in (FaultKind.NONE, FaultKind.UNKNOWN):
+            return Fault(
+                shape.kind, level, shape.magnitude, certain, None, shape.rate, shape.frequency
+            )
+        if innovations.large and innovations.white:
+            std = math.sqrt(innovations.square) * self._std
+            return Fault(FaultKind.NOISE, Level.WARN, std, std * innovations.relative_error)
+        if innovations.large or shape.kind is FaultKind.UNKNOWN:
+            magnitude = max(shape.magnitude, abs(disturbance))
+            level = self.limits.level_of(magnitude)
+            least = Level.WARN if innovations.large else Level.OK
+            return Fault(FaultKind.UNKNOWN, max(level, least), magnitude)
+        return Fault(FaultKind.NONE, Level.OK, shape.magnitude, certain)
