@@ -1,0 +1,173 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The certified bound X next to the covariance of the errors of many simulated runs.
+
+For each rate a gain is designed, and a batch of arms is observed with it alone. Every run begins
+with an error drawn from N(0, X), as wide as the certificate allows, and its bias wanders as the
+design assumes. The arms are integrated by Runge-Kutta; the premise is the estimate, which depends
+on the noise, so that here is checked what the certificate does not prove.
+
+Printed is the largest eigenvalue of X⁻¹cov(e) just before a sample. The largest eigenvalue of a
+sample covariance leans upwards: if cov(e) were X itself, it would lie where the first line says.
+"""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from common import design_of, parser, show, use_one_thread
+
+from tsobs_ros.checks import Array
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.estimation.observer import ObserverState
+from tsobs_ros.simulation.excitation import Multisine, Sine
+from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.scenario import ProcessNoise, Scenario
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import GaussMarkov
+
+_INSTANTS = (0.5, 1.0, 2.0, 5.0, 10.0)
+_ACCEPTED = 1.15
+_RESAMPLES = 200
+_WALK = 1e6
+"""A drift with so long a time constant is a random walk for the length of a run [s]."""
+
+_REST = {"initial_state": (0.0,) * 4, "initial_spread": (0.01, 0.01, 0.1, 0.1)}
+_MOTIONS: dict[str, dict[str, Any]] = {
+    "small angles": {**_REST, "excitation": Sine(0.1, 1.0)},
+    # A little below the usual start, so that no run of a thousand leaves the domain.
+    "u = .9 sin t": {"initial_state": (0.26, 0.0, 1.7, 0.0), "excitation": Sine(0.9, 1.0)},
+    "multisine": {**_REST, "excitation": Multisine(1.7, 0.4, 6.5, 8)},
+}
+
+
+class _Spread(NamedTuple):
+    """What one campaign found.
+
+    Attributes:
+        largest: Largest eigenvalue of X⁻¹cov(e) at each instant, shape (instants,).
+        deviation: 1σ of each, from resampling normal errors with the covariance found.
+        widest: Largest |q₁| and |q̂₁| of all runs [rad].
+    """
+
+    largest: Array
+    deviation: Array
+    widest: float
+
+
+def _scenario(design: Design, motion: dict[str, Any]) -> Scenario:
+    """Return what the design assumes, moved otherwise."""
+    request = design.request
+    density = request.disturbance[0].parameters["density"]
+    noise = request.process_noise
+    return Scenario(
+        arm=request.arm,
+        rate=request.rate,
+        process_noise=ProcessNoise(noise.link, noise.motor),
+        disturbance=(GaussMarkov(np.sqrt(0.5 * density * _WALK), _WALK),),
+        sensor=Sensor(noise_std=request.measurement_std),
+        **motion,
+    )
+
+
+def _largest(errors: Array, root: Array) -> float:
+    """Return the largest eigenvalue of X⁻¹cov(e) for errors of shape (runs, n), P = root rootᵀ."""
+    scaled = errors @ root
+    return float(np.linalg.eigvalsh(scaled.T @ scaled / len(scaled))[-1])
+
+
+def _campaign(design: Design, motion: dict[str, Any], runs: int, first_seed: int) -> _Spread:
+    """Observe all runs at once with the certified gain, from errors as wide as X."""
+    observer, X = design.observer(), design.covariance_bound
+    root, rng = np.linalg.cholesky(design.P), np.random.default_rng(first_seed)
+    plant = Plant(_scenario(design, motion), range(first_seed, first_seed + runs))
+    instants = [round(time * design.request.rate) for time in _INSTANTS]
+    state, found, widest = observer.initial(), [], 0.0
+    for index in range(instants[-1] + 1):
+        sample = plant.step()
+        truth = np.hstack([sample.state, sample.disturbance])
+        if index == 0:
+            start = rng.standard_normal(truth.shape) @ np.linalg.cholesky(X).T
+            state = ObserverState(truth - start, X, 0.0, certified=True, corrected=False)
+        if index in instants:
+            found.append(truth - state.x)
+        widest = max(widest, *(float(np.abs(x[:, 0]).max()) for x in (truth, state.x)))
+        state, _ = observer.correct(state, sample.measurement)
+        state = observer.predict(state, sample.torque, observer.period)
+        assert state.certified
+    largest = np.array([_largest(errors, root) for errors in found])
+    deviation = np.array([_deviation(errors, root, rng) for errors in found])
+    return _Spread(largest, deviation, widest)
+
+
+def _deviation(errors: Array, root: Array, rng: np.random.Generator) -> float:
+    """Return the sampling deviation of the largest eigenvalue, by a parametric bootstrap."""
+    half = np.linalg.cholesky(errors.T @ errors / len(errors)).T
+    again = [_largest(rng.standard_normal(errors.shape) @ half, root) for _ in range(_RESAMPLES)]
+    return float(np.std(again))
+
+
+def _if_tight(runs: int, n: int) -> dict[str, float]:
+    """Return where the largest eigenvalue would lie if cov(e) were X itself."""
+    rng = np.random.default_rng(0)
+    drawn = [_largest(rng.standard_normal((runs, n)), np.eye(n)) for _ in range(5 * _RESAMPLES)]
+    middle, high = np.quantile(drawn, [0.5, 0.99]).tolist()
+    return {"median": middle, "quantile_99": high, "edge": (1.0 + np.sqrt(n / runs)) ** 2}
+
+
+def main() -> None:
+    """Measure and print."""
+    made = parser(__doc__)
+    made.add_argument("--runs", type=int, default=1500)
+    made.add_argument("--first-seed", type=int, default=7000)
+    made.add_argument("--rates", type=float, nargs="+", default=[100.0, 200.0, 500.0, 1000.0])
+    options = made.parse_args()
+    if options.runs < 100:
+        made.error("runs: expected at least 100, fewer say nothing")
+    request = design_of(options).request
+    if [term.kind for term in request.disturbance] != ["bias"]:
+        made.error("design: expected one whose disturbance is a bias, which is what is simulated")
+    tight = _if_tight(options.runs, request.flow.state_count)
+    lines = [
+        f"largest eigenvalue of X⁻¹cov(e) over {options.runs} runs; for cov(e) = X: median "
+        f"{tight['median']:.3f}, 99 % below {tight['quantile_99']:.3f}, "
+        f"Marchenko-Pastur edge {tight['edge']:.3f}\n",
+        "rate [Hz]  motion         widest [rad]  "
+        + "".join(f"{f't = {t:g} s':>16s}" for t in _INSTANTS),
+    ]
+    campaigns, seed = [], options.first_seed
+    for rate in options.rates:
+        design = synthesise(replace(request, rate=rate))
+        for name, motion in _MOTIONS.items():
+            # Seeds of its own for each campaign, so that chance does not repeat itself.
+            found = _campaign(design, motion, options.runs, seed)
+            seed += options.runs
+            pairs = zip(found.largest, found.deviation, strict=True)
+            cells = "".join(f"{f'{value:.3f} ± {std:.3f}':>16s}" for value, std in pairs)
+            lines.append(f"{rate:9g}  {name:13s}  {found.widest:12.2f}  {cells}")
+            campaigns.append(
+                {
+                    "rate": rate,
+                    "motion": name,
+                    "widest": found.widest,
+                    "x_max": request.x_max,
+                    "instants": _INSTANTS,
+                    "largest": found.largest.tolist(),
+                    "deviation": found.deviation.tolist(),
+                }
+            )
+    worst = max(max(one["largest"]) for one in campaigns)
+    inside = all(one["widest"] <= request.x_max for one in campaigns)
+    verdict = "accepted" if worst <= _ACCEPTED and inside else "not accepted"
+    lines.append(
+        f"\nworst {worst:.3f}, expected at most {_ACCEPTED}; all angles "
+        f"{'inside' if inside else 'NOT inside'} |q1| <= {request.x_max:g}: {verdict}"
+    )
+    everything = {"runs": options.runs, "tight": tight, "campaigns": campaigns, "worst": worst}
+    show(everything, "\n".join(lines), options.json)
+
+
+if __name__ == "__main__":
+    use_one_thread()
+    main()
