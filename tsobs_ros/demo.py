@@ -26,6 +26,9 @@ RECORDED_TOPICS = (
     "/observer/innovation",
     "/diagnostics",
 )
+ADAPTIVE_TOPICS = ("/observer/parameters_estimate", "/observer/parameters_bound")
+"""Published only where the design calls parameters uncertain."""
+
 _START_TIMEOUT = 30.0
 _STOP_TIMEOUT = 15.0
 _POLL = 0.05
@@ -40,6 +43,8 @@ class DemoOptions:
         seed: Seed of all noise.
         bias: Size of the sensor's bias step [rad].
         bias_at: When it comes [s].
+        stiffness: Relative change of the true stiffness.
+        gravity: Relative change of the true gravity torque.
         domain_id: ROS domain of the three processes.
         design: Design file of the observer; None for the shipped one.
     """
@@ -48,6 +53,8 @@ class DemoOptions:
     seed: int = 1
     bias: float = 0.1
     bias_at: float = 8.0
+    stiffness: float = 0.0
+    gravity: float = 0.0
     domain_id: int = 0
     design: Path | None = None
 
@@ -121,7 +128,8 @@ def run_demo(output: Path, options: DemoOptions, show_progress: Callable[[float]
         NodeError: The folder exists, or a node did not start, failed or did not end.
     """
     try:
-        (output / "log").mkdir(parents=True)
+        output.mkdir(parents=True)
+        (output / "log").mkdir()
     except FileExistsError as error:
         raise NodeError(f"{output}: exists already; choose another --output") from error
     except OSError as error:
@@ -142,7 +150,7 @@ def run_demo(output: Path, options: DemoOptions, show_progress: Callable[[float]
         return process
 
     with ExitStack() as stack:
-        topics = "[" + ", ".join(RECORDED_TOPICS) + "]"
+        topics = "[" + ", ".join(RECORDED_TOPICS + ADAPTIVE_TOPICS) + "]"
         design = {"design": options.design.resolve()} if options.design else {}
         observer = start("observer", design)
         recorder = start("recorder", {"output": bag.resolve(), "topics": topics})
@@ -157,6 +165,8 @@ def run_demo(output: Path, options: DemoOptions, show_progress: Callable[[float]
                 "disturbance.kind": "bias_step" if options.bias else "none",
                 "disturbance.bias_step.amplitude": options.bias,
                 "disturbance.bias_step.start": options.bias_at,
+                "mismatch.stiffness": options.stiffness,
+                "mismatch.gravity_torque": options.gravity,
             },
         )
         nodes = [observer, recorder, plant]

@@ -157,24 +157,38 @@ def test_a_lost_arm_is_found_again(offset: float) -> None:
     assert run.disturbance[-1] == pytest.approx(offset, abs=0.15)
 
 
-def test_a_loss_starts_as_a_new_observer_with_the_sample_at_hand() -> None:
-    observer, plain = supervised(), DESIGN.observer()
+def test_a_loss_starts_afresh_with_the_sensor_in_doubt() -> None:
+    observer, plain = supervised(disturbance_limit=2.0), DESIGN.observer()
     state = observer.initial()
     for k in range(400):
-        y = np.array([(-1.0) ** k * 8.0])
-        state, correction = observer.correct(state, y)
+        state, correction = observer.correct(state, np.array([(-1.0) ** k * 8.0]))
         if observer.events(state)["losses of track"]:
             break
         state = observer.predict(state, np.zeros(1), T)
     assert observer.events(state)["losses of track"] == 1
     assert observer.events(state)["outliers weighed down"] > 0  # counts go on
-    expected, first = plain.correct(plain.initial(), y)
-    came, fresh = observer.readout(state), plain.readout(expected)
+    assert correction.weight == 0.0  # the sample that gave the estimate up is not used
+    came, fresh = observer.readout(state), plain.readout(plain.initial())
     assert (came.state == fresh.state).all()
     assert (came.state_bound == fresh.state_bound).all()
     assert (came.disturbance == fresh.disturbance).all()
-    assert (correction.innovation == first.innovation).all()
-    assert (correction.innovation == y).all()
+    np.testing.assert_allclose(came.disturbance_bound, np.hypot(fresh.disturbance_bound, 2.0))
+
+
+def test_a_measurement_beyond_reason_is_not_used_at_all() -> None:
+    observer = supervised(reject=20.0)
+    state = observer.initial()
+    same, correction = observer.correct(state, np.array([1e300]))
+    assert correction.weight == 0.0
+    before, after = observer.readout(state), observer.readout(same)
+    assert (before.state == after.state).all()
+    assert (before.state_bound == after.state_bound).all()
+
+
+def test_the_disturbance_is_kept_within_its_limit() -> None:
+    observer = supervised(disturbance_limit=0.05)
+    run = observe(observer, SCENARIOS["noise"], 5, 12.0, 0.3, 9.0)
+    assert np.abs(run.disturbance).max() <= 0.05 + 1e-12
 
 
 def test_a_jump_opens_the_bound_of_the_disturbance_and_nothing_else() -> None:

@@ -41,10 +41,13 @@ def jumps(verdicts: Iterable[Verdict]) -> list[int]:
 @PROPERTY
 @given(r=innovations, nis=st.floats(0.0, 25.0), gate=st.floats(0.1, 100.0))
 def test_the_weight_leaves_what_the_gate_allows(r: float, nis: float, gate: float) -> None:
-    _, verdict = judge(Watch(nis=nis), r, PERIOD, SupervisionOptions(gate=gate))
+    options = SupervisionOptions(gate=gate, reject=200.0)
+    _, verdict = judge(Watch(nis=nis), r, PERIOD, options)
     limit = gate * math.sqrt(max(1.0, nis))
-    assert 0.0 < verdict.weight <= 1.0
-    if abs(r) <= limit:
+    assert 0.0 <= verdict.weight <= 1.0
+    if abs(r) > 200.0:
+        assert verdict.weight == 0.0
+    elif abs(r) <= limit:
         assert verdict.weight == 1.0
     else:
         assert verdict.weight * abs(r) == pytest.approx(limit, rel=1e-12)

@@ -412,16 +412,15 @@ def test_an_overflowing_estimate_is_counted_and_never_returned() -> None:
     overflowing.offer(sample(0), END_OF_TIME)
     assert overflowing.estimate(BEGIN + PERIOD) is not None
     assert overflowing.estimate(BEGIN + 40 * PERIOD) is None
-    assert (overflowing.failures, overflowing.restarts) == (1, 1)
-    # It has begun afresh: no estimate until the next measurement, then as a new one.
-    assert overflowing.newest is None
-    assert overflowing.estimate(BEGIN + PERIOD) is None
+    assert (overflowing.failures, overflowing.restarts) == (1, 0)
+    # The next measurement finds the prediction beyond all numbers too, and starts afresh there.
     fresh = exploding(1e100)
-    for each in (overflowing, fresh):
-        each.offer(sample(50), END_OF_TIME)
+    with np.errstate(invalid="ignore"):
+        for each in (overflowing, fresh):
+            each.offer(sample(50), END_OF_TIME)
     stamp = BEGIN + 51 * PERIOD
     assert bits(overflowing.estimate(stamp)) == bits(fresh.estimate(stamp))
-    assert (overflowing.used, overflowing.failures) == (2, 1)
+    assert (overflowing.used, overflowing.failures, overflowing.restarts) == (2, 2, 1)
 
 
 def test_an_overflowing_prediction_starts_afresh_at_the_measurement() -> None:
@@ -454,7 +453,7 @@ def test_enormous_numbers_never_give_an_estimate_that_is_not_finite(
                 estimate = enormous.estimate(BEGIN + k * PERIOD + offset)
                 assert estimate is None or finite(estimate)
     assert enormous.used == 120
-    assert enormous.restarts == enormous.failures
+    assert enormous.restarts <= enormous.failures
     # An enormous torque alone leaves numbers that are absurd, but numbers.
     assert (enormous.failures > 0) == (field == "y" and size > 1e307)
 

@@ -794,3 +794,35 @@ def test_before_simulated_time_begins_nothing_is_judged(bench: Bench) -> None:
     bench.wait_for_quiet()
     assert replayed(bench) > 4
     assert values(bench.status("state"))["resets"] == "0"
+
+
+@pytest.mark.parametrize("change", [{"position": [1e300]}, {"effort": [1e300]}])
+def test_an_enormous_number_on_the_topic_does_not_end_the_node(
+    ros: Any, change: dict[str, Any]
+) -> None:
+    b = Bench(ros)
+    observer = b.start_simulated()
+    b.feed(range(20))
+    begin = 100 * SECOND
+    b.send(20, begin + 20 * PERIOD, **change)
+    b.advance_until(lambda: observer.received == 21, "the sample's arrival")
+    for k in range(21, 60):
+        b.send(k, begin + 60 * PERIOD + k * PERIOD)
+        b.set_clock(begin + 60 * PERIOD + k * PERIOD)
+    b.advance_until(lambda: observer.received == 60, "the samples' arrival")
+
+
+def test_slow_simulated_time_misses_no_ticks(ros: Any) -> None:
+    # At half speed a 200 Hz timer of the node's clock ticks 100 times a wall second, as it must.
+    b = Bench(ros)
+    b.start_simulated()
+    n = [0]
+
+    def tick() -> None:
+        n[0] += 1
+        b.publish_clock(100 * SECOND + n[0] * 5_000_000)
+
+    b.node.create_timer(0.01, tick)
+    b.wait_until(lambda: n[0] >= 250, "2.5 s")
+    timing = b.status("timing")
+    assert timing.message == "on time", (timing.message, values(timing))

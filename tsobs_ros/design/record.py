@@ -11,7 +11,9 @@ from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
 from tsobs_ros.design.request import DesignRequest
 from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.adaptive import AdaptiveObserver
 from tsobs_ros.estimation.observer import CertifiedGain, GainMode, TSObserver
+from tsobs_ros.estimation.supervised import SupervisedObserver
 
 
 @dataclass(frozen=True)
@@ -104,4 +106,25 @@ class Design:
             certified=CertifiedGain(self.K, self.covariance_bound),
             settle_time=settle_time,
             gain_mode=gain_mode,
+        )
+
+    def supervised(
+        self,
+        settle_time: float = 5.0,
+        gain_mode: GainMode = GainMode.CERTIFIED,
+        adapt: bool = True,
+    ) -> SupervisedObserver:
+        """Return the observer for a real arm: supervised, and learning what is uncertain.
+
+        Args:
+            settle_time: Riccati gains are used for this long after a (re)start [s].
+            gain_mode: Whether the certified gain takes over afterwards.
+            adapt: Whether to learn the parameters that the request calls uncertain.
+        """
+        observer = self.observer(settle_time, gain_mode)
+        if not (adapt and self.request.uncertainty):
+            return SupervisedObserver(observer)
+        covered = self.request.certify_uncertainty
+        return SupervisedObserver(
+            AdaptiveObserver(observer, self.request.uncertainty_model, covered=covered)
         )

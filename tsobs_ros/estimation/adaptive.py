@@ -20,11 +20,7 @@ import numpy as np
 from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.estimation.estimator import Correction, Readout
 from tsobs_ros.estimation.observer import ObserverState, TSObserver
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY
-from tsobs_ros.model.flow import Transition
-from tsobs_ros.model.uncertainty import VELOCITY_ROWS, ArmUncertainty
-
-_ROWS = list(VELOCITY_ROWS)
+from tsobs_ros.model.sensitivity import Uncertainty, sensitivity
 
 
 @dataclass(frozen=True)
@@ -74,28 +70,33 @@ class AdaptiveState(NamedTuple):
 
 
 class AdaptiveObserver:
-    """A `TSObserver` that learns the arm's parameters; one joint, no batch axis.
+    """A `TSObserver` that learns the model's parameters; one system, no batch axis.
 
     Attributes:
         observer: The certified observer underneath.
         uncertainty: Directions and bounds of θ.
         options: How fast.
+        covered: Whether the certificate holds for every θ within the bounds; if not, no bound
+            that depends on θ is called certified.
     """
 
     def __init__(
         self,
         observer: TSObserver,
-        uncertainty: ArmUncertainty,
+        uncertainty: Uncertainty,
         options: AdaptationOptions | None = None,
+        covered: bool = False,
     ) -> None:
         self.observer = observer
+        self.covered = covered
         self.uncertainty = uncertainty
         self.options = options or AdaptationOptions()
         k = uncertainty.count
         self._C = observer.flow.output_matrix
         self._initial_gamma = np.eye(k) * self.options.initial_std**2
         self._wander = np.eye(k) * self.options.wander_density
-        self._identity = np.eye(observer.flow.state_count)
+        self._sensitivity = sensitivity(observer.flow, uncertainty)
+        self._first_w = observer.flow.state_count - observer.flow.disturbance.state_count
 
     @property
     def period(self) -> float:
@@ -118,6 +119,10 @@ class AdaptiveObserver:
         """Return the state with more uncertainty of the estimate; see `TSObserver.reopened`."""
         return state._replace(observer=self.observer.reopened(state.observer, variance, duration))
 
+    def limited(self, state: AdaptiveState, limit: float) -> AdaptiveState:
+        """Return the state with the disturbance kept within ±limit; see `TSObserver.limited`."""
+        return state._replace(observer=self.observer.limited(state.observer, limit))
+
     def relearning(self, state: AdaptiveState) -> AdaptiveState:
         """Return the state with the adaptation begun again from the present θ."""
         upsilon = np.zeros_like(state.upsilon)
@@ -134,7 +139,7 @@ class AdaptiveObserver:
         return bool((np.abs(state.theta) >= self.uncertainty.limits).any())
 
     def correct(self, state: AdaptiveState, y: Array) -> tuple[AdaptiveState, Correction]:
-        """Use one measurement y [rad], shape (1,)."""
+        """Use one measurement y, shape (p,)."""
         correction = self.expect(state, y)
         return self.apply(state, correction), correction
 
@@ -157,25 +162,26 @@ class AdaptiveObserver:
         """
         observer = self.observer.apply(state.observer, correction, weight)
         omega = self._C @ state.upsilon
-        gamma_omega = state.gamma @ omega[0]
-        explained = float(omega[0] @ gamma_omega)
-        own_spread = float(correction.spread[0, 0]) - explained
+        cross = state.gamma @ omega.T
+        explained = omega @ cross
+        own_spread = correction.spread - explained
         upsilon = state.upsilon - correction.gain @ omega
-        gram = state.gram + omega.T @ omega / own_spread
+        gram = state.gram + omega.T @ _solved(own_spread, omega)
         if not adapt or weight < 1.0 or state.age < self.options.start:
             return state._replace(observer=observer, upsilon=upsilon, gram=gram)
         spread = own_spread * max(1.0, self.observer.covariance_ratio(state.observer)) + explained
         limits = self.uncertainty.limits
-        step = gamma_omega * (float(correction.innovation[0]) / spread)
+        gain = _solved(spread, cross.T).T
+        step = gain @ correction.innovation
         theta = np.minimum(np.maximum(state.theta + step, -limits), limits)
         x = observer.x + upsilon @ (theta - state.theta)
-        gamma = state.gamma - np.outer(gamma_omega, gamma_omega) / spread
+        gamma = state.gamma - gain @ cross.T
         return AdaptiveState(
             observer._replace(x=x), theta, 0.5 * (gamma + gamma.T), upsilon, gram, state.age
         )
 
     def predict(self, state: AdaptiveState, u: Array, duration: float) -> AdaptiveState:
-        """Predict over `duration` [s] with the torque u [N m], shape (1,), held."""
+        """Predict over `duration` [s] with the inputs u, shape (m,), held."""
         observer, upsilon = self._flow(state, u, duration, stay_certified=True)
         forgotten = np.exp(-duration / self.options.memory)
         return AdaptiveState(
@@ -205,10 +211,11 @@ class AdaptiveObserver:
         spread = state.upsilon @ state.gamma @ state.upsilon.T
         added = flow.to_physical(np.sqrt(np.maximum(np.diagonal(spread), 0.0)))
         H = flow.disturbance.H
-        added_disturbance = np.diagonal(H @ spread[4:, 4:] @ H.T)
+        added_disturbance = np.diagonal(H @ spread[self._first_w :, self._first_w :] @ H.T)
         return readout._replace(
             state_bound=np.hypot(readout.state_bound, added),
             disturbance_bound=np.sqrt(readout.disturbance_bound**2 + added_disturbance),
+            certified=readout.certified and self.covered,
             parameters=state.theta,
             parameter_bound=np.sqrt(np.diagonal(state.gamma)),
             parameters_valid=self.valid(state),
@@ -233,31 +240,17 @@ class AdaptiveObserver:
         """Return observer state and Υ after the flow with θ̂ in its kicks."""
         observer, inner = state.observer, self.observer
         certified = inner.stays_certified(observer, duration, between_samples=not stay_certified)
-        torque = float(u[0])
-        x, upsilon, covariance = observer.x, state.upsilon, observer.covariance
-        for step in inner.flow.steps(duration):
-            x, upsilon, jacobian = self._kick(x, upsilon, state.theta, torque, step)
-            if not certified:
-                onward = step.phi @ jacobian
-                covariance = onward @ covariance @ onward.T + step.noise
-            x = step.phi @ x + step.gamma[:, 0] * torque
-            x, upsilon, jacobian = self._kick(x, step.phi @ upsilon, state.theta, torque, step)
-            if not certified:
-                covariance = jacobian @ covariance @ jacobian.T
+        covariance = None if certified else observer.covariance
+        x, upsilon, covariance = self._sensitivity.carry(
+            observer.x, state.upsilon, covariance, state.theta, u, duration
+        )
+        if covariance is None:
+            covariance = observer.covariance
         return inner.moved(observer, x, covariance, duration, certified, stay_certified), upsilon
 
-    def _kick(
-        self, x: Array, upsilon: Array, theta: Array, torque: float, step: Transition
-    ) -> tuple[Array, Array, Array]:
-        """Return x and Υ after half a kick by gravity and θ, and the kick's Jacobian in x."""
-        half = 0.5 * step.duration
-        regressor = self.uncertainty.regressor(x, torque)
-        jacobian = self._identity.copy()
-        jacobian[_ROWS, :4] += half * self.uncertainty.jacobian(x, theta)
-        jacobian[LINK_VELOCITY, LINK_ANGLE] -= step.half_kick * np.cos(x[LINK_ANGLE])
-        kicked = x.copy()
-        kicked[LINK_VELOCITY] -= step.half_kick * np.sin(x[LINK_ANGLE])
-        kicked[_ROWS] += half * (regressor @ theta)
-        turned = jacobian @ upsilon
-        turned[_ROWS] += half * regressor
-        return kicked, turned, jacobian
+
+def _solved(spread: Array, right: Array) -> Array:
+    """Return spread⁻¹ right; for one output a division, which takes a tenth of the time."""
+    if spread.shape == (1, 1):
+        return np.asarray(right / spread[0, 0])
+    return np.asarray(np.linalg.solve(spread, right), dtype=np.float64)

@@ -18,11 +18,13 @@ class Correction(NamedTuple):
         innovation: y − ŷ before the correction, shape (..., p).
         spread: Covariance expected of the innovation, shape (..., p, p) or (p, p).
         gain: The gain that was used, shape (..., n, p) or (n, p).
+        weight: The share of the correction that was applied; 0 if the measurement was not used.
     """
 
     innovation: Array
     spread: Array
     gain: Array
+    weight: float = 1.0
 
 
 class Readout(NamedTuple):
@@ -46,8 +48,8 @@ class Readout(NamedTuple):
     disturbance_rate: Array
     disturbance_bound: Array
     certified: bool
-    parameters: Array = np.zeros(0)  # noqa: RUF009, a constant that is never written to
-    parameter_bound: Array = np.zeros(0)  # noqa: RUF009
+    parameters: Array = np.zeros(0)
+    parameter_bound: Array = np.zeros(0)
     parameters_valid: bool = False
 
 

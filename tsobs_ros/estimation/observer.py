@@ -19,7 +19,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.estimation.estimator import Correction, Readout
-from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.model.prediction import PredictionModel
 
 PERIOD_TOLERANCE = 0.1
 """Steps within this fraction of the design's period count as regular samples.
@@ -67,7 +67,7 @@ class ObserverState(NamedTuple):
 
 
 class TSObserver:
-    """The certified adaptive-gain observer of one arm, or of a batch of arms in step.
+    """The certified adaptive-gain observer of one system, or of a batch of equal ones in step.
 
     Attributes:
         flow: Prediction model.
@@ -78,7 +78,7 @@ class TSObserver:
 
     def __init__(
         self,
-        flow: ArmFlow,
+        flow: PredictionModel,
         measurement_covariance: Array,
         initial_covariance: Array,
         certified: CertifiedGain,
@@ -95,6 +95,7 @@ class TSObserver:
         self._R = as_matrix("R", measurement_covariance, (p, p))
         self._initial_covariance = as_matrix("initial covariance", initial_covariance, (n, n))
         self._C = flow.output_matrix
+        self._first_w = n - flow.disturbance.state_count
         self._identity = np.eye(n)
         self._gain_transposed = np.ascontiguousarray(self.certified.K.T)
         self._posterior = self._joseph(self.certified.X, self.certified.K)
@@ -120,7 +121,7 @@ class TSObserver:
 
         Args:
             state: The state predicted to the measurement's stamp.
-            y: Measured angle [rad], shape (..., p).
+            y: Measurement, shape (..., p).
 
         Returns:
             The corrected state, and what the measurement did.
@@ -163,7 +164,7 @@ class TSObserver:
 
         Args:
             state: Corrected, or not if the measurement is missing.
-            u: Torque held over the step [N m], shape (..., 1).
+            u: Inputs held over the step, shape (..., m).
             duration: Time to the next stamp [s], at least 0.
         """
         if self.stays_certified(state, duration):
@@ -237,9 +238,22 @@ class TSObserver:
         settling = max(duration, state.settling)
         return ObserverState(state.x, state.covariance + variance, settling, False, True)
 
+    def limited(self, state: ObserverState, limit: float) -> ObserverState:
+        """Return the state with the disturbance ω = H w kept within ±limit [rad]."""
+        H = self.flow.disturbance.H
+        first = self.flow.state_count - self.flow.disturbance.state_count
+        omega = state.x[..., first:] @ H.T
+        if not (np.abs(omega) > limit).any():
+            return state
+        excess = omega - np.clip(omega, -limit, limit)
+        x = state.x.copy()
+        # The smallest change of w that does it.
+        x[..., first:] -= excess @ np.linalg.pinv(H).T
+        return state._replace(x=x)
+
     def readout(self, state: ObserverState) -> Readout:
         """Return the estimate and its bounds in physical units."""
-        model, w = self.flow.disturbance, state.x[..., 4:]
+        model, w = self.flow.disturbance, state.x[..., self._first_w :]
         return Readout(
             state=self.flow.to_physical(state.x),
             state_bound=self.flow.to_physical(self.error_bound(state)),
@@ -275,7 +289,8 @@ class TSObserver:
 
     def _disturbance_std(self, covariance: Array) -> Array:
         H = self.flow.disturbance.H
-        variance = np.einsum("pi,...ij,pj->...p", H, covariance[..., 4:, 4:], H)
+        own = covariance[..., self._first_w :, self._first_w :]
+        variance = np.einsum("pi,...ij,pj->...p", H, own, H)
         return np.asarray(np.sqrt(variance))
 
     def covariance_ratio(self, state: ObserverState) -> float:

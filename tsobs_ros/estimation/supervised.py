@@ -44,7 +44,6 @@ class SupervisedObserver:
 
     Attributes:
         observer: The observer underneath.
-        options: When to react.
     """
 
     def __init__(
@@ -54,14 +53,24 @@ class SupervisedObserver:
     ) -> None:
         # Any: the two kinds of state never mix, which the type system cannot see from here.
         self.observer: Any = observer
-        self.options = options or SupervisionOptions()
         self._learner = observer if isinstance(observer, AdaptiveObserver) else None
-        certified = observer.observer if isinstance(observer, AdaptiveObserver) else observer
+        self._certified = observer.observer if isinstance(observer, AdaptiveObserver) else observer
+        self.options = options or SupervisionOptions()
+
+    @property
+    def options(self) -> SupervisionOptions:
+        """When to react; may be exchanged between two steps."""
+        return self._options
+
+    @options.setter
+    def options(self, options: SupervisionOptions) -> None:
+        self._options = options
         # What a jump of the sensor re-opens: the states that the disturbance is read from.
-        opened = np.zeros(certified.flow.state_count)
-        opened[4:] = (certified.flow.disturbance.H[0] != 0.0) * self.options.jump_std**2
-        self._opened = np.diag(opened)
-        self._can_jump = bool(opened.any())
+        flow = self._certified.flow
+        read = np.zeros(flow.state_count)
+        read[flow.state_count - flow.disturbance.state_count :] = flow.disturbance.H[0] != 0.0
+        self._opened = np.diag(read * options.jump_std**2)
+        self._doubted = np.diag(read * options.disturbance_limit**2)
 
     @property
     def period(self) -> float:
@@ -78,17 +87,25 @@ class SupervisedObserver:
         normalised = float(correction.innovation[0]) / float(correction.spread[0, 0]) ** 0.5
         watch, verdict = judge(state.watch, normalised, self.period, self.options)
         state = state._replace(watch=watch)
+        correction = correction._replace(weight=verdict.weight)
         if verdict.lost:
-            inner, correction = self.observer.correct(self.observer.initial(), y)
-            return state._replace(inner=inner, losses=state.losses + 1), correction
-        adapt = state.pause <= 0.0 and not self.frozen(state)
-        inner = self.observer.apply(state.inner, correction, verdict.weight, adapt)
+            # Not from this sample: it may be the worst of those that gave the estimate up. And
+            # with the sensor in doubt: what was lost is more often the sensor than the arm.
+            initial = self.observer.initial()
+            inner = self.observer.reopened(initial, self._doubted, 0.0)
+            state = state._replace(inner=inner, losses=state.losses + 1)
+            return state, correction._replace(weight=0.0)
         if verdict.weight < 1.0:
             state = state._replace(outliers=state.outliers + 1)
-        if verdict.jumped and self._can_jump:
+        if verdict.weight == 0.0:
+            return state, correction
+        adapt = state.pause <= 0.0 and not self.frozen(state)
+        inner = self.observer.apply(state.inner, correction, verdict.weight, adapt)
+        if verdict.jumped and self._opened.any():
             duration = self.options.jump_duration
             inner = self.observer.reopened(inner, self._opened, duration)
             state = state._replace(jumps=state.jumps + 1, pause=duration)
+        inner = self.observer.limited(inner, self.options.disturbance_limit)
         return self._guarded(state._replace(inner=inner), verdict), correction
 
     def predict(self, state: SupervisedState, u: Array, duration: float) -> SupervisedState:

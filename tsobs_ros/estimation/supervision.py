@@ -13,12 +13,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from tsobs_ros.checks import non_negative, positive
+from tsobs_ros.errors import ModelError
 
 _WINDOW = 8
 _WINDOW_CLIP = 5.0
 _SAME_SIGN = 7
 _LEAN = 6.0 * math.sqrt(_WINDOW)
-_NIS_CLIP = 25.0
+_LOST_CLIP = 4.0
 _CALM = 2.0
 
 
@@ -28,6 +29,7 @@ class SupervisionOptions:
 
     Attributes:
         gate: Innovations beyond so many σ are weighed down to it.
+        reject: Innovations beyond so many σ are not used at all.
         jump_std: 1σ of the uncertainty re-opened after a jump [rad]; 0 switches jumps off.
         jump_duration: Riccati gains are used for at least so long after a jump [s].
         jump_quiet: No jump is looked for so soon after a start [s]; the start itself leans.
@@ -35,17 +37,21 @@ class SupervisionOptions:
             innovation leans, and unbudgeted reactions make the error worse.
         jump_budget_window: [s].
         lost: Half-second average of |r| beyond which the estimate is given up.
+        disturbance_limit: The estimated disturbance is kept within so much [rad]; beyond π the arm
+            and its sensor turned together look the same.
         strain: `nis` above 2, or a parameter at its limit, for so long starts learning again [s].
         relearn_budget: After so many times the parameters are frozen at their nominal values.
     """
 
     gate: float = 5.0
+    reject: float = 50.0
     jump_std: float = 0.15
     jump_duration: float = 1.5
     jump_quiet: float = 8.0
     jump_budget: int = 3
     jump_budget_window: float = 20.0
     lost: float = 6.0
+    disturbance_limit: float = math.pi
     strain: float = 1.0
     relearn_budget: int = 4
 
@@ -57,6 +63,11 @@ class SupervisionOptions:
         non_negative("jump_budget", self.jump_budget)
         non_negative("jump_budget_window", self.jump_budget_window)
         positive("lost", self.lost)
+        positive("disturbance_limit", self.disturbance_limit)
+        if not self.reject >= self.gate:
+            raise ModelError(
+                f"reject: expected at least the gate {self.gate!r}, got {self.reject!r}"
+            )
         positive("strain", self.strain)
         non_negative("relearn_budget", self.relearn_budget)
 
@@ -87,7 +98,7 @@ class Verdict(NamedTuple):
     """What one innovation says.
 
     Attributes:
-        weight: In (0, 1]: the share of the correction to apply.
+        weight: In [0, 1]: the share of the correction to apply.
         jumped: Whether the sensor has jumped.
         lost: Whether the estimate has lost the arm.
         strained: Whether the innovations have been too large for too long.
@@ -118,10 +129,14 @@ def judge(
     size = abs(normalised)
     limit = options.gate * math.sqrt(max(1.0, watch.nis))
     weight = min(1.0, limit / size) if size > 0.0 else 1.0
+    if size > options.reject:
+        weight = 0.0
     clipped = max(-_WINDOW_CLIP, min(_WINDOW_CLIP, normalised))
     recent = (*watch.recent, clipped)[-_WINDOW:]
-    nis = watch.nis - math.expm1(-period) * (min(normalised**2, _NIS_CLIP) - watch.nis)
-    magnitude = watch.magnitude - math.expm1(-2.0 * period) * (size - watch.magnitude)
+    nis = watch.nis - math.expm1(-period) * (min(size, _WINDOW_CLIP) ** 2 - watch.nis)
+    # A lone value of any size must not give the estimate up.
+    believable = min(size, _LOST_CLIP * options.lost)
+    magnitude = watch.magnitude - math.expm1(-2.0 * period) * (believable - watch.magnitude)
     calm = (*watch.calm_nis, watch.nis)[-_WINDOW:]
     lost = magnitude > options.lost
     jumped = not lost and _leans(recent) and calm[0] < _CALM and _may_jump(watch, options)

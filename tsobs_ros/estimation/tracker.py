@@ -8,6 +8,7 @@ put in its place by rewinding to the state before it, so the estimate equals, bi
 one that arrival in order would have given.
 """
 
+import math
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from typing import Any, Generic, NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import non_negative, positive
-from tsobs_ros.estimation.estimator import Estimator, S
+from tsobs_ros.estimation.estimator import Correction, Estimator, Readout, S
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -50,10 +51,16 @@ class TrackerOptions:
 
 
 class _Step(NamedTuple):
-    """A used measurement and the state after it."""
+    """A measurement, the state after it, and what happened up to it since the last reset.
+
+    The counts are kept with the steps, so that a rewind takes them back too.
+    """
 
     measurement: Measurement
     state: Any
+    gated: int
+    restarts: int
+    failures: int
 
 
 class Tracker(Generic[S]):
@@ -62,11 +69,7 @@ class Tracker(Generic[S]):
     Attributes:
         estimator: The step functions.
         options: Limits.
-        used: Number of measurements that corrected the estimate.
-        rejected: Number of measurements not used, by reason.
         rewinds: Number of late measurements put in their place.
-        restarts: Number of fresh starts after a gap or a numerical failure.
-        failures: Number of numerical failures (a state that was not finite).
     """
 
     def __init__(self, estimator: Estimator[S], options: TrackerOptions) -> None:
@@ -79,17 +82,40 @@ class Tracker(Generic[S]):
 
     def reset(self) -> None:
         """Forget everything; afterwards the tracker is as a new one."""
-        self.used = 0
-        self.rejected: Counter[RejectReason] = Counter()
         self.rewinds = 0
-        self.restarts = 0
-        self.failures = 0
-        self._begin()
+        self._accepted = 0
+        self._refused: Counter[RejectReason] = Counter()
+        self._bad_outputs = 0
+        self._base: _Step | None = None
+        self._steps: list[_Step] = []
+        self._stamps: list[int] = []
+        self._coasted: tuple[_Step, int, S] | None = None
 
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
         return self._steps[-1].measurement.stamp if self._steps else None
+
+    @property
+    def used(self) -> int:
+        """Number of measurements that corrected the estimate."""
+        return self._accepted - self._gated
+
+    @property
+    def rejected(self) -> Counter[RejectReason]:
+        """Number of measurements not used, by reason."""
+        gated = {RejectReason.GATED: self._gated} if self._gated else {}
+        return self._refused + Counter(gated)
+
+    @property
+    def restarts(self) -> int:
+        """Number of fresh starts after a gap or a numerical failure."""
+        return self._steps[-1].restarts if self._steps else 0
+
+    @property
+    def failures(self) -> int:
+        """Number of numerical failures: states or outputs that were not finite."""
+        return self._bad_outputs + (self._steps[-1].failures if self._steps else 0)
 
     @property
     def events(self) -> dict[str, int]:
@@ -98,7 +124,7 @@ class Tracker(Generic[S]):
 
     def reject(self, reason: RejectReason) -> None:
         """Count a measurement that the caller could not even read."""
-        self.rejected[reason] += 1
+        self._refused[reason] += 1
 
     def offer(self, measurement: Measurement, now: int) -> Innovation | RejectReason:
         """Use a measurement, or say why not.
@@ -112,34 +138,36 @@ class Tracker(Generic[S]):
         """
         reason = self._refusal(measurement, now)
         if reason is not None:
-            self.rejected[reason] += 1
+            self._refused[reason] += 1
             return reason
-        newest = self.newest
-        if newest is not None and measurement.stamp - newest > self._restart_after:
-            self._begin()
-            self.restarts += 1
         place = bisect_left(self._stamps, measurement.stamp)
         later = [step.measurement for step in self._steps[place:]]
         del self._stamps[place:], self._steps[place:]
-        innovation = self._advance(measurement)
+        correction = self._advance(measurement)
         for waiting in later:
             self._advance(waiting)
         self.rewinds += bool(later)
-        self.used += 1
+        self._accepted += 1
         self._trim()
-        return innovation
+        if correction.weight == 0.0:
+            return RejectReason.GATED
+        expected_std = np.sqrt(np.diagonal(correction.spread))
+        return Innovation(measurement.stamp, correction.innovation, expected_std)
 
     def estimate(self, stamp: int) -> Estimate | None:
-        """Return the estimate at a stamp [ns], None before the first measurement."""
-        place = bisect_right(self._stamps, stamp) - 1
-        if place < 0:
+        """Return the estimate at a stamp [ns].
+
+        Returns:
+            None before the first measurement, or if the estimate is not finite, which is counted.
+        """
+        step = self._latest_until(stamp)
+        if step is None:
             return None
-        step = self._steps[place]
-        u = step.measurement.u
         state, elapsed = self._coast(step, stamp)
-        readout = self.estimator.readout(self.estimator.extrapolate(state, u, elapsed))
-        if not np.isfinite(readout.state).all():
-            self._fail()
+        state = self.estimator.extrapolate(state, step.measurement.u, elapsed)
+        readout = self.estimator.readout(state)
+        if not _is_finite(readout):
+            self._bad_outputs += 1
             return None
         return Estimate(
             stamp,
@@ -148,11 +176,17 @@ class Tracker(Generic[S]):
             age=(stamp - step.measurement.stamp) / NANOSECONDS,
         )
 
-    def _begin(self) -> None:
-        self._base: _Step | None = None
-        self._steps: list[_Step] = []
-        self._stamps: list[int] = []
-        self._coasted: tuple[_Step, int, S] | None = None
+    @property
+    def _gated(self) -> int:
+        return self._steps[-1].gated if self._steps else 0
+
+    def _latest_until(self, stamp: int) -> _Step | None:
+        place = bisect_right(self._stamps, stamp) - 1
+        if place >= 0:
+            return self._steps[place]
+        if self._base is not None and self._base.measurement.stamp <= stamp:
+            return self._base
+        return None
 
     def _refusal(self, measurement: Measurement, now: int) -> RejectReason | None:
         stamp = measurement.stamp
@@ -172,23 +206,25 @@ class Tracker(Generic[S]):
         place = bisect_left(self._stamps, stamp)
         return RejectReason.DUPLICATE if self._stamps[place] == stamp else None
 
-    def _advance(self, measurement: Measurement) -> Innovation:
+    def _advance(self, measurement: Measurement) -> Correction:
         """Predict to the measurement from the step before it, correct, and remember."""
         previous = self._steps[-1] if self._steps else self._base
-        if previous is None:
+        gated, restarts, failures = previous[2:] if previous is not None else (0, 0, 0)
+        gap = 0 if previous is None else measurement.stamp - previous.measurement.stamp
+        if previous is None or gap > self._restart_after:
             predicted = self.estimator.initial()
+            restarts += previous is not None
         else:
-            duration = (measurement.stamp - previous.measurement.stamp) / NANOSECONDS
-            predicted = self.estimator.predict(previous.state, previous.measurement.u, duration)
-        corrected, correction = self.estimator.correct(predicted, measurement.y)
-        if not np.isfinite(correction.innovation).all():
-            self._fail()
-            fresh = self.estimator.initial()
-            corrected, correction = self.estimator.correct(fresh, measurement.y)
+            u = previous.measurement.u
+            predicted = self.estimator.predict(previous.state, u, gap / NANOSECONDS)
+        state, correction = self.estimator.correct(predicted, measurement.y)
+        if not math.isfinite(float(correction.innovation.sum() + correction.spread.sum())):
+            state, correction = self.estimator.correct(self.estimator.initial(), measurement.y)
+            restarts, failures = restarts + 1, failures + 1
+        gated += correction.weight == 0.0
         self._stamps.append(measurement.stamp)
-        self._steps.append(_Step(measurement, corrected))
-        expected_std = np.sqrt(np.diagonal(correction.spread))
-        return Innovation(measurement.stamp, correction.innovation, expected_std)
+        self._steps.append(_Step(measurement, state, gated, restarts, failures))
+        return correction
 
     def _trim(self) -> None:
         keep_from = bisect_left(self._stamps, self._stamps[-1] - self._history)
@@ -215,7 +251,8 @@ class Tracker(Generic[S]):
         self._coasted = (step, whole, state)
         return state, duration - whole * period
 
-    def _fail(self) -> None:
-        self.failures += 1
-        self.restarts += 1
-        self._begin()
+
+def _is_finite(readout: Readout) -> bool:
+    """Return whether every number of a readout is finite, by one sum that any other spoils."""
+    numbers = (*readout[:5], readout.parameters, readout.parameter_bound)
+    return math.isfinite(float(sum(array.sum() for array in numbers)))

@@ -22,7 +22,7 @@ from tsobs_ros.estimation.health import (
 )
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, RejectReason
-from tsobs_ros.estimation.supervised import SupervisedObserver, SupervisedState
+from tsobs_ros.estimation.supervised import SupervisedState
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -35,6 +35,7 @@ from tsobs_ros.resources import config_path
 
 _DIAGNOSTICS_PERIOD = 1.0
 _THROTTLE = 5.0
+_THROTTLE_NS = 5_000_000_000
 
 
 class Observer(Node):
@@ -67,10 +68,12 @@ class Observer(Node):
         )
         self._design = load_design(path)
         self._design_path = path
+        self._estimator = self._design.supervised(
+            parameters.settle_time, GainMode(parameters.gain_mode), parameters.adapt
+        )
+        self._estimator.options = parameters.supervision.options()
         self._tracker = Tracker(
-            SupervisedObserver(
-                self._design.observer(parameters.settle_time, GainMode(parameters.gain_mode))
-            ),
+            self._estimator,
             TrackerOptions(
                 x_max=self._design.request.x_max,
                 history=parameters.history,
@@ -83,6 +86,7 @@ class Observer(Node):
         self._enabled = True
         self._last_now = 0
         self._last_output = 0
+        self._next_warning: dict[RejectReason, int] = {}
         self._estimate: Estimate | None = None
         self._innovations = InnovationMonitor()
         self._disturbances = DisturbanceMonitor(self._limits(parameters))
@@ -91,7 +95,8 @@ class Observer(Node):
         self._measurements = DrainedSubscription(
             self, JointState, "joint_measurements", MEASUREMENT_QOS
         )
-        self._publisher = EstimatePublisher(self, parameters.joint)
+        learnt = tuple(self._design.request.uncertainty) if parameters.adapt else ()
+        self._publisher = EstimatePublisher(self, parameters.joint, learnt)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=parameters.joint)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/enable", self._on_enable)
@@ -116,10 +121,11 @@ class Observer(Node):
         now = self.get_clock().now().nanoseconds
         if now == 0:
             return  # simulated time has not begun
-        self._meter.begin()
         if now < self._last_now:
+            self._meter.restart()
             self._begin_afresh(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
         self._last_now = now
+        self._meter.begin(now)
         for message, _ in self._measurements.drain():
             if self._enabled:
                 self._take(message, now)
@@ -138,13 +144,17 @@ class Observer(Node):
         else:
             outcome = self._tracker.offer(read, now)
         if isinstance(outcome, RejectReason):
-            self.get_logger().warning(
-                f"measurement rejected: {outcome.value} ({self._detail(outcome, message, now)})",
-                throttle_duration_sec=_THROTTLE,
-            )
+            self._warn_of_rejection(outcome, message, now)
             return
         self._innovations.update(outcome.stamp, float(outcome.value[0] / outcome.expected_std[0]))
         self._publisher.publish_innovation(outcome)
+
+    def _warn_of_rejection(self, reason: RejectReason, message: JointState, now: int) -> None:
+        """Warn, throttled for each reason on its own, so that none hides another."""
+        if now >= self._next_warning.get(reason, 0):
+            self._next_warning[reason] = now + _THROTTLE_NS
+            detail = self._detail(reason, message, now)
+            self.get_logger().warning(f"measurement rejected: {reason.value} ({detail})")
 
     def _publish(self, now: int) -> None:
         age = self._age(now)
@@ -191,6 +201,7 @@ class Observer(Node):
         self._received = 0
         self._resets += 1
         self._last_output = 0
+        self._next_warning = {}
         self._estimate = None
         self._publisher.restart()
         self._innovations = InnovationMonitor()
@@ -214,6 +225,7 @@ class Observer(Node):
 
     def _retune(self, parameters: ObserverParameters) -> None:
         self._disturbances.limits = self._limits(parameters)
+        self._estimator.options = parameters.supervision.options()
 
     @staticmethod
     def _limits(parameters: ObserverParameters) -> DisturbanceLimits:
@@ -230,6 +242,7 @@ class Observer(Node):
                 self._innovations.status(),
                 self._disturbances.status(),
                 self._certificate_status(),
+                *self._parameter_statuses(),
             ]
         )
 
@@ -285,6 +298,17 @@ class Observer(Node):
         }
         message = "certified gain and bound" if certified else "settling: bound along the estimate"
         return Status("certificate", Level.OK, message, values)
+
+    def _parameter_statuses(self) -> list[Status]:
+        """Return a status of the learnt parameters, if any are learnt."""
+        names = tuple(self._design.request.uncertainty) if self._binding.value.adapt else ()
+        if not names or self._estimate is None:
+            return []
+        learnt = zip(names, self._estimate.parameters, self._estimate.parameter_bound, strict=True)
+        values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
+        if self._estimate.parameters_valid:
+            return [Status("parameters", Level.OK, "learnt", values)]
+        return [Status("parameters", Level.OK, "not yet: the motion is too poor", values)]
 
 
 def create(**node_kwargs: Any) -> Observer:

@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node's ROS parameters."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from tsobs_ros.errors import ParameterError
+from tsobs_ros.estimation.supervision import SupervisionOptions
 from tsobs_ros.nodes.parameters import parameter, parameter_group
 
 
@@ -31,6 +32,45 @@ class FaultParameters:
             raise ParameterError(
                 f"fault.error: expected at least fault.warn = {self.warn}, got {self.error}"
             )
+
+
+@dataclass(frozen=True)
+class SupervisionParameters:
+    """When the observer distrusts measurements, its estimate or its parameters."""
+
+    gate: float = parameter(
+        5.0, "Innovations beyond so many sigma are weighed down", minimum=1.0, maximum=1e3
+    )
+    reject: float = parameter(
+        50.0, "Innovations beyond so many sigma are not used", minimum=1.0, maximum=1e6
+    )
+    jump_std: float = parameter(
+        0.15, "Uncertainty re-opened after a sensor jump", unit="rad", minimum=0.0, maximum=10.0
+    )
+    jump_duration: float = parameter(
+        1.5, "Riccati gains for so long after a jump", unit="s", minimum=0.0, maximum=60.0
+    )
+    jump_quiet: float = parameter(
+        8.0, "No jump is looked for so soon after a start", unit="s", minimum=0.0, maximum=600.0
+    )
+    jump_budget: int = parameter(3, "Jumps within 20 s before they are ignored", minimum=0)
+    lost: float = parameter(
+        6.0, "Average innovation in sigma that gives the estimate up", minimum=1.0, maximum=1e3
+    )
+    disturbance_limit: float = parameter(
+        3.141592653589793, "Largest disturbance believed", unit="rad", minimum=1e-3, maximum=100.0
+    )
+
+    def __post_init__(self) -> None:
+        if self.reject < self.gate:
+            raise ParameterError(
+                f"supervision.reject: expected at least supervision.gate = {self.gate}, "
+                f"got {self.reject}"
+            )
+
+    def options(self) -> SupervisionOptions:
+        """Return them as the core takes them."""
+        return SupervisionOptions(**asdict(self))
 
 
 @dataclass(frozen=True)
@@ -64,6 +104,9 @@ class ObserverParameters:
         minimum=0.0,
         maximum=600.0,
         read_only=True,
+    )
+    adapt: bool = parameter(
+        True, "Learn the parameters that the design calls uncertain", read_only=True
     )
     history: float = parameter(
         0.5,
@@ -102,6 +145,7 @@ class ObserverParameters:
         read_only=True,
     )
     fault: FaultParameters = parameter_group(FaultParameters)
+    supervision: SupervisionParameters = parameter_group(SupervisionParameters)
 
     def __post_init__(self) -> None:
         if self.coast_after > self.stale_after:

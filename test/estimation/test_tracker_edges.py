@@ -1,0 +1,88 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Edges of the tracker: enormous numbers, gaps bridged late, no history at all."""
+
+import numpy as np
+import pytest
+
+from tsobs_ros.design.file import load_design
+from tsobs_ros.estimation.records import Measurement
+from tsobs_ros.estimation.supervised import SupervisedObserver
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.resources import config_path
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+
+DESIGN = load_design(config_path("elastic_joint.design.yaml"))
+RUN = simulate(SCENARIOS["noise"], [1], 15.0)
+PERIOD, BEGIN, END = 5_000_000, 10**11, 10**18
+
+
+def tracker(**options):
+    return Tracker(SupervisedObserver(DESIGN.observer()), TrackerOptions(x_max=0.75, **options))
+
+
+def sample(k, stamp=None):
+    return Measurement(stamp or BEGIN + k * PERIOD, RUN.measurements[0, k], RUN.torques[0, k])
+
+
+@pytest.mark.parametrize("field", ["y", "u"])
+@pytest.mark.parametrize("size", [1e160, 1e200, 1e300])
+def test_enormous_numbers_do_not_end_the_node(field, size):
+    t = tracker()
+    with np.errstate(all="ignore"):
+        for k in range(50):
+            m = sample(k)
+            if k == 20:
+                m = m._replace(**{field: np.array([size])})
+            t.offer(m, END)
+            e = t.estimate(m.stamp)
+            assert e is None or all(np.isfinite(f).all() for f in e)
+
+
+@pytest.mark.parametrize("size", [10.0, 16.0, 100.0, 1e6])
+def test_one_outlier_of_any_size_does_little_harm(size):
+    t = tracker()
+    for k in range(2600):
+        m = sample(k)
+        if k == 2500:
+            m = m._replace(y=np.array([size]))
+        t.offer(m, END)
+        if k >= 2500:
+            e = t.estimate(m.stamp)
+            error = np.abs(e.state - DESIGN.request.arm.to_physical(RUN.states[0, k]))
+            assert (error < 6 * e.state_bound).all(), (k, error)
+    assert t.events["losses of track"] == 0
+
+
+def test_a_late_sample_that_bridges_a_gap_counts_as_in_order():
+    second = 10**9
+    stamps = [BEGIN, BEGIN + int(4.9 * second), BEGIN + int(5.2 * second)]
+    in_order, late = tracker(), tracker()
+    for k in (0, 1, 2):
+        in_order.offer(sample(k, stamps[k]), END)
+    for k in (0, 2, 1):
+        late.offer(sample(k, stamps[k]), END)
+    a, b = in_order.estimate(stamps[2]), late.estimate(stamps[2])
+    assert (a.state == b.state).all()
+    assert in_order.restarts == late.restarts
+
+
+def test_history_longer_than_restart_after_rewinds_as_in_order():
+    options = {"history": 10.0, "restart_after": 1.0}
+    second = 10**9
+    a, b = tracker(**options), tracker(**options)
+    first = [sample(k) for k in range(3)]
+    second_part = [sample(k, BEGIN + 3 * second + k * PERIOD) for k in range(3)]
+    for m in first + second_part:
+        a.offer(m, END)
+    for m in second_part + first:
+        b.offer(m, END)
+    stamp = BEGIN + 4 * second
+    assert (a.estimate(stamp).state == b.estimate(stamp).state).all()
+
+
+def test_without_history_a_sample_ahead_of_the_clock_does_not_silence_the_estimates():
+    t = tracker(history=0.0)
+    for k in range(3):
+        t.offer(sample(k), BEGIN + k * PERIOD - 1)
+    assert t.estimate(BEGIN + 2 * PERIOD - 1) is not None
