@@ -125,7 +125,7 @@ def _from_mapping(data: Mapping[str, Any]) -> Design:
     n = request.flow.state_count
     K = numbers("gain.K", gain.get("K"), (n,))
     P = numbers("certificate.P", certificate.get("P"), (n, n))
-    return Design(request, P, K[:, np.newaxis], _solver(solver))
+    return Design(request, P, K[:, np.newaxis], solver_report(solver))
 
 
 def _request(data: Mapping[str, Any]) -> DesignRequest:
@@ -137,7 +137,7 @@ def _request(data: Mapping[str, Any]) -> DesignRequest:
         densities = floats("design.process_noise", data["process_noise"], ProcessNoise)
         values["process_noise"] = ProcessNoise(**densities)
     if "disturbance" in data:
-        values["disturbance"] = _terms(data["disturbance"])
+        values["disturbance"] = disturbance_terms("design.disturbance", data["disturbance"])
     if "initial_std" in data:
         values["initial_std"] = numbers("design.initial_std", data["initial_std"], (4,)).tolist()
     for name in ("measurement_std", "rate", "x_max", "decay_rate"):
@@ -158,23 +158,24 @@ def _request(data: Mapping[str, Any]) -> DesignRequest:
     return DesignRequest(**values)
 
 
-def _terms(data: Any) -> list[DisturbanceTerm]:
+def disturbance_terms(name: str, data: Any) -> list[DisturbanceTerm]:
+    """Return the terms of one channel's disturbance, or raise `DesignFileError`."""
     if not isinstance(data, list):
-        raise DesignFileError(f"design.disturbance: expected a list, got {shown(data)}")
+        raise DesignFileError(f"{name}: expected a list, got {shown(data)}")
     terms = []
     for index, item in enumerate(data):
-        name = f"design.disturbance[{index}]"
-        entry = dict(mapping(name, item))
+        place = f"{name}[{index}]"
+        entry = dict(mapping(place, item))
         kind = entry.pop("kind", None)
         if not isinstance(kind, str):
-            raise DesignFileError(f"{name}.kind: expected a name, got {shown(kind)}")
-        terms.append(
-            DisturbanceTerm(kind, {key: number(f"{name}.{key}", entry[key]) for key in entry})
-        )
+            raise DesignFileError(f"{place}.kind: expected a name, got {shown(kind)}")
+        parameters = {key: number(f"{place}.{key}", value) for key, value in entry.items()}
+        terms.append(DisturbanceTerm(kind, parameters))
     return terms
 
 
-def _solver(data: Mapping[str, Any]) -> SolverReport:
+def solver_report(data: Mapping[str, Any]) -> SolverReport:
+    """Return the record of the solver, or raise `DesignFileError`."""
     known_only("solver", data, [field.name for field in fields(SolverReport)])
     return SolverReport(
         **{

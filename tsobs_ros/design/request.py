@@ -78,6 +78,21 @@ class DisturbanceTerm:
         return {"kind": self.kind, **self.parameters}
 
 
+def require_no_alias(term: DisturbanceTerm, rate: float) -> None:
+    """Refuse tones that look slower in samples than they are, in the limit like a bias.
+
+    Raises:
+        ModelError: The tone has at least half the rate [Hz] of the samples.
+    """
+    frequency = term.parameters.get("frequency", 0.0)
+    if frequency >= math.pi * rate:
+        raise ModelError(
+            f"{term.kind} frequency: expected less than half the measurement rate, "
+            f"π·rate = {math.pi * rate:.6g} rad/s, got {frequency!r}; faster tones "
+            f"cannot be told from slower ones in the samples"
+        )
+
+
 @dataclass(frozen=True)
 class DesignRequest:
     """Everything a certified gain depends on; the defaults are the shipped design's.
@@ -137,23 +152,13 @@ class DesignRequest:
                 positive(f"square of {name}_std", one * one)
         if not self.disturbance:
             raise ModelError("disturbance: expected at least one term, e.g. kind: clean")
-        self._require_no_alias()
+        for term in self.disturbance:
+            require_no_alias(term, self.rate)
         if self.certify_uncertainty:
             if not self.uncertainty:
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
             linear_directions(self.uncertainty_model)
         _ = self.uncertainty_model
-
-    def _require_no_alias(self) -> None:
-        """Refuse tones that look slower in samples than they are, in the limit like a bias."""
-        for term in self.disturbance:
-            frequency = term.parameters.get("frequency", 0.0)
-            if frequency >= math.pi * self.rate:
-                raise ModelError(
-                    f"{term.kind} frequency: expected less than half the measurement rate, "
-                    f"π·rate = {math.pi * self.rate:.6g} rad/s, got {frequency!r}; faster tones "
-                    f"cannot be told from slower ones in the samples"
-                )
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:

@@ -27,7 +27,7 @@ class LinearFlow:
 
     Args:
         A: State matrix, shape (n, n) [1/s].
-        B: Input matrix, shape (n, 1).
+        B: Input matrix, shape (n, m).
         W: Density of the white noise, shape (n, n).
         period: The step that is taken most [s].
 
@@ -46,7 +46,7 @@ class LinearFlow:
             )
         # The series converges fast for |A|t up to 1; the common step needs no doubling.
         self._reach = period / max(1.0, turn)
-        self._n = A.shape[0]
+        self._n, self._m = B.shape
         with np.errstate(over="ignore", invalid="ignore"):
             self._series = self._coefficients(A, B, W)
             over_period = self.over(period)
@@ -57,7 +57,7 @@ class LinearFlow:
             )
 
     def over(self, duration: float) -> tuple[Array, Array, Array]:
-        """Return Φ, Γ and Q over `duration` [s] ≥ 0, shapes (n, n), (n, 1) and (n, n)."""
+        """Return Φ, Γ and Q over `duration` [s] ≥ 0, shapes (n, n), (n, m) and (n, n)."""
         if duration <= self._reach:
             return self._evaluate(duration)
         doublings = math.ceil(math.log2(duration / self._reach))
@@ -70,21 +70,21 @@ class LinearFlow:
         return phi, gamma, noise
 
     def _evaluate(self, duration: float) -> tuple[Array, Array, Array]:
-        n, square = self._n, self._n * self._n
+        n, m, square = self._n, self._m, self._n * self._n
         flat = duration ** np.arange(self._series.shape[0]) @ self._series
-        noise = flat[square + n :].reshape(n, n)
+        noise = flat[square + n * m :].reshape(n, n)
         return (
             flat[:square].reshape(n, n),
-            flat[square : square + n].reshape(n, 1),
+            flat[square : square + n * m].reshape(n, m),
             0.5 * (noise + noise.T),
         )
 
     def _coefficients(self, A: Array, B: Array, W: Array) -> Array:
-        """Return Taylor coefficients of Φ, Γ and Q side by side, shape (order + 1, n (2n + 1))."""
+        """Return Taylor coefficients of Φ, Γ and Q side by side, (order + 1, n (2n + m))."""
         n = self._n
-        phi, gamma, noise = np.eye(n), np.zeros((n, 1)), np.zeros((n, n))
+        phi, gamma, noise = np.eye(n), np.zeros((n, self._m)), np.zeros((n, n))
         rows: list[Array] = []
-        largest = np.zeros(n * (2 * n + 1))
+        largest = np.zeros(n * (2 * n + self._m))
         for order in range(1, _MOST_TERMS):
             row = np.hstack([phi.ravel(), gamma.ravel(), noise.ravel()])
             rows.append(row)

@@ -1,0 +1,138 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A T–S system as an estimator needs it: one output matrix, and premises linear in what is known.
+
+    ẋ = Σ hᵢ(z)(Aᵢx + Bᵢu),   y = C x + disturbance + noise,   z = Z x + Z_s s
+
+s are scheduled signals, which are known: an ambient temperature, a set point, or a measurement
+that is as good as exact. They are held over a step and travel with the input, as [u; s].
+"""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tsobs_ros.checks import Array, as_matrix
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.memberships import weight_slopes
+
+
+@dataclass(frozen=True, eq=False)
+class TSModel:
+    """The rules of a T–S system with a common output matrix.
+
+    Attributes:
+        A: State matrices, shape (r, n, n).
+        B: Input matrices, shape (r, n, m); a single (n, m) serves every rule.
+        C: Output matrix, shape (p, n).
+        rule_base: Memberships of the q premise variables.
+        premise: State to premise variables Z, shape (q, n).
+        schedule: Scheduled signals to premise variables Z_s, shape (q, s); none by default.
+
+    Raises:
+        ModelError: A matrix has the wrong shape; the text names it.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    rule_base: RuleBase
+    premise: Array
+    schedule: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def __post_init__(self) -> None:
+        rules, q = self.rule_base.rule_count, self.rule_base.premise_count
+        n = _length("A", self.A, -1, 3)
+        B = self.B if np.ndim(self.B) == 3 else np.repeat([self.B], rules, axis=0)
+        schedule = self.schedule if np.size(self.schedule) else np.zeros((q, 0))
+        checked = {
+            "A": as_matrix("A", self.A, (rules, n, n)),
+            "B": as_matrix("B", B, (rules, n, _length("B", B, -1, 3))),
+            "C": as_matrix("C", self.C, (_length("C", self.C, 0, 2), n)),
+            "premise": as_matrix("premise", self.premise, (q, n)),
+            "schedule": as_matrix("schedule", schedule, (q, _length("schedule", schedule, -1, 2))),
+        }
+        for name, matrix in checked.items():
+            object.__setattr__(self, name, matrix)
+
+    @property
+    def rule_count(self) -> int:
+        """Number of rules r."""
+        return int(self.A.shape[0])
+
+    @property
+    def state_count(self) -> int:
+        """Number of states n."""
+        return int(self.A.shape[-1])
+
+    @property
+    def input_count(self) -> int:
+        """Number of inputs m, scheduled signals not among them."""
+        return int(self.B.shape[-1])
+
+    @property
+    def premise_known(self) -> bool:
+        """Whether the premise is made of scheduled signals only, so that no estimate enters."""
+        return not self.premise.any()
+
+    def weights(self, x: Array, held: Array) -> Array:
+        """Return h(z), shape (..., r), for states (..., n) and held signals [u; s] (..., m + s)."""
+        return self.rule_base.weights(self._premises(x, held))
+
+    def blended(self, matrices: Array, x: Array, held: Array) -> Array:
+        """Return Σ hᵢ Mᵢ [x; u], shape (..., a).
+
+        Args:
+            matrices: One of shape (a, n + m) a rule, shape (r, a, n + m).
+            x: State, shape (..., n).
+            held: Inputs and scheduled signals [u; s], shape (..., m + s).
+        """
+        return np.asarray(
+            (self.weights(x, held)[..., np.newaxis] * self._each(matrices, x, held)).sum(axis=-2)
+        )
+
+    def blended_jacobian(self, matrices: Array, x: Array, held: Array) -> Array:
+        """Return d(Σ hᵢ Mᵢ [x; u])/dx, shape (..., a, n); the premise moves with the state."""
+        n = self.state_count
+        z = self._premises(x, held)
+        jacobian = np.tensordot(self.rule_base.weights(z), matrices[..., :n], 1)
+        if self.premise_known:
+            return np.asarray(jacobian)
+        turning = weight_slopes(self.rule_base, z) @ self.premise
+        each = self._each(matrices, x, held)
+        return np.asarray(jacobian + np.swapaxes(each, -1, -2) @ turning)
+
+    @cached_property
+    def rates(self) -> Array:
+        """[Aᵢ Bᵢ] of every rule, shape (r, n, n + m)."""
+        return np.concatenate([self.A, self.B], axis=-1)
+
+    def derivative(self, x: Array, held: Array) -> Array:
+        """Return ẋ, shape (..., n); see `blended` for the arguments."""
+        return self.blended(self.rates, x, held)
+
+    def jacobian(self, x: Array, held: Array) -> Array:
+        """Return dẋ/dx, shape (..., n, n)."""
+        return self.blended_jacobian(self.rates, x, held)
+
+    def _premises(self, x: Array, held: Array) -> Array:
+        return np.asarray(x @ self.premise.T + held[..., self.input_count :] @ self.schedule.T)
+
+    def _each(self, matrices: Array, x: Array, held: Array) -> Array:
+        """Return Mᵢ [x; u] of every rule, shape (..., r, a)."""
+        n, rows = self.state_count, matrices.shape[1]
+        flat = matrices.reshape(-1, matrices.shape[-1])
+        flat = x @ flat[:, :n].T + held[..., : self.input_count] @ flat[:, n:].T
+        return np.asarray(flat.reshape(*flat.shape[:-1], -1, rows))
+
+
+def _length(name: str, matrix: ArrayLike, axis: int, axes: int) -> int:
+    """Return the length of an axis of a matrix with so many axes, or raise `ModelError`."""
+    shape = np.shape(matrix)
+    if len(shape) != axes:
+        kind = "one matrix a rule, shape (r, ·, ·)" if axes == 3 else "a matrix"
+        raise ModelError(f"{name}: expected {kind}, got shape {shape}")
+    return int(shape[axis])
