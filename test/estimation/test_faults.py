@@ -213,6 +213,17 @@ def test_few_samples_that_repeat_are_chance() -> None:
     assert seen == [False] * 9 + [True] * 3
 
 
+def test_a_fault_whose_kinds_do_not_last_is_unknown() -> None:
+    """A slow tone sets in: at first it looks like a bias and like a drift by turns."""
+    monitor = FaultMonitor(STD, DisturbanceLimits(hold=6.0))
+    faults = feed(monitor, lambda t: 0.2 * math.sin(0.5 * (t - 11.0)) if t > 11.0 else 0.0, 20.0)
+    assert {fault.kind for fault in faults} == {FaultKind.NONE, FaultKind.UNKNOWN}
+    first = next(k for k, fault in enumerate(faults) if fault.kind is FaultKind.UNKNOWN)
+    assert {fault.kind for fault in faults[:first]} == {FaultKind.NONE}
+    assert {fault.level for fault in faults[:first]} == {Level.OK}
+    assert faults[first].since == pytest.approx((1.0 + first / 200 - 6.0) * SECOND, abs=PERIOD)
+
+
 def test_levels_follow_the_limits_and_their_changes() -> None:
     monitor = FaultMonitor(STD, DisturbanceLimits(0.05, 0.5, 0.5))
     assert feed(monitor, constant(0.1), 5.0)[-1].level is Level.WARN

@@ -68,6 +68,7 @@ class FaultMonitor:
         self._innovations = Whiteness()
         self._history = History()
         self._kind, self._level = Debounce(FaultKind.NONE), Debounce(Level.OK)
+        self._wrong = Debounce(False)
         self._told: dict[FaultKind, Fault] = {}
         self._predicted = 0.0
         self._stamp: int | None = None
@@ -132,6 +133,10 @@ class FaultMonitor:
         hold = 0.0 if now.kind is FaultKind.STUCK else self.limits.hold
         kind = self._kind.update(stamp, now.kind, hold)
         level = self._level.update(stamp, now.level, hold)
+        wrong = self._wrong.update(stamp, now.kind is not FaultKind.NONE, hold)
+        if wrong and kind is FaultKind.NONE:
+            # Something has lasted, but no kind of it has.
+            return Fault(FaultKind.UNKNOWN, level, now.magnitude, since=self._wrong.since)
         told = self._told.get(kind, Fault())
         return told._replace(level=level, since=self._kind.since)
 
