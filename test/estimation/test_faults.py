@@ -279,6 +279,13 @@ def test_late_innovations_have_no_weight() -> None:
     assert whiteness.square == 1.0
 
 
+def test_a_lone_outlier_is_no_noise() -> None:
+    whiteness = Whiteness()
+    for k in range(1000):
+        whiteness.update(SECOND + k * PERIOD, 1e6 if k == 999 else (-1.0) ** (k // 2))
+    assert not whiteness.large
+
+
 def test_alternating_innovations_are_not_white() -> None:
     whiteness = Whiteness()
     for k in range(1000):
@@ -303,6 +310,14 @@ def test_less_than_half_a_slow_swing_is_a_drift() -> None:
     times = 0.1 * np.arange(150)
     values = 0.3 * np.sin(0.2 * times - 1.5)
     assert shape_of(times, values, np.zeros(150), BOUND).kind is FaultKind.DRIFT
+
+
+def test_a_random_walk_is_seldom_taken_for_a_tone() -> None:
+    rng = np.random.default_rng(6)
+    walks = 0.01 * np.cumsum(rng.standard_normal((60, 150)), axis=1)
+    kinds = [shape_of(0.1 * np.arange(150), walk, np.zeros(150), BOUND).kind for walk in walks]
+    assert kinds.count(FaultKind.OSCILLATION) <= 2
+    assert kinds.count(FaultKind.DRIFT) >= 30
 
 
 def test_white_values_have_no_shape() -> None:
