@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `observer` node: measurements in, certified estimates out at a fixed rate."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,23 +12,25 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.health import (
-    DisturbanceLimits,
-    DisturbanceMonitor,
-    InnovationMonitor,
-    Level,
-    Phase,
-    Status,
-    phase_of,
-)
+from tsobs_ros.estimation import comparison
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.faults import FaultMonitor
+from tsobs_ros.estimation.health import DisturbanceLimits, InnovationMonitor, Phase, phase_of
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, RejectReason
-from tsobs_ros.estimation.supervised import SupervisedState
+from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.observer_io import MEASUREMENT_QOS, EstimatePublisher, to_measurement
 from tsobs_ros.nodes.observer_parameters import ObserverParameters
+from tsobs_ros.nodes.observer_statuses import (
+    certificate_status,
+    domain_status,
+    measurement_status,
+    parameter_status,
+    state_status,
+)
 from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.tick_meter import TickMeter
 from tsobs_ros.nodes.ticker import Ticker
@@ -68,11 +71,8 @@ class Observer(Node):
         )
         self._design = load_design(path)
         self._design_path = path
-        self._estimator = self._design.supervised(
-            parameters.settle_time, GainMode(parameters.gain_mode), parameters.adapt
-        )
-        self._estimator.options = parameters.supervision.options()
-        self._tracker = Tracker(
+        self._estimator = self._make_estimator(parameters)
+        self._tracker: Tracker[Any] = Tracker(
             self._estimator,
             TrackerOptions(
                 x_max=self._design.request.x_max,
@@ -89,14 +89,13 @@ class Observer(Node):
         self._next_warning: dict[RejectReason, int] = {}
         self._estimate: Estimate | None = None
         self._innovations = InnovationMonitor()
-        self._disturbances = DisturbanceMonitor(self._limits(parameters))
+        self._faults = self._fault_monitor(parameters)
         self._meter = TickMeter(parameters.rate)
 
         self._measurements = DrainedSubscription(
             self, JointState, "joint_measurements", MEASUREMENT_QOS
         )
-        learnt = tuple(self._design.request.uncertainty) if parameters.adapt else ()
-        self._publisher = EstimatePublisher(self, parameters.joint, learnt)
+        self._publisher = EstimatePublisher(self, parameters.joint, self._learnt)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=parameters.joint)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/enable", self._on_enable)
@@ -107,8 +106,40 @@ class Observer(Node):
         certificate = self._design.certificate.worst
         self.get_logger().info(f"design {path}: certificate holds ({certificate})")
 
+    def _make_estimator(self, parameters: ObserverParameters) -> Estimator[Any]:
+        """Return what the parameter `method` names, and warn of a method that cannot work."""
+        request = self._design.request
+        if parameters.method == "certified":
+            supervised = self._design.supervised(
+                parameters.settle_time, GainMode(parameters.gain_mode), parameters.adapt
+            )
+            supervised.options = parameters.supervision.options()
+            return supervised
+        common = (request.period, request.measurement_std)
+        if parameters.method == "paper":
+            estimator = comparison.paper(request.arm, *common)
+            self.get_logger().warning(comparison.PAPER_WARNING)
+            return estimator
+        make = (
+            comparison.high_gain
+            if parameters.method == "high_gain"
+            else comparison.proportional_integral
+        )
+        self.get_logger().warning(
+            f"method {parameters.method}: takes any disturbance of the sensor for motion of the "
+            "arm; no bound is published"
+        )
+        return make(request.arm, parameters.theta, *common)
+
     @property
-    def tracker(self) -> Tracker[SupervisedState]:
+    def _learnt(self) -> tuple[str, ...]:
+        """Names of the parameters that are learnt."""
+        parameters = self._binding.value
+        learns = parameters.method == "certified" and parameters.adapt
+        return tuple(self._design.request.uncertainty) if learns else ()
+
+    @property
+    def tracker(self) -> Tracker[Any]:
         """The tracker behind the node, with its counts."""
         return self._tracker
 
@@ -140,13 +171,15 @@ class Observer(Node):
         read = to_measurement(message, parameters.joint, parameters.assume_zero_torque)
         if isinstance(read, RejectReason):
             self._tracker.reject(read)
-            outcome: Any = read
-        else:
-            outcome = self._tracker.offer(read, now)
+            self._warn_of_rejection(read, message, now)
+            return
+        outcome = self._tracker.offer(read, now)
         if isinstance(outcome, RejectReason):
             self._warn_of_rejection(outcome, message, now)
             return
-        self._innovations.update(outcome.stamp, float(outcome.value[0] / outcome.expected_std[0]))
+        innovation, expected_std = float(outcome.value[0]), float(outcome.expected_std[0])
+        self._innovations.update(outcome.stamp, innovation / expected_std)
+        self._faults.measured(outcome.stamp, float(read.y[0]), innovation, expected_std)
         self._publisher.publish_innovation(outcome)
 
     def _warn_of_rejection(self, reason: RejectReason, message: JointState, now: int) -> None:
@@ -170,7 +203,11 @@ class Observer(Node):
         if estimate is None:
             return
         self._estimate = estimate
-        self._disturbances.update(now, float(estimate.disturbance[0]))
+        if estimate.disturbance.size:
+            bound = estimate.disturbance_bound
+            self._faults.estimated(
+                now, float(estimate.disturbance[0]), float(bound[0]) if bound.size else math.inf
+            )
         self._publisher.publish(estimate)
         self._last_output = now
 
@@ -205,7 +242,7 @@ class Observer(Node):
         self._estimate = None
         self._publisher.restart()
         self._innovations = InnovationMonitor()
-        self._disturbances = DisturbanceMonitor(self._limits(self._binding.value))
+        self._faults = self._fault_monitor(self._binding.value)
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         # What was received before the reset must not be used after it.
@@ -224,8 +261,12 @@ class Observer(Node):
         return response
 
     def _retune(self, parameters: ObserverParameters) -> None:
-        self._disturbances.limits = self._limits(parameters)
-        self._estimator.options = parameters.supervision.options()
+        self._faults.limits = self._limits(parameters)
+        if isinstance(self._estimator, SupervisedObserver):
+            self._estimator.options = parameters.supervision.options()
+
+    def _fault_monitor(self, parameters: ObserverParameters) -> FaultMonitor:
+        return FaultMonitor(self._design.request.measurement_std, self._limits(parameters))
 
     @staticmethod
     def _limits(parameters: ObserverParameters) -> DisturbanceLimits:
@@ -233,82 +274,20 @@ class Observer(Node):
         return DisturbanceLimits(fault.warn, fault.error, fault.hold)
 
     def _diagnose(self) -> None:
-        self._diagnostics.publish(
-            [
-                self._state_status(),
-                self._measurement_status(),
-                self._meter.status(),
-                self._domain_status(),
-                self._innovations.status(),
-                self._disturbances.status(),
-                self._certificate_status(),
-                *self._parameter_statuses(),
-            ]
-        )
-
-    def _state_status(self) -> Status:
         age = self._age(self.get_clock().now().nanoseconds)
-        phase = self._phase(age)
-        level = {
-            Phase.WAITING: Level.WARN,
-            Phase.TRACKING: Level.OK,
-            Phase.COASTING: Level.WARN,
-            Phase.STALE: Level.ERROR,
-        }[phase]
-        values = {"resets": str(self._resets), "restarts": str(self._tracker.restarts)}
-        values["numerical failures"] = str(self._tracker.failures)
-        values |= {name: str(count) for name, count in self._tracker.events.items()}
-        if age is not None:
-            values["measurement age [s]"] = f"{age:.4f}"
-        if not self._enabled:
-            return Status("state", Level.WARN, "DISABLED", values)
-        return Status("state", level, phase.value, values)
-
-    def _measurement_status(self) -> Status:
-        rejected = self._tracker.rejected
-        total = sum(rejected.values())
-        values = {
-            "received": str(self._received),
-            "used": str(self._tracker.used),
-            "rewinds": str(self._tracker.rewinds),
-        }
-        values |= {f"rejected: {reason.value}": str(rejected[reason]) for reason in RejectReason}
-        level = Level.WARN if total > 0.01 * max(self._received, 1) else Level.OK
-        return Status("measurements", level, f"{total} rejected", values)
-
-    def _domain_status(self) -> Status:
-        x_max = self._design.request.x_max
-        values = {"x_max [rad]": f"{x_max:.4g}"}
-        if self._estimate is None:
-            return Status("premise domain", Level.OK, "no estimate yet", values)
-        values["link angle [rad]"] = f"{self._estimate.state[0]:.4f}"
-        if self._estimate.in_domain:
-            return Status("premise domain", Level.OK, "inside the certificate's domain", values)
-        return Status("premise domain", Level.WARN, "outside: the bound is not certified", values)
-
-    def _certificate_status(self) -> Status:
-        certified = self._estimate is not None and self._estimate.certified
-        request = self._design.request
-        values = {
-            "design": str(self._design_path),
-            "disturbance model": request.disturbance_model.label,
-            "design rate [Hz]": f"{request.rate:g}",
-            "margin [1/s]": f"{self._design.certificate.worst.margin:.3e}",
-            "gain": "certified" if certified else "riccati",
-        }
-        message = "certified gain and bound" if certified else "settling: bound along the estimate"
-        return Status("certificate", Level.OK, message, values)
-
-    def _parameter_statuses(self) -> list[Status]:
-        """Return a status of the learnt parameters, if any are learnt."""
-        names = tuple(self._design.request.uncertainty) if self._binding.value.adapt else ()
-        if not names or self._estimate is None:
-            return []
-        learnt = zip(names, self._estimate.parameters, self._estimate.parameter_bound, strict=True)
-        values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
-        if self._estimate.parameters_valid:
-            return [Status("parameters", Level.OK, "learnt", values)]
-        return [Status("parameters", Level.OK, "not yet: the motion is too poor", values)]
+        method = self._binding.value.method
+        statuses = [
+            state_status(self._tracker, self._phase(age), age, self._resets, self._enabled),
+            measurement_status(self._tracker, self._received),
+            self._meter.status(),
+            domain_status(self._estimate, self._design.request.x_max),
+            self._innovations.status(),
+            self._faults.status(),
+            certificate_status(self._design, self._design_path, method, self._estimate),
+        ]
+        if self._learnt and self._estimate is not None:
+            statuses.append(parameter_status(self._learnt, self._estimate))
+        self._diagnostics.publish(statuses)
 
 
 def create(**node_kwargs: Any) -> Observer:

@@ -80,6 +80,20 @@ class ObserverParameters:
     design: str = parameter(
         "", "Path of the design file; empty for the one that is shipped", read_only=True
     )
+    method: str = parameter(
+        "certified",
+        "Observer to run: the certified one, or one to compare with, which publishes no bound",
+        choices=("certified", "paper", "high_gain", "proportional_integral"),
+        read_only=True,
+    )
+    theta: float = parameter(
+        2.5,
+        "Speed of the high_gain and proportional_integral observers",
+        unit="rad/s",
+        minimum=0.1,
+        maximum=100.0,
+        read_only=True,
+    )
     joint: str = parameter(
         "elastic_joint", "Name of the joint in joint_measurements", read_only=True
     )

@@ -16,14 +16,11 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm
-from tsobs_ros.estimation.augmented_observer import AugmentedObserver
+from tsobs_ros.estimation.comparison import printed_paper_observer
 from tsobs_ros.estimation.high_gain import HighGainObserver
 from tsobs_ros.estimation.kalman import ExtendedKalmanFilter
 from tsobs_ros.estimation.proportional_integral import ProportionalIntegralObserver
-from tsobs_ros.model import printed
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
-from tsobs_ros.model.augmentation import Augmentation
-from tsobs_ros.model.examples import example_3
 from tsobs_ros.simulation.scenarios import SCENARIOS, Trajectories, simulate
 
 THETAS = tuple(round(float(theta), 3) for theta in np.geomspace(0.5, 8.0, 13))
@@ -102,13 +99,6 @@ class Comparison:
         return next(each for each in self.observers if each.name == name)
 
 
-def paper_observer() -> AugmentedObserver:
-    """Return the paper's observer of Example 3 with its printed gains, P and M."""
-    augmentation = Augmentation(example_3().system)
-    M = np.linalg.solve(printed.EXAMPLE_3_P, augmentation.C_bar.T)
-    return AugmentedObserver(augmentation, augmentation.E_L_inverse @ printed.EXAMPLE_3_H, M)
-
-
 def compare_on_arm(
     design: Design,
     seeds: int = 20,
@@ -138,7 +128,7 @@ def compare_on_arm(
     integral = ProportionalIntegralObserver(arm, grid)
     observers.append(_best("PIO", thetas, runs, run(integral, integral.initial(batch), runs)))
     advance()
-    paper = paper_observer()
+    paper = printed_paper_observer()
     start = paper.initial(runs.measurements[:, 0])
     observers.append(_errors("paper", runs, run(paper, start, runs)))
     advance()
