@@ -1,0 +1,276 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The prediction of a T–S system: exact for one rule, second order, and its vertices exact."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.disturbance import bias, clean, per_channel, sinusoid
+from tsobs_ros.model.flow import ArmFlow, ProcessNoise
+from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.memberships import membership
+from tsobs_ros.model.ts_flow import TSFlow
+from tsobs_ros.model.ts_model import TSModel
+from tsobs_ros.simulation.integrator import rk4_step
+
+Array = NDArray[np.float64]
+
+WIDTH = 1.2
+SECTOR = RuleBase(
+    tuple((membership(name, {"half_width": WIDTH}),) for name in ("sine_upper", "sine_lower"))
+)
+RAMPS = RuleBase(
+    (
+        (membership("linear", {"zero": 1.0, "one": 0.0}),),
+        (membership("linear", {"zero": 0.0, "one": 1.0}),),
+    )
+)
+BUMPS = RuleBase(
+    tuple((membership("gaussian", {"centre": c, "width": 0.8}),) for c in (-1.0, 0.1, 1.3))
+)
+
+
+def pendulum(period: float = 0.01) -> TSFlow:
+    """A pendulum whose angle, the premise, is estimated; a bias on the second output."""
+    stiffness = np.array([9.81, 9.81 * np.sin(WIDTH) / WIDTH])
+    model = TSModel(
+        A=np.array([[[0.0, 1.0], [-k, -0.2]] for k in stiffness]),
+        B=np.array([[0.0], [1.0]]),
+        C=np.eye(2),
+        rule_base=SECTOR,
+        premise=np.array([[1.0, 0.0]]),
+    )
+    return TSFlow(model, per_channel([clean(), bias(1e-6)]), [0.0, 1e-3], period)
+
+
+def scheduled(period: float = 0.05) -> TSFlow:
+    """Two rules that do not commute, with inputs of their own, blended by a known signal."""
+    rng = np.random.default_rng(5)
+    model = TSModel(
+        A=rng.standard_normal((2, 3, 3)) - np.eye(3),
+        B=rng.standard_normal((2, 3, 2)),
+        C=rng.standard_normal((2, 3)),
+        rule_base=RAMPS,
+        premise=np.zeros((1, 3)),
+        schedule=np.array([[1.0]]),
+    )
+    return TSFlow(model, per_channel([bias(), sinusoid(2.0)]), [0.1, 0.2, 0.3], period)
+
+
+def tangled(period: float) -> TSFlow:
+    """Three rules that do not commute, premise and input mixed."""
+    rng = np.random.default_rng(8)
+    model = TSModel(
+        A=rng.standard_normal((3, 3, 3)),
+        B=rng.standard_normal((3, 3, 1)),
+        C=np.eye(3)[:1],
+        rule_base=BUMPS,
+        premise=np.array([[1.0, 0.5, -0.2]]),
+    )
+    return TSFlow(model, clean(), np.zeros(3), period)
+
+
+def test_one_rule_is_the_exact_linear_flow() -> None:
+    rng = np.random.default_rng(1)
+    A, B = rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
+    rules = RuleBase(((membership("always", {}),),))
+    model = TSModel(A[np.newaxis], B, np.eye(3)[:2], rules, np.ones((1, 3)))
+    density, T = np.array([0.1, 0.0, 0.4]), 0.3
+    flow = TSFlow(model, per_channel([bias(), clean()]), density, T)
+    x, u = rng.standard_normal(4), rng.standard_normal(2)
+    whole = np.zeros((6, 6))
+    whole[:3, :3], whole[:3, 4:] = A, B
+    expected = expm(whole * T) @ np.concatenate([x, u])
+    np.testing.assert_allclose(flow.predict(x, u, T), expected[:4], rtol=1e-13)
+
+    covariance = np.diag([1.0, 2.0, 3.0, 4.0])
+    W = np.diag([*density, 1e-4])
+    phi, _, noise = LinearFlow(whole[:4, :4], np.zeros((4, 1)), W, T).over(T)
+    _, spread = flow.predict_with_covariance(x, covariance, u, T)
+    np.testing.assert_allclose(spread, phi @ covariance @ phi.T + noise, rtol=1e-12, atol=1e-15)
+
+
+def test_it_is_of_second_order() -> None:
+    """Halving the step divides the error after one second by four."""
+    start, u = np.array([0.4, -0.3, 0.2]), np.array([0.7])
+    model = tangled(1.0).model
+    exact = start
+    for _ in range(500):
+        exact = rk4_step(model.derivative, exact, u, 1.0 / 500)
+    errors = []
+    for steps in (20, 40, 80):
+        flow, x = tangled(1.0 / steps), start
+        for _ in range(steps):
+            x = flow.predict(x, u, flow.period)
+        errors.append(float(np.abs(x - exact).max()))
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.05)
+    assert errors[2] < 1e-3
+
+
+@pytest.mark.parametrize("rule", [0, 1])
+def test_the_membership_of_one_rule_gives_its_model(rule: int) -> None:
+    """A step differs from the rule's own exponential by a term of third order only."""
+    misses = []
+    for T in (0.04, 0.02):
+        flow = scheduled(T)
+        x, u = np.ones(6), np.array([0.4, -0.7, float(rule)])
+        whole = np.zeros((8, 8))
+        whole[:6, :6] = flow.augmented(flow.model.A[rule])
+        whole[:3, 6:] = flow.model.B[rule]
+        expected = (expm(whole * T) @ np.concatenate([x, u[:2]]))[:6]
+        misses.append(float(np.abs(flow.predict(x, u, T) - expected).max()))
+    assert misses[0] / misses[1] == pytest.approx(8.0, rel=0.1)
+    assert misses[1] < 1e-4
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3, 1.0])
+def test_with_a_known_premise_the_error_map_blends_the_vertices(weight: float) -> None:
+    flow = scheduled()
+    u = np.array([0.4, -0.7, weight])
+    x, other = np.random.default_rng(2).standard_normal((2, 6))
+    h = [1.0 - weight, weight]
+    pairs = list(product(h, h))
+    vertices = flow.vertices(flow.model.A, ["rule 1", "rule 2"])
+    blend = sum(a * b * v.transition for (a, b), v in zip(pairs, vertices, strict=True))
+    error = flow.predict(x, u, flow.period) - flow.predict(other, u, flow.period)
+    np.testing.assert_allclose(error, blend @ (x - other), rtol=1e-12, atol=1e-14)
+
+
+def test_with_an_estimated_premise_the_error_map_is_between_the_slope_vertices() -> None:
+    """Solve for the two slopes of the mean value theorem: they lie in the range of the cosine."""
+    flow = pendulum(0.05)
+    rng = np.random.default_rng(4)
+    lowest = np.cos(WIDTH)
+    matrices = np.array([[[0.0, 1.0], [-9.81 * c, -0.2]] for c in (lowest, 1.0)])
+    corners = [v.transition for v in flow.vertices(matrices, ["low", "high"])]
+    for _ in range(50):
+        # Small rates and no torque keep the middle of the step in the domain, too.
+        x, other = rng.uniform([-1.1, -1.0, -1.0], [1.1, 1.0, 1.0], (2, 3))
+        u = np.zeros(1)
+        step = flow.nominal
+        middles = [flow._advance(each, u, step)[0][0] for each in (x, other)]
+        c1, c2 = ((np.sin(a) - np.sin(b)) / (a - b) for a, b in ((x[0], other[0]), (*middles,)))
+        assert lowest - 1e-12 <= min(c1, c2) <= max(c1, c2) <= 1.0
+        first, second = (
+            [(1.0 - c) / (1.0 - lowest), (c - lowest) / (1.0 - lowest)] for c in (c1, c2)
+        )
+        blend = sum(
+            a * b * corner for (a, b), corner in zip(product(first, second), corners, strict=True)
+        )
+        error = flow.predict(x, u, flow.period) - flow.predict(other, u, flow.period)
+        np.testing.assert_allclose(error, blend @ (x - other), atol=1e-13)
+
+
+@pytest.mark.parametrize("flow", [pendulum(), tangled(0.1), scheduled()], ids=["p", "t", "s"])
+def test_the_covariance_follows_the_jacobian_of_the_step(flow: TSFlow) -> None:
+    n = flow.state_count
+    x = np.linspace(0.1, 0.5, n)
+    u = np.full(flow.model.input_count + flow.model.schedule.shape[1], 0.3)
+    columns = [
+        (flow.predict(x + d, u, flow.period) - flow.predict(x - d, u, flow.period)) / 2e-6
+        for d in 1e-6 * np.eye(n)
+    ]
+    jacobian = np.array(columns).T
+    covariance = np.diag(np.arange(1.0, n + 1.0))
+    _, noise = flow.predict_with_covariance(x, np.zeros((n, n)), u, flow.period)
+    _, spread = flow.predict_with_covariance(x, covariance, u, flow.period)
+    np.testing.assert_allclose(spread - noise, jacobian @ covariance @ jacobian.T, atol=1e-7)
+
+
+def test_the_noise_is_that_of_the_true_system_to_second_order() -> None:
+    """Halving the step divides what it misses in one step by eight."""
+    misses = []
+    for T in (0.04, 0.02):
+        flow = scheduled(T)
+        u = np.array([0.0, 0.0, 0.8])
+        A = flow.augmented(0.2 * flow.model.A[0] + 0.8 * flow.model.A[1])
+        G = flow.disturbance.G
+        W = np.zeros((6, 6))
+        W[:3, :3], W[3:, 3:] = np.diag([0.1, 0.2, 0.3]), G @ G.T
+        _, _, expected = LinearFlow(A, np.zeros((6, 1)), W, T).over(T)
+        _, noise = flow.predict_with_covariance(np.zeros(6), np.zeros((6, 6)), u, T)
+        misses.append(float(np.abs(noise - expected).max()))
+    assert misses[0] / misses[1] == pytest.approx(8.0, rel=0.1)
+
+
+def test_a_batch_is_its_systems_one_by_one() -> None:
+    flow = tangled(0.05)
+    rng = np.random.default_rng(6)
+    x, u = rng.standard_normal((4, 3)), rng.standard_normal((4, 1))
+    root = rng.standard_normal((4, 3, 3))
+    covariance = root @ np.swapaxes(root, 1, 2)
+    moved, spread = flow.predict_with_covariance(x, covariance, u, 0.12)
+    np.testing.assert_allclose(moved, flow.predict(x, u, 0.12), rtol=1e-13)
+    for k in range(4):
+        one, own = flow.predict_with_covariance(x[k], covariance[k], u[k], 0.12)
+        np.testing.assert_allclose(moved[k], one, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(spread[k], own, rtol=1e-12, atol=1e-14)
+
+
+def test_long_steps_are_nominal_ones_and_a_remainder() -> None:
+    flow = pendulum()
+    x, u = np.array([0.5, -0.2, 0.1]), np.array([0.3])
+    expected = flow.predict(flow.predict(flow.predict(x, u, 0.01), u, 0.01), u, 0.004)
+    np.testing.assert_allclose(flow.predict(x, u, 0.024), expected, rtol=1e-12)
+    np.testing.assert_array_equal(flow.predict(x, u, 0.0), x)
+
+
+def test_the_arm_as_a_ts_system_moves_as_the_arm() -> None:
+    arm, T = ElasticJointArm(), 0.005
+    system = arm.ts_system(WIDTH)
+    model = TSModel(system.A, system.B[0], system.C[0], SECTOR, np.eye(4)[:1])
+    flow = TSFlow(model, bias(), [0.0, 1e-4, 0.0, 1e-3], T)
+    own = ArmFlow(arm, bias(), ProcessNoise(1e-4, 1e-5), T)
+    np.testing.assert_array_equal(flow.output_matrix, own.output_matrix)
+    x = other = np.array([0.3, 0.1, 2.0, -0.4, 0.05])
+    for k in range(200):
+        u = np.array([np.sin(k * T)])
+        x, other = flow.predict(x, u, T), own.predict(other, u, T)
+    np.testing.assert_allclose(flow.to_physical(x), x[:4])
+    np.testing.assert_allclose(x, other, atol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"A": np.eye(2)}, r"A: expected one matrix a rule, shape \(r, ·, ·\), got shape \(2, 2\)"),
+        ({"A": np.zeros((3, 2, 2))}, r"A: expected shape \(2, 2, 2\), got \(3, 2, 2\)"),
+        ({"B": np.zeros((3, 1))}, r"B: expected shape \(2, 2, 1\), got \(2, 3, 1\)"),
+        ({"C": np.zeros((1, 3))}, r"C: expected shape \(1, 2\), got \(1, 3\)"),
+        ({"C": np.zeros(2)}, r"C: expected a matrix, got shape \(2,\)"),
+        ({"premise": np.eye(2)}, r"premise: expected shape \(1, 2\), got \(2, 2\)"),
+        ({"schedule": np.eye(2)}, r"schedule: expected shape \(1, 2\), got \(2, 2\)"),
+        ({"A": np.full((2, 2, 2), np.nan)}, "A: every entry must be finite"),
+    ],
+)
+def test_wrong_matrices_are_named(change: dict[str, Array], message: str) -> None:
+    right = {
+        "A": np.zeros((2, 2, 2)), "B": np.zeros((2, 1)), "C": np.eye(2)[:1],
+        "premise": np.ones((1, 2)),
+    }  # fmt: skip
+    with pytest.raises(ModelError, match=message):
+        TSModel(rule_base=RAMPS, **{**right, **change})
+
+
+def test_wrong_surroundings_are_named() -> None:
+    model = pendulum().model
+    with pytest.raises(ModelError, match="disturbance: expected 2 channels, one an output, got 1"):
+        TSFlow(model, bias(), [0.0, 1.0], 0.01)
+    with pytest.raises(ModelError, match=r"process_noise: expected shape \(2,\), got \(3,\)"):
+        TSFlow(model, clean(2), [0.0, 1.0, 1.0], 0.01)
+    with pytest.raises(ModelError, match=r"process_noise: expected densities of at least 0, got"):
+        TSFlow(model, clean(2), [0.0, -1.0], 0.01)
+    with pytest.raises(ModelError, match="period: expected a finite number above 0"):
+        TSFlow(model, clean(2), [0.0, 1.0], 0.0)
+    with pytest.raises(ModelError, match="duration: expected a finite number of at least 0"):
+        pendulum().predict(np.zeros(3), np.zeros(1), -0.1)
+    with pytest.raises(ModelError, match=r"vertex matrices: expected shape \(1, 2, 2\), got"):
+        pendulum().vertices(np.zeros((1, 3, 3)), ["one"])
