@@ -1,0 +1,194 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Which fault the monitor names, how soon, and how often where there is none.
+
+The observer is the one the node runs, with the shipped design: its disturbance is a bias. Faults
+set in at 30 s of a minute; the share of the time that each kind is reported is taken from 5 s
+later on, for a stuck sensor until it is free again.
+"""
+
+import math
+import time
+from collections import Counter
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from common import design_of, parser, show, use_one_thread
+
+from tsobs_ros.design.record import Design
+from tsobs_ros.estimation.fault_shapes import FaultKind
+from tsobs_ros.estimation.faults import FaultMonitor
+from tsobs_ros.estimation.supervised import SupervisedObserver
+from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.scenario import Mismatch, Scenario
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import (
+    BiasStep,
+    Component,
+    GaussMarkov,
+    Ramp,
+    Sinusoid,
+    StuckSensor,
+)
+
+_ONSET, _SETTLED, _STUCK = 30.0, 5.0, 20.0
+_NOISE = Scenario()
+
+
+class _Case(NamedTuple):
+    """A scenario, its sensor from the onset on, and what is right to report."""
+
+    expected: FaultKind
+    scenario: Scenario = _NOISE
+    sensor: Sensor | None = None
+
+
+def _fault(expected: FaultKind, component: Component) -> _Case:
+    return _Case(expected, replace(_NOISE, disturbance=(component,)))
+
+
+_CASES = {
+    "noise": _Case(FaultKind.NONE),
+    "1 % outliers": _Case(FaultKind.NONE, replace(_NOISE, sensor=Sensor(outlier_probability=0.01))),
+    "bias .1": _fault(FaultKind.BIAS, BiasStep(0.1, _ONSET)),
+    "bias .03": _fault(FaultKind.BIAS, BiasStep(0.03, _ONSET)),
+    "ramp .02/s": _fault(FaultKind.DRIFT, Ramp(0.02, _ONSET)),
+    "ramp .004/s": _fault(FaultKind.DRIFT, Ramp(0.004, _ONSET)),
+    "Gauss-Markov": _fault(FaultKind.DRIFT, GaussMarkov(0.1, 20.0, _ONSET)),
+    "tone 3 rad/s": _fault(FaultKind.OSCILLATION, Sinusoid(0.2, 3.0, _ONSET)),
+    "tone 8 rad/s": _fault(FaultKind.OSCILLATION, Sinusoid(0.2, 8.0, _ONSET)),
+    "tone .5 rad/s": _fault(FaultKind.OSCILLATION, Sinusoid(0.2, 0.5, _ONSET)),
+    "tone 1.4 rad/s": _fault(FaultKind.OSCILLATION, Sinusoid(0.2, 1.4, _ONSET)),
+    "stuck": _fault(FaultKind.STUCK, StuckSensor(_ONSET, _STUCK)),
+    "noise x 3": _Case(FaultKind.NOISE, sensor=Sensor(noise_std=0.084)),
+    "noise x 1.3": _Case(FaultKind.NOISE, sensor=Sensor(noise_std=0.0364)),
+    "stiffness +20 %": _Case(FaultKind.UNKNOWN, replace(_NOISE, mismatch=Mismatch(stiffness=0.2))),
+}
+
+
+class _Run(NamedTuple):
+    """Kind at each sample, and the CPU time of the monitor's two calls at each [ns]."""
+
+    kinds: list[FaultKind]
+    costs: list[int]
+
+
+def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
+    scenario = replace(case.scenario, rate=design.request.rate)
+    plant = Plant(scenario, seed)
+    observer = SupervisedObserver(design.observer())
+    monitor = FaultMonitor(design.request.measurement_std)
+    state, kinds, costs = observer.initial(), [], []
+    period = observer.period
+    for index in range(round(duration * scenario.rate)):
+        if case.sensor is not None and index == round(_ONSET * scenario.rate):
+            plant.exchange_sensor(case.sensor)
+        sample = plant.step()
+        state, correction = observer.correct(state, sample.measurement)
+        known = observer.readout(state)
+        y, innovation = float(sample.measurement[0]), float(correction.innovation[0])
+        std = math.sqrt(correction.spread[0, 0])
+        disturbance, bound = float(known.disturbance[0]), float(known.disturbance_bound[0])
+        stamp = 1_000_000_000 + round(sample.time * 1e9)
+        started = time.thread_time_ns()
+        monitor.measured(stamp, y, innovation, std)
+        kinds.append(monitor.estimated(stamp, disturbance, bound).kind)
+        costs.append(time.thread_time_ns() - started)
+        state = observer.predict(state, sample.torque, period)
+    return _Run(kinds, costs)
+
+
+def _first(kinds: list[FaultKind], rate: float, wanted: set[FaultKind]) -> float:
+    """Return how long after the onset one of the kinds is first reported [s], else infinity."""
+    begin = round(_ONSET * rate)
+    found = (place for place, kind in enumerate(kinds[begin:]) if kind in wanted)
+    return next(found, math.inf) / rate
+
+
+def _alarms(kinds: list[FaultKind]) -> int:
+    """Return how often something is reported after nothing was."""
+    none = FaultKind.NONE
+    return sum(a is none and b is not none for a, b in pairwise(kinds))
+
+
+def _measure(design: Design, case: _Case, seeds: list[int], noise_duration: float) -> Any:
+    rate = design.request.rate
+    pure = case.expected is FaultKind.NONE
+    duration = noise_duration if pure else 60.0
+    runs = [_run(design, case, seed, duration) for seed in seeds]
+    constant = case.scenario.mismatch != Mismatch()
+    begin = 0 if pure else round((_ONSET + _SETTLED) * rate)
+    end = round((_ONSET + _STUCK) * rate) if case.expected is FaultKind.STUCK else None
+    counts = Counter(kind for run in runs for kind in run.kinds[begin:end])
+    others = set(FaultKind) - {FaultKind.NONE}
+    timed = not (pure or constant)
+    noticed = [_first(run.kinds, rate, others) for run in runs] if timed else []
+    named = [_first(run.kinds, rate, {case.expected}) for run in runs] if timed else []
+    costs = np.concatenate([np.array(run.costs) for run in runs])
+    # Before its onset a fault is none; a wrong arm is wrong from the start.
+    quiet = None if pure else round(_ONSET * rate)
+    hours = 0.0 if constant else sum(len(run.kinds[:quiet]) for run in runs) / rate / 3600.0
+    return {
+        "expected": case.expected.value,
+        "share": {kind.value: counts[kind] / counts.total() for kind in FaultKind},
+        "noticed": _median(noticed),
+        "named": _median(named),
+        "false_alarms": 0 if constant else sum(_alarms(run.kinds[:quiet]) for run in runs),
+        "quiet_hours": hours,
+        "cost_mean_us": float(costs.mean()) / 1e3,
+    }
+
+
+def _median(delays: list[float]) -> float | None:
+    """Return the median, None if more than half never came to it."""
+    middle = sorted(delays)[len(delays) // 2] if delays else math.inf
+    return middle if math.isfinite(middle) else None
+
+
+def _seconds(delay: float | None) -> str:
+    return f"{delay:8.2f}" if delay is not None else "       -"
+
+
+def main() -> None:
+    """Measure and print."""
+    made = parser(__doc__)
+    made.add_argument("--seeds", type=int, default=20, help="number of runs of each scenario")
+    made.add_argument("--first-seed", type=int, default=3000)
+    made.add_argument("--noise-duration", type=float, default=180.0, metavar="S")
+    made.add_argument("cases", nargs="*", metavar="CASE", help="default: all")
+    options = made.parse_args()
+    unknown = [name for name in options.cases if name not in _CASES]
+    if unknown:
+        made.error(f"no case {unknown[0]!r}; there is {', '.join(_CASES)}")
+    design = design_of(options)
+    seeds = list(range(options.first_seed, options.first_seed + options.seeds))
+    lines = [
+        f"share of the time each kind is reported [%], {options.seeds} seeds from "
+        f"{options.first_seed}; medians of the time until anything, and the right kind, is "
+        "reported [s]\n",
+        f"{'case':16s}{'expected':13s}"
+        + "".join(f"{kind.value:>12s}" for kind in FaultKind)
+        + "  noticed   named  false alarms",
+    ]
+    results = {}
+    for name in options.cases or _CASES:
+        one = _measure(design, _CASES[name], seeds, options.noise_duration)
+        results[name] = one
+        shares = "".join(f"{100.0 * share:12.1f}" for share in one["share"].values())
+        alarms = f"{one['false_alarms']} in {one['quiet_hours']:.2f} h"
+        lines.append(
+            f"{name:16s}{one['expected']:13s}{shares} {_seconds(one['noticed'])}"
+            f"{_seconds(one['named'])}  {alarms}"
+        )
+    costs = [one["cost_mean_us"] for one in results.values()]
+    lines.append(
+        f"\nthe monitor takes {min(costs):.1f} to {max(costs):.1f} µs a sample, mean of each case"
+    )
+    show({"seeds": options.seeds, "cases": results}, "\n".join(lines), options.json)
+
+
+if __name__ == "__main__":
+    use_one_thread()
+    main()
