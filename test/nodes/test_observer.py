@@ -572,7 +572,7 @@ def test_diagnostics_name_every_concern(bench: Bench) -> None:
         "timing",
         "premise domain",
         "innovation",
-        "disturbance",
+        "sensor fault",
         "certificate",
     }
     assert {status.hardware_id for status in statuses.values()} == {JOINT}
@@ -583,7 +583,7 @@ def test_diagnostics_name_every_concern(bench: Bench) -> None:
     identity = values(statuses["certificate"])
     assert identity["design"] == str(SHIPPED)
     assert identity["disturbance model"] == "bias"
-    assert identity["gain"] == "riccati"
+    assert identity["bound"] == "along the estimate"
     assert float(identity["margin [1/s]"]) > 0.0
     assert observer.tracker.used == 60
 
@@ -595,8 +595,8 @@ def test_a_large_disturbance_is_reported_and_its_thresholds_can_be_tuned(bench: 
         biased = (RUN.measurements[0, index] + 0.35).tolist()
         bench.send(index, begin + index * PERIOD, position=biased)
         bench.set_clock(begin + index * PERIOD)
-    status = bench.status("disturbance")
-    assert (status.level, status.message) == (DiagnosticStatus.WARN, "sensor disturbed")
+    status = bench.status("sensor fault")
+    assert status.level == DiagnosticStatus.WARN
     assert float(values(status)["magnitude [rad]"]) == pytest.approx(0.35, abs=0.1)
 
     lower = [Parameter("fault.warn", value=0.1), Parameter("fault.error", value=0.15)]
@@ -610,8 +610,8 @@ def test_a_large_disturbance_is_reported_and_its_thresholds_can_be_tuned(bench: 
         biased = (RUN.measurements[0, index] + 0.35).tolist()
         bench.send(index, begin + index * PERIOD, position=biased)
         bench.set_clock(begin + index * PERIOD)
-    status = bench.status("disturbance")
-    assert (status.level, status.message) == (DiagnosticStatus.ERROR, "sensor faulty")
+    status = bench.status("sensor fault")
+    assert status.level == DiagnosticStatus.ERROR
 
 
 @pytest.mark.parametrize(
@@ -826,3 +826,34 @@ def test_slow_simulated_time_misses_no_ticks(ros: Any) -> None:
     b.wait_until(lambda: n[0] >= 250, "2.5 s")
     timing = b.status("timing")
     assert timing.message == "on time", (timing.message, values(timing))
+
+
+@pytest.mark.parametrize(
+    ("method", "disturbed"),
+    [("paper", True), ("high_gain", False), ("proportional_integral", False)],
+)
+def test_methods_to_compare_with_publish_no_bound(
+    bench: Bench, method: str, disturbed: bool
+) -> None:
+    bench.start_simulated(method=method)
+    bench.feed(range(60))
+    bench.wait_until(lambda: len(bench.published) > 50, "estimates")
+    topics = {each.topic for each in bench.published}
+    assert {"joint_states", "innovation"} <= topics
+    assert not topics & {"error_bound", "disturbance_bound"}
+    assert ("disturbance" in topics) == disturbed
+    status = bench.status("certificate")
+    assert (status.level, status.message) == (
+        DiagnosticStatus.WARN,
+        f"method {method}: nothing is certified",
+    )
+
+
+def test_learnt_parameters_are_published_once_they_can_be_believed(bench: Bench) -> None:
+    adaptive = str(config_path("elastic_joint_adaptive.design.yaml"))
+    observer = bench.start_simulated(design=adaptive)
+    bench.feed(range(40))
+    status = bench.status("parameters")
+    assert status.message == "not yet: the motion is too poor"
+    assert set(values(status)) == {"stiffness", "gravity"}
+    assert observer.count_publishers("/observer/parameters_estimate") == 1
