@@ -64,7 +64,7 @@ def _work(job: Job) -> tuple[str, bool, dict[str, Outcome]]:
     }
     found = {}
     for who, (mode, adaptive) in contenders.items():
-        estimates = observe(lambda m=mode, a=adaptive: supervised(design, m, a), runs)  # type: ignore[misc]
+        estimates = observe(design, lambda m=mode, a=adaptive: supervised(design, m, a), runs)  # type: ignore[misc]
         found[who] = outcome(scenario, runs, *estimates)
     return name, batch, found
 

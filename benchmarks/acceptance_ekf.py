@@ -6,7 +6,6 @@ Plain: the Kalman gain along the estimate for ever; no gates, no search for jump
 """
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter as FilterpyFilter
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
@@ -100,48 +99,4 @@ class AugmentedFilter:
         kicked = x.copy()
         kicked[..., _ROWS] += half * np.einsum("...ik,...k->...i", push, theta)
         kicked[..., LINK_VELOCITY] -= step.half_kick * np.sin(angle[..., 0])
-        return kicked, jacobian
-
-
-class FilterpyAugmentedFilter(FilterpyFilter):  # type: ignore[misc]
-    """The same model and states in filterpy's filter, one arm, from the parts ours is made of."""
-
-    def __init__(self, design: Design, uncertainty: ArmUncertainty) -> None:
-        twin = AugmentedFilter(design, uncertainty)
-        size = len(twin.phi)
-        super().__init__(dim_x=size, dim_z=1, dim_u=1)
-        self.flow: ArmFlow = twin.flow
-        self.uncertainty = uncertainty
-        self.phi, self.gamma = twin.phi, twin.gamma
-        self.x = np.zeros((size, 1))
-        self.P = twin.initial(()).covariance
-        self.Q = twin.noise
-        self.R = design.request.measurement_covariance
-        self.H = np.hstack([twin.flow.output_matrix, np.zeros((1, uncertainty.count))])
-        self._identity = np.eye(size)
-
-    def predict_x(self, u: Array) -> None:  # type: ignore[override]
-        """Predict as the observer does, and linearise there."""
-        torque = float(u[0])
-        x, first = self._kick(self.x[:, 0], torque)
-        x, second = self._kick(self.phi @ x + self.gamma * torque, torque)
-        self.x = x[:, np.newaxis]
-        self.F = second @ self.phi @ first
-
-    def step(self, y: Array, u: Array) -> None:
-        """Correct by a sample y (1,) and predict with the torque u (1,) held."""
-        self.update(y[:, np.newaxis], lambda _: self.H, lambda x: self.H @ x)
-        self.predict(u)
-
-    def _kick(self, x: Array, torque: float) -> tuple[Array, Array]:
-        step, n = self.flow.nominal, self.flow.state_count
-        half, theta = 0.5 * step.duration, x[n:]
-        push = self.uncertainty.regressor(x, torque)
-        jacobian = self._identity.copy()
-        jacobian[_ROWS, :4] += half * self.uncertainty.jacobian(x, theta)
-        jacobian[_ROWS, n:] = half * push
-        jacobian[LINK_VELOCITY, LINK_ANGLE] -= step.half_kick * np.cos(x[LINK_ANGLE])
-        kicked = x.copy()
-        kicked[_ROWS] += half * (push @ theta)
-        kicked[LINK_VELOCITY] -= step.half_kick * np.sin(x[LINK_ANGLE])
         return kicked, jacobian

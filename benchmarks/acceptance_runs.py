@@ -38,6 +38,10 @@ GRID = np.geomspace(0.7, 20.0, 12)
 """θ of the PO and the PIO [1/s]."""
 
 STEP, CALM, HOLD = 30.0, (20.0, 30.0), 5.0
+"""When the sensor steps, the calm before it, how long errors have to stay small after it [s]."""
+
+STEP_SIZE = 0.1
+"""What the disturbance's error is divided by when that is judged [rad]."""
 
 
 class Outcome(NamedTuple):
@@ -77,10 +81,14 @@ def true_theta(scenario: Scenario) -> Array:
 
 
 def observe(
-    make: Callable[[], Estimator[Any]], runs: Trajectories
+    design: Design, make: Callable[[], Estimator[Any]], runs: Trajectories
 ) -> tuple[Array, Array | None, list[dict[str, int]]]:
-    """Return states (runs, samples, 4), parameters (runs, samples, k) if any, and event counts."""
-    estimates = np.empty(runs.states.shape)
+    """Return estimates (runs, samples, 5), parameters (runs, samples, k) if any, and events.
+
+    The fifth estimate is the disturbance.
+    """
+    estimates = _room(runs)
+    H = design.request.disturbance_model.H[0]
     thetas: Array | None = None
     events = []
     for run in range(len(estimates)):
@@ -95,7 +103,7 @@ def observe(
                     thetas = np.empty((*estimates.shape[:2], len(inner.theta)))
                 thetas[run, sample] = inner.theta
                 inner = inner.observer
-            estimates[run, sample] = inner.x[:4]
+            estimates[run, sample, :4], estimates[run, sample, 4] = inner.x[:4], H @ inner.x[4:]
             state = estimator.predict(state, runs.torques[run, sample], estimator.period)
         events.append(estimator.events(state))
     return estimates, thetas, events
@@ -106,29 +114,31 @@ def knowing(design: Design, scenario: Scenario, runs: Trajectories) -> Array:
     arm = scenario.true_arm
     ekf = knowing_filter(design, arm)
     state = ekf.initial(runs.states.shape[:1])
-    estimates = np.empty(runs.states.shape)
+    estimates, H = _room(runs), design.request.disturbance_model.H[0]
     for sample in range(estimates.shape[1]):
         y = runs.measurements[:, sample]
         if np.isfinite(y).all():
             state, _ = ekf.correct(state, y)
-        estimates[:, sample] = state.x[:, :4]
+        estimates[:, sample, :4] = scenario.arm.from_physical(arm.to_physical(state.x[:, :4]))
+        estimates[:, sample, 4] = state.x[:, 4:] @ H
         state = ekf.predict(state, runs.torques[:, sample], design.request.period)
-    return scenario.arm.from_physical(arm.to_physical(estimates))
+    return estimates
 
 
 def augmented(design: Design, runs: Trajectories) -> tuple[Array, Array]:
     """Return the estimates and parameters of the EKF that has them as states."""
     ekf = AugmentedFilter(design, uncertainty_of(design))
     state = ekf.initial(runs.states.shape[:1])
-    n = ekf.flow.state_count
-    estimates = np.empty(runs.states.shape)
+    n, H = ekf.flow.state_count, ekf.flow.disturbance.H[0]
+    estimates = _room(runs)
     thetas = np.empty((*runs.states.shape[:2], ekf.uncertainty.count))
     with np.errstate(all="ignore"):  # a filter that diverges is a result
         for sample in range(estimates.shape[1]):
             y = runs.measurements[:, sample]
             if np.isfinite(y).all():
                 state = ekf.correct(state, y)
-            estimates[:, sample], thetas[:, sample] = state.x[:, :4], state.x[:, n:]
+            estimates[:, sample, :4], thetas[:, sample] = state.x[:, :4], state.x[:, n:]
+            estimates[:, sample, 4] = state.x[:, 4:n] @ H
             state = ekf.predict(state, runs.torques[:, sample])
     return estimates, thetas
 
@@ -166,9 +176,10 @@ def outcome(
     thetas: Array | None = None,
     events: list[dict[str, int]] | None = None,
 ) -> Outcome:
-    """Return the errors of estimates (runs, samples, 4)."""
+    """Return the errors of estimates (runs, samples, 5)."""
     with np.errstate(all="ignore"):
-        squares = (((estimates - runs.states) / SCALE) ** 2).mean(axis=2)
+        squares = (((estimates[..., :4] - runs.states) / SCALE) ** 2).mean(axis=2)
+        disturbed = ((estimates[..., 4] - runs.disturbances[..., 0]) / STEP_SIZE) ** 2
         errors = {
             name: np.sqrt(squares[:, _inside(runs.times, window)].mean(axis=1))
             for name, window in WINDOWS.items()
@@ -178,27 +189,33 @@ def outcome(
         wrong = (thetas - true_theta(scenario))[:, _inside(runs.times, WINDOWS["settled"])]
         theta = np.sqrt((wrong**2).mean(axis=1))
     steps = any(one.kind == "bias_step" for one in scenario.disturbance)
-    after = settled_after(runs.times, np.sqrt(squares)) if steps else None
+    after = settled_after(runs.times, np.sqrt(0.8 * squares + 0.2 * disturbed)) if steps else None
     return Outcome(errors, theta, after, events)
 
 
 def settled_after(times: Array, errors: Array) -> Array:
-    """Return when each run's normalised error (runs, samples) has settled after the step [s].
+    """Return when each run's error (runs, samples) has settled after the step [s].
 
-    That is from when on it stays, for `HOLD` seconds, below three times its root mean square of
-    the ten seconds before the step; infinite if never.
+    The error is the root mean square over the four states, normalised, and the disturbance, by
+    0.1 rad: the states alone hardly notice a step that is found at once. It has settled when it
+    stays, for `HOLD` seconds, below three times its root mean square over all runs in the calm
+    before the step. Infinite if it never does.
     """
-    calm = np.sqrt((errors[:, _inside(times, CALM)] ** 2).mean(axis=1))
+    calm = np.sqrt((errors[:, _inside(times, CALM)] ** 2).mean()) if (times >= STEP).any() else 0.0
     after = times >= STEP
     result = np.full(len(errors), np.inf)
     for run, error in enumerate(errors[:, after]):
-        loud = times[after][~(error < 3.0 * calm[run])]
+        loud = times[after][~(error < 3.0 * calm)]
         begins = np.concatenate([[STEP], loud])
         ends = np.concatenate([loud, [times[-1]]])
         quiet = np.flatnonzero(ends - begins >= HOLD)
         if len(quiet):
             result[run] = begins[quiet[0]] - STEP
     return result
+
+
+def _room(runs: Trajectories) -> Array:
+    return np.empty((*runs.states.shape[:2], 5))
 
 
 def _inside(times: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
