@@ -9,7 +9,7 @@ import pytest
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.memberships import SHAPES, Membership, membership, weight_slopes
+from tsobs_ros.model.memberships import SHAPES, Membership, membership, weights_and_slopes
 
 EXAMPLES = [
     membership("always", {}),
@@ -71,7 +71,8 @@ def test_slopes_are_the_derivative_of_the_grade(example: Membership) -> None:
 def test_slopes_of_the_weights_of_two_premises() -> None:
     rules = RuleBase(((EXAMPLES[5], EXAMPLES[1]), (EXAMPLES[5], EXAMPLES[2]), (EXAMPLES[0],) * 2))
     z = np.random.default_rng(3).uniform(-0.9, 1.4, (20, 2))
-    slopes = weight_slopes(rules, z)
+    weights, slopes = weights_and_slopes(rules, z)
+    np.testing.assert_allclose(weights, rules.weights(z), rtol=1e-14)
     assert slopes.shape == (20, 3, 2)
     for place in range(2):
         step = 1e-6 * np.eye(2)[place]
@@ -82,7 +83,13 @@ def test_slopes_of_the_weights_of_two_premises() -> None:
 def test_only_functions_that_know_their_slope_have_one() -> None:
     rules = RuleBase(((lambda z: np.ones_like(z),),))
     with pytest.raises(ModelError, match="know their slopes, got function"):
-        weight_slopes(rules, [0.0])
+        weights_and_slopes(rules, [0.0])
+
+
+def test_where_no_rule_fires_is_said() -> None:
+    rules = RuleBase(((EXAMPLES[3],),))
+    with pytest.raises(ModelError, match=r"no rule fires at z = \[7.0\]"):
+        weights_and_slopes(rules, [[0.0], [7.0]])
 
 
 @pytest.mark.parametrize(

@@ -212,7 +212,8 @@ def _plain_system(request: TSRequest) -> dict[str, Any]:
         rules.append({"if": conditions, "A": A.tolist(), "B": B.tolist()})
     return {
         "premises": {
-            name: {"state": state.tolist(), "scheduled": scheduled.tolist()}
+            name: {"state": state.tolist()}
+            | ({"scheduled": scheduled.tolist()} if scheduled.size else {})
             for name, state, scheduled in zip(names, model.premise, model.schedule, strict=True)
         },
         "rules": rules,

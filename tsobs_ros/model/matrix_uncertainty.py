@@ -74,7 +74,7 @@ class MatrixUncertainty:
         return bool((self.matrices == self.matrices[:, :1]).all())
 
     @cached_property
-    def _wide(self) -> Array:
+    def wide(self) -> Array:
         """[E_{i,k} 0], whose zeros meet the input, shape (k, r, n, n + m)."""
         widths = [(0, 0)] * 3 + [(0, self.model.input_count)]
         return np.pad(self.matrices, widths)
@@ -82,21 +82,18 @@ class MatrixUncertainty:
     @cached_property
     def _stacked(self) -> Array:
         """All directions of a rule above each other, shape (r, k n, n + m)."""
-        turned = np.moveaxis(self._wide, 0, 1)
+        turned = np.moveaxis(self.wide, 0, 1)
         return np.asarray(turned.reshape(turned.shape[0], -1, turned.shape[-1]))
 
-    def regressor(self, x: Array, u: Array) -> Array:
+    def regressor(self, x: Array, u: Array, weights: Array | None = None) -> Array:
         """Return Σᵢ hᵢ E_{i,k} x, what ẋ changes by for θ = 1, shape (n, k).
 
         Args:
             x: State of the plant, shape (n,).
             u: Inputs and scheduled signals, shape (m + s,).
+            weights: h, for callers that have it already, shape (r,).
         """
-        return self.model.blended(self._stacked, x, u).reshape(self.count, -1).T
-
-    def jacobian(self, x: Array, u: Array, theta: Array) -> Array:
-        """Return d(Σ θ_k hᵢ E_{i,k} x)/dx, shape (n, n)."""
-        return self.model.blended_jacobian(np.tensordot(theta, self._wide, 1), x, u)
+        return self.model.blended(self._stacked, x, u, weights).reshape(self.count, -1).T
 
     def model_with(self, theta: ArrayLike) -> TSModel:
         """Return the T–S system that θ, shape (k,), describes."""

@@ -6,6 +6,7 @@ A covariance that follows the estimate needs the slopes of the rule weights, sin
 an estimate as well; so these functions know theirs. At a corner it is that of one side.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -84,7 +85,7 @@ class Linear(Membership):
             raise ModelError(f"membership linear: expected zero and one apart, got {self.zero}")
 
     def __call__(self, z: Array) -> Array:
-        return np.clip((z - self.zero) / (self.one - self.zero), 0.0, 1.0)
+        return _share((z - self.zero) / (self.one - self.zero))
 
     def slope(self, z: Array) -> Array:
         inside = (z >= min(self.zero, self.one)) & (z < max(self.zero, self.one))
@@ -165,7 +166,7 @@ class SineUpper(Membership):
 
     def __call__(self, z: Array) -> Array:
         bottom = np.sinc(self.half_width / np.pi)
-        return np.clip((np.sinc(np.asarray(z) / np.pi) - bottom) / (1.0 - bottom), 0.0, 1.0)
+        return _share((np.sinc(z / np.pi) - bottom) / (1.0 - bottom))
 
     def slope(self, z: Array) -> Array:
         z = np.asarray(z, dtype=np.float64)
@@ -215,8 +216,8 @@ def membership(shape: str, parameters: Mapping[str, float]) -> Membership:
     return SHAPES[shape](**parameters)
 
 
-def weight_slopes(rule_base: RuleBase, z: ArrayLike) -> Array:
-    """Return ∂hᵢ/∂zⱼ of the normalised rule weights, shape (..., r, q).
+def weights_and_slopes(rule_base: RuleBase, z: ArrayLike) -> tuple[Array, Array]:
+    """Return the normalised rule weights h, shape (..., r), and ∂hᵢ/∂zⱼ, shape (..., r, q).
 
     Args:
         rule_base: Rules of membership functions of this module.
@@ -226,29 +227,32 @@ def weight_slopes(rule_base: RuleBase, z: ArrayLike) -> Array:
         ModelError: A membership function does not know its slope, or no rule fires.
     """
     premise = np.asarray(z, dtype=np.float64)
-    weights = rule_base.weights(premise)
     grades, slopes = [], []
     for rule in rule_base.rules:
-        each = [one(premise[..., j]) for j, one in enumerate(rule)]
-        grades.append(np.prod(each, axis=0))
+        each = [_named(one)(premise[..., j]) for j, one in enumerate(rule)]
+        grades.append(math.prod(each))
         slopes.append(
             [
-                _slope(one, premise[..., j]) * np.prod(each[:j] + each[j + 1 :], axis=0)
+                _named(one).slope(premise[..., j]) * math.prod(each[:j] + each[j + 1 :])
                 for j, one in enumerate(rule)
             ]
         )
-    # (r, q, ...) to (..., r, q)
-    rise = np.moveaxis(np.array(slopes), (0, 1), (-2, -1)) / np.sum(grades, axis=0)[..., None, None]
-    return np.asarray(rise - weights[..., np.newaxis] * rise.sum(axis=-2, keepdims=True))
+    total = np.asarray(sum(grades))
+    if not (total > 0.0).all():
+        # Says at which z no rule fires.
+        rule_base.weights(premise)
+    weights = np.moveaxis(np.array(grades), 0, -1) / total[..., np.newaxis]
+    rise = np.moveaxis(np.array(slopes), (0, 1), (-2, -1)) / total[..., np.newaxis, np.newaxis]
+    return weights, rise - weights[..., np.newaxis] * rise.sum(axis=-2, keepdims=True)
 
 
-def _slope(function: Any, z: Array) -> Array:
+def _named(function: Any) -> Membership:
     if not isinstance(function, Membership):
         raise ModelError(
             f"memberships: expected functions of tsobs_ros.model.memberships, which know their "
             f"slopes, got {type(function).__name__}"
         )
-    return function.slope(z)
+    return function
 
 
 def _edges(z: Array, left: float, top_left: float, top_right: float, right: float) -> Array:
@@ -257,3 +261,8 @@ def _edges(z: Array, left: float, top_left: float, top_right: float, right: floa
     falling = (z >= top_right) & (z < right)
     up, down = 1.0 / (top_left - left), 1.0 / (right - top_right)
     return np.asarray(np.where(rising, up, 0.0) - np.where(falling, down, 0.0))
+
+
+def _share(value: Array) -> Array:
+    """Return the value, kept within [0, 1]; np.clip takes five times as long for one number."""
+    return np.asarray(np.minimum(np.maximum(value, 0.0), 1.0))

@@ -134,6 +134,7 @@ class TSSensitivity:
         self._flow = flow
         self._uncertainty = uncertainty
         self._plant = uncertainty.model.state_count
+        self._zeros = np.zeros((flow.state_count, flow.state_count))
 
     def carry(
         self,
@@ -166,10 +167,13 @@ class TSSensitivity:
         self, x: Array, upsilon: Array, theta: Array, u: Array
     ) -> tuple[Array, Array, Array]:
         """Return what enters x and Υ besides the linear flow, and its Jacobian in x."""
-        n, flow = self._plant, self._flow
-        regressor = np.zeros(upsilon.shape)
-        regressor[:n] = self._uncertainty.regressor(x[:n], u)
-        jacobian = flow.deviation_jacobian(x, u)
-        jacobian[:n, :n] += self._uncertainty.jacobian(x[:n], u, theta)
-        rate = flow.deviation(x, u) + regressor @ theta
+        n, model = self._plant, self._flow.model
+        plant = x[:n]
+        local = model.weights_and_turning(plant, u)
+        weights = local[0]
+        total = self._flow.deviations + np.tensordot(theta, self._uncertainty.wide, 1)
+        rate, regressor, jacobian = np.zeros(x.shape), np.zeros(upsilon.shape), self._zeros.copy()
+        rate[:n] = model.blended(total, plant, u, weights)
+        regressor[:n] = self._uncertainty.regressor(plant, u, weights)
+        jacobian[:n, :n] = model.blended_jacobian(total, plant, u, local)
         return rate, jacobian @ upsilon + regressor, jacobian

@@ -74,6 +74,7 @@ class TSFlow:
         disturbance: The exosystem of the measurements' disturbances, one channel an output.
         process_noise: Densities of white noise on each state's derivative [unit²/s], shape (n,).
         period: Nominal step [s]; longer steps are taken in nominal ones and a remainder.
+        deviations: [Aᵢ − A₀, Bᵢ − B₀] of every rule, shape (r, n, n + m).
 
     Raises:
         ModelError: The disturbance has another number of channels than the system outputs, or a
@@ -108,7 +109,7 @@ class TSFlow:
         )
         mean = model.rates.mean(axis=0)
         self._mean = mean[:, :n]
-        self._deviations = model.rates - mean
+        self.deviations = model.rates - mean
         density = block_diag(np.diag(self.process_noise), disturbance.G @ disturbance.G.T)
         inputs = np.vstack([mean[:, n:], np.zeros((disturbance.state_count, model.input_count))])
         self._linear = LinearFlow(
@@ -191,14 +192,14 @@ class TSFlow:
         """Return g(x, u), what the rules differ by from their mean, shape (..., n)."""
         n = self.model.state_count
         rate = np.zeros(x.shape)
-        rate[..., :n] = self.model.blended(self._deviations, x[..., :n], u)
+        rate[..., :n] = self.model.blended(self.deviations, x[..., :n], u)
         return rate
 
     def deviation_jacobian(self, x: Array, u: Array) -> Array:
         """Return dg/dx̄, shape (..., n, n)."""
         n = self.model.state_count
         jacobian = np.zeros((*x.shape, x.shape[-1]))
-        jacobian[..., :n, :n] = self.model.blended_jacobian(self._deviations, x[..., :n], u)
+        jacobian[..., :n, :n] = self.model.blended_jacobian(self.deviations, x[..., :n], u)
         return jacobian
 
     def error_map(self, first: Array, second: Array, step: TSStep) -> tuple[Array, Array]:

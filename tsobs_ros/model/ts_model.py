@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.memberships import weight_slopes
+from tsobs_ros.model.memberships import weights_and_slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class TSModel:
         """Number of inputs m, scheduled signals not among them."""
         return int(self.B.shape[-1])
 
-    @property
+    @cached_property
     def premise_known(self) -> bool:
         """Whether the premise is made of scheduled signals only, so that no estimate enters."""
         return not self.premise.any()
@@ -82,28 +82,47 @@ class TSModel:
         """Return h(z), shape (..., r), for states (..., n) and held signals [u; s] (..., m + s)."""
         return self.rule_base.weights(self._premises(x, held))
 
-    def blended(self, matrices: Array, x: Array, held: Array) -> Array:
+    def weights_and_turning(self, x: Array, held: Array) -> tuple[Array, Array]:
+        """Return h, shape (..., r), and ∂h/∂x, shape (..., r, n)."""
+        weights, slopes = weights_and_slopes(self.rule_base, self._premises(x, held))
+        return weights, slopes @ self.premise
+
+    def blended(
+        self, matrices: Array, x: Array, held: Array, weights: Array | None = None
+    ) -> Array:
         """Return Σ hᵢ Mᵢ [x; u], shape (..., a).
 
         Args:
             matrices: One of shape (a, n + m) a rule, shape (r, a, n + m).
             x: State, shape (..., n).
             held: Inputs and scheduled signals [u; s], shape (..., m + s).
+            weights: h, for callers that have it already, shape (..., r).
         """
-        return np.asarray(
-            (self.weights(x, held)[..., np.newaxis] * self._each(matrices, x, held)).sum(axis=-2)
-        )
+        h = self.weights(x, held) if weights is None else weights
+        return np.asarray((h[..., np.newaxis] * self._each(matrices, x, held)).sum(axis=-2))
 
-    def blended_jacobian(self, matrices: Array, x: Array, held: Array) -> Array:
-        """Return d(Σ hᵢ Mᵢ [x; u])/dx, shape (..., a, n); the premise moves with the state."""
+    def blended_jacobian(
+        self,
+        matrices: Array,
+        x: Array,
+        held: Array,
+        local: tuple[Array, Array] | None = None,
+    ) -> Array:
+        """Return d(Σ hᵢ Mᵢ [x; u])/dx, shape (..., a, n); the premise moves with the state.
+
+        Args:
+            matrices: As for `blended`.
+            x: As for `blended`.
+            held: As for `blended`.
+            local: From `weights_and_turning`, for callers that have it already.
+        """
         n = self.state_count
-        z = self._premises(x, held)
-        jacobian = np.tensordot(self.rule_base.weights(z), matrices[..., :n], 1)
         if self.premise_known:
-            return np.asarray(jacobian)
-        turning = weight_slopes(self.rule_base, z) @ self.premise
+            return np.tensordot(self.weights(x, held), matrices[..., :n], 1)
+        weights, turning = self.weights_and_turning(x, held) if local is None else local
         each = self._each(matrices, x, held)
-        return np.asarray(jacobian + np.swapaxes(each, -1, -2) @ turning)
+        frozen = np.tensordot(weights, matrices[..., :n], 1)
+        return np.asarray(frozen + np.swapaxes(each, -1, -2) @ turning)
 
     @cached_property
     def rates(self) -> Array:

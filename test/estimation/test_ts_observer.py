@@ -1,0 +1,263 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The observers on T–S systems given by their matrices: known answers, Monte Carlo, adaptation."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from tsobs_ros.design.request import DisturbanceTerm
+from tsobs_ros.design.ts_design import TSDesign
+from tsobs_ros.design.ts_file import load_ts_request
+from tsobs_ros.design.ts_request import TSRequest
+from tsobs_ros.design.ts_synthesis import synthesise_ts
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.adaptive import AdaptationOptions, AdaptiveObserver
+from tsobs_ros.estimation.observer import GainMode, ObserverState
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.memberships import membership
+from tsobs_ros.model.sensitivity import TSSensitivity
+from tsobs_ros.model.ts_model import TSModel
+from tsobs_ros.model.uncertainty import ArmUncertainty
+from tsobs_ros.resources import config_path
+from tsobs_ros.simulation.integrator import rk4_step
+
+Array = NDArray[np.float64]
+
+RUNS = 1000
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> TSDesign:
+    """The shipped example: an encoder, a gyroscope with a bias, gravity uncertain by 20 %."""
+    return synthesise_ts(load_ts_request(config_path("ts_example.request.yaml")))
+
+
+@pytest.fixture(scope="module")
+def linear() -> TSDesign:
+    """One rule, two states, two outputs of which the second has a bias."""
+    rules = RuleBase(((membership("always", {}),),))
+    A = np.array([[[0.0, 1.0], [-2.0, -0.3]]])
+    model = TSModel(A, np.array([[0.0], [1.0]]), np.eye(2), rules, np.ones((1, 2)))
+    return synthesise_ts(
+        TSRequest(
+            model=model,
+            disturbance=[[DisturbanceTerm("clean")], [DisturbanceTerm("bias")]],
+            process_noise=[1e-3, 1e-2],
+            measurement_std=[0.1, 0.05],
+            rate=50.0,
+            initial_std=[1.0, 1.0],
+        )
+    )
+
+
+def true_pendulum(gravity: float = 9.81) -> Callable[[Array, Array], Array]:
+    """The equation itself, not its rules."""
+
+    def derivative(x: Array, u: Array) -> Array:
+        swing = -gravity * np.sin(x[..., 0]) - 0.2 * x[..., 1] + u[..., 0]
+        return np.stack([x[..., 1], swing], axis=-1)
+
+    return derivative
+
+
+def test_with_one_rule_it_is_the_textbook_kalman_filter(linear: TSDesign) -> None:
+    observer = linear.observer(gain_mode=GainMode.RICCATI)
+    request = linear.request
+    T = request.period
+    whole = np.zeros((4, 4))
+    whole[:2, :2], whole[:2, 3:] = request.model.A[0], [[0.0], [1.0]]
+    step = expm(whole * T)
+    phi, gamma = step[:3, :3], step[:3, 3:]
+    (vertex,) = request.vertices()
+    C, R = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]), np.diag([0.01, 0.0025])
+
+    state = observer.initial()
+    x, P = np.zeros(3), np.diag([1.0, 1.0, 0.09])
+    rng = np.random.default_rng(2)
+    for k in range(100):
+        y, u = rng.standard_normal(2), np.array([math.sin(k * T)])
+        gain = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
+        x, P = x + gain @ (y - C @ x), (np.eye(3) - gain @ C) @ P
+        x, P = phi @ x + gamma @ u, phi @ P @ phi.T + vertex.noise
+        state, _ = observer.correct(state, y)
+        state = observer.predict(state, u, T)
+    np.testing.assert_allclose(state.x, x, rtol=1e-9)
+    np.testing.assert_allclose(state.covariance, P, rtol=1e-9, atol=1e-15)
+
+
+def test_with_one_rule_the_certified_gain_is_a_luenberger_observer(linear: TSDesign) -> None:
+    observer = linear.observer()
+    bound = linear.covariance_bound
+    state = ObserverState(np.array([0.3, -0.2, 0.1]), bound, 0.0, True, False)
+    y, u, T = np.array([0.5, -0.4]), np.array([0.7]), linear.request.period
+    x = state.x + linear.K @ (y - linear.request.flow.output_matrix @ state.x)
+    state, correction = observer.correct(state, y)
+    np.testing.assert_allclose(state.x, x, rtol=1e-14)
+    np.testing.assert_array_equal(correction.gain, linear.K)
+    state = observer.predict(state, u, T)
+    np.testing.assert_allclose(state.x, linear.request.flow.predict(x, u, T), rtol=1e-14)
+    assert state.certified
+    np.testing.assert_array_equal(state.covariance, bound)
+
+
+class Campaign(NamedTuple):
+    """Errors at checkpoints, shape (checkpoints, runs, 3), and the largest angle."""
+
+    errors: Array
+    widest: float
+
+
+@pytest.fixture(scope="module")
+def campaign(pendulum: TSDesign) -> Campaign:
+    """Pendulums that follow the equation, kicked every quarter step, from errors as large as X."""
+    rng = np.random.default_rng(20260301)
+    T, substeps = pendulum.request.period, 4
+    h = T / substeps
+    derivative = true_pendulum()
+    x = np.array([0.8, 0.0]) + rng.standard_normal((RUNS, 2)) * [0.05, 0.2]
+    bias = 0.1 * rng.standard_normal((RUNS, 1))
+    start = rng.standard_normal((RUNS, 3)) @ np.linalg.cholesky(pendulum.covariance_bound).T
+    observer = pendulum.observer()
+    state = ObserverState(np.hstack([x, bias]) + start, pendulum.covariance_bound, 0, True, False)
+    errors, widest = [], 0.0
+    for k in range(800):
+        widest = max(widest, float(np.abs(x[:, 0]).max()))
+        if k % 100 == 99:
+            errors.append(state.x - np.hstack([x, bias]))
+        u = np.full((RUNS, 1), 1.5 * math.sin(1.3 * k * T))
+        y = x + np.hstack([np.zeros((RUNS, 1)), bias])
+        y = y + rng.standard_normal((RUNS, 2)) * [0.01, 0.02]
+        state, _ = observer.correct(state, y)
+        state = observer.predict(state, u, T)
+        assert state.certified
+        for _ in range(substeps):
+            x = rk4_step(derivative, x, u, h)
+            x = x + rng.standard_normal((RUNS, 2)) * [0.0, math.sqrt(1e-3 * h)]
+        bias = bias + math.sqrt(1e-6 * T) * rng.standard_normal((RUNS, 1))
+    return Campaign(np.array(errors), widest)
+
+
+def test_the_covariance_of_the_errors_stays_below_the_bound(
+    campaign: Campaign, pendulum: TSDesign
+) -> None:
+    """For samples whose covariance is X the largest eigenvalue of X⁻¹cov(e) tends to
+    (1 + √(3/1000))² = 1.11, with a deviation of about 0.03.
+    """
+    assert 0.9 < campaign.widest < 1.2
+    root = np.linalg.cholesky(pendulum.P)
+    for errors in campaign.errors:
+        spread = root.T @ (errors.T @ errors / RUNS) @ root
+        assert np.linalg.eigvalsh(spread)[-1] < 1.2
+
+
+def test_the_bound_is_not_idle(campaign: Campaign, pendulum: TSDesign) -> None:
+    share = np.sqrt((campaign.errors**2).mean(axis=(0, 1))) / pendulum.bound_std
+    assert (share > 0.7).all()
+    assert (share < 1.03).all()
+
+
+def learner(design: TSDesign) -> AdaptiveObserver:
+    assert design.request.uncertainty is not None
+    options = AdaptationOptions(start=1.0)
+    return AdaptiveObserver(design.observer(settle_time=1.0), design.request.uncertainty, options)
+
+
+@pytest.mark.parametrize("theta", [0.12, -0.15])
+def test_adaptation_finds_the_true_parameter(theta: float, pendulum: TSDesign) -> None:
+    """Gravity differs by θ; the truth is the equation, both sensors are noisy, one has a bias."""
+    observer = learner(pendulum)
+    rng = np.random.default_rng(7)
+    T = pendulum.request.period
+    derivative = true_pendulum(9.81 * (1.0 + theta))
+    state, x = observer.initial(), np.array([0.5, 0.0])
+    for k in range(2500):
+        u = np.array([2.0 * math.sin(2.1 * k * T) + 1.0 * math.sin(0.7 * k * T)])
+        y = x + np.array([0.0, 0.05]) + rng.standard_normal(2) * [0.01, 0.02]
+        state, correction = observer.correct(state, y)
+        assert correction.spread.shape == (2, 2)
+        state = observer.predict(state, u, T)
+        x = rk4_step(derivative, x, u, T)
+    readout = observer.readout(state)
+    assert readout.parameters_valid
+    assert readout.parameters[0] == pytest.approx(theta, abs=0.005)
+    assert abs(readout.parameters[0] - theta) < 4.0 * readout.parameter_bound[0]
+    np.testing.assert_allclose(readout.state, x, atol=0.01)
+    np.testing.assert_allclose(readout.disturbance, [0.0, 0.05], atol=0.006)
+
+
+def test_the_sensitivity_is_the_derivative_by_theta(pendulum: TSDesign) -> None:
+    """Υ starts as ∂x/∂θ of a start that depends on θ, and stays that of the predicted state."""
+    uncertainty = pendulum.request.uncertainty
+    assert uncertainty is not None
+    carrier = TSSensitivity(pendulum.request.flow, uncertainty)
+    x0, slope, u = np.array([0.7, -0.4, 0.1]), np.array([[0.2], [-0.5], [0.3]]), np.array([1.5])
+
+    def predicted(theta: float) -> Array:
+        start = x0 + slope[:, 0] * (theta - 0.1)
+        return carrier.carry(start, slope, None, np.array([theta]), u, 0.034)[0]
+
+    _, upsilon, _ = carrier.carry(x0, slope, None, np.array([0.1]), u, 0.034)
+    expected = (predicted(0.1 + 1e-6) - predicted(0.1 - 1e-6)) / 2e-6
+    np.testing.assert_allclose(upsilon[:, 0], expected, rtol=1e-7)
+
+
+def test_known_parameters_are_those_of_the_changed_model(pendulum: TSDesign) -> None:
+    """Carrying θ is predicting with Aᵢ + θEᵢ; and θ = 0 is the plain prediction, noise included."""
+    request, flow = pendulum.request, pendulum.request.flow
+    assert request.uncertainty is not None
+    carrier = TSSensitivity(flow, request.uncertainty)
+    x, u, covariance = np.array([0.7, -0.4, 0.1]), np.array([1.5]), np.diag([0.1, 0.2, 0.3])
+    none = np.zeros((3, 1))
+    moved, _, spread = carrier.carry(x, none, covariance, np.zeros(1), u, 0.01)
+    expected = flow.predict_with_covariance(x, covariance, u, 0.01)
+    np.testing.assert_allclose(moved, expected[0], rtol=1e-13)
+    assert spread is not None
+    np.testing.assert_allclose(spread, expected[1], rtol=1e-12, atol=1e-16)
+
+    changed = request.uncertainty.model_with([0.15])
+    np.testing.assert_allclose(changed.A[:, 1, 0], 1.15 * request.model.A[:, 1, 0])
+    theta = np.array([0.15])
+    for _ in range(100):
+        x, _, _ = carrier.carry(x, none, None, theta, u, 0.01)
+    truth = np.array([0.7, -0.4])
+    for _ in range(200):
+        truth = rk4_step(changed.derivative, truth, u, 0.005)
+    np.testing.assert_allclose(x[:2], truth, atol=1e-3)
+
+
+def test_the_readout_is_in_the_models_own_terms(pendulum: TSDesign) -> None:
+    observer = pendulum.observer()
+    state = ObserverState(
+        np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), pendulum.covariance_bound, 0, True, False
+    )
+    readout = observer.readout(state)
+    np.testing.assert_array_equal(readout.state, [[0.1, 0.2], [0.4, 0.5]])
+    np.testing.assert_allclose(readout.state_bound, pendulum.bound_std[:2], rtol=1e-12)
+    np.testing.assert_array_equal(readout.disturbance, [[0.0, 0.3], [0.0, 0.6]])
+    np.testing.assert_allclose(readout.disturbance_bound, [0.0, pendulum.bound_std[2]], rtol=1e-12)
+
+
+def test_a_wide_start_is_handed_over_to_the_certified_gain(pendulum: TSDesign) -> None:
+    observer = pendulum.observer(settle_time=0.5)
+    state, x, T = observer.initial(), np.array([0.5, 0.0]), pendulum.request.period
+    derivative = true_pendulum()
+    u = np.zeros(1)
+    for _ in range(1500):
+        state, _ = observer.correct(state, x + np.array([0.0, 0.05]))
+        state = observer.predict(state, u, T)
+        x = rk4_step(derivative, x, u, T)
+    assert state.certified
+    np.testing.assert_allclose(state.x, [*x, 0.05], atol=5e-3)
+
+
+def test_uncertainty_of_another_model_is_refused(pendulum: TSDesign) -> None:
+    arm = ArmUncertainty(ElasticJointArm(), {"stiffness": 0.2})
+    with pytest.raises(ModelError, match="got ArmUncertainty with TSFlow"):
+        AdaptiveObserver(pendulum.observer(), arm)
