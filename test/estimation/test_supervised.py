@@ -16,7 +16,7 @@ from tsobs_ros.estimation.supervision import SupervisionOptions
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenario import Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
-from tsobs_ros.simulation.signals import BiasStep
+from tsobs_ros.simulation.signals import BiasStep, StuckSensor
 
 Array = NDArray[np.float64]
 T = 0.005
@@ -230,3 +230,24 @@ def test_steps_leave_the_state_they_were_given_alone() -> None:
     assert [field.tobytes() for field in observer.readout(state)[:5]] == before
     assert observer.events(state) == events
     assert observer.period == T
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_stuck_sensor_is_not_believed(seed: int) -> None:
+    scenario = replace(SCENARIOS["noise"], disturbance=(StuckSensor(12.0, 3.0),))
+    run = simulate(scenario, [seed], 18.0)
+    errors = {}
+    for samples in (0, 10):
+        observer = supervised(stuck_samples=samples)
+        state, worst = observer.initial(), 0.0
+        for k, y in enumerate(run.measurements[0]):
+            state, correction = observer.correct(state, y)
+            if k * T > 12.0:
+                worst = max(worst, abs(observer.readout(state).state[0] - run.states[0, k, 0]))
+            if 12.1 < k * T < 14.9:
+                assert (correction.weight == 0.0) == (samples > 0)
+            state = observer.predict(state, run.torques[0, k], T)
+        errors[samples] = worst
+    # Three seconds without a sensor cost little; three seconds of a wrong one cost much.
+    assert errors[10] < 0.02
+    assert errors[0] > 5.0 * errors[10]

@@ -82,13 +82,17 @@ class FaultMonitor:
             innovation: y − ŷ [rad].
             expected_std: 1σ expected of the innovation [rad].
         """
+        self.unused(stamp, y)
+        self._innovations.update(stamp, innovation / expected_std)
+        self._predicted = y - innovation
+
+    def unused(self, stamp: int, y: float) -> None:
+        """Take in a measurement that the estimator did not use, with what `measured` is given."""
         was_stuck = self._repeats.stuck
         self._repeats.update(stamp, y)
         if was_stuck and not self._repeats.stuck:
             # What came before says nothing about what comes, and the estimate was led astray.
             self._history = History(after_fault=True)
-        self._innovations.update(stamp, innovation / expected_std)
-        self._predicted = y - innovation
 
     def estimated(self, stamp: int, disturbance: float, bound: float) -> Fault:
         """Take in an estimate and return the fault, which is judged ten times a second.

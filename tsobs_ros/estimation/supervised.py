@@ -21,6 +21,8 @@ class SupervisedState(NamedTuple):
         watch: What the supervision remembers.
         pause: Learning rests for so much longer [s].
         pinned: How long a parameter has been at its limit [s].
+        y: The last sample [rad], None before the first.
+        repeats: How often it has come again without a change.
         outliers: Number of measurements that were weighed down.
         jumps: Number of sensor jumps found.
         losses: Number of times the estimate was given up and started afresh.
@@ -31,6 +33,8 @@ class SupervisedState(NamedTuple):
     watch: Watch
     pause: float = 0.0
     pinned: float = 0.0
+    y: float | None = None
+    repeats: int = 0
     outliers: int = 0
     jumps: int = 0
     losses: int = 0
@@ -84,6 +88,10 @@ class SupervisedObserver:
     def correct(self, state: SupervisedState, y: Array) -> tuple[SupervisedState, Correction]:
         """Use one measurement y [rad], shape (1,), as far as it can be believed."""
         correction: Correction = self.observer.expect(state.inner, y)
+        repeats = state.repeats + 1 if float(y[0]) == state.y else 0
+        state = state._replace(y=float(y[0]), repeats=repeats)
+        if 0 < self.options.stuck_samples <= repeats:
+            return state, correction._replace(weight=0.0)
         normalised = float(correction.innovation[0]) / float(correction.spread[0, 0]) ** 0.5
         watch, verdict = judge(state.watch, normalised, self.period, self.options)
         state = state._replace(watch=watch)

@@ -37,6 +37,8 @@ class SupervisionOptions:
             innovation leans, and unbudgeted reactions make the error worse.
         jump_budget_window: [s].
         lost: Half-second average of |r| beyond which the estimate is given up.
+        stuck_samples: From so many repetitions of the very same value on, samples of the sensor
+            are not used; 0 for a sensor whose steps are larger than its noise.
         disturbance_limit: The estimated disturbance is kept within so much [rad]; beyond π the arm
             and its sensor turned together look the same.
         strain: `nis` above 2, or a parameter at its limit, for so long starts learning again [s].
@@ -51,6 +53,7 @@ class SupervisionOptions:
     jump_budget: int = 3
     jump_budget_window: float = 20.0
     lost: float = 6.0
+    stuck_samples: int = 10
     disturbance_limit: float = math.pi
     strain: float = 1.0
     relearn_budget: int = 4
@@ -63,6 +66,7 @@ class SupervisionOptions:
         non_negative("jump_budget", self.jump_budget)
         non_negative("jump_budget_window", self.jump_budget_window)
         positive("lost", self.lost)
+        non_negative("stuck_samples", self.stuck_samples)
         positive("disturbance_limit", self.disturbance_limit)
         if not self.reject >= self.gate:
             raise ModelError(

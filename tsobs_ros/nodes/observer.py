@@ -175,6 +175,8 @@ class Observer(Node):
             return
         outcome = self._tracker.offer(read, now)
         if isinstance(outcome, RejectReason):
+            if outcome is RejectReason.GATED:
+                self._faults.unused(read.stamp, float(read.y[0]))
             self._warn_of_rejection(outcome, message, now)
             return
         innovation, expected_std = float(outcome.value[0]), float(outcome.expected_std[0])

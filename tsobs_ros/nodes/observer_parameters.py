@@ -57,6 +57,9 @@ class SupervisionParameters:
     lost: float = parameter(
         6.0, "Average innovation in sigma that gives the estimate up", minimum=1.0, maximum=1e3
     )
+    stuck_samples: int = parameter(
+        10, "Repetitions of the same value from which samples are not used; 0: never", minimum=0
+    )
     disturbance_limit: float = parameter(
         3.141592653589793, "Largest disturbance believed", unit="rad", minimum=1e-3, maximum=100.0
     )
