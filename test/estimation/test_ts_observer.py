@@ -163,16 +163,10 @@ def test_the_bound_is_not_idle(campaign: Campaign, pendulum: TSDesign) -> None:
     assert (share < 1.03).all()
 
 
-def learner(design: TSDesign) -> AdaptiveObserver:
-    assert design.request.uncertainty is not None
-    options = AdaptationOptions(start=1.0)
-    return AdaptiveObserver(design.observer(settle_time=1.0), design.request.uncertainty, options)
-
-
 @pytest.mark.parametrize("theta", [0.12, -0.15])
 def test_adaptation_finds_the_true_parameter(theta: float, pendulum: TSDesign) -> None:
     """Gravity differs by θ; the truth is the equation, both sensors are noisy, one has a bias."""
-    observer = learner(pendulum)
+    observer = pendulum.adaptive_observer(1.0, AdaptationOptions(start=1.0))
     rng = np.random.default_rng(7)
     T = pendulum.request.period
     derivative = true_pendulum(9.81 * (1.0 + theta))
@@ -186,6 +180,8 @@ def test_adaptation_finds_the_true_parameter(theta: float, pendulum: TSDesign) -
         x = rk4_step(derivative, x, u, T)
     readout = observer.readout(state)
     assert readout.parameters_valid
+    # Adapted, but the certificate was not asked to cover θ.
+    assert not readout.certified
     assert readout.parameters[0] == pytest.approx(theta, abs=0.005)
     assert abs(readout.parameters[0] - theta) < 4.0 * readout.parameter_bound[0]
     np.testing.assert_allclose(readout.state, x, atol=0.01)
@@ -261,3 +257,8 @@ def test_uncertainty_of_another_model_is_refused(pendulum: TSDesign) -> None:
     arm = ArmUncertainty(ElasticJointArm(), {"stiffness": 0.2})
     with pytest.raises(ModelError, match="got ArmUncertainty with TSFlow"):
         AdaptiveObserver(pendulum.observer(), arm)
+
+
+def test_there_must_be_something_to_learn(linear: TSDesign) -> None:
+    with pytest.raises(ModelError, match="expected at least one direction to learn, got none"):
+        linear.adaptive_observer()

@@ -13,6 +13,7 @@ from tsobs_ros.design.certificate import CertificateReport, check_certificate
 from tsobs_ros.design.record import SolverReport
 from tsobs_ros.design.ts_request import TSRequest
 from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.adaptive import AdaptationOptions, AdaptiveObserver
 from tsobs_ros.estimation.observer import CertifiedGain, GainMode, TSObserver
 
 
@@ -74,6 +75,20 @@ class TSDesign:
             settle_time=settle_time,
             gain_mode=gain_mode,
         )
+
+    def adaptive_observer(
+        self, settle_time: float = 5.0, options: AdaptationOptions | None = None
+    ) -> AdaptiveObserver:
+        """Return the observer that learns the request's uncertain directions.
+
+        Raises:
+            ModelError: The request names none.
+        """
+        uncertainty = self.request.uncertainty
+        if uncertainty is None:
+            raise ModelError("uncertainty: expected at least one direction to learn, got none")
+        covered = self.request.certify_uncertainty
+        return AdaptiveObserver(self.observer(settle_time), uncertainty, options, covered)
 
     def summary(self) -> dict[str, Any]:
         """Return what `tsobs design` and `tsobs verify` report, as plain data."""
