@@ -81,3 +81,25 @@ def test_sigterm_to_the_demo_leaves_no_nodes_behind(tmp_path):
         os.kill(pid, signal.SIGINT)
     assert left == []
     assert code == 1
+
+
+def test_a_ts_model_is_designed_and_verified(tmp_path, capsys):
+    output = tmp_path / "ts.yaml"
+    request = str(config_path("ts_example.request.yaml"))
+    assert main(["design", request, "--output", str(output)]) == 0
+    assert main(["verify", "--json", str(output)]) == 0
+    assert main(["verify", "--exact", str(output)]) == 1
+    assert "T-S models" in capsys.readouterr().err
+
+
+def test_the_papers_procedure_designs_where_it_can(tmp_path, capsys):
+    output = tmp_path / "paper.yaml"
+    assert main(["design", "--method", "paper", "--example", "2", "--output", str(output)]) == 0
+    assert "DOES NOT" not in capsys.readouterr().out
+    assert main(["design", "--method", "paper", "--example", "3", "--output", "unused.yaml"]) == 1
+    assert "eigenvalue 0+4.776j" in capsys.readouterr().err
+
+
+def test_the_shipped_design_is_proved_in_exact_arithmetic(capsys):
+    assert main(["verify", "--exact"]) == 0
+    assert "proved in exact arithmetic" in capsys.readouterr().out

@@ -78,11 +78,18 @@ def design(options: argparse.Namespace) -> int:
     from tsobs_ros.design.file import load_request, save_design
     from tsobs_ros.design.request import DesignRequest
     from tsobs_ros.design.synthesis import synthesise
+    from tsobs_ros.design.ts_file import is_ts_file
+    from tsobs_ros.design.ts_synthesis import design_ts_file
 
     if options.output.exists() and not options.force:
         raise DesignFileError(f"{options.output}: exists already; --force replaces it")
     if options.method == "paper":
         return _design_by_the_paper(options)
+    if options.request and is_ts_file(options.request):
+        ts_result = design_ts_file(options.request, options.output)
+        written = f"{ts_result.text()}\nwritten to {options.output}"
+        _show({"design": str(options.output), **ts_result.summary()}, written, options.json)
+        return 0
     request = load_request(options.request) if options.request else DesignRequest()
     result = synthesise(request)
     save_design(result, options.output)
@@ -128,8 +135,15 @@ def _design_by_the_paper(options: argparse.Namespace) -> int:
 def verify(options: argparse.Namespace) -> int:
     """Re-check the certificate of a design file."""
     from tsobs_ros.design.file import parse_design
+    from tsobs_ros.design.ts_file import is_ts_file, parse_ts_design
 
     path = options.design or config_path(_SHIPPED)
+    if is_ts_file(path):
+        if options.exact:
+            raise DesignFileError(f"{path}: --exact is for designs of the arm, not of T-S models")
+        ts_design = parse_ts_design(path)
+        _show({"design": str(path), **ts_design.summary()}, ts_design.text(), options.json)
+        return _verdict(path, ts_design.certificate.holds)
     parsed = parse_design(path)
     if options.exact:
         from tsobs_ros.design.exact import verify_exactly
