@@ -23,7 +23,7 @@ from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.observer import ObserverState
 from tsobs_ros.simulation.excitation import Multisine, Sine
 from tsobs_ros.simulation.plant import Plant
-from tsobs_ros.simulation.scenario import ProcessNoise, Scenario
+from tsobs_ros.simulation.scenario import Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import GaussMarkov
 
@@ -64,7 +64,7 @@ def _scenario(design: Design, motion: dict[str, Any]) -> Scenario:
     return Scenario(
         arm=request.arm,
         rate=request.rate,
-        process_noise=ProcessNoise(noise.link, noise.motor),
+        process_noise=noise,
         disturbance=(GaussMarkov(np.sqrt(0.5 * density * _WALK), _WALK),),
         sensor=Sensor(noise_std=request.measurement_std),
         **motion,

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.excitation import NoTorque, Sine
 from tsobs_ros.simulation.integrator import ArmIntegrator
 from tsobs_ros.simulation.plant import Plant, Sample
-from tsobs_ros.simulation.scenario import Mismatch, ProcessNoise, Scenario
+from tsobs_ros.simulation.scenario import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Sinusoid, StuckSensor
 
@@ -212,8 +213,8 @@ def test_senseless_scenarios_are_refused(change: dict[str, Any], complaint: str)
 def test_senseless_parts_are_refused() -> None:
     with pytest.raises(ModelError, match="mismatch stiffness: expected a finite number above -1"):
         Mismatch(stiffness=-1.0)
-    with pytest.raises(ModelError, match="motor_acceleration_density"):
-        ProcessNoise(motor_acceleration_density=-1e-5)
+    with pytest.raises(ModelError, match="process noise density of the motor"):
+        ProcessNoise(motor=-1e-5)
     with pytest.raises(ModelError, match="outlier_probability: expected 0 to 1"):
         Sensor(outlier_probability=1.1)
     with pytest.raises(ModelError, match="noise_std"):

@@ -6,10 +6,11 @@ from dataclasses import asdict, dataclass
 
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.disturbance_parameters import DisturbanceParameters
 from tsobs_ros.nodes.parameters import parameter, parameter_group
 from tsobs_ros.simulation.excitation import Chirp, Excitation, Multisine, NoTorque, Sine, Square
-from tsobs_ros.simulation.scenario import Mismatch, ProcessNoise, Scenario
+from tsobs_ros.simulation.scenario import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 
 
@@ -192,7 +193,10 @@ class PlantSimulatorParameters:
             duration=self.duration,
             initial_state=start,
             initial_spread=spread,
-            process_noise=ProcessNoise(**asdict(self.process_noise)),
+            process_noise=ProcessNoise(
+                link=self.process_noise.link_acceleration_density,
+                motor=self.process_noise.motor_acceleration_density,
+            ),
             excitation=self.excitation.build(),
             disturbance=self.disturbance.build(),
             sensor=Sensor(

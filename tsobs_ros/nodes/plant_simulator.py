@@ -19,12 +19,12 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_topics import SamplePublisher
 from tsobs_ros.nodes.sample_schedule import SampleSchedule, ScaledTime
-from tsobs_ros.nodes.stamps import NANOSECONDS
 from tsobs_ros.simulation.plant import Plant
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.

@@ -11,13 +11,14 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from tsobs_ros.bag.syncing import BackgroundSync
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.errors import NodeError
+from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.parameters import ParameterBinding, parameter
 from tsobs_ros.nodes.recorder_topics import TopicFinder
 
@@ -123,7 +124,7 @@ class Recorder(Node):
         self._writer = BagWriter(path, compression=parameters.compression)
         self._closed = False
         self._sync = BackgroundSync(self._writer.sync, parameters.sync_period)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostics = DiagnosticsPublisher(self, hardware_id=str(path))
         # Not the node's clock: simulated time may be slow, stop or never begin.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._our_timers = [
@@ -231,27 +232,19 @@ class Recorder(Node):
 
     def _publish_diagnostics(self) -> None:
         statistics, missing = self.statistics, self._finder.missing
-        status = DiagnosticStatus(
-            name=f"{self.get_fully_qualified_name().lstrip('/')}: recording",
-            hardware_id=str(self.path),
-        )
+        level, message = Level.OK, "recording"
         if statistics.lost:
-            status.level, status.message = DiagnosticStatus.WARN, f"{statistics.lost} messages lost"
+            level, message = Level.WARN, f"{statistics.lost} messages lost"
         elif missing:
-            status.level, status.message = DiagnosticStatus.WARN, f"waiting for {missing[0]}"
-        else:
-            status.level, status.message = DiagnosticStatus.OK, "recording"
+            level, message = Level.WARN, f"waiting for {missing[0]}"
         values = {
-            "messages": statistics.messages,
-            "lost": statistics.lost,
-            "topics": len(statistics.topics),
+            "messages": str(statistics.messages),
+            "lost": str(statistics.lost),
+            "topics": str(len(statistics.topics)),
             "waiting for": ", ".join(missing),
             "free disk space (MiB)": f"{_free_disk(self.path):.0f}",
         }
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        self._diagnostics.publish([Status("recording", level, message, values)])
 
 
 def create(**node_kwargs: Any) -> Recorder:

@@ -4,7 +4,7 @@
 
 from fractions import Fraction
 
-from tsobs_ros.nodes.stamps import NANOSECONDS
+from tsobs_ros.estimation.records import NANOSECONDS
 
 
 class SampleSchedule:

@@ -6,8 +6,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 
-NANOSECONDS = 1_000_000_000
-"""Nanoseconds of a second."""
+from tsobs_ros.estimation.records import NANOSECONDS
 
 
 def to_nanoseconds(stamp: Any) -> int:

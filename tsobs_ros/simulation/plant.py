@@ -85,7 +85,7 @@ class Plant:
         self._sensor = scenario.sensor
         self._sensor_noise = SensorNoise(self._seeds)
         noise = scenario.process_noise
-        densities = [noise.link_acceleration_density, noise.motor_acceleration_density]
+        densities = [noise.link, noise.motor]
         substeps, substep = self._integrator.substeps, self._integrator.substep
         kick_std = np.sqrt(np.array(densities) * substep)
         kicks = self._stream(Source.PROCESS, (substeps, 2), kick_std)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 from tsobs_ros.checks import non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.excitation import Excitation, Sine
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Component
@@ -40,24 +41,6 @@ class Mismatch:
                 for item in fields(self)
             }
         )
-
-
-@dataclass(frozen=True)
-class ProcessNoise:
-    """White accelerations that move the arm besides its torque.
-
-    Attributes:
-        link_acceleration_density: [rad²/s³].
-        motor_acceleration_density: [rad²/s³]; 1e-5 is 1e-3 in design coordinates, where the motor's
-            velocity is multiplied by k/J₁ = 10.
-    """
-
-    link_acceleration_density: float = 1e-4
-    motor_acceleration_density: float = 1e-5
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            non_negative(item.name, getattr(self, item.name))
 
 
 @dataclass(frozen=True)
