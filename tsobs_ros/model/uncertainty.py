@@ -6,6 +6,7 @@ Each direction adds θ·a(x, u) to the accelerations of link and motor, with a l
 in sin x₁ and in the torque: ΔAᵢ = Σ θ_k E_{i,k} in T–S form.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -126,14 +127,21 @@ class ArmUncertainty:
             x: State in design coordinates; entries after the fourth are not used.
             u: Torque [N m].
         """
-        accelerations = self.linear @ x[:4] + self.sine * np.sin(x[LINK_ANGLE]) + self.torque * u
-        return np.asarray(accelerations.T)
+        linear, sine, torque = self._by_row
+        flat = linear @ x[:4] + sine * math.sin(x[LINK_ANGLE]) + torque * u
+        return np.asarray(flat.reshape(2, -1))
 
     def jacobian(self, x: Array, theta: Array) -> Array:
         """Return d(accelerations)/dx for given θ, shape (2, 4)."""
-        rows = np.tensordot(theta, self.linear, 1)
-        rows[:, LINK_ANGLE] += theta @ self.sine * np.cos(x[LINK_ANGLE])
+        rows = (theta @ self.linear.reshape(-1, 8)).reshape(2, 4)
+        rows[:, LINK_ANGLE] += theta @ self.sine * math.cos(x[LINK_ANGLE])
         return np.asarray(rows)
+
+    @cached_property
+    def _by_row(self) -> tuple[Array, Array, Array]:
+        """Linear, sine and torque parts, the link's row of each θ first, then the motor's."""
+        linear = np.ascontiguousarray(np.swapaxes(self.linear, 0, 1)).reshape(-1, 4)
+        return linear, self.sine.T.ravel(), self.torque.T.ravel()
 
     def arm_with(self, theta: Sequence[float]) -> ElasticJointArm:
         """Return the physical arm that θ describes, for people to read.
