@@ -102,12 +102,17 @@ def test_a_folder_with_a_demo_in_it_is_left_alone(demo: Demo, tmp_path: Path) ->
     assert [path.name for path in (tmp_path / "demo").rglob("*")] == ["log", "mine"]
 
 
-@pytest.mark.parametrize("name", ["file", "file/demo"])
-def test_a_place_where_no_folder_can_be_is_named(demo: Demo, tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("file", "exists already"), ("file/demo", "cannot be made: Not a directory")],
+)
+def test_a_place_where_no_folder_can_be_is_named(
+    demo: Demo, tmp_path: Path, name: str, why: str
+) -> None:
     (tmp_path / "file").write_text("precious", encoding="utf-8")
     finished = demo("--output", str(tmp_path / name)).finish(TIMEOUT)
     assert finished.exit_code == 1
-    assert f"error: {tmp_path / name}: cannot be made: Not a directory" in finished.stderr
+    assert f"error: {tmp_path / name}: {why}" in finished.stderr
     assert (tmp_path / "file").read_text(encoding="utf-8") == "precious"
 
 
