@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What every estimator of one joint offers, so that one tracker and one node run them all."""
 
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -19,12 +19,14 @@ class Correction(NamedTuple):
         spread: Covariance expected of the innovation, shape (..., p, p) or (p, p).
         gain: The gain that was used, shape (..., n, p) or (n, p).
         weight: The share of the correction that was applied; 0 if the measurement was not used.
+        learning: What an observer that learns has computed of the innovation for its own use.
     """
 
     innovation: Array
     spread: Array
     gain: Array
     weight: float = 1.0
+    learning: Any = None
 
 
 class Readout(NamedTuple):

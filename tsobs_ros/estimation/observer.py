@@ -243,7 +243,8 @@ class TSObserver:
         H = self.flow.disturbance.H
         first = self.flow.state_count - self.flow.disturbance.state_count
         omega = state.x[..., first:] @ H.T
-        if not (np.abs(omega) > limit).any():
+        inside = abs(omega[0]) <= limit if omega.shape == (1,) else (np.abs(omega) <= limit).all()
+        if inside:
             return state
         excess = omega - np.clip(omega, -limit, limit)
         x = state.x.copy()

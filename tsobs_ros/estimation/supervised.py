@@ -59,6 +59,7 @@ class SupervisedObserver:
         self.observer: Any = observer
         self._learner = observer if isinstance(observer, AdaptiveObserver) else None
         self._certified = observer.observer if isinstance(observer, AdaptiveObserver) else observer
+        self._period = float(observer.period)
         self.options = options or SupervisionOptions()
 
     @property
@@ -79,7 +80,7 @@ class SupervisedObserver:
     @property
     def period(self) -> float:
         """Nominal sampling period [s]."""
-        return float(self.observer.period)
+        return self._period
 
     def initial(self) -> SupervisedState:
         """Return the state before any measurement."""
@@ -88,14 +89,13 @@ class SupervisedObserver:
     def correct(self, state: SupervisedState, y: Array) -> tuple[SupervisedState, Correction]:
         """Use one measurement y [rad], shape (1,), as far as it can be believed."""
         correction: Correction = self.observer.expect(state.inner, y)
-        repeats = state.repeats + 1 if float(y[0]) == state.y else 0
-        state = state._replace(y=float(y[0]), repeats=repeats)
-        if 0 < self.options.stuck_samples <= repeats:
-            return state, correction._replace(weight=0.0)
+        sample = float(y[0])
+        repeats = state.repeats + 1 if sample == state.y else 0
+        if 0 < self._options.stuck_samples <= repeats:
+            return state._replace(y=sample, repeats=repeats), correction._replace(weight=0.0)
         normalised = float(correction.innovation[0]) / float(correction.spread[0, 0]) ** 0.5
-        watch, verdict = judge(state.watch, normalised, self.period, self.options)
-        state = state._replace(watch=watch)
-        correction = correction._replace(weight=verdict.weight)
+        watch, verdict = judge(state.watch, normalised, self._period, self._options)
+        state = state._replace(watch=watch, y=sample, repeats=repeats)
         if verdict.lost:
             # Not from this sample: it may be the worst of those that gave the estimate up. And
             # with the sensor in doubt: what was lost is more often the sensor than the arm.
@@ -105,16 +105,17 @@ class SupervisedObserver:
             return state, correction._replace(weight=0.0)
         if verdict.weight < 1.0:
             state = state._replace(outliers=state.outliers + 1)
+            correction = correction._replace(weight=verdict.weight)
         if verdict.weight == 0.0:
             return state, correction
         adapt = state.pause <= 0.0 and not self.frozen(state)
         inner = self.observer.apply(state.inner, correction, verdict.weight, adapt)
         if verdict.jumped and self._opened.any():
-            duration = self.options.jump_duration
+            duration = self._options.jump_duration
             inner = self.observer.reopened(inner, self._opened, duration)
             state = state._replace(jumps=state.jumps + 1, pause=duration)
-        inner = self.observer.limited(inner, self.options.disturbance_limit)
-        return self._guarded(state._replace(inner=inner), verdict), correction
+        inner = self.observer.limited(inner, self._options.disturbance_limit)
+        return self._guarded(state, inner, verdict), correction
 
     def predict(self, state: SupervisedState, u: Array, duration: float) -> SupervisedState:
         """Predict over `duration` [s] with the torque u [N m], shape (1,), held."""
@@ -146,14 +147,14 @@ class SupervisedObserver:
         """Return whether learning was given up: the model differs in other ways than θ."""
         return self._learner is not None and state.relearned > self.options.relearn_budget
 
-    def _guarded(self, state: SupervisedState, verdict: Verdict) -> SupervisedState:
-        """Begin learning again where the innovations say that it went wrong."""
+    def _guarded(self, state: SupervisedState, inner: Any, verdict: Verdict) -> SupervisedState:
+        """Take the corrected inner state, or begin learning again where it went wrong."""
         learner = self._learner
         if learner is None or self.frozen(state):
-            return state
-        pinned = state.pinned + self.period if learner.at_limit(state.inner) else 0.0
-        if not verdict.strained and pinned < self.options.strain:
-            return state._replace(pinned=pinned)
+            return state._replace(inner=inner)
+        pinned = state.pinned + self._period if learner.at_limit(inner) else 0.0
+        if not verdict.strained and pinned < self._options.strain:
+            return state._replace(inner=inner, pinned=pinned)
         again = state._replace(pinned=0.0, relearned=state.relearned + 1)
         forget = learner.nominal if self.frozen(again) else learner.relearning
-        return again._replace(inner=forget(state.inner))
+        return again._replace(inner=forget(inner))
