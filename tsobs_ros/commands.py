@@ -52,7 +52,14 @@ def demo(options: argparse.Namespace) -> int:
             bar.update(seconds - bar.n)
 
         bag = run_demo(output, settings, show)
-    return _report_on(bag, output, design_path, ekf=True, as_json=options.json)
+    exit_code = _report_on(bag, output, design_path, ekf=True, as_json=options.json)
+    if not options.json:
+        print(
+            f"\nthe bag is {bag}: ros2 bag play, Foxglove and PlotJuggler open it\n"
+            f"the figure is {output / 'report.png'}; {output / 'report.html'} can be zoomed into, "
+            "in any browser"
+        )
+    return exit_code
 
 
 def report(options: argparse.Namespace) -> int:
