@@ -45,9 +45,14 @@ class _FilterpyEkf(ExtendedKalmanFilter):  # type: ignore[misc]
     def predict_x(self, u: Any = 0) -> None:
         """Predict as the observer does, and linearise there."""
         step = self.flow.nominal
-        before = self.flow.kick_matrix(step.half_kick * np.cos(self.x[0, 0]))
+        before = self._kick(step.half_kick * np.cos(self.x[0, 0]))
         self.x = self.flow.predict(self.x[:, 0], u, self.flow.period)[:, np.newaxis]
-        self.F = self.flow.kick_matrix(step.half_kick * np.cos(self.x[0, 0])) @ step.phi @ before
+        self.F = self._kick(step.half_kick * np.cos(self.x[0, 0])) @ step.phi @ before
+
+    def _kick(self, gain: float) -> Array:
+        matrix = np.eye(self.dim_x)
+        matrix[1, 0] = -gain
+        return matrix
 
 
 class _Running:
