@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Share of one core that the observer and the plant simulator take as processes over DDS.
 
-Both run as they are installed, the sensor's rate and the observer's being 200 Hz. Their user and
-system time come from /proc/<pid>/stat, so all threads of the middleware are in.
+Both run as they are installed, the sensor's rate and the observer's being 200 Hz. Beside them runs
+the reference: a node that does nothing but have an empty timer of that rate spun by rclpy. Their
+user and system time come from /proc/<pid>/stat, so all threads of the middleware are in.
 """
 
 import os
@@ -20,17 +21,32 @@ from common import parser, show
 
 _START_TIMEOUT = 30.0
 _STOP_TIMEOUT = 15.0
-_WARM_UP = 5.0
+_WARM_UP = 10.0
+
+
+_REFERENCE = "bare timer"
+_BARE_TIMER = """
+import sys, rclpy
+rclpy.init()
+node = rclpy.create_node("bare_timer")
+node.create_timer(1.0 / float(sys.argv[1]), lambda: None)
+try:
+    rclpy.spin(node)
+except KeyboardInterrupt:
+    pass
+"""
 
 
 class _Node:
-    """One executable with its output in a file."""
+    """One process with its output in a file."""
 
     def __init__(self, name: str, parameters: dict[str, Any], folder: Path, domain: int) -> None:
         self.name, self.log = name, folder / f"{name}.log"
         arguments = [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args"]
         for key, value in parameters.items():
             arguments += ["-p", f"{key}:={value}"]
+        if name == _REFERENCE:
+            arguments = [sys.executable, "-c", _BARE_TIMER, str(parameters["rate"])]
         environment = {
             **os.environ,
             "ROS_DOMAIN_ID": str(domain),
@@ -98,6 +114,8 @@ def main() -> None:
             plant = {"rate": options.rate, "wait_for_subscribers": 1}
             nodes.append(_Node("plant_simulator", plant, folder, options.domain_id))
             nodes[1].wait_for("started")
+            reference = {"rate": options.rate}
+            nodes.append(_Node(_REFERENCE, reference, folder, options.domain_id))
             time.sleep(_WARM_UP)
             shares = _shares(nodes, options.seconds, options.turns)
         finally:
@@ -106,11 +124,13 @@ def main() -> None:
     lines = [
         f"{options.turns} turns of {options.seconds:g} s at {options.rate:g} Hz, one core = 100 %"
     ]
+    ratio = medians["observer"] / medians[_REFERENCE]
     for name, each in shares.items():
         lines.append(
             f"  {name:16s} {medians[name]:5.1f} %  ({min(each):.1f}-{max(each):.1f} %), "
             f"exit code {codes[name]}"
         )
+    lines.append(f"  observer / {_REFERENCE}: {ratio:.2f}")
     results = {"rate_hz": options.rate, "percent": shares, "median_percent": medians}
     show(results, "\n".join(lines), options.json)
 
