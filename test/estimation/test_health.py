@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.health import (
+    Debounce,
     DisturbanceLimits,
-    DisturbanceMonitor,
     InnovationMonitor,
     Level,
     Phase,
@@ -115,8 +115,11 @@ def test_the_time_constant_must_be_positive() -> None:
 
 def levels_of(values: list[float], limits: DisturbanceLimits = LIMITS) -> list[Level]:
     """Return the levels reported for disturbances a tenth of a second apart."""
-    monitor = DisturbanceMonitor(limits)
-    return [monitor.update(SECOND + k * SECOND // 10, v) for k, v in enumerate(values)]
+    level = Debounce(Level.OK)
+    return [
+        level.update(SECOND + k * SECOND // 10, limits.level_of(abs(value)), limits.hold)
+        for k, value in enumerate(values)
+    ]
 
 
 OK, WARN, ERROR = Level.OK, Level.WARN, Level.ERROR
@@ -160,31 +163,6 @@ def test_a_level_is_only_ever_left_for_one_that_lasted(values: list[float]) -> N
     for k in range(1, len(levels)):
         if levels[k] != levels[k - 1]:
             assert raw[k - 5 : k + 1] == [levels[k]] * 6
-
-
-def test_the_status_tells_level_and_magnitude() -> None:
-    monitor = DisturbanceMonitor(LIMITS)
-    seen = {monitor.status().level: monitor.status().message}
-    for value in (-0.3, -0.7):
-        monitor.update(SECOND, value)
-        monitor.update(2 * SECOND, value)
-        monitor.update(3 * SECOND, value)
-        status = monitor.status()
-        seen[status.level] = status.message
-        assert status.values == {"magnitude [rad]": f"{abs(value):.4g}"}
-        assert status.name == "disturbance"
-    assert list(seen) == [OK, WARN, ERROR]
-    assert len(set(seen.values())) == 3
-
-
-def test_changed_limits_act_at_the_next_update() -> None:
-    monitor = DisturbanceMonitor(LIMITS)
-    for k in range(6):
-        monitor.update(SECOND + k * SECOND // 10, 0.3)
-    assert monitor.level is WARN
-    monitor.limits = DisturbanceLimits(0.1, 0.25, 0.5)
-    assert monitor.update(2 * SECOND, 0.3) is WARN
-    assert monitor.update(2 * SECOND + SECOND // 2, 0.3) is ERROR
 
 
 @pytest.mark.parametrize(

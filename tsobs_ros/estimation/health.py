@@ -134,32 +134,3 @@ class Debounce(Generic[T]):
         if stamp - self._from >= hold * 1e9 and value != self.value:
             self.value, self.since = value, self._from
         return self.value
-
-
-class DisturbanceMonitor:
-    """Debounces the magnitude of the estimated disturbance into a fault level."""
-
-    def __init__(self, limits: DisturbanceLimits) -> None:
-        self.limits = limits
-        self._level = Debounce(Level.OK)
-        self._magnitude = 0.0
-
-    @property
-    def level(self) -> Level:
-        """The debounced level."""
-        return self._level.value
-
-    def update(self, stamp: int, disturbance: float) -> Level:
-        """Take in the estimated disturbance [rad] at a stamp [ns]; return the level."""
-        self._magnitude = abs(disturbance)
-        return self._level.update(stamp, self.limits.level_of(self._magnitude), self.limits.hold)
-
-    def status(self) -> Status:
-        """Return the debounced fault level."""
-        messages = {Level.OK: "small", Level.WARN: "sensor disturbed", Level.ERROR: "sensor faulty"}
-        return Status(
-            "disturbance",
-            self.level,
-            messages[self.level],
-            {"magnitude [rad]": f"{self._magnitude:.4g}"},
-        )
