@@ -26,7 +26,7 @@ from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps
 from tsobs_ros.model.uncertainty import VELOCITY_ROWS, ArmUncertainty
 from tsobs_ros.model.vertices import (
     KickCorner,
@@ -134,16 +134,7 @@ class ArmFlow:
         Raises:
             ModelError: The duration is negative or not finite.
         """
-        if duration == self.period:
-            return [self.nominal]
-        if not 0.0 <= duration < math.inf:
-            raise ModelError(
-                f"duration: expected a finite number of at least 0, got {duration!r} s"
-            )
-        whole = int(duration // self.period)
-        remainder = duration - whole * self.period
-        tail = [self.transition(remainder)] if remainder > 0.0 else []
-        return [self.nominal] * whole + tail
+        return cut_into_steps(duration, self.period, self.nominal, self.transition)
 
     def predict(self, x: Array, u: Array, duration: float) -> Array:
         """Return the augmented state a time `duration` later.

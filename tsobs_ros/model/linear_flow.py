@@ -9,12 +9,16 @@ semidefinite terms, so the noise stays a covariance.
 """
 
 import math
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from scipy.linalg import matrix_balance
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
+
+Step = TypeVar("Step")
 
 _ROUNDING = float(np.finfo(np.float64).eps)
 _MOST_TERMS = 60
@@ -108,3 +112,26 @@ def _norm(A: Array) -> float:
     # The states' units differ; scaling them changes no flow, and the series is none the wiser.
     with np.errstate(over="ignore", invalid="ignore"):
         return float(np.linalg.norm(matrix_balance(A, permute=False)[0], 1))
+
+
+def cut_into_steps(
+    duration: float, period: float, nominal: Step, remainder: Callable[[float], Step]
+) -> list[Step]:
+    """Cut a time into nominal steps and a remainder, in the order to take them.
+
+    Args:
+        duration: The time [s].
+        period: Length of a nominal step [s].
+        nominal: The step of that length.
+        remainder: Makes a shorter step from its length [s].
+
+    Raises:
+        ModelError: The duration is negative or not finite.
+    """
+    if duration == period:
+        return [nominal]
+    if not 0.0 <= duration < math.inf:
+        raise ModelError(f"duration: expected a finite number of at least 0, got {duration!r} s")
+    whole = int(duration // period)
+    rest = duration - whole * period
+    return [nominal] * whole + ([remainder(rest)] if rest > 0.0 else [])

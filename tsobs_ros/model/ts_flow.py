@@ -21,7 +21,6 @@ with N₁ and N₂ two matrices that g(x) − g(x̂) = N (x − x̂) holds for, 
 So the ordered pairs of such matrices are vertices of all error systems of a step, at any period.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -32,7 +31,7 @@ from scipy.linalg import block_diag
 from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps
 from tsobs_ros.model.ts_model import TSModel
 
 
@@ -132,16 +131,7 @@ class TSFlow:
         Raises:
             ModelError: The duration is negative or not finite.
         """
-        if duration == self.period:
-            return [self.nominal]
-        if not 0.0 <= duration < math.inf:
-            raise ModelError(
-                f"duration: expected a finite number of at least 0, got {duration!r} s"
-            )
-        whole = int(duration // self.period)
-        remainder = duration - whole * self.period
-        tail = [self.step(remainder)] if remainder > 0.0 else []
-        return [self.nominal] * whole + tail
+        return cut_into_steps(duration, self.period, self.nominal, self.step)
 
     def predict(self, x: Array, u: Array, duration: float) -> Array:
         """Return the augmented state a time `duration` later.
