@@ -78,11 +78,13 @@ setup(
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "design": ["cvxpy", "clarabel"],
         "report": ["matplotlib", "plotly", "tqdm", "mcap-ros2-support"],
+        "export": ["mcap-ros2-support", "pyarrow"],
         "test": [
             "filterpy",
             "hypothesis",
             "mcap-ros2-support",
             "mypy>=2.4,<3",
+            "pyarrow",
             "pytest>=8",
             "pytest-xdist",
             "rosbags",
