@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "tsobs_ros"
 
 # What each part of the package may import of the others; all may import COMMON.
-COMMON = {"checks", "errors", "resources", "stop"}
+COMMON = {"checks", "errors", "resources", "safe_yaml", "stop"}
 MIDDLE = {"bag", "report", "design", "simulation"}
 MAY_IMPORT: dict[str, set[str]] = {
     "model": set(),

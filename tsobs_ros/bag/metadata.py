@@ -12,6 +12,7 @@ import yaml
 
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.errors import BagReadError, BagWriteError
+from tsobs_ros.safe_yaml import load_yaml
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -154,10 +155,10 @@ def read_metadata(folder: Path) -> BagMetadata:
     """
     path = folder / FILE_NAME
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content: Any = load_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise BagReadError(f"{folder}: not a bag folder, it has no {FILE_NAME}") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, ValueError) as error:  # not UTF-8 is a ValueError as well
         raise BagReadError(f"{path}: cannot read it: {error}") from error
     try:
         information = content[ROOT_KEY]

@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import yaml
 
+from tsobs_ros.safe_yaml import load_yaml
+
 # In the order of the RMW's enumerations: bags from before Jazzy name a policy by its number.
 POLICIES: Mapping[str, tuple[str, ...]] = {
     "history": ("system_default", "keep_last", "keep_all", "unknown"),
@@ -110,8 +112,8 @@ def profiles_from_yaml(text: str) -> tuple[QosProfile, ...]:
         ValueError: The text is not a YAML list of QoS profiles.
     """
     try:
-        maps = yaml.safe_load(text) or []
-    except yaml.YAMLError as error:
+        maps = load_yaml(text) or []
+    except ValueError as error:
         raise ValueError(f"not a list of QoS profiles: {error}") from error
     if not isinstance(maps, list):
         raise ValueError(f"not a list of QoS profiles: {text}")

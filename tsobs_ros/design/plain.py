@@ -11,6 +11,7 @@ import numpy as np
 import yaml
 
 from tsobs_ros.errors import DesignFileError, ModelError
+from tsobs_ros.safe_yaml import PlainDumper, load_yaml
 
 _LARGEST_FILE = 1 << 20
 
@@ -24,14 +25,13 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
     try:
         if path.stat().st_size > _LARGEST_FILE:
             raise DesignFileError(f"{path}: larger than {_LARGEST_FILE} bytes, not a design file")
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = load_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise DesignFileError(f"{path}: no such design file") from error
     except OSError as error:
         raise DesignFileError(f"{path}: cannot read the design file: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DesignFileError(f"{path}: not valid YAML: {first}") from error
+    except ValueError as error:  # not UTF-8 is one as well
+        raise DesignFileError(f"{path}: not valid YAML: {error}") from error
     if not isinstance(data, dict):
         raise DesignFileError(f"{path}: expected a mapping, got {type(data).__name__}")
     return data
@@ -43,7 +43,9 @@ def write_yaml(path: Path, header: str, data: Mapping[str, Any]) -> None:
     Raises:
         DesignFileError: The file cannot be written.
     """
-    written = header + yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
+    written = header + yaml.dump(
+        data, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=100
+    )
     temporary = path.with_name(path.name + ".tmp")
     try:
         temporary.write_text(written, encoding="utf-8")

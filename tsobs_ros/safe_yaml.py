@@ -1,0 +1,65 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""YAML from files that anybody may have written: plain data, in time and memory linear in its size.
+
+`yaml.safe_load` runs no code, but a few lines can still make it build gigabytes (merge keys that
+refer to merge keys), overflow the stack (a million brackets) or return a structure that is small in
+memory and endless to walk through (aliases of aliases). None of our files needs any of this.
+"""
+
+import yaml
+
+_DEEPEST = 50
+
+# libyaml's parser is five times as fast; PyYAML without it behaves the same.
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def load_yaml(text: str) -> object:
+    """Return the plain data that a YAML text holds.
+
+    Args:
+        text: One document.
+
+    Raises:
+        ValueError: It is not YAML, has aliases, tags of other languages or nests too deep; the
+            text is one line.
+    """
+    try:
+        _check_structure(text)
+        return yaml.load(text, Loader=_LOADER)
+    except yaml.YAMLError as error:
+        raise ValueError(_one_line(error)) from error
+    except (ValueError, OverflowError, RecursionError) as error:
+        # A date that does not exist, a number of five thousand digits.
+        raise ValueError(str(error).splitlines()[0]) from error
+
+
+class PlainDumper(yaml.SafeDumper):
+    """Writes what `load_yaml` reads: a value that occurs twice is written twice."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        """Return whether to write the value out even if it has been written before: always."""
+        return True
+
+
+def _check_structure(text: str) -> None:
+    """Refuse what is dangerous to build, by its events alone: the parser does not recurse."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError(f"line {event.start_mark.line + 1}: aliases are not supported")
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > _DEEPEST:
+            line = event.start_mark.line + 1
+            raise ValueError(f"line {line}: nested deeper than {_DEEPEST} levels")
+
+
+def _one_line(error: yaml.YAMLError) -> str:
+    mark = getattr(error, "problem_mark", None)
+    problem = getattr(error, "problem", None) or str(error) or type(error).__name__
+    first = str(problem).splitlines()[0]
+    return first if mark is None else f"line {mark.line + 1}: {first}"
