@@ -1,0 +1,295 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Lifecycle nodes that `ros2 run` alone brings to work, and a lifecycle manager can drive as well.
+
+A node says what it acquires, and nothing of how that is released::
+
+    @dataclass(frozen=True)
+    class EchoParameters(ManagedParameters):
+        depth: int = parameter(10, "Queue of the echo", minimum=1, read_only=True)
+
+    class Echo(ManagedNode[EchoParameters]):
+        def __init__(self, **node_kwargs):
+            super().__init__("echo", EchoParameters, **node_kwargs)
+            self.start()
+
+        def configure(self):
+            self._publisher = self.create_publisher(String, "~/echo", self.parameters.depth)
+            self.create_subscription(String, "shout", self._echo, 10)
+            self._log = open("echo.log", "a")
+            self.at_cleanup(self._log.close)
+
+        def _echo(self, message):
+            if self.active:
+                self._publisher.publish(message)
+
+Whatever publishers, subscriptions, services, clients and timers come into being from `configure`
+on are destroyed by the clean-up, also those of a `configure` that failed half-way. rclpy's
+lifecycle stops only lifecycle publishers, so callbacks ask `active` before they work.
+
+Transitions that fail with a TsobsError say so in the log and leave the node in the state it came
+from; only a clean-up, after which nothing is left to go back to, ends unconfigured all the same.
+Any other exception is a bug: it is logged with its traceback, and the node is cleaned up and
+unconfigured.
+"""
+
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from lifecycle_msgs.srv import ChangeState
+from rclpy.exceptions import NameValidationException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.time_source import TimeSource
+
+from tsobs_ros.errors import TsobsError
+from tsobs_ros.nodes.parameters import ParameterBinding, parameter
+from tsobs_ros.nodes.ticker import Ticker
+
+# What a user can mend; the second comes of a joint or a topic that ROS cannot name.
+_EXPECTED = (TsobsError, NameValidationException)
+
+
+@dataclass(frozen=True)
+class ManagedParameters:
+    """The parameters of every managed node; their own come after in a subclass."""
+
+    autostart: bool = parameter(
+        True, "Configure and activate at start, without a lifecycle manager", read_only=True
+    )
+
+
+P = TypeVar("P", bound=ManagedParameters)
+
+
+class ManagedNode(LifecycleNode, Generic[P]):
+    """A lifecycle node; with the parameter `autostart` it configures and activates itself.
+
+    Subclasses override `configure`, `activate`, `deactivate`, `cleanup` and `retune` as they need
+    them, and call `start` at the end of their constructor.
+
+    Args:
+        name: The node's name.
+        schema: The dataclass of its parameters.
+        **node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
+
+    Attributes:
+        ticker: Set by `configure` where the runtime shall make the node's ticks; None again after
+            the clean-up.
+
+    Raises:
+        ParameterError: A parameter has a wrong type or value.
+    """
+
+    ticker: Ticker | None = None
+
+    def __init__(self, name: str, schema: type[P], **node_kwargs: Any) -> None:
+        super().__init__(name, **node_kwargs)
+        self._acquired: ExitStack | None = None
+        self._active = False
+        self._finalized = False
+        self._failure: Exception | None = None
+        self._raises = False
+        self._refuse_impossible_transitions()
+        try:
+            self._binding = ParameterBinding(self, schema, on_change=self._retune)
+        except BaseException:
+            self.destroy_node()
+            raise
+
+    def configure(self) -> None:
+        """Acquire what work needs: files, publishers, subscriptions, services, timers."""
+
+    def activate(self) -> None:
+        """Begin to work, or go on; `active` is true from the return on."""
+
+    def deactivate(self) -> None:
+        """Stop working and keep everything; `active` is already false."""
+
+    def cleanup(self) -> None:
+        """Finish what `configure` began; called before anything is released."""
+
+    def retune(self, parameters: P) -> None:
+        """Take over parameters that were changed while configured; `configure` reads them anew."""
+
+    @property
+    def parameters(self) -> P:
+        """The current parameters; the same object until a set is accepted."""
+        return self._binding.value
+
+    @property
+    def configured(self) -> bool:
+        """Whether the node holds what `configure` acquires: inactive or active."""
+        return self._acquired is not None
+
+    @property
+    def active(self) -> bool:
+        """Whether the node shall work."""
+        return self._active
+
+    @property
+    def finished(self) -> bool:
+        """Whether the process may end: a node that was shut down never works again."""
+        return self._finalized
+
+    def at_cleanup(self, callback: Callable[..., object], *args: Any) -> None:
+        """Call back when the node is cleaned up, latest first, before its entities are destroyed.
+
+        Args:
+            callback: Releases something acquired by or after `configure`.
+            *args: What to call it with.
+        """
+        assert self._acquired is not None, "nothing is cleaned up before it is configured"
+        self._acquired.callback(callback, *args)
+
+    def start(self) -> None:
+        """Configure and activate if `autostart` says so; last in a subclass's constructor.
+
+        Raises:
+            Exception: Whatever `configure` or `activate` raised; the node is destroyed.
+        """
+        if not self.parameters.autostart:
+            self.get_logger().info("unconfigured: waiting for lifecycle transitions")
+            return
+        self._raises = True
+        try:
+            for trigger in (self.trigger_configure, self.trigger_activate):
+                if trigger() != TransitionCallbackReturn.SUCCESS:
+                    assert self._failure is not None
+                    raise self._failure
+        except BaseException:
+            self.destroy_node()
+            raise
+        finally:
+            self._raises = False
+            self._failure = None
+
+    def close(self) -> None:
+        """Deactivate and clean up, in whatever state the node is; safe to call twice.
+
+        Raises:
+            TsobsError: Something could not be finished; all has been released anyway.
+        """
+        with ExitStack() as stack:
+            stack.callback(self._clean_up)
+            stack.callback(self._deactivate)
+
+    def destroy_node(self) -> None:
+        """Close, then destroy the node."""
+        try:
+            self.close()
+        finally:
+            super().destroy_node()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Answer rclpy's lifecycle."""
+        return self._attempt("configure", self._configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Answer rclpy's lifecycle."""
+        return self._attempt("activate", self._activate)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Answer rclpy's lifecycle."""
+        return self._attempt("deactivate", self._deactivate)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Answer rclpy's lifecycle; a failure would mean inactive, and there is no way back."""
+        result = self._attempt("clean up", self._clean_up)
+        failed = result != TransitionCallbackReturn.SUCCESS
+        return TransitionCallbackReturn.ERROR if failed else result
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Answer rclpy's lifecycle; the node is finalized whatever fails."""
+        self._finalized = True
+        result = self._attempt("shut down", self.close)
+        failed = result != TransitionCallbackReturn.SUCCESS
+        return TransitionCallbackReturn.FAILURE if failed else result
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Answer rclpy's lifecycle: clean up, so that the node can be configured again."""
+        self._attempt("clean up after an error", self.close)
+        return TransitionCallbackReturn.SUCCESS
+
+    def _configure(self) -> None:
+        lasting = set(self._entities())
+        with ExitStack() as acquired:
+            acquired.callback(self._destroy_all_but, lasting)
+            self._acquired = acquired
+            try:
+                self.configure()
+            except BaseException:
+                self._acquired = self.ticker = None
+                raise
+            self._acquired = acquired.pop_all()
+
+    def _activate(self) -> None:
+        self.activate()
+        self._active = True
+
+    def _deactivate(self) -> None:
+        if self._active:
+            self._active = False
+            self.deactivate()
+
+    def _clean_up(self) -> None:
+        if self._acquired is not None:
+            with self._acquired:
+                try:
+                    self.cleanup()
+                finally:
+                    self._acquired = self.ticker = None
+
+    def _entities(self) -> Iterator[tuple[Any, Callable[[Any], object]]]:
+        """Yield what the node owns in ROS, and how to destroy it."""
+        for entities, destroy in (
+            (self.timers, self.destroy_timer),
+            (self.subscriptions, self.destroy_subscription),
+            (self.services, self.destroy_service),
+            (self.clients, self.destroy_client),
+            (self.publishers, self.destroy_publisher),
+        ):
+            for entity in entities:
+                yield entity, destroy
+
+    def _destroy_all_but(self, lasting: set[tuple[Any, Callable[[Any], object]]]) -> None:
+        for entity, destroy in set(self._entities()) - lasting:
+            # rclpy itself subscribes to /clock as soon as use_sim_time is set.
+            if not isinstance(
+                getattr(getattr(entity, "callback", None), "__self__", None), TimeSource
+            ):
+                destroy(entity)
+
+    def _retune(self, parameters: P) -> None:
+        if self.configured:
+            self.retune(parameters)
+
+    def _attempt(self, what: str, step: Callable[[], None]) -> TransitionCallbackReturn:
+        """Take a step; say why it failed, unless whoever asked for it is going to."""
+        try:
+            step()
+        except Exception as error:
+            expected = isinstance(error, _EXPECTED)
+            self._failure = error
+            if not self._raises:
+                reason = str(error) if expected else traceback.format_exc()
+                self.get_logger().error(f"cannot {what}: {reason}")
+            return TransitionCallbackReturn.FAILURE if expected else TransitionCallbackReturn.ERROR
+        return TransitionCallbackReturn.SUCCESS
+
+    def _refuse_impossible_transitions(self) -> None:
+        """Answer requests that the state does not allow; rclpy would end the process."""
+        service = next(s for s in self.services if s.srv_type is ChangeState)
+        change_state = service.callback
+
+        def change_state_if_possible(request: Any, response: Any) -> Any:
+            try:
+                return change_state(request, response)
+            except rclpy_implementation.RCLError:
+                response.success = False
+                return response
+
+        service.callback = change_state_if_possible
