@@ -183,6 +183,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.close()
         finally:
             super().destroy_node()
+            self._state_machine.destroy_when_not_in_use()  # it would keep the node's handle alive
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer rclpy's lifecycle."""
@@ -273,8 +274,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
             step()
         except Exception as error:
             expected = isinstance(error, _EXPECTED)
-            self._failure = error
-            if not self._raises:
+            if self._raises:
+                self._failure = error
+            else:
                 reason = str(error) if expected else traceback.format_exc()
                 self.get_logger().error(f"cannot {what}: {reason}")
             return TransitionCallbackReturn.FAILURE if expected else TransitionCallbackReturn.ERROR

@@ -6,7 +6,7 @@
 tears everything down in order. Nodes are ordinary rclpy nodes; three optional members are honoured:
 
 * ``finished`` (bool property): the loop ends once any node says so;
-* ``ticker`` (Ticker): its ticks are made here, between two looks after everything else;
+* ``ticker`` (Ticker or None): its ticks are made here, between two looks after everything else;
 * ``close()``: called before any node is destroyed. Bags and whatever must not be lost are closed
   here, because destroying a participant is the one step that may hang (see `exit_guard`).
 
@@ -101,9 +101,10 @@ def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
     # What lives until the end need not be looked through again and again.
     gc.collect()
     gc.freeze()
-    tickers = [ticker for node in nodes if (ticker := getattr(node, "ticker", None)) is not None]
     try:
         while rclpy.ok() and not stop() and not any(_finished(node) for node in nodes):
+            # Anew each time: nodes make and drop their tickers as they are configured.
+            tickers = [t for node in nodes if (t := getattr(node, "ticker", None)) is not None]
             if tickers and all(ticker.may_be_taken_over for ticker in tickers):
                 _tick_for_a_while(tickers, stop)
                 executor.spin_once(timeout_sec=0.0)
