@@ -59,5 +59,5 @@ def test_reset_forgets_every_joint() -> None:
 
 
 def test_as_many_measurements_as_joints_are_expected() -> None:
-    with pytest.raises(ValueError):
+    with pytest.raises(ValueError, match="shorter"):
         JointTrackers(trackers()).offer([sample(0, 0)], END)
