@@ -84,7 +84,7 @@ class TSRequest:
             object.__setattr__(self, name, value)
         for name in ("measurement_std", "initial_std"):
             # Filters work with squares, which leave the range of numbers earlier.
-            for std in checked[name]:
+            for std in checked[name].tolist():
                 positive(f"square of {name}", std * std if std > 0.0 else std)
         for term in chain.from_iterable(self.disturbance):
             require_no_alias(term, self.rate)

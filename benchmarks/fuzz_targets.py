@@ -1,0 +1,154 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What is fuzzed: everything that reads a file, with good files to start from."""
+
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fuzz_mutations import mutated_bytes, mutated_text
+from mcap.writer import CompressionType, Writer
+
+from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.writer import BagWriter
+from tsobs_ros.design.file import load_request, parse_design
+from tsobs_ros.design.ts_file import load_ts_request, parse_ts_design, save_ts_design
+from tsobs_ros.design.ts_synthesis import synthesise_ts
+from tsobs_ros.resources import config_path
+
+Mutate = Callable[[bytes, Sequence[bytes], random.Random], bytes]
+
+
+@dataclass(frozen=True)
+class Target:
+    """Something that reads files.
+
+    Attributes:
+        seeds: Good files.
+        mutate: Makes a hostile one of a good one.
+        read: Reads the file at a path; may raise a TsobsError and nothing else.
+        file_name: What the file is called inside its folder.
+    """
+
+    seeds: tuple[bytes, ...]
+    mutate: Mutate
+    read: Callable[[Path], Any]
+    file_name: str
+
+
+def design_target() -> Target:
+    """Return the arm's design files: what holds must also step, to finite numbers."""
+
+    def read(path: Path) -> None:
+        design = parse_design(path)
+        if design.certificate.holds:
+            _step(design.supervised())
+
+    return Target(_shipped("*.design.yaml"), mutated_text, read, "my.design.yaml")
+
+
+def request_target() -> Target:
+    """Return requests for designs of the arm."""
+    return Target(_shipped("elastic*.request.yaml"), mutated_text, load_request, "my.request.yaml")
+
+
+def ts_target(folder: Path) -> Target:
+    """Return requests and designs for T–S systems."""
+    request = config_path("ts_example.request.yaml")
+    design = folder / "ts.design.yaml"
+    save_ts_design(synthesise_ts(load_ts_request(request)), design)
+
+    def read(path: Path) -> None:
+        (parse_ts_design if b"certificate" in path.read_bytes() else load_ts_request)(path)
+
+    return Target((request.read_bytes(), design.read_bytes()), mutated_text, read, "my.yaml")
+
+
+def metadata_target(folder: Path) -> Target:
+    """Return a bag folder's metadata.yaml, beside its good file."""
+    bag = _bag(folder / "bag", "zstd")
+    (file,) = bag.glob("*.mcap")
+    content = file.read_bytes()
+
+    def read(path: Path) -> None:
+        beside = path.with_name(file.name)
+        if not beside.exists():
+            beside.write_bytes(content)
+        BagReader(path.parent)
+
+    return Target(((bag / "metadata.yaml").read_bytes(),), mutated_text, read, "metadata.yaml")
+
+
+def bag_target(folder: Path) -> Target:
+    """Return MCAP files: compressed, plain, and without checksums, which would hide the rest."""
+    seeds = [
+        next(_bag(folder / name, name).glob("*.mcap")).read_bytes()
+        for name in ("none", "lz4", "zstd")
+    ]
+    seeds.append(_without_checksums(folder / "unchecked.mcap"))
+
+    def read(path: Path) -> None:
+        for _ in BagReader(path).decoded():
+            pass
+
+    return Target(tuple(seeds), mutated_bytes, read, "bag.mcap")
+
+
+def targets(folder: Path) -> dict[str, Target]:
+    """Return everything that is fuzzed, by name.
+
+    Args:
+        folder: Where good files may be made.
+    """
+    return {
+        "design": design_target(),
+        "request": request_target(),
+        "ts": ts_target(folder),
+        "metadata": metadata_target(folder),
+        "bag": bag_target(folder),
+    }
+
+
+def _shipped(pattern: str) -> tuple[bytes, ...]:
+    folder = config_path("elastic_joint.design.yaml").parent
+    return tuple(path.read_bytes() for path in sorted(folder.glob(pattern)))
+
+
+def _step(estimator: Any) -> None:
+    state, _ = estimator.correct(estimator.initial(), np.array([0.1]))
+    state = estimator.predict(state, np.array([0.5]), estimator.period)
+    readout = estimator.readout(state)
+    if not (np.isfinite(readout.state).all() and np.isfinite(readout.state_bound).all()):
+        raise AssertionError(f"a design that is accepted steps to {readout}")
+
+
+_STRING = "std_msgs/msg/String"
+
+
+def _message(number: int) -> bytes:
+    text = f"message {number}".encode() + b"\x00"
+    return b"\x00\x01\x00\x00" + len(text).to_bytes(4, "little") + text
+
+
+def _bag(path: Path, compression: str) -> Path:
+    with BagWriter(path, compression=compression) as writer:
+        writer.add_topic("/a", _STRING)
+        writer.add_topic("/b", "sensor_msgs/msg/JointState")
+        for number in range(20):
+            writer.write("/a", _message(number), number, number)
+    return path
+
+
+def _without_checksums(path: Path) -> bytes:
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE, chunk_size=300, enable_crcs=False)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(_STRING, "ros2msg", b"string data\n")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for number in range(20):
+            writer.add_message(channel, number, _message(number), number)
+        writer.finish()
+    return path.read_bytes()
