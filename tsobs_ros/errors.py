@@ -39,5 +39,9 @@ class BagWriteError(TsobsError, OSError):
     """A bag cannot be written: the folder exists, the disk is full, or a topic is inconsistent."""
 
 
+class MessageError(TsobsError, ValueError):
+    """A message cannot be read or written: its bytes or its values do not fit its type."""
+
+
 class NodeError(TsobsError, RuntimeError):
     """A node cannot start or go on, for a reason its user can act on."""
