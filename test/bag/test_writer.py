@@ -224,6 +224,55 @@ def test_a_split_bag_is_one_bag_of_whole_files(tmp_path: Path, options: dict[str
         assert [data for _, _, data in reader.messages()] == [entry.data for entry in written]
 
 
+def test_a_split_on_demand_leaves_a_whole_file_at_once(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING)
+    writer.split()
+    writer.write("/a", b"one", 1, 1)
+    writer.split()
+    writer.split()
+    assert [m.data for m in BagReader(tmp_path / "bag" / "bag_0.mcap").messages()] == [b"one"]
+    writer.sync()
+    assert [file.path for file in read_metadata(tmp_path / "bag").files] == [
+        "bag_0.mcap",
+        "bag_1.mcap",
+    ]
+    writer.write("/a", b"two", 2, 2)
+    writer.close()
+    assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"one", b"two"]
+
+
+def test_every_later_file_can_be_begun_with_what_must_not_be_missing(tmp_path: Path) -> None:
+    def repeat(log_time_ns: int) -> None:
+        writer.write("/latched", b"map", log_time_ns, 1)
+
+    writer = BagWriter(tmp_path / "bag", max_duration_ns=9, on_split=repeat)
+    for topic in ("/latched", "/a"):
+        writer.add_topic(topic, STRING)
+    writer.write("/latched", b"map", 1, 1)
+    for time in range(2, 30):
+        writer.write("/a", b"", time, time)
+    writer.close()
+
+    files = read_metadata(tmp_path / "bag").files
+    assert [file.starting_time_ns for file in files] == [1, 11, 21]
+    for file in files:
+        first = next(BagReader(tmp_path / "bag" / file.path).messages())
+        assert (first.topic, first.data, first.publish_time) == ("/latched", b"map", 1)
+
+
+def test_a_file_that_cannot_be_begun_leaves_the_bag_closed_and_whole(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING)
+    writer.write("/a", b"one", 1, 1)
+    (tmp_path / "bag" / "bag_1.mcap").write_text("in the way")
+    with pytest.raises(BagWriteError, match=r"bag_1\.mcap: cannot create it"):
+        writer.split()
+    with pytest.raises(BagWriteError, match="the bag is closed"):
+        writer.write("/a", b"two", 2, 2)
+    assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"one"]
+
+
 def test_an_existing_folder_is_never_touched(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", [Entry("/a", b"x", 1, 1)])
     before = {item.name: item.read_bytes() for item in path.iterdir()}

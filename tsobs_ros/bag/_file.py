@@ -40,6 +40,7 @@ class BagFile:
     def __init__(self, path: Path, compression: str, metadata: BagMetadata) -> None:
         self.path = path
         self.message_count = 0
+        self._finished = False
         self._start_ns = EMPTY_START_NS
         self._end_ns = 0
         self._channels: dict[str, int] = {}
@@ -133,23 +134,31 @@ class BagFile:
         with self._errors():
             os.fdatasync(self._stream.fileno())
 
-    def close(self, metadata: BagMetadata) -> None:
-        """Write the index and force everything to the disk.
+    def finish(self, metadata: BagMetadata) -> None:
+        """Write the index, once: the file is complete, and survives a kill as it is.
 
         Args:
             metadata: The bag's metadata with this file in its final state.
 
         Raises:
-            BagWriteError: The file cannot be written; its descriptor is released all the same.
+            BagWriteError: The file cannot be written.
         """
+        if self._finished:
+            return
+        self._finished = True
         with self._errors():
-            try:
-                self._add_metadata(metadata)
-                self._writer.finish()
-                self._stream.flush()
-                os.fsync(self._stream.fileno())
-            finally:
-                self._stream.close()
+            self._add_metadata(metadata)
+            self._writer.finish()
+            self._stream.flush()
+
+    def close(self) -> None:
+        """Force everything to the disk and release the file.
+
+        Raises:
+            BagWriteError: The disk failed; the descriptor is released all the same.
+        """
+        with self._errors(), self._stream:
+            os.fsync(self._stream.fileno())
 
     def _add_metadata(self, metadata: BagMetadata) -> None:
         # Inside the chunk in progress a metadata record is not allowed, so end that one first.

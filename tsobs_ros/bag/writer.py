@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writing bags: a folder of MCAP files with a metadata.yaml, as `ros2 bag record -s mcap` does."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
@@ -58,6 +59,8 @@ class BagWriter:
         max_size: Begin another file when the current one has so many bytes; 0 never splits.
         max_duration_ns: Begin another file rather than let one span more log time, ns; 0 never.
         custom_data: What to remember in the bag's metadata.
+        on_split: Called before the first message of every file after the first, with the log time
+            of that message, ns; may write messages, which then begin the file.
 
     Raises:
         BagWriteError: The folder exists or cannot be created, or the compression is unknown.
@@ -71,6 +74,7 @@ class BagWriter:
         max_size: int = 0,
         max_duration_ns: int = 0,
         custom_data: Mapping[str, str] | None = None,
+        on_split: Callable[[int], None] | None = None,
     ) -> None:
         self.path = Path(path).absolute()
         if compression not in COMPRESSIONS:
@@ -81,15 +85,19 @@ class BagWriter:
         self._max_duration_ns = max_duration_ns
         self._custom_data = custom_data
         self._topics: dict[str, _Topic] = {}
+        self._on_split = on_split
+        self._splitting = False
         self._finished_files: list[FileMetadata] = []
-        self._topics_on_disk = 0
+        self._unsynced: list[BagFile] = []
+        self._on_disk = (0, 0)
         self._closed = False
-        # Held while files are synced or replaced, so that a sync in another thread finds a file
-        # that is open, and never replaces newer metadata by older.
+        # A disk may take seconds to sync, and a split must not wait for it: `_disk` is held for as
+        # long as syncing takes, `_files` only while the files are told apart or replaced.
         self._disk = Lock()
+        self._files = Lock()
         self._create_folder()
         self._file = self._open_file()
-        self._write_metadata()
+        self._write_metadata(self.metadata())
 
     @property
     def message_count(self) -> int:
@@ -157,8 +165,11 @@ class BagWriter:
                 f"{self.path}: {topic}: times must be at least 0 and fit 63 bits: log "
                 f"{log_time_ns} ns, publish {publish_time_ns} ns"
             )
-        if self._is_full(log_time_ns):
-            self._split()
+        if self._file.message_count == 0:
+            self._begin_file(log_time_ns)
+        elif self._is_full(log_time_ns):
+            self.split()
+            self._begin_file(log_time_ns)
         self._file.write(topic, data, log_time_ns, publish_time_ns)
         registered.message_count += 1
 
@@ -171,6 +182,32 @@ class BagWriter:
         self._check_open()
         self._file.flush()
 
+    def split(self) -> None:
+        """Begin another file, unless nothing is in the current one; a kill cannot harm that one.
+
+        The metadata.yaml in the folder names it after the next `sync` or `close`.
+
+        Raises:
+            BagWriteError: The bag is closed or cannot be written.
+        """
+        self._check_open()
+        if self._file.message_count == 0:
+            return
+        finished = self._file
+        finished.finish(self.metadata())
+        try:
+            begun = self._open_file((*self._finished_files, finished.info()))
+        except BagWriteError:
+            self.close()
+            raise
+        with self._files:
+            self._unsynced.append(finished)
+            self._finished_files.append(finished.info())
+            self._file = begun
+        # Every file must make sense on its own.
+        for topic in self._topics.values():
+            self._file.add_topic(topic.name, topic.definition, topic.qos)
+
     def sync(self) -> None:
         """Force what has been flushed to the disk, so that it survives a power cut.
 
@@ -181,12 +218,18 @@ class BagWriter:
             BagWriteError: The disk failed.
         """
         with self._disk:
-            if not self._closed:
-                self._file.sync()
-                # Not every time: the counts are the file's to tell, but after a power cut the
-                # folder should name its topics.
-                if len(self._topics) != self._topics_on_disk:
-                    self._write_metadata()
+            if self._closed:
+                return
+            with self._files:
+                current, finished, self._unsynced = self._file, self._unsynced, []
+                metadata = self.metadata()
+            for file in finished:
+                file.close()
+            current.sync()
+            # Not every time: the counts are the files' to tell, but after a power cut the folder
+            # should name its topics and its files.
+            if self._on_disk != (len(metadata.topics), len(metadata.files)):
+                self._write_metadata(metadata)
 
     def close(self) -> None:
         """Finish the bag: index, metadata, everything forced to the disk; safe to call twice.
@@ -198,8 +241,11 @@ class BagWriter:
             if self._closed:
                 return
             self._closed = True
-            self._file.close(self.metadata())
-            self._write_metadata()
+            with ExitStack() as stack:  # whatever fails, the rest is done
+                stack.callback(lambda: self._write_metadata(self.metadata()))
+                for file in (self._file, *self._unsynced):
+                    stack.callback(file.close)
+                self._file.finish(self.metadata())
 
     def metadata(self) -> BagMetadata:
         """Return the bag's metadata as of now."""
@@ -231,38 +277,35 @@ class BagWriter:
         except OSError as error:
             raise BagWriteError(f"{self.path}: cannot create it: {error}") from error
 
-    def _open_file(self) -> BagFile:
-        path = self.path / f"{self.path.name}_{len(self._finished_files)}.mcap"
+    def _open_file(self, finished: tuple[FileMetadata, ...] = ()) -> BagFile:
+        path = self.path / f"{self.path.name}_{len(finished)}.mcap"
         beginning = BagMetadata(
             topics=self.topics,
-            files=(*self._finished_files, FileMetadata(path.name)),
+            files=(*finished, FileMetadata(path.name)),
             custom_data=self._custom_data,
         )
         return BagFile(path, self._compression, beginning)
 
     def _is_full(self, log_time_ns: int) -> bool:
-        if not self._file.message_count:
-            return False
         if self._max_size and self._file.size >= self._max_size:
             return True
         return bool(
             self._max_duration_ns and self._file.duration_with(log_time_ns) > self._max_duration_ns
         )
 
-    def _split(self) -> None:
-        with self._disk:
-            self._file.close(self.metadata())
-            self._finished_files.append(self._file.info())
-            self._file = self._open_file()
-            # Every file must make sense on its own.
-            for topic in self._topics.values():
-                self._file.add_topic(topic.name, topic.definition, topic.qos)
-            self._write_metadata()
+    def _begin_file(self, log_time_ns: int) -> None:
+        # What the callback writes comes by here again.
+        if self._on_split is None or not self._finished_files or self._splitting:
+            return
+        self._splitting = True
+        try:
+            self._on_split(log_time_ns)
+        finally:
+            self._splitting = False
 
-    def _write_metadata(self) -> None:
-        metadata = self.metadata()
+    def _write_metadata(self, metadata: BagMetadata) -> None:
         write_metadata(self.path, metadata)
-        self._topics_on_disk = len(metadata.topics)
+        self._on_disk = (len(metadata.topics), len(metadata.files))
 
     def _check_open(self) -> None:
         if self._closed:
