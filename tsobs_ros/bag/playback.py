@@ -1,0 +1,281 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""When to publish which message of a bag: a function of bag time and steady time, and no clock.
+
+Bag time is the log time of messages, steady time that of a clock which is never set; both in ns.
+Every deadline is computed from the last change of pace, so that no error adds up, and everything
+that falls due is handed out in the order of its deadlines, however late the caller comes.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from tsobs_ros.bag.reader import BagMessage
+
+NEVER = 2**62
+# Whoever was held up for longer goes on from where it was instead of catching up in one burst.
+LONGEST_LAG = 1_000_000_000
+# A loop over a single message would otherwise publish it without end.
+SHORTEST_PASS = 10_000_000
+
+Read = Callable[[int, bool], Iterator[BagMessage | None]]
+"""Reads a bag from a bag time on, messages in order and None after the last one; if told so, then
+again and again from the start. Messages from before that time are those latched there."""
+
+
+class Timeline:
+    """Bag time as a function of steady time: a line through an anchor, or a halt.
+
+    Args:
+        time: The bag time it stands at [ns].
+        rate: Seconds of bag time per second, once it runs.
+    """
+
+    def __init__(self, time: int, rate: float = 1.0) -> None:
+        self.paused = True
+        self._time, self._steady = time, 0
+        self._rate = rate.as_integer_ratio()
+
+    def at(self, steady: int) -> int:
+        """Return the bag time at a steady time that is not before the anchor."""
+        if self.paused or steady <= self._steady:
+            return self._time
+        numerator, denominator = self._rate
+        return self._time + (steady - self._steady) * numerator // denominator
+
+    def due(self, time: int) -> int:
+        """Return the first steady time at which a running timeline has reached a bag time."""
+        if self.paused:
+            return NEVER
+        numerator, denominator = self._rate
+        return self._steady - (self._time - time) * denominator // numerator
+
+    def anchor(self, time: int, steady: int) -> None:
+        """Be at a bag time at a steady time, with the pace as it is."""
+        self._time, self._steady = time, steady
+
+    def set_rate(self, rate: float) -> None:
+        """Change the pace, from the anchor on."""
+        self._rate = rate.as_integer_ratio()
+
+    def shift(self, amount: int) -> None:
+        """Let everything be later by an amount of steady time [ns]."""
+        self._steady += amount
+
+
+class Ticks:
+    """The deadlines k/rate after a start, each rounded to a nanosecond by itself.
+
+    Attributes:
+        due: The next one, in steady time [ns]; NEVER at a rate of 0.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate.as_integer_ratio()
+        self.due = NEVER
+
+    def start(self, steady: int) -> None:
+        """Be due now, and from now on at the rate."""
+        self._origin, self._index = steady, 0
+        if self._rate[0]:
+            self.due = steady
+
+    def take(self) -> int:
+        """Return the deadline and go on to the next one."""
+        due = self.due
+        self._index += 1
+        numerator, denominator = self._rate
+        self.due = self._origin + self._index * 1_000_000_000 * denominator // numerator
+        return due
+
+    def shift(self, amount: int) -> None:
+        """Let everything be later by an amount of steady time [ns]."""
+        if self.due != NEVER:
+            self._origin += amount
+            self.due += amount
+
+
+class Event(NamedTuple):
+    """Something to publish.
+
+    Attributes:
+        due: When it was to be published, in steady time [ns].
+        time: The bag time then [ns].
+        message: What; None for the clock.
+    """
+
+    due: int
+    time: int
+    message: BagMessage | None
+
+
+class Playback:
+    """Hands out the messages of a bag, and the clock's stamps, when they are due.
+
+    It begins paused, at the start; `seek` must come before anything else.
+
+    Args:
+        read: Reads the bag; may block, and may raise what reading a bag raises, which `take`,
+            `step` and `position` pass on.
+        start: The bag time at which each pass begins [ns].
+        end: The bag time at which a pass ends [ns].
+        rate: Seconds of bag time per second.
+        clock_rate: Clock stamps per second of steady time, also in a pause; 0 for none.
+        loop: Whether to begin again at the end.
+
+    Attributes:
+        loop: The same; may be changed at any time.
+        ended: Whether the end was reached without a loop.
+        held_back: For how long in total [ns] the end was put off, because the caller came later
+            than `LONGEST_LAG`.
+    """
+
+    def __init__(
+        self,
+        read: Read,
+        start: int,
+        end: int,
+        *,
+        rate: float = 1.0,
+        clock_rate: float = 0.0,
+        loop: bool = False,
+    ) -> None:
+        self.loop = loop
+        self.ended = False
+        self.held_back = 0
+        self._read = read
+        self._start, self._end = start, end
+        self._timeline = Timeline(start, rate)
+        self._ticks = Ticks(clock_rate)
+        self._messages: Iterator[BagMessage | None] = iter(())
+        self._next: BagMessage | None = None
+        self._is_read = True
+        # Where the current pass began, in bag time and in steady time.
+        self._from, self._began = start, 0
+
+    @property
+    def paused(self) -> bool:
+        """Whether bag time stands still."""
+        return self._timeline.paused
+
+    def position(self, now: int) -> int:
+        """Return the bag time [ns]; it does not pass a message that has not been handed out."""
+        return min(self._timeline.at(now), self._next_time())
+
+    def pause(self, now: int) -> None:
+        """Let bag time stand still."""
+        self._timeline.anchor(self.position(now), now)
+        self._timeline.paused = True
+
+    def resume(self, now: int) -> None:
+        """Let bag time run, from where it is."""
+        if self.paused:
+            self._timeline.anchor(self.position(now), now)
+            self._timeline.paused = False
+
+    def set_rate(self, rate: float, now: int) -> None:
+        """Let bag time run at another pace from now on."""
+        self._timeline.anchor(self.position(now), now)
+        self._timeline.set_rate(rate)
+
+    def seek(self, time: int, now: int) -> None:
+        """Go to a bag time between start and end, and pause: reading there may take a while.
+
+        The clock and what is latched there are due at once.
+        """
+        time = min(max(time, self._start), self._end)
+        self._timeline.paused = True
+        self._messages = self._read(time, self.loop)
+        self._is_read = False
+        self._begin(time, now)
+
+    def take(self, now: int) -> Event | None:
+        """Return the next event if it is due, and go on to the one after."""
+        due = min(self._ticks.due, self._message_due())
+        if due > now:
+            return None
+        if now - due > LONGEST_LAG:
+            self._hold_back(now - due)
+            due = now
+        if self._ticks.due == due:
+            return Event(self._ticks.take(), min(self._timeline.at(due), self._next_time()), None)
+        if (message := self._peek()) is not None:
+            self._is_read = False
+            return Event(due, max(message.log_time, self._from), message)
+        if not self.loop:
+            self._timeline.anchor(self._end, due)
+            self._timeline.paused = self.ended = True
+            return None
+        self._begin_again(due)
+        return self.take(now)
+
+    def wait(self, now: int) -> int:
+        """Return how long it is until the next event is due [ns]; `NEVER` may be far away."""
+        return max(0, min(self._ticks.due, self._message_due()) - now)
+
+    def step(self, now: int) -> list[Event]:
+        """Go on to the next message in a pause, and return it, after the clock if there is one.
+
+        At the end of the last pass, and while bag time runs, there is none: the list is empty.
+        """
+        if not self.paused:
+            return []
+        if self._peek() is None and self.loop:
+            self._begin_again(now)
+        if (message := self._peek()) is None:
+            return []
+        self._is_read = False
+        time = max(message.log_time, self._from)
+        self._timeline.anchor(time, now)
+        events = [Event(now, time, message)]
+        return events if self._ticks.due == NEVER else [Event(now, time, None), *events]
+
+    def _peek(self) -> BagMessage | None:
+        """Return the next message, None at the end of a pass."""
+        if not self._is_read:
+            self._next = next(self._messages, None)
+            self._is_read = True
+        return self._next
+
+    def _next_time(self) -> int:
+        message = self._peek()
+        return self._end if message is None else max(message.log_time, self._from)
+
+    def _message_due(self) -> int:
+        """Return when the next message, or else the end of the pass, is due."""
+        if self.ended:
+            return NEVER
+        message = self._peek()
+        if message is None:
+            if (due := self._timeline.due(self._end)) == NEVER:
+                return NEVER
+            return max(due, self._began + SHORTEST_PASS) if self.loop else due
+        if message.log_time < self._from:
+            return self._began
+        return self._timeline.due(message.log_time)
+
+    def _begin(self, time: int, now: int) -> None:
+        self.ended = False
+        self._from, self._began = time, now
+        self._timeline.anchor(time, now)
+        self._ticks.start(now)
+
+    def _begin_again(self, now: int) -> None:
+        """Begin the next pass; it has been read ahead if there was a loop when reading began."""
+        self._is_read = False
+        self._next = next(self._messages, _NOT_READ_AHEAD)
+        if self._next is _NOT_READ_AHEAD:
+            self._messages = self._read(self._start, True)
+        else:
+            self._is_read = True
+        self._begin(self._start, now)
+
+    def _hold_back(self, lag: int) -> None:
+        if not self.paused:
+            self.held_back += lag
+        self._began += lag
+        self._timeline.shift(lag)
+        self._ticks.shift(lag)
+
+
+_NOT_READ_AHEAD = BagMessage("", "", b"", 0, 0)
