@@ -3,9 +3,12 @@
 """The reader gives messages in log order, and says clearly why it cannot."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
-from mcap.writer import CompressionType, Writer
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
@@ -88,6 +91,112 @@ def test_messages_are_decoded_by_the_definitions_in_the_bag(bag: Path) -> None:
     decoded = list(BagReader(bag).decoded())
     assert [m.message.data for m in decoded] == ["/b 3", "/a 5", "/a 12", "/b 14", "/a 15"]
     assert [(m.topic, m.type, m.publish_time) for m in decoded[:1]] == [("/b", STRING, 2)]
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "expected"),
+    [(5, None, [5, 12, 14, 15]), (None, 5, [3]), (4, 14, [5, 12]), (16, None, []), (5, 5, [])],
+)
+def test_a_part_of_the_time_is_read(
+    bag: Path, start: int | None, end: int | None, expected: list[int]
+) -> None:
+    reader = BagReader(bag)
+    assert [m.log_time for m in reader.messages(start_ns=start, end_ns=end)] == expected
+    assert [m.log_time for m in reader.decoded(start_ns=start, end_ns=end)] == expected
+
+
+@pytest.mark.parametrize(
+    ("time", "topics", "depth", "expected"),
+    [
+        (14, None, 1, [("/b", 3), ("/a", 12)]),
+        (15, ["/b"], 1, [("/b", 14)]),
+        (100, ["/a"], 2, [("/a", 12), ("/a", 15)]),
+        (100, None, 9, [("/b", 3), ("/a", 5), ("/a", 12), ("/b", 14), ("/a", 15)]),
+        (3, None, 1, []),
+    ],
+)
+def test_the_last_messages_before_a_time_are_found(
+    bag: Path,
+    time: int,
+    topics: list[str] | None,
+    depth: int,
+    expected: list[tuple[str, int]],
+) -> None:
+    found = BagReader(bag).last_before(time, topics, depth)
+    assert [(m.topic, m.log_time) for m in found] == expected
+
+
+timed = st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 20)), max_size=40)
+
+
+@settings(deadline=None, max_examples=40)
+@given(timed, st.integers(1, 6), st.integers(0, 21), st.integers(0, 21), st.integers(1, 3))
+def test_any_order_of_recording_is_read_in_log_order(
+    written: list[tuple[str, int]], chunk: int, start: int, end: int, depth: int
+) -> None:
+    with TemporaryDirectory() as folder:
+        with BagWriter(Path(folder) / "bag", max_duration_ns=12) as writer:
+            for topic in ("/a", "/b"):
+                writer.add_topic(topic, STRING)
+            for number, (topic, time) in enumerate(written):
+                writer.write(topic, b"%d" % number, time, 0)
+                if number % chunk == 0:
+                    writer.flush()
+        reader = BagReader(Path(folder) / "bag")
+        expected = sorted((time, number, topic) for number, (topic, time) in enumerate(written))
+        assert [(m.log_time, int(m.data), m.topic) for m in reader.messages()] == expected
+        for topic in ("/a", "/b"):
+            of_topic = [entry for entry in expected if entry[2] == topic]
+            part = reader.messages([topic], start, end)
+            assert [int(m.data) for m in part] == [e[1] for e in of_topic if start <= e[0] < end]
+            before = [e[1] for e in of_topic if e[0] < start][-depth:]
+            found = reader.last_before(start, [topic], depth)
+            assert sorted(m.log_time for m in found) == sorted(written[n][1] for n in before)
+
+
+def test_chunks_out_of_reach_are_not_read(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", compression="none") as writer:
+        for topic in ("/a", "/b"):
+            writer.add_topic(topic, STRING)
+        for time, topic in enumerate(("/a", "/b", "/a")):
+            writer.write(topic, b"damaged" if time < 2 else b"whole", time, time)
+            writer.flush()
+    path = tmp_path / "bag" / "bag_0.mcap"
+    path.write_bytes(path.read_bytes().replace(b"damaged", b"DAMAGED"))
+    reader = BagReader(tmp_path / "bag")
+    assert [m.data for m in reader.messages(start_ns=2)] == [b"whole"]
+    assert [m.data for m in reader.last_before(9, ["/a"])] == [b"whole"]
+    with pytest.raises(BagReadError, match="the file is damaged"):
+        list(reader.messages(["/b"]))
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_files_of_other_writers_settings_are_read(tmp_path: Path, chunked: bool) -> None:
+    """As rosbag2's preset `fastwrite`, which makes no chunks, or with chunks not indexed."""
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(
+            stream,
+            use_chunking=chunked,
+            index_types=IndexType.CHUNK,
+            compression=CompressionType.LZ4,
+            enable_crcs=False,
+        )
+        writer.start(profile="ros2")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+        channels = [writer.register_channel(topic, "cdr", schema) for topic in ("/a", "/b")]
+        for time in (5, 3, 9, 1):
+            writer.add_message(channels[time % 2], time, bytes(400_000), time)
+        writer.finish()
+    reader = BagReader(path)
+    assert [(m.topic, m.log_time) for m in reader.messages()] == [
+        ("/b", 1),
+        ("/b", 3),
+        ("/b", 5),
+        ("/b", 9),
+    ]
+    assert [m.log_time for m in reader.messages(["/b"], 3, 9)] == [3, 5]
+    assert list(reader.messages(["/a"])) == []
 
 
 def test_an_empty_bag_has_no_times(tmp_path: Path) -> None:

@@ -2,23 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading bags: a folder with its metadata.yaml, or a single MCAP file."""
 
-import heapq
+from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.exceptions import McapError
-from mcap.reader import SeekingReader
 from mcap.records import Channel, Schema
-from mcap.summary import Summary
 
+from tsobs_ros.bag._index import RECOVER_HINT, FileIndex, Span, read_index, read_span
+from tsobs_ros.bag._messages import LOG_TIME, BagMessage, decode_messages
+from tsobs_ros.bag._order import Load, in_log_order, last_of_each
+from tsobs_ros.bag._records import RecordError
 from tsobs_ros.bag.metadata import BagMetadata, read_metadata
 from tsobs_ros.bag.qos import QosProfile, profiles_from_yaml
 from tsobs_ros.errors import BagReadError
 
-_MAGIC = b"\x89MCAP0\r\n"
+__all__ = ["BagMessage", "BagReader", "DecodedMessage", "TopicInfo"]
 
 
 @dataclass(frozen=True)
@@ -42,16 +42,6 @@ class TopicInfo:
     type_hash: str
     definition: str
     definition_encoding: str
-
-
-class BagMessage(NamedTuple):
-    """One message as recorded: `data` in CDR, times in ns since the epoch."""
-
-    topic: str
-    type: str
-    data: bytes
-    log_time: int
-    publish_time: int
 
 
 class DecodedMessage(NamedTuple):
@@ -99,46 +89,134 @@ class BagReader:
         self.topics: dict[str, TopicInfo] = {}
         self.start_time: int | None = None
         self.end_time: int | None = None
-        for file in self.files:
-            self._add_summary(file, _read_summary(file))
+        self._indexes = tuple(read_index(file, rank) for rank, file in enumerate(self.files))
+        for index in self._indexes:
+            self._add_topics(index)
 
     @property
     def message_count(self) -> int:
         """The number of messages in the bag."""
         return sum(topic.count for topic in self.topics.values())
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[BagMessage]:
-        """Yield the messages in order of log time.
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[BagMessage]:
+        """Yield the messages in order of log time; equal ones in order of recording.
+
+        In memory are the chunks that overlap in time, usually one.
 
         Args:
             topics: Only those of these topics; of all by default.
+            start_ns: Only those at or after this log time, ns since the epoch.
+            end_ns: Only those before this log time, ns since the epoch.
 
         Raises:
             BagReadError: The bag has no such topic, or a file is damaged; the latter is raised
                 where the damage is reached.
         """
-        if topics is not None and (unknown := sorted(set(topics) - set(self.topics))):
-            has = ", ".join(self.topics) or "none"
-            raise BagReadError(f"{self.path}: no topic {', '.join(unknown)}; topics: {has}")
-        # Files of a split bag may overlap by a few messages, hence no plain chain.
-        sources = (_read_messages(file, topics) for file in self.files)
-        return heapq.merge(*sources, key=attrgetter("log_time"))
+        selected = self._select(topics)
+        spans = [
+            span
+            for span in self._spans_with(selected)
+            if (start_ns is None or span.end >= start_ns)
+            and (end_ns is None or span.start < end_ns)
+        ]
+        return in_log_order(spans, self._loader(selected, start_ns, end_ns))
 
-    def decoded(self, topics: Collection[str] | None = None) -> Iterator[DecodedMessage]:
+    def last_before(
+        self, time_ns: int, topics: Collection[str] | None = None, depth: int = 1
+    ) -> list[BagMessage]:
+        """Return the last messages before a time: what a latched topic had to say by then.
+
+        Args:
+            time_ns: They are before this log time, ns since the epoch.
+            topics: Of these topics; of all by default.
+            depth: How many of each topic at most.
+
+        Returns:
+            The messages in order of log time.
+
+        Raises:
+            BagReadError: The bag has no such topic, or a file is damaged.
+        """
+        selected = self._select(topics)
+        spans = [span for span in self._spans_with(selected) if span.start < time_ns]
+        load = self._loader(selected, None, time_ns)
+        return last_of_each(spans, load, lambda span: self._topics_of(span) & selected, depth)
+
+    def decoded(
+        self,
+        topics: Collection[str] | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+    ) -> Iterator[DecodedMessage]:
         """Yield the messages in order of log time, decoded by the definitions in the bag.
 
         Args:
             topics: Only those of these topics; of all by default.
+            start_ns: Only those at or after this log time, ns since the epoch.
+            end_ns: Only those before this log time, ns since the epoch.
 
         Raises:
-            BagReadError: As for `messages`; or a definition is not in the `ros2msg` language,
-                or `mcap-ros2-support` is not installed, or a message does not fit its type.
+            BagReadError: As for `messages`; or a definition is missing or not in the `ros2msg`
+                language, or `mcap-ros2-support` is not installed, or a message does not fit its
+                type.
         """
-        messages = self.messages(topics)
+        messages = self.messages(topics, start_ns, end_ns)
         decoders = {
             name: self._decoder(name) for name in (self.topics if topics is None else topics)
         }
         return self._decode(messages, decoders)
+
+    def _select(self, topics: Collection[str] | None) -> frozenset[str]:
+        selected = frozenset(self.topics if topics is None else topics)
+        if unknown := sorted(selected - set(self.topics)):
+            has = ", ".join(self.topics) or "none"
+            raise BagReadError(f"{self.path}: no topic {', '.join(unknown)}; topics: {has}")
+        return selected
+
+    def _spans_with(self, selected: frozenset[str]) -> Iterator[Span]:
+        for index in self._indexes:
+            for span in index.spans:
+                if self._topics_of(span) & selected:
+                    yield span
+
+    def _topics_of(self, span: Span) -> set[str]:
+        channels = self._indexes[span.rank].channels
+        ids = channels.keys() if span.channels is None else span.channels & channels.keys()
+        return {channels[id_].topic for id_ in ids}
+
+    def _loader(self, selected: frozenset[str], start_ns: int | None, end_ns: int | None) -> Load:
+        known = [
+            {
+                channel.id: (channel.topic, index.schemas[channel.schema_id].name)
+                if channel.topic in selected
+                else None
+                for channel in index.channels.values()
+            }
+            for index in self._indexes
+        ]
+
+        def load(span: Span) -> list[BagMessage]:
+            path = self.files[span.rank]
+            try:
+                with path.open("rb") as stream:
+                    records = read_span(stream, span.frame)
+                messages = decode_messages(records, known[span.rank])
+                if messages and not span.start <= messages[0].log_time <= span.end:
+                    raise RecordError(f"the index states other times at byte {span.frame.start}")
+            except (OSError, RecordError) as error:
+                raise BagReadError(
+                    f"{path}: the file is damaged: {error}; {RECOVER_HINT}"
+                ) from error
+            first = 0 if start_ns is None else bisect_left(messages, start_ns, key=LOG_TIME)
+            last = None if end_ns is None else bisect_left(messages, end_ns, key=LOG_TIME)
+            return messages[first:last]
+
+        return load
 
     def _decode(
         self, messages: Iterator[BagMessage], decoders: dict[str, Callable[[bytes], Any]]
@@ -181,12 +259,15 @@ class BagReader:
             )
         return decoder
 
-    def _add_summary(self, file: Path, summary: Summary) -> None:
-        statistics = summary.statistics
-        assert statistics is not None
-        for channel in summary.channels.values():
+    def _add_topics(self, index: FileIndex) -> None:
+        file, statistics = index.path, index.statistics
+        if index.profile != "ros2":
+            raise BagReadError(
+                f"{file}: not a bag of ROS 2: its profile is '{index.profile}', expected 'ros2'"
+            )
+        for channel in index.channels.values():
             count = statistics.channel_message_counts.get(channel.id, 0)
-            topic = _topic_info(file, channel, summary.schemas.get(channel.schema_id), count)
+            topic = _topic_info(file, channel, index.schemas.get(channel.schema_id), count)
             known = self.topics.setdefault(topic.name, replace(topic, count=0))
             if known.type != topic.type:
                 raise BagReadError(
@@ -197,32 +278,6 @@ class BagReader:
             start, end = statistics.message_start_time, statistics.message_end_time
             self.start_time = start if self.start_time is None else min(start, self.start_time)
             self.end_time = end if self.end_time is None else max(end, self.end_time)
-
-
-def _read_summary(path: Path) -> Summary:
-    try:
-        with path.open("rb") as stream:
-            if stream.read(len(_MAGIC)) != _MAGIC:
-                raise BagReadError(f"{path}: not an MCAP file")
-            stream.seek(-len(_MAGIC), 2)
-            if stream.read() != _MAGIC or stream.tell() < 2 * len(_MAGIC):
-                raise BagReadError(
-                    f"{path}: the file has no end: it is still being recorded, was truncated, or "
-                    "its recorder was killed"
-                )
-            stream.seek(0)
-            reader = SeekingReader(stream)
-            profile = reader.get_header().profile
-            summary = reader.get_summary()
-    except (OSError, McapError, ValueError) as error:
-        if isinstance(error, BagReadError):
-            raise
-        raise BagReadError(f"{path}: cannot read it: {error}") from error
-    if profile != "ros2":
-        raise BagReadError(f"{path}: not a bag of ROS 2: its profile is '{profile}'")
-    if summary is None or summary.statistics is None:
-        raise BagReadError(f"{path}: the file has no index")
-    return summary
 
 
 def _topic_info(file: Path, channel: Channel, schema: Schema | None, count: int) -> TopicInfo:
@@ -245,20 +300,3 @@ def _topic_info(file: Path, channel: Channel, schema: Schema | None, count: int)
         definition=schema.data.decode(errors="replace"),
         definition_encoding=schema.encoding,
     )
-
-
-def _read_messages(path: Path, topics: Collection[str] | None) -> Iterator[BagMessage]:
-    try:
-        with path.open("rb") as stream:
-            reader = SeekingReader(stream, validate_crcs=True)
-            for schema, channel, message in reader.iter_messages(topics):
-                assert schema is not None
-                yield BagMessage(
-                    channel.topic,
-                    schema.name,
-                    message.data,
-                    message.log_time,
-                    message.publish_time,
-                )
-    except Exception as error:  # decompressors and parsers fail on damage with any kind
-        raise BagReadError(f"{path}: the file is damaged: {error}") from error
