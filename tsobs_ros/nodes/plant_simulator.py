@@ -14,14 +14,13 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.parameters import ParameterBinding
+from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_topics import SamplePublisher
 from tsobs_ros.nodes.sample_schedule import SampleSchedule, ScaledTime
@@ -42,8 +41,11 @@ _CLOCK_PATIENCE = 5 * NANOSECONDS
 _WARN_EVERY = 5.0
 
 
-class PlantSimulatorNode(Node):
+class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     """Publishes the simulated sensor, the truth behind it and, if asked, the time.
+
+    Configuring makes the arm, activating lets its time run. While the node is inactive the arm
+    stands still in time; the next activation goes on from there, with stamps of the present.
 
     Args:
         **node_kwargs: Passed on to the node, e.g. `context` and `parameter_overrides`.
@@ -53,11 +55,14 @@ class PlantSimulatorNode(Node):
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("plant_simulator", **node_kwargs)
-        self._binding = ParameterBinding(self, PlantSimulatorParameters, on_change=self._apply)
-        self._settings = parameters = self._binding.value
+        super().__init__("plant_simulator", PlantSimulatorParameters, **node_kwargs)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.start()
+
+    def configure(self) -> None:
+        """Make the arm at t = 0, and what it is heard and commanded by."""
+        self._settings = parameters = self.parameters
         self.rejected_commands = 0
-        self._command = self._command_end = 0.0
         self._publish_sample = SamplePublisher(
             self, parameters.joint, publish_clock=parameters.publish_clock
         )
@@ -66,23 +71,43 @@ class PlantSimulatorNode(Node):
         )
         self.create_service(Trigger, "~/reset", self._reset)
         self._schedule = SampleSchedule(parameters.rate)
-        self._driven = ScaledTime(parameters.real_time_factor) if parameters.publish_clock else None
+        self._driven: ScaledTime | None = None
+        if parameters.publish_clock:
+            self._driven = ScaledTime(parameters.real_time_factor)
+            self._schedule.start(_DRIVEN_START)
+        else:
+            jumps = self.get_clock().create_jump_callback(_BACKWARD, post_callback=self._on_jump)
+            self.at_cleanup(jumps.unregister)
         self._new_plant()
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._created = self._steady_ns()
         self._latest = 0
         self._timer: Any = None
+
+    def activate(self) -> None:
+        """Start sampling, or go on, as soon as there is a time and somebody to measure for."""
+        self._commands.drain()  # meant for an arm that stood still
+        self._activated = self._steady_ns()
         self._start_timer = self.create_timer(_START_POLL, self._start, clock=self._steady)
+
+    def deactivate(self) -> None:
+        """Stop sampling."""
+        self.destroy_timer(self._start_timer)
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+
+    def cleanup(self) -> None:
+        """Let the last truth reach its subscribers."""
+        self._publish_sample.wait_for_acknowledgement()
 
     @property
     def finished(self) -> bool:
         """Whether the duration has been simulated; a process then ends."""
+        return super().finished or (self.configured and self._is_over)
+
+    @property
+    def _is_over(self) -> bool:
         duration = self._settings.duration
         return duration > 0.0 and self._plant.index >= self._plant.scenario.sample_count
-
-    def close(self) -> None:
-        """Let the last truth reach its subscribers."""
-        self._publish_sample.wait_for_acknowledgement()
 
     def _steady_ns(self) -> int:
         return int(self._steady.now().nanoseconds)
@@ -99,24 +124,19 @@ class PlantSimulatorNode(Node):
         return self._driven is None and bool(self.get_clock().ros_time_is_active)
 
     def _start(self) -> None:
-        """Start sampling as soon as there is a time and somebody to measure for."""
-        waited = self._steady_ns() - self._created
+        """Start sampling if there is a time and somebody to measure for."""
+        waited = self._steady_ns() - self._activated
         if self._driven is None and self._now_ns() == 0:
             if waited > _CLOCK_PATIENCE:
                 self.get_logger().warning("waiting for /clock", throttle_duration_sec=_WARN_EVERY)
             return
-        if not self._is_subscribed(waited):
+        if self._plant.index == 0 and not self._is_subscribed(waited):
             return
-        self._start_timer.cancel()
+        self.destroy_timer(self._start_timer)
         if self._driven is not None:
-            self._driven.start(self._steady_ns(), _DRIVEN_START)
-            self._latest = _DRIVEN_START
-        else:
-            self._latest = self._now_ns()
-            self._jump_handle = self.get_clock().create_jump_callback(
-                _BACKWARD, post_callback=lambda _jump: self._tick()
-            )
-        self._schedule.start(self._latest)
+            self._driven.start(self._steady_ns(), self._schedule.next_stamp)
+        elif self._schedule.lag(now := self._now_ns()) > 0:
+            self._schedule.start(now)
         subscribers = self._publish_sample.subscribers
         self.get_logger().info(f"started: {subscribers} subscriptions of joint_measurements")
         # A timer on the node's clock wakes up with each /clock message; only then does it serve,
@@ -124,6 +144,10 @@ class PlantSimulatorNode(Node):
         clock = self.get_clock() if self._follows_clock else self._steady
         self._timer = self.create_timer(1.0 / self._settings.rate, self._tick, clock=clock)
         self._tick()
+
+    def _on_jump(self, _jump: Any) -> None:
+        if self._timer is not None:
+            self._tick()
 
     def _is_subscribed(self, waited: int) -> bool:
         wanted, there = self._settings.wait_for_subscribers, self._publish_sample.subscribers
@@ -146,9 +170,9 @@ class PlantSimulatorNode(Node):
         self._latest = now
         self._take_commands()
         now = self._limit_lag(now)
-        while not self.finished and (stamp := self._schedule.take(now)) is not None:
+        while not self._is_over and (stamp := self._schedule.take(now)) is not None:
             self._publish_sample(stamp, self._plant.step(self._present_command()))
-        if self.finished:
+        if self._is_over:
             self._timer.cancel()
             return
         self._sleep()
@@ -215,7 +239,7 @@ class PlantSimulatorNode(Node):
         self._command = 0.0
         self._command_end = 0.0
 
-    def _apply(self, parameters: PlantSimulatorParameters) -> None:
+    def retune(self, parameters: PlantSimulatorParameters) -> None:
         """Take changed parameters over from the next sample on."""
         old, new = self._settings.scenario(), parameters.scenario()
         self._settings = parameters
@@ -230,9 +254,9 @@ class PlantSimulatorNode(Node):
 
     def _reset(self, _request: Any, response: Any) -> Any:
         """Start the plant anew at the next sample; the stamps go on."""
-        was_finished = self.finished
+        was_over = self._is_over
         self._new_plant()
-        if was_finished:
+        if was_over and self._timer is not None:
             self._schedule.start(self._now_ns())
             self._sleep()
         response.success = True

@@ -7,19 +7,20 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import chain, count
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 
 from tsobs_ros.bag.syncing import BackgroundSync
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.errors import NodeError
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
-from tsobs_ros.nodes.parameters import ParameterBinding, parameter
+from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
+from tsobs_ros.nodes.parameters import parameter
 from tsobs_ros.nodes.recorder_topics import TopicFinder
 
 _GRAPH_PERIOD = 0.1
@@ -30,7 +31,7 @@ _FREE_DISK_WARNING = 2.0
 
 
 @dataclass(frozen=True)
-class RecorderParameters:
+class RecorderParameters(ManagedParameters):
     """The node's parameters; `config/recorder.yaml` shows them with their reasons."""
 
     topics: tuple[str, ...] = parameter(
@@ -82,8 +83,11 @@ class RecorderStatistics(NamedTuple):
     topics: Mapping[str, TopicStatistics]
 
 
-class Recorder(Node):
-    """Records until it is closed.
+class Recorder(ManagedNode[RecorderParameters]):
+    """Records from its activation until it is closed.
+
+    Configuring begins the bag and subscribes, activating records, deactivating pauses: what arrives
+    meanwhile is discarded. Cleaning up closes the bag.
 
     Args:
         node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
@@ -95,18 +99,13 @@ class Recorder(Node):
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("recorder", **node_kwargs)
-        self.finished = False
-        self._closed = True
-        try:
-            self._binding = ParameterBinding(self, RecorderParameters)
-            self._start()
-        except BaseException:
-            super().destroy_node()
-            raise
+        super().__init__("recorder", RecorderParameters, **node_kwargs)
+        self._full = False
+        self.start()
 
-    def _start(self) -> None:
-        parameters = self._binding.value
+    def configure(self) -> None:
+        """Begin the bag and look for the topics."""
+        parameters = self.parameters
         everything = parameters.all or "*" in parameters.topics
         self._finder = TopicFinder(
             self,
@@ -122,21 +121,36 @@ class Recorder(Node):
                 f"minimum_free_disk ({parameters.minimum_free_disk} MiB)"
             )
         self._writer = BagWriter(path, compression=parameters.compression)
-        self._closed = False
+        self.at_cleanup(self._writer.close)
         self._sync = BackgroundSync(self._writer.sync, parameters.sync_period)
+        self.at_cleanup(self._sync.stop)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=str(path))
         # Not the node's clock: simulated time may be slow, stop or never begin.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._our_timers = [
+        for period, callback in (
+            (_GRAPH_PERIOD, self._look_for_topics),
+            (parameters.drain_period, self._drain),
+            (parameters.flush_period, self._flush),
+            (_DIAGNOSTICS_PERIOD, self._publish_diagnostics),
+        ):
             self.create_timer(period, callback, clock=steady)
-            for period, callback in (
-                (_GRAPH_PERIOD, self._look_for_topics),
-                (parameters.drain_period, self._drain),
-                (parameters.flush_period, self._flush),
-                (_DIAGNOSTICS_PERIOD, self._publish_diagnostics),
-            )
-        ]
         self.get_logger().info(f"recording to {self._writer.path}")
+
+    def activate(self) -> None:
+        """Record what arrives from here on."""
+        self._discard()
+
+    def deactivate(self) -> None:
+        """Record what has arrived, and discard what arrives from here on."""
+        self._record()
+
+    def cleanup(self) -> None:
+        """Say what the bag holds that is about to be closed."""
+        statistics = self.statistics
+        self.get_logger().info(
+            f"closing {self.path}: {statistics.messages} messages of {len(statistics.topics)} "
+            f"topics, {statistics.lost} lost"
+        )
 
     @property
     def path(self) -> Path:
@@ -161,34 +175,10 @@ class Recorder(Node):
             topics=topics,
         )
 
-    def close(self) -> None:
-        """Record what has arrived, then finish the bag; safe to call twice.
-
-        Raises:
-            BagWriteError: The bag could not be finished; it can be recovered as far as flushed.
-        """
-        if self._closed:
-            return
-        try:
-            self._drain()
-        finally:
-            self._closed = True
-            for timer in self._our_timers:
-                timer.cancel()
-            self._sync.stop()
-            self._writer.close()
-        statistics = self.statistics
-        self.get_logger().info(
-            f"closed {self.path}: {statistics.messages} messages of {len(statistics.topics)} "
-            f"topics, {statistics.lost} lost"
-        )
-
-    def destroy_node(self) -> None:
-        """Close the bag, then destroy the node."""
-        try:
-            self.close()
-        finally:
-            super().destroy_node()
+    @property
+    def finished(self) -> bool:
+        """Whether the disk is full; a process then ends."""
+        return super().finished or self._full
 
     def _look_for_topics(self) -> None:
         for topic in self._finder.poll():
@@ -198,12 +188,22 @@ class Recorder(Node):
             self.get_logger().info(f"recording {topic.name} [{topic.definition.type}]")
 
     def _drain(self) -> None:
+        if self.active:
+            self._record()
+        else:
+            self._discard()
+
+    def _discard(self) -> None:
+        for topic in self._finder.recorded.values():
+            topic.discard()
+
+    def _record(self) -> None:
         simulated_ns = None
         if self.get_clock().ros_time_is_active:
             simulated_ns = self.get_clock().now().nanoseconds
             if simulated_ns == 0:
                 return  # no /clock yet: let messages wait rather than stamp them with 1970
-        limit = self._binding.value.queue_depth
+        limit = self.parameters.queue_depth
         batch = [
             (info.received_ns, topic.name, data, info.source_ns)
             for topic in self._finder.recorded.values()
@@ -219,11 +219,11 @@ class Recorder(Node):
         self._writer.flush()
         if self._sync.error is not None:
             raise self._sync.error
-        free, minimum = _free_disk(self.path), self._binding.value.minimum_free_disk
+        free, minimum = _free_disk(self.path), self.parameters.minimum_free_disk
         if free < minimum:
             self.get_logger().error(f"disk almost full ({free:.0f} MiB free): recording ends here")
             self.close()
-            self.finished = True
+            self._full = True
         elif free < _FREE_DISK_WARNING * minimum and not self._free_disk_warned:
             self._free_disk_warned = True
             self.get_logger().warning(
@@ -232,7 +232,7 @@ class Recorder(Node):
 
     def _publish_diagnostics(self) -> None:
         statistics, missing = self.statistics, self._finder.missing
-        level, message = Level.OK, "recording"
+        level, message = Level.OK, "recording" if self.active else "paused"
         if statistics.lost:
             level, message = Level.WARN, f"{statistics.lost} messages lost"
         elif missing:
@@ -254,8 +254,11 @@ def create(**node_kwargs: Any) -> Recorder:
 
 def _output(output: str) -> Path:
     """Return the bag's folder as an absolute path, a dated one in the current folder if unnamed."""
-    name = output or datetime.now().strftime("rosbag2_%Y_%m_%d-%H_%M_%S")
-    return Path(name).expanduser().absolute()
+    if output:
+        return Path(output).expanduser().absolute()
+    dated = Path(datetime.now().strftime("rosbag2_%Y_%m_%d-%H_%M_%S")).absolute()
+    others = (dated.with_name(f"{dated.name}_{number}") for number in count(2))
+    return next(path for path in chain([dated], others) if not path.exists())
 
 
 def _free_disk(path: Path) -> float:

@@ -40,8 +40,16 @@ class RecordedTopic:
 
     def drain(self, limit: int) -> list[Drained]:
         """Take what has arrived, at most `limit` messages, and count it and what is missing."""
-        drained = self.subscription.drain(limit)
+        drained = self._take(limit)
         self.messages += len(drained)
+        return drained
+
+    def discard(self) -> None:
+        """Throw away what has arrived; nothing of it is a loss."""
+        self._take(None)
+
+    def _take(self, limit: int | None) -> list[Drained]:
+        drained = self.subscription.drain(limit)
         self.losses.observe(
             [item.info.sequence for item in drained], self.subscription.publisher_count
         )

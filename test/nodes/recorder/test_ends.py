@@ -67,7 +67,7 @@ def test_closing_records_what_has_arrived(ros, recording, capfd) -> None:
 
     assert BagReader(recorder.path).message_count == 40
     lines = capfd.readouterr().err
-    assert lines.count(f"closed {recorder.path}: 40 messages of 1 topics, 0 lost") == 1
+    assert lines.count(f"closing {recorder.path}: 40 messages of 1 topics, 0 lost") == 1
     assert lines.count(f"recording to {recorder.path}") == 1
     assert lines.count("recording /joints [sensor_msgs/msg/JointState]") == 1
 
