@@ -46,6 +46,20 @@ class JointTrackers:
             for tracker, measurement in zip(self.trackers, measurements, strict=True)
         ]
 
-    def estimate(self, stamp: int) -> list[Estimate | None]:
-        """Return the estimate of each joint at a stamp [ns]; see `Tracker.estimate`."""
-        return [tracker.estimate(stamp) for tracker in self.trackers]
+    def estimate(self, stamp: int, wanted: Sequence[bool] | None = None) -> list[Estimate | None]:
+        """Return the estimate of each joint at a stamp; see `Tracker.estimate`.
+
+        Args:
+            stamp: The instant [ns].
+            wanted: One entry a joint, False where no estimate is, as of a joint that has been
+                silent for so long that predicting up to the stamp would take long; None: of all.
+
+        Returns:
+            One entry a joint; None where there is no estimate, or none was wanted.
+        """
+        if wanted is None:
+            wanted = (True,) * len(self.trackers)
+        return [
+            tracker.estimate(stamp) if asked else None
+            for tracker, asked in zip(self.trackers, wanted, strict=True)
+        ]
