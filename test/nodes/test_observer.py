@@ -619,7 +619,8 @@ def test_a_large_disturbance_is_reported_and_its_thresholds_can_be_tuned(bench: 
     [
         ("rate", 100.0, "read-only"),
         ("design", "other.yaml", "read-only"),
-        ("joint", "elbow", "read-only"),
+        ("joints", ["elbow"], "read-only"),
+        ("when_stale", "loud", "must be one of"),
         ("gain_mode", "riccati", "read-only"),
         ("history", 1.0, "read-only"),
         ("coast_after", 0.0, "at least"),
@@ -656,7 +657,10 @@ def test_integers_are_taken_for_doubles_at_start_and_later(ros: Any) -> None:
     [
         ({"rate": 0.0}, "rate"),
         ({"rate": "fast"}, "rate"),
-        ({"joint": ""}, "joint: expected a name"),
+        ({"joints": [""]}, "joints: expected names"),
+        ({"joints": []}, "joints: expected names"),
+        ({"joints": ["hip", "knee", "hip"]}, "joints: expected each name once"),
+        ({"joints": ["hip", "knee"], "joint_designs": [""]}, "one for each of the 2 joints"),
         ({"gain_mode": "certain"}, "gain_mode"),
         ({"fault.warn": 0.6}, "fault.error"),
         ({"coast_after": 6.0}, "coast_after"),

@@ -2,249 +2,282 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `observer` node: measurements in, certified estimates out at a fixed rate."""
 
-import math
-from pathlib import Path
+import time
 from typing import Any
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation import comparison
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.faults import FaultMonitor
-from tsobs_ros.estimation.health import DisturbanceLimits, InnovationMonitor, Phase, phase_of
-from tsobs_ros.estimation.observer import GainMode
-from tsobs_ros.estimation.records import NANOSECONDS, Estimate, RejectReason
-from tsobs_ros.estimation.supervised import SupervisedObserver
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.health import Phase, Status
+from tsobs_ros.estimation.joints import JointTrackers
+from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.observer_io import MEASUREMENT_QOS, EstimatePublisher, to_measurement
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.observer_io import MEASUREMENT_QOS, EstimatePublisher, MeasurementReader
+from tsobs_ros.nodes.observer_joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer_parameters import ObserverParameters
 from tsobs_ros.nodes.observer_statuses import (
-    certificate_status,
-    domain_status,
+    estimate_statuses,
+    joint_statuses,
     measurement_status,
-    parameter_status,
     state_status,
+    summary_status,
+    tracking_values,
 )
-from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.tick_meter import TickMeter
 from tsobs_ros.nodes.ticker import Ticker
-from tsobs_ros.resources import config_path
 
 _DIAGNOSTICS_PERIOD = 1.0
-_THROTTLE = 5.0
-_THROTTLE_NS = 5_000_000_000
+_WARNING_PERIOD = 5.0
 
 
-class Observer(Node):
-    """Runs the certified observer of one joint.
+class Observer(ManagedNode[ObserverParameters]):
+    """Runs the certified observers of one or several independent joints.
+
+    Configuring loads the designs and re-checks their certificates, activating begins to estimate,
+    each time afresh. While the node is inactive, what arrives is thrown away.
 
     Args:
         node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
 
     Raises:
         ParameterError: A parameter has a wrong type or value.
-        DesignFileError: The design file is missing or malformed.
-        CertificateError: The design's certificate does not hold.
+        DesignFileError: A design file is missing or malformed.
+        CertificateError: A design's certificate does not hold.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
-        super().__init__("observer", **node_kwargs)
-        try:
-            self._start()
-        except BaseException:
-            super().destroy_node()
-            raise
+        super().__init__("observer", ObserverParameters, **node_kwargs)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.start()
 
-    def _start(self) -> None:
-        self._binding = ParameterBinding(self, ObserverParameters, on_change=self._retune)
-        parameters = self._binding.value
-        path = (
-            Path(parameters.design)
-            if parameters.design
-            else config_path("elastic_joint.design.yaml")
-        )
-        self._design = load_design(path)
-        self._design_path = path
-        self._estimator = self._make_estimator(parameters)
-        self._tracker: Tracker[Any] = Tracker(
-            self._estimator,
-            TrackerOptions(
-                x_max=self._design.request.x_max,
-                history=parameters.history,
-                future_tolerance=parameters.future_tolerance,
-                restart_after=parameters.stale_after,
-            ),
-        )
-        self._received = 0
+    def configure(self) -> None:
+        """Load the designs and make everything."""
+        parameters = self.parameters
+        self._joints = observed_joints(parameters)
+        self._trackers = JointTrackers([joint.tracker for joint in self._joints])
         self._resets = 0
+        self._failures = 0
         self._enabled = True
+        self._fresh = True
         self._last_now = 0
         self._last_output = 0
-        self._next_warning: dict[RejectReason, int] = {}
-        self._estimate: Estimate | None = None
-        self._innovations = InnovationMonitor()
-        self._faults = self._fault_monitor(parameters)
+        self._published_since_tick = False
+        self._unanswered: list[int] = []
+        self._next_warning: dict[object, float] = {}
         self._meter = TickMeter(parameters.rate)
 
+        self._reader = MeasurementReader(parameters.joints, parameters.assume_zero_torque)
+        at_once = parameters.publish_on == "measurement"
         self._measurements = DrainedSubscription(
-            self, JointState, "joint_measurements", MEASUREMENT_QOS
+            self,
+            JointState,
+            "joint_measurements",
+            MEASUREMENT_QOS,
+            raw=True,
+            on_arrival=self._on_arrival if at_once else None,
         )
-        self._publisher = EstimatePublisher(self, parameters.joint, self._learnt)
-        self._diagnostics = DiagnosticsPublisher(self, hardware_id=parameters.joint)
+        self._publisher = EstimatePublisher(
+            self, {joint.name: joint.learnt for joint in self._joints}
+        )
+        self._diagnostics = DiagnosticsPublisher(self, hardware_id=", ".join(parameters.joints))
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetBool, "~/enable", self._on_enable)
-        self.ticker = Ticker(self, 1.0 / parameters.rate, self._tick)
+        self.ticker = self._ticker = Ticker(
+            self, 1.0 / parameters.rate, self._on_tick, self._measurements if at_once else None
+        )
         # Not the node's clock: a paused simulation is still worth a diagnosis.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=steady)
-        certificate = self._design.certificate.worst
-        self.get_logger().info(f"design {path}: certificate holds ({certificate})")
+        self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=self._steady)
+        self._tell_of_designs()
 
-    def _make_estimator(self, parameters: ObserverParameters) -> Estimator[Any]:
-        """Return what the parameter `method` names, and warn of a method that cannot work."""
-        request = self._design.request
-        if parameters.method == "certified":
-            supervised = self._design.supervised(
-                parameters.settle_time, GainMode(parameters.gain_mode), parameters.adapt
-            )
-            supervised.options = parameters.supervision.options()
-            return supervised
-        common = (request.period, request.measurement_std)
-        if parameters.method == "paper":
-            estimator = comparison.paper(request.arm, *common)
-            self.get_logger().warning(comparison.PAPER_WARNING)
-            return estimator
-        make = (
-            comparison.high_gain
-            if parameters.method == "high_gain"
-            else comparison.proportional_integral
-        )
-        self.get_logger().warning(
-            f"method {parameters.method}: takes any disturbance of the sensor for motion of the "
-            "arm; no bound is published"
-        )
-        return make(request.arm, parameters.theta, *common)
+    def activate(self) -> None:
+        """Begin to estimate from what comes from now on."""
+        self._measurements.drain()
+        if not self._fresh:
+            self._begin_afresh("activated again")
+        self._meter.restart()
+        self._ticker.start()
+
+    def deactivate(self) -> None:
+        """Stop estimating and publishing."""
+        self._ticker.stop()
+
+    def retune(self, parameters: ObserverParameters) -> None:
+        """Take over parameters that were changed while the node runs."""
+        for joint in self._joints:
+            joint.retune(parameters)
 
     @property
-    def _learnt(self) -> tuple[str, ...]:
-        """Names of the parameters that are learnt."""
-        parameters = self._binding.value
-        learns = parameters.method == "certified" and parameters.adapt
-        return tuple(self._design.request.uncertainty) if learns else ()
+    def joints(self) -> tuple[ObservedJoint, ...]:
+        """The joints with their trackers and counts."""
+        return tuple(self._joints)
 
     @property
     def tracker(self) -> Tracker[Any]:
-        """The tracker behind the node, with its counts."""
-        return self._tracker
+        """The tracker of the first joint, with its counts."""
+        return self._joints[0].tracker
 
     @property
     def received(self) -> int:
-        """Number of messages taken since the start: used + rejected, as long as enabled."""
-        return self._received
+        """Number of samples of all joints since the start: used + rejected, while enabled."""
+        return sum(joint.received for joint in self._joints)
 
-    def _tick(self) -> None:
-        now = self.get_clock().now().nanoseconds
-        if now == 0:
-            return  # simulated time has not begun
-        if now < self._last_now:
-            self._meter.restart()
-            self._begin_afresh(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
-        self._last_now = now
+    def _on_tick(self) -> None:
+        now = self._now()
+        if now is None:
+            return
         self._meter.begin(now)
-        for message, _ in self._measurements.drain():
-            if self._enabled:
-                self._take(message, now)
-        if self._enabled and now > self._last_output:
+        self._take_all(now)
+        if not self._published_since_tick:
             self._publish(now)
+        self._published_since_tick = False
         self._meter.end()
 
-    def _take(self, message: JointState, now: int) -> None:
-        """Use one message, or count and report why not."""
-        parameters = self._binding.value
-        self._received += 1
-        read = to_measurement(message, parameters.joint, parameters.assume_zero_torque)
-        if isinstance(read, RejectReason):
-            self._tracker.reject(read)
-            self._warn_of_rejection(read, message, now)
+    def _on_arrival(self) -> None:
+        """Estimate from measurements as soon as they have come."""
+        now = self._now()
+        if now is None:
             return
-        outcome = self._tracker.offer(read, now)
-        if isinstance(outcome, RejectReason):
+        self._meter.begin_work()
+        if self._take_all(now):
+            self._published_since_tick = self._publish(now)
+        self._meter.end()
+
+    def _now(self) -> int | None:
+        """Return the time, None before simulated time begins; begin afresh where it went back."""
+        now = self._ticker.now()
+        if now == 0:
+            return None
+        if now < self._last_now:
+            self._on_backward_jump(now)
+        self._last_now = now
+        return now
+
+    def _on_backward_jump(self, now: int) -> None:
+        self._meter.restart()
+        if self.parameters.reset_on_backward_jump:
+            self._last_output = 0
+            self._publisher.restart()
+            self._begin_afresh(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
+
+    def _take_all(self, now: int) -> bool:
+        """Take what has arrived; return whether any of it was used."""
+        used = False
+        for data, info in self._measurements.drain():
+            if self._enabled and self._take(data, now):
+                self._unanswered.append(info.received_ns)
+                used = True
+        return used
+
+    def _take(self, data: bytes, now: int) -> bool:
+        """Use the joints' samples in one message, or count and report why not."""
+        self._fresh = False
+        samples = self._reader.read(data)
+        measurements: list[Measurement | None] = []
+        for joint, sample in zip(self._joints, samples, strict=True):
+            joint.received += sample is not None
+            if isinstance(sample, RejectReason):
+                joint.tracker.reject(sample)
+                self._warn_of_rejection(joint, sample, data, now)
+                sample = None
+            measurements.append(sample)
+        try:
+            outcomes = self._trackers.offer(measurements, now)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            self._on_numerical_failure(error)
+            return False
+        for joint, measurement, outcome in zip(self._joints, measurements, outcomes, strict=True):
+            if measurement is None or outcome is None:
+                continue
+            if isinstance(outcome, Innovation):
+                joint.used(measurement, outcome)
+                stamp = measurement.stamp
+                continue
             if outcome is RejectReason.GATED:
-                self._faults.unused(read.stamp, float(read.y[0]))
-            self._warn_of_rejection(outcome, message, now)
-            return
-        innovation, expected_std = float(outcome.value[0]), float(outcome.expected_std[0])
-        self._innovations.update(outcome.stamp, innovation / expected_std)
-        self._faults.measured(outcome.stamp, float(read.y[0]), innovation, expected_std)
-        self._publisher.publish_innovation(outcome)
+                joint.gated(measurement)
+            self._warn_of_rejection(joint, outcome, data, now)
+        if not any(isinstance(outcome, Innovation) for outcome in outcomes):
+            return False
+        self._publisher.publish_innovations(stamp, outcomes)
+        return True
 
-    def _warn_of_rejection(self, reason: RejectReason, message: JointState, now: int) -> None:
-        """Warn, throttled for each reason on its own, so that none hides another."""
-        if now >= self._next_warning.get(reason, 0):
-            self._next_warning[reason] = now + _THROTTLE_NS
-            detail = self._detail(reason, message, now)
-            self.get_logger().warning(f"measurement rejected: {reason.value} ({detail})")
-
-    def _publish(self, now: int) -> None:
-        age = self._age(now)
-        phase = self._phase(age)
-        if phase in (Phase.WAITING, Phase.STALE):
-            return
-        failures = self._tracker.failures
-        estimate = self._tracker.estimate(now)
-        if self._tracker.failures > failures:
-            self.get_logger().error(
-                "the estimate was not finite; started afresh", throttle_duration_sec=_THROTTLE
-            )
-        if estimate is None:
-            return
-        self._estimate = estimate
-        if estimate.disturbance.size:
-            bound = estimate.disturbance_bound
-            self._faults.estimated(
-                now, float(estimate.disturbance[0]), float(bound[0]) if bound.size else math.inf
-            )
-        self._publisher.publish(estimate)
+    def _publish(self, now: int) -> bool:
+        """Publish the estimates for the present; return whether there were any."""
+        if not self._enabled or now <= self._last_output:
+            return False
+        parameters = self.parameters
+        fresh = [
+            joint.phase(now, parameters) in (Phase.TRACKING, Phase.COASTING)
+            for joint in self._joints
+        ]
+        estimates: list[Estimate | None] = [None] * len(fresh)
+        if any(fresh):
+            try:
+                estimates = self._trackers.estimate(now, fresh)
+            except (ArithmeticError, np.linalg.LinAlgError) as error:
+                self._on_numerical_failure(error)
+                return False
+        for place, (joint, estimate) in enumerate(zip(self._joints, estimates, strict=True)):
+            if estimate is not None:
+                joint.estimated(estimate)
+            elif parameters.when_stale == "hold" and joint.phase(now, parameters) is Phase.STALE:
+                estimates[place] = joint.held()
+        if all(estimate is None for estimate in estimates):
+            return False
+        self._publisher.publish(now, estimates)
         self._last_output = now
+        if self._unanswered:
+            done = time.time_ns()
+            for arrived in self._unanswered:
+                self._meter.answered(done - arrived)
+            self._unanswered.clear()
+        return True
 
-    def _age(self, now: int) -> float | None:
-        newest = self._tracker.newest
-        return None if newest is None else max(0, now - newest) / NANOSECONDS
-
-    def _phase(self, age: float | None) -> Phase:
-        parameters = self._binding.value
-        return phase_of(age, parameters.coast_after, parameters.stale_after)
-
-    def _detail(self, reason: RejectReason, message: JointState, now: int) -> str:
-        if reason is RejectReason.WRONG_JOINT:
-            return (
-                f"expected position and effort of '{self._binding.value.joint}', got names "
-                f"{list(message.name)} with {len(message.position)} positions and "
-                f"{len(message.effort)} efforts"
+    def _warn_of_rejection(
+        self, joint: ObservedJoint, reason: RejectReason, data: bytes, now: int
+    ) -> None:
+        """Warn, throttled for each reason on its own, so that none hides another."""
+        if self._may_warn(reason):
+            said = self._reader.describe(data, joint.name)
+            self.get_logger().warning(
+                f"measurement of {joint.name} rejected: {reason.value} "
+                f"({said}, clock {now * 1e-9:.3f})"
             )
-        if reason is RejectReason.NON_FINITE:
-            return f"position {list(message.position)}, effort {list(message.effort)}"
-        stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
-        return f"stamp {stamp:.3f}, clock {now * 1e-9:.3f}"
+
+    def _may_warn(self, subject: object) -> bool:
+        """Return whether the last warning of a subject was long enough ago."""
+        now = time.monotonic()
+        if now < self._next_warning.get(subject, 0.0):
+            return False
+        self._next_warning[subject] = now + _WARNING_PERIOD
+        return True
+
+    def _on_numerical_failure(self, error: Exception) -> None:
+        self._failures += 1
+        if self._may_warn("failure"):
+            self.get_logger().error(f"numerical failure: {error}")
+        self._begin_afresh("numerical failure")
 
     def _begin_afresh(self, why: str) -> None:
         """Reset everything an instance computes from data; counts of a new instance are zero."""
-        self.get_logger().warning(f"starting afresh: {why}")
-        self._tracker.reset()
-        self._received = 0
+        if self._may_warn(why.partition(" by ")[0]):
+            self.get_logger().warning(f"starting afresh: {why}")
+        self._trackers.reset()
+        for joint in self._joints:
+            joint.reset()
         self._resets += 1
-        self._last_output = 0
-        self._next_warning = {}
-        self._estimate = None
-        self._publisher.restart()
-        self._innovations = InnovationMonitor()
-        self._faults = self._fault_monitor(self._binding.value)
+        self._fresh = True
+        self._unanswered.clear()
+        self._next_warning = {
+            subject: due
+            for subject, due in self._next_warning.items()
+            if not isinstance(subject, RejectReason)
+        }
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         # What was received before the reset must not be used after it.
@@ -262,34 +295,45 @@ class Observer(Node):
         response.message = "enabled" if request.data else "disabled: nothing is published"
         return response
 
-    def _retune(self, parameters: ObserverParameters) -> None:
-        self._faults.limits = self._limits(parameters)
-        if isinstance(self._estimator, SupervisedObserver):
-            self._estimator.options = parameters.supervision.options()
-
-    def _fault_monitor(self, parameters: ObserverParameters) -> FaultMonitor:
-        return FaultMonitor(self._design.request.measurement_std, self._limits(parameters))
-
-    @staticmethod
-    def _limits(parameters: ObserverParameters) -> DisturbanceLimits:
-        fault = parameters.fault
-        return DisturbanceLimits(fault.warn, fault.error, fault.hold)
-
     def _diagnose(self) -> None:
-        age = self._age(self.get_clock().now().nanoseconds)
-        method = self._binding.value.method
+        if not self.active:
+            return
+        now, parameters, joints = self._ticker.now(), self.parameters, self._joints
+        phases = {joint.name: joint.phase(now, parameters) for joint in joints}
         statuses = [
-            state_status(self._tracker, self._phase(age), age, self._resets, self._enabled),
-            measurement_status(self._tracker, self._received),
+            state_status(phases, self._resets, self._enabled),
+            measurement_status([joint.tracker for joint in joints], self.received),
             self._meter.status(),
-            domain_status(self._estimate, self._design.request.x_max),
-            self._innovations.status(),
-            self._faults.status(),
-            certificate_status(self._design, self._design_path, method, self._estimate),
         ]
-        if self._learnt and self._estimate is not None:
-            statuses.append(parameter_status(self._learnt, self._estimate))
-        self._diagnostics.publish(statuses)
+        parts: dict[str, list[Status]] = {}
+        if len(joints) == 1:
+            statuses[0].values.update(tracking_values(joints[0], now))
+            statuses += estimate_statuses(joints[0], parameters.method)
+        else:
+            parts = {
+                joint.name: joint_statuses(joint, phases[joint.name], now, parameters)
+                for joint in joints
+            }
+            statuses.append(summary_status(parts))
+        self._diagnostics.publish(statuses, parts)
+
+    def _tell_of_designs(self) -> None:
+        """Say what each joint is estimated with, and warn of methods that cannot work."""
+        by_path = {joint.loaded.path: joint.loaded for joint in self._joints}
+        for path, loaded in by_path.items():
+            names = ", ".join(each.name for each in self._joints if each.loaded.path == path)
+            self.get_logger().info(
+                f"{names}: design {path} ({loaded.identity}): certificate holds "
+                f"({loaded.design.certificate.worst})"
+            )
+        method = self.parameters.method
+        if method == "paper":
+            self.get_logger().warning(comparison.PAPER_WARNING)
+        elif method != "certified":
+            self.get_logger().warning(
+                f"method {method}: takes any disturbance of the sensor for motion of the arm; no "
+                "bound is published"
+            )
 
 
 def create(**node_kwargs: Any) -> Observer:

@@ -1,18 +1,22 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""JointState messages in, estimates out: the observer node's only knowledge of messages."""
+"""JointState messages in, estimates out: the observer node's only knowledge of messages.
 
-from collections.abc import Sequence
+Messages are read and written as the bytes on the wire. Building, converting and taking rclpy's
+message objects would cost more than all that is estimated.
+"""
+
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
+from tsobs_ros.errors import MessageError
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
-from tsobs_ros.nodes.stamps import to_nanoseconds, to_stamp
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
@@ -22,47 +26,98 @@ _RELIABLE = 10
 _PARAMETER_PERIOD = 100_000_000
 """Parameters change slowly: published ten times a second [ns]."""
 
+_KNOWN_LAYOUTS = 64
+_KNOWN_SUBSETS = 256
 
-def to_measurement(
-    message: JointState, joint: str, assume_zero_torque: bool
-) -> Measurement | RejectReason:
-    """Return the joint's sample in a message, or why there is none.
+
+class MeasurementReader:
+    """Finds the samples of the node's joints in messages of any joints, in any order.
 
     Args:
-        message: Any JointState; the joint may be one of several.
-        joint: Name of the joint.
+        joints: Names of the joints.
         assume_zero_torque: Whether a message without effort means torque 0.
     """
-    try:
-        index = message.name.index(joint)
-        angle = message.position[index]
-        torque = message.effort[index] if message.effort or not assume_zero_torque else 0.0
-    except (ValueError, IndexError):
-        return RejectReason.WRONG_JOINT
-    stamp = to_nanoseconds(message.header.stamp)
-    return Measurement(stamp, np.array([angle]), np.array([torque]))
+
+    def __init__(self, joints: Sequence[str], assume_zero_torque: bool) -> None:
+        self._joints = tuple(joints)
+        self._assume_zero_torque = assume_zero_torque
+        self._decode = JointStateDecoder()
+        # Where the joints are, by the names in a message, which hardly ever change.
+        self._places: dict[tuple[str, ...], list[int | None]] = {}
+
+    def read(self, data: bytes) -> list[Measurement | RejectReason | None]:
+        """Return for each joint its sample, why that is none, or None if it is not in there.
+
+        Bytes that are no JointState, and messages with none of the joints, are wrong for all.
+        """
+        try:
+            stamp, names, position, _, effort, _ = self._decode(data)
+        except MessageError:
+            return [RejectReason.WRONG_JOINT] * len(self._joints)
+        places = self._places.get(names) or self._find(names)
+        if not any(place is not None for place in places):
+            return [RejectReason.WRONG_JOINT] * len(self._joints)
+        if self._assume_zero_torque and not effort:
+            effort = (0.0,) * len(position)
+        count = min(len(position), len(effort))
+        return [
+            None
+            if place is None
+            else Measurement(stamp, np.array([position[place]]), np.array([effort[place]]))
+            if place < count
+            else RejectReason.WRONG_JOINT
+            for place in places
+        ]
+
+    def describe(self, data: bytes, joint: str) -> str:
+        """Return what a message has to say of a joint, for people who wonder why it is refused."""
+        try:
+            message = self._decode(data)
+        except MessageError as error:
+            return f"not a JointState: {error}"
+        if joint not in message.names:
+            return f"expected {', '.join(self._joints)}; got names {list(message.names)}"
+        place, said = message.names.index(joint), f"stamp {message.stamp * 1e-9:.3f}"
+        for field in ("position", "effort"):
+            numbers = getattr(message, field)
+            value = numbers[place] if place < len(numbers) else f"missing ({len(numbers)} in all)"
+            said += f", {field} {value}"
+        return said
+
+    def _find(self, names: tuple[str, ...]) -> list[int | None]:
+        if len(self._places) >= _KNOWN_LAYOUTS:
+            self._places.clear()
+        # Of a name that comes twice, the first.
+        found = {name: place for place, name in reversed(list(enumerate(names)))}
+        self._places[names] = places = [found.get(joint) for joint in self._joints]
+        return places
 
 
 class _Output:
-    """A publisher with the one message that it sends again and again.
+    """A publisher of JointStates of any of some names."""
 
-    Building new messages costs as much as publishing them.
-    """
-
-    def __init__(self, node: Node, topic: str, names: Sequence[str]) -> None:
+    def __init__(self, node: Node, topic: str, names: Sequence[Sequence[str]]) -> None:
         # Every QoS event is one more thing the executor gathers for each of its waits.
         quiet = PublisherEventCallbacks(use_default_callbacks=False)
         self._publisher = node.create_publisher(JointState, topic, _RELIABLE, event_callbacks=quiet)
-        self._message = JointState(name=list(names))
+        self._names = names
+        self._encoders: dict[tuple[int, ...], JointStateEncoder] = {}
 
     def publish(
-        self, stamp: Time, position: Sequence[float], velocity: Sequence[float] = ()
+        self,
+        stamp: int,
+        joints: tuple[int, ...],
+        position: Sequence[float],
+        velocity: Sequence[float] = (),
     ) -> None:
-        """Send positions and, where there are any, velocities."""
-        self._message.header.stamp = stamp
-        self._message.position = position
-        self._message.velocity = velocity
-        self._publisher.publish(self._message)
+        """Send the positions, and the velocities where there are any, of joints by their index."""
+        encode = self._encoders.get(joints)
+        if encode is None:
+            if len(self._encoders) >= _KNOWN_SUBSETS:
+                self._encoders.clear()
+            names = [name for joint in joints for name in self._names[joint]]
+            encode = self._encoders[joints] = JointStateEncoder(names)
+        self._publisher.publish(encode(stamp, position, velocity))
 
 
 class EstimatePublisher:
@@ -70,50 +125,93 @@ class EstimatePublisher:
 
     Args:
         node: The node.
-        joint: Name of the joint.
-        parameters: Names of the parameters that are learnt; their topics exist only if there
-            are any.
+        learnt: By the names of the joints, those of their parameters that are learnt; there are
+            topics of them only if there are any.
     """
 
-    def __init__(self, node: Node, joint: str, parameters: Sequence[str] = ()) -> None:
-        sides = [f"{joint}_link", f"{joint}_motor"]
+    def __init__(self, node: Node, learnt: Mapping[str, Sequence[str]]) -> None:
+        joints = [[joint] for joint in learnt]
+        sides = [[f"{joint}_link", f"{joint}_motor"] for joint in learnt]
         self._states = _Output(node, "~/joint_states", sides)
         self._state_bounds = _Output(node, "~/error_bound", sides)
-        self._disturbance = _Output(node, "~/disturbance", [joint])
-        self._disturbance_bound = _Output(node, "~/disturbance_bound", [joint])
-        self._innovation = _Output(node, "~/innovation", [joint])
-        self._parameters, self._parameter_bounds = (
-            _Output(node, topic, parameters) if parameters else None
-            for topic in ("~/parameters_estimate", "~/parameters_bound")
-        )
+        self._disturbance = _Output(node, "~/disturbance", joints)
+        self._disturbance_bound = _Output(node, "~/disturbance_bound", joints)
+        self._innovation = _Output(node, "~/innovation", joints)
+        self._parameters: _Output | None = None
+        if any(learnt.values()):
+            names = [
+                [f"{joint}/{each}" if len(learnt) > 1 else each for each in own]
+                for joint, own in learnt.items()
+            ]
+            self._parameters = _Output(node, "~/parameters_estimate", names)
+            self._parameter_bounds = _Output(node, "~/parameters_bound", names)
         self._parameters_due = 0
 
-    def publish(self, estimate: Estimate) -> None:
-        """Publish one estimate, all of it with the same stamp; what it lacks is left out."""
-        stamp = to_stamp(estimate.stamp)
-        q1, v1, q2, v2 = estimate.state.tolist()
-        self._states.publish(stamp, [q1, q2], [v1, v2])
-        if estimate.state_bound.size:
-            q1, v1, q2, v2 = estimate.state_bound.tolist()
-            self._state_bounds.publish(stamp, [q1, q2], [v1, v2])
-        if estimate.disturbance.size:
-            rate = estimate.disturbance_rate.tolist()
-            self._disturbance.publish(stamp, estimate.disturbance.tolist(), rate)
-        if estimate.disturbance_bound.size:
-            self._disturbance_bound.publish(stamp, estimate.disturbance_bound.tolist())
-        if estimate.parameters_valid and estimate.stamp >= self._parameters_due:
-            self._publish_parameters(stamp, estimate)
+    def publish(self, stamp: int, estimates: Sequence[Estimate | None]) -> None:
+        """Publish the joints' estimates at a stamp [ns]; what they lack is left out.
 
-    def publish_innovation(self, innovation: Innovation) -> None:
-        """Publish y − ŷ, stamped as its measurement."""
-        self._innovation.publish(to_stamp(innovation.stamp), innovation.value.tolist())
+        Args:
+            stamp: Of the messages [ns].
+            estimates: One entry a joint, None where there is nothing to say.
+        """
+        known = [(joint, each) for joint, each in enumerate(estimates) if each is not None]
+        if not known:
+            return
+        positions: list[float] = []
+        velocities: list[float] = []
+        for _, each in known:
+            q1, v1, q2, v2 = each.state.tolist()
+            positions += (q1, q2)
+            velocities += (v1, v2)
+        self._states.publish(stamp, _indices(known), positions, velocities)
+        self._publish_state_bounds(stamp, [item for item in known if item[1].state_bound.size])
+        self._publish_disturbances(stamp, [item for item in known if item[1].disturbance.size])
+        if self._parameters is not None and stamp >= self._parameters_due:
+            self._publish_parameters(stamp, [item for item in known if item[1].parameters_valid])
+
+    def publish_innovations(self, stamp: int, outcomes: Sequence[object]) -> None:
+        """Publish y − ŷ of the joints whose outcome is an innovation, stamped as measured."""
+        used = [
+            (joint, each) for joint, each in enumerate(outcomes) if isinstance(each, Innovation)
+        ]
+        if used:
+            values = [float(each.value[0]) for _, each in used]
+            self._innovation.publish(stamp, tuple(joint for joint, _ in used), values)
 
     def restart(self) -> None:
         """Forget when parameters were last published, as stamps may have gone back."""
         self._parameters_due = 0
 
-    def _publish_parameters(self, stamp: Time, estimate: Estimate) -> None:
-        if self._parameters is not None and self._parameter_bounds is not None:
-            self._parameters.publish(stamp, estimate.parameters.tolist())
-            self._parameter_bounds.publish(stamp, estimate.parameter_bound.tolist())
-            self._parameters_due = estimate.stamp + _PARAMETER_PERIOD
+    def _publish_state_bounds(self, stamp: int, bounded: list[tuple[int, Estimate]]) -> None:
+        positions: list[float] = []
+        velocities: list[float] = []
+        for _, each in bounded:
+            q1, v1, q2, v2 = each.state_bound.tolist()
+            positions += (q1, q2)
+            velocities += (v1, v2)
+        if bounded:
+            self._state_bounds.publish(stamp, _indices(bounded), positions, velocities)
+
+    def _publish_disturbances(self, stamp: int, disturbed: list[tuple[int, Estimate]]) -> None:
+        if not disturbed:
+            return
+        values = [value for _, each in disturbed for value in each.disturbance.tolist()]
+        rates = [rate for _, each in disturbed for rate in each.disturbance_rate.tolist()]
+        self._disturbance.publish(stamp, _indices(disturbed), values, rates)
+        bounded = [item for item in disturbed if item[1].disturbance_bound.size]
+        if bounded:
+            bounds = [bound for _, each in bounded for bound in each.disturbance_bound.tolist()]
+            self._disturbance_bound.publish(stamp, _indices(bounded), bounds)
+
+    def _publish_parameters(self, stamp: int, valid: list[tuple[int, Estimate]]) -> None:
+        if not valid or self._parameters is None:
+            return
+        values = [value for _, each in valid for value in each.parameters.tolist()]
+        bounds = [bound for _, each in valid for bound in each.parameter_bound.tolist()]
+        self._parameters.publish(stamp, _indices(valid), values)
+        self._parameter_bounds.publish(stamp, _indices(valid), bounds)
+        self._parameters_due = stamp + _PARAMETER_PERIOD
+
+
+def _indices(items: list[tuple[int, Estimate]]) -> tuple[int, ...]:
+    return tuple(joint for joint, _ in items)

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.supervision import SupervisionOptions
+from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import parameter, parameter_group
 
 
@@ -77,11 +78,20 @@ class SupervisionParameters:
 
 
 @dataclass(frozen=True)
-class ObserverParameters:
+class ObserverParameters(ManagedParameters):
     """All parameters of the observer node."""
 
+    joints: tuple[str, ...] = parameter(
+        ("elastic_joint",), "Names of the joints in joint_measurements", read_only=True
+    )
     design: str = parameter(
         "", "Path of the design file; empty for the one that is shipped", read_only=True
+    )
+    joint_designs: tuple[str, ...] = parameter(
+        (),
+        "Design file of each of the joints, empty for the one that `design` names; no list: "
+        "that one for all",
+        read_only=True,
     )
     method: str = parameter(
         "certified",
@@ -97,15 +107,19 @@ class ObserverParameters:
         maximum=100.0,
         read_only=True,
     )
-    joint: str = parameter(
-        "elastic_joint", "Name of the joint in joint_measurements", read_only=True
-    )
     rate: float = parameter(
         200.0,
         "Rate at which estimates are published",
         unit="Hz",
         minimum=1.0,
         maximum=2000.0,
+        read_only=True,
+    )
+    publish_on: str = parameter(
+        "tick",
+        "When estimates are published: at `rate`; or whenever measurements come, and at `rate` "
+        "as long as none do",
+        choices=("tick", "measurement"),
         read_only=True,
     )
     gain_mode: str = parameter(
@@ -161,6 +175,15 @@ class ObserverParameters:
         maximum=600.0,
         read_only=True,
     )
+    reset_on_backward_jump: bool = parameter(
+        True,
+        "Start afresh when the clock goes back; else nothing is published until it has caught up",
+    )
+    when_stale: str = parameter(
+        "silent",
+        "What is published of a joint that is STALE: nothing, or its last estimate without bounds",
+        choices=("silent", "hold"),
+    )
     fault: FaultParameters = parameter_group(FaultParameters)
     supervision: SupervisionParameters = parameter_group(SupervisionParameters)
 
@@ -170,5 +193,18 @@ class ObserverParameters:
                 f"coast_after: expected at most stale_after = {self.stale_after}, "
                 f"got {self.coast_after}"
             )
-        if not self.joint:
-            raise ParameterError("joint: expected a name, got an empty string")
+        if not self.joints or "" in self.joints:
+            raise ParameterError(f"joints: expected names, got {list(self.joints)}")
+        if len(set(self.joints)) < len(self.joints):
+            raise ParameterError(f"joints: expected each name once, got {list(self.joints)}")
+        if self.joint_designs and len(self.joint_designs) != len(self.joints):
+            raise ParameterError(
+                f"joint_designs: expected one for each of the {len(self.joints)} joints or none, "
+                f"got {len(self.joint_designs)}"
+            )
+
+    @property
+    def design_of(self) -> dict[str, str]:
+        """Path of each joint's design file, empty for the one that is shipped."""
+        own = self.joint_designs or ("",) * len(self.joints)
+        return {joint: path or self.design for joint, path in zip(self.joints, own, strict=True)}

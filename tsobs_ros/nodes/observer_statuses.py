@@ -2,49 +2,69 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the observer node says of itself in diagnostics, as functions of its parts."""
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.health import Level, Phase, Status
 from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.nodes.observer_joints import LoadedDesign, ObservedJoint
+from tsobs_ros.nodes.observer_parameters import ObserverParameters
 
 _LEVEL_OF_PHASE = {
-    Phase.WAITING: Level.WARN,
     Phase.TRACKING: Level.OK,
     Phase.COASTING: Level.WARN,
+    Phase.WAITING: Level.WARN,
     Phase.STALE: Level.ERROR,
 }
+_FROM_BEST_TO_WORST = list(_LEVEL_OF_PHASE)
 _MANY_REJECTED = 0.01
 
 
-def state_status(
-    tracker: Tracker[Any], phase: Phase, age: float | None, resets: int, enabled: bool
-) -> Status:
-    """Return how fresh the measurements are, and how often it began afresh."""
-    values = {
-        "resets": str(resets),
-        "restarts": str(tracker.restarts),
-        "numerical failures": str(tracker.failures),
-        **{name: str(count) for name, count in tracker.events.items()},
-    }
-    if age is not None:
-        values["measurement age [s]"] = f"{age:.4f}"
+def worst_phase(phases: Sequence[Phase]) -> Phase:
+    """Return the worst of some phases."""
+    return max(phases, key=_FROM_BEST_TO_WORST.index)
+
+
+def state_status(phases: Mapping[str, Phase], resets: int, enabled: bool) -> Status:
+    """Return the node's state, which is that of its worst joint.
+
+    Args:
+        phases: By the names of the joints.
+        resets: How often the node began afresh.
+        enabled: Whether it works at all.
+    """
+    values = {"resets": str(resets)}
     if not enabled:
         return Status("state", Level.WARN, "DISABLED", values)
-    return Status("state", _LEVEL_OF_PHASE[phase], phase.value, values)
+    worst = worst_phase(list(phases.values()))
+    if len(phases) > 1:
+        values |= {joint: phase.value for joint, phase in phases.items()}
+    return Status("state", _LEVEL_OF_PHASE[worst], worst.value, values)
 
 
-def measurement_status(tracker: Tracker[Any], received: int) -> Status:
-    """Return what became of the measurements: received = used + rejected, by reason."""
-    rejected = tracker.rejected
-    total = sum(rejected.values())
+def tracking_values(joint: ObservedJoint, now: int) -> dict[str, str]:
+    """Return how fresh the measurements of a joint are, and what befell its tracker."""
+    values = {
+        "restarts": str(joint.tracker.restarts),
+        "numerical failures": str(joint.tracker.failures),
+        **{name: str(count) for name, count in joint.tracker.events.items()},
+    }
+    age = joint.age(now)
+    if age is not None:
+        values["measurement age [s]"] = f"{age:.4f}"
+    return values
+
+
+def measurement_status(trackers: Sequence[Tracker[Any]], received: int) -> Status:
+    """Return what became of the samples of joints: received = used + rejected, by reason."""
+    rejected: Counter[RejectReason] = sum((each.rejected for each in trackers), Counter())
+    total = rejected.total()
     values = {
         "received": str(received),
-        "used": str(tracker.used),
-        "rewinds": str(tracker.rewinds),
+        "used": str(sum(each.used for each in trackers)),
+        "rewinds": str(sum(each.rewinds for each in trackers)),
         **{f"rejected: {reason.value}": str(rejected[reason]) for reason in RejectReason},
     }
     level = Level.WARN if total > _MANY_REJECTED * max(received, 1) else Level.OK
@@ -62,19 +82,18 @@ def domain_status(estimate: Estimate | None, x_max: float) -> Status:
     return Status("premise domain", Level.WARN, "outside: the bound is not certified", values)
 
 
-def certificate_status(
-    design: Design, path: Path, method: str, estimate: Estimate | None
-) -> Status:
+def certificate_status(loaded: LoadedDesign, method: str, estimate: Estimate | None) -> Status:
     """Return which design is in use, and whether its bound is the one that is published."""
     if method != "certified":
         return Status("certificate", Level.WARN, f"method {method}: nothing is certified", {})
     certified = estimate is not None and estimate.certified
-    request = design.request
+    request = loaded.design.request
     values = {
-        "design": str(path),
+        "design": str(loaded.path),
+        "design sha256": loaded.identity,
         "disturbance model": request.disturbance_model.label,
         "design rate [Hz]": f"{request.rate:g}",
-        "margin [1/s]": f"{design.certificate.worst.margin:.3e}",
+        "margin [1/s]": f"{loaded.design.certificate.worst.margin:.3e}",
         "bound": "certified" if certified else "along the estimate",
     }
     message = "certified bound" if certified else "bound along the estimate"
@@ -88,3 +107,42 @@ def parameter_status(names: Sequence[str], estimate: Estimate) -> Status:
     if estimate.parameters_valid:
         return Status("parameters", Level.OK, "learnt", values)
     return Status("parameters", Level.OK, "not yet: the motion is too poor", values)
+
+
+def estimate_statuses(joint: ObservedJoint, method: str) -> list[Status]:
+    """Return what can be said of a joint's estimate."""
+    estimate = joint.estimate
+    statuses = [
+        domain_status(estimate, joint.loaded.design.request.x_max),
+        joint.innovations.status(),
+        joint.faults.status(),
+        certificate_status(joint.loaded, method, estimate),
+    ]
+    if joint.learnt and estimate is not None:
+        statuses.append(parameter_status(joint.learnt, estimate))
+    return statuses
+
+
+def joint_statuses(
+    joint: ObservedJoint, phase: Phase, now: int, parameters: ObserverParameters
+) -> list[Status]:
+    """Return all that can be said of one of several joints."""
+    return [
+        Status("state", _LEVEL_OF_PHASE[phase], phase.value, tracking_values(joint, now)),
+        measurement_status([joint.tracker], joint.received),
+        *estimate_statuses(joint, parameters.method),
+    ]
+
+
+def summary_status(statuses: Mapping[str, Sequence[Status]]) -> Status:
+    """Return the worst of the statuses of several joints, and the worst level of each joint."""
+    worst = max(
+        ((joint, status) for joint, own in statuses.items() for status in own),
+        key=lambda item: item[1].level,
+    )
+    level = worst[1].level
+    message = (
+        "all well" if level is Level.OK else f"{worst[0]}: {worst[1].name}: {worst[1].message}"
+    )
+    values = {joint: max(status.level for status in own).name for joint, own in statuses.items()}
+    return Status("joints", level, message, values)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""How regularly a node's timer fires, on the node's clock, and how long its work takes."""
+"""How regularly a node ticks, on its clock, how long its work takes, and what that waits for."""
 
 import math
 import time
@@ -25,11 +25,16 @@ class TickMeter:
         self._work_began: int | None = None
         self._periods: list[int] = []
         self._durations: list[int] = []
+        self._latencies: list[int] = []
         self._missed_before = 0
+
+    def begin_work(self) -> None:
+        """Note that work begins that is no tick's."""
+        self._work_began = time.monotonic_ns()
 
     def begin(self, now: int) -> None:
         """Note that a tick begins at `now` on the node's clock [ns]."""
-        self._work_began = time.monotonic_ns()
+        self.begin_work()
         if self._latest is not None:
             period = now - self._latest
             self._periods.append(period)
@@ -37,27 +42,34 @@ class TickMeter:
         self._latest = now
 
     def end(self) -> None:
-        """Note that the tick's work is done."""
+        """Note that the work is done."""
         if self._work_began is not None:
             self._durations.append(time.monotonic_ns() - self._work_began)
             self._work_began = None
+
+    def answered(self, latency: int) -> None:
+        """Note how long after its arrival the first output that uses an input was sent [ns]."""
+        self._latencies.append(latency)
 
     def restart(self) -> None:
         """Forget when the last tick was: the clock jumped, or a pause was wanted."""
         self._latest = None
 
     def status(self) -> Status:
-        """Return achieved rate, missed ticks and tick time of the interval, and begin a new one."""
+        """Return achieved rate, missed ticks, tick time and latency since the last call."""
         durations, self._durations = sorted(self._durations), []
         periods, self._periods = self._periods, []
+        latencies, self._latencies = sorted(self._latencies), []
         missed, self._missed_before = self.missed - self._missed_before, self.missed
         values = {"wanted rate [Hz]": f"{self._rate:g}", "missed ticks": str(self.missed)}
         if not durations:
             return Status("timing", Level.STALE, "no ticks", values)
         if sum(periods) > 0:
             values["achieved rate [Hz]"] = f"{len(periods) * 1e9 / sum(periods):.1f}"
-        values["tick time p50 [ms]"] = f"{_percentile(durations, 0.50) * 1e-6:.3f}"
-        values["tick time p99 [ms]"] = f"{_percentile(durations, 0.99) * 1e-6:.3f}"
+        for name, times in (("tick time", durations), ("latency", latencies)):
+            if times:
+                values[f"{name} p50 [ms]"] = f"{_percentile(times, 0.50) * 1e-6:.3f}"
+                values[f"{name} p99 [ms]"] = f"{_percentile(times, 0.99) * 1e-6:.3f}"
         late = missed > _WORTH_A_WARNING * (len(durations) + missed)
         level = Level.WARN if late else Level.OK
         return Status("timing", level, f"missed {missed} ticks" if missed else "on time", values)

@@ -13,39 +13,68 @@ from collections.abc import Callable
 
 from rclpy.node import Node
 
+from tsobs_ros.nodes.draining import DrainedSubscription
+
 
 class Ticker:
-    """Calls back at a fixed rate on the node's clock.
+    """Calls back at a fixed rate on the node's clock, from `start` until `stop`.
 
     Args:
         node: The node whose clock decides.
         period: Time between ticks [s].
         callback: What to do.
+        arrivals: A subscription with `on_arrival`, which is served between the ticks too.
     """
 
-    def __init__(self, node: Node, period: float, callback: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        period: float,
+        callback: Callable[[], None],
+        arrivals: DrainedSubscription | None = None,
+    ) -> None:
         self._clock = node.get_clock()
         self._callback = callback
+        self._arrivals = arrivals
         self._period_ns = round(period * 1e9)
+        self._running = False
         self._due: int | None = None
-        self._timer = node.create_timer(period, callback)
+        self._timer = node.create_timer(period, callback, autostart=False)
+        self._wake_executor(False)
 
     @property
     def may_be_taken_over(self) -> bool:
-        """Whether the ticks follow the wall clock, so that a sleep can make them."""
-        return not self._clock.ros_time_is_active
+        """Whether there are ticks, and they follow the wall clock, so that a sleep makes them."""
+        return self._running and not self._clock.ros_time_is_active
+
+    def now(self) -> int:
+        """Return the time on the node's clock [ns]; where ticks are taken over, at no cost."""
+        if self._due is not None:
+            return time.time_ns()
+        return int(self._clock.now().nanoseconds)
+
+    def start(self) -> None:
+        """Begin to tick."""
+        self._running = True
+        self._wake_executor(True)
+
+    def stop(self) -> None:
+        """Stop ticking, until the next `start`."""
+        self._running = False
+        self._due = None
+        self._wake_executor(False)
 
     def take_over(self) -> None:
-        """Stop the timer; from now on `run_if_due` ticks."""
+        """Stop the timer; from now on `run_if_due` ticks and `rest` waits."""
         if self._due is None:
-            self._timer.cancel()
+            self._wake_executor(False)
             self._due = time.monotonic_ns()
 
     def give_back(self) -> None:
         """Let the timer tick again."""
         if self._due is not None:
             self._due = None
-            self._timer.reset()
+            self._wake_executor(self._running)
 
     def run_if_due(self) -> int:
         """Tick if it is time, and return how long the next tick is away [ns]."""
@@ -54,6 +83,25 @@ class Ticker:
         if now >= self._due:
             self._callback()
             now = time.monotonic_ns()
-            # On the grid of the first tick; what fell out while the process was held up is gone.
-            self._due += self._period_ns * max(1, -((self._due - now) // self._period_ns))
+            if self._due is None:  # the tick was the last one
+                return self._period_ns
+            # On the grid of the first tick. One that is late by less than a period is made good;
+            # what fell out before that, while the process was held up, is gone.
+            self._due += self._period_ns * max(1, (now - self._due) // self._period_ns)
         return max(0, self._due - now)
+
+    def rest(self, seconds: float) -> None:
+        """Sleep, or less if there are arrivals, which are served."""
+        if self._arrivals is None:
+            time.sleep(seconds)
+        else:
+            self._arrivals.serve(seconds)
+
+    def _wake_executor(self, wanted: bool) -> None:
+        """Decide whether an executor makes the ticks, and looks for arrivals."""
+        if wanted:
+            self._timer.reset()
+        else:
+            self._timer.cancel()
+        if self._arrivals is not None:
+            self._arrivals.wakes_executor = wanted
