@@ -8,6 +8,7 @@ then imports its node module ``tsobs_ros.nodes.<name>``, whose ``create()`` make
 """
 
 import sys
+from functools import partial
 from importlib import import_module
 
 from tsobs_ros.stop import StopFlag
@@ -16,34 +17,15 @@ from tsobs_ros.stop import StopFlag
 _FINALISE_TIMEOUT = 5.0
 
 
-def observer() -> int:
-    """Run the observer node.
+def run(name: str) -> int:
+    """Run a node until it is finished or a signal comes.
+
+    Args:
+        name: Name of the executable and of the node's module.
 
     Returns:
         The process's exit code: 0 after a clean end, 1 after an error.
     """
-    return _run("observer")
-
-
-def plant_simulator() -> int:
-    """Run the plant simulator node.
-
-    Returns:
-        The process's exit code: 0 after a clean end, 1 after an error.
-    """
-    return _run("plant_simulator")
-
-
-def recorder() -> int:
-    """Run the recorder node.
-
-    Returns:
-        The process's exit code: 0 after a clean end, 1 after an error.
-    """
-    return _run("recorder")
-
-
-def _run(name: str) -> int:
     stop = StopFlag()
     stop.install()
     try:
@@ -65,12 +47,15 @@ def _run(name: str) -> int:
     return exit_code
 
 
+observer = partial(run, "observer")
+plant_simulator = partial(run, "plant_simulator")
+recorder = partial(run, "recorder")
+player = partial(run, "player")
+
 if __name__ == "__main__":
     # `python -m tsobs_ros.executables observer …` where no script has been installed.
-    if len(sys.argv) < 2 or sys.argv[1] not in ("observer", "plant_simulator", "recorder"):
-        print(
-            "usage: python -m tsobs_ros.executables observer|plant_simulator|recorder …",
-            file=sys.stderr,
-        )
+    nodes = ("observer", "plant_simulator", "recorder", "player")
+    if len(sys.argv) < 2 or sys.argv[1] not in nodes:
+        print(f"usage: python -m tsobs_ros.executables {'|'.join(nodes)} …", file=sys.stderr)
         sys.exit(2)
-    sys.exit(_run(sys.argv.pop(1)))
+    sys.exit(run(sys.argv.pop(1)))

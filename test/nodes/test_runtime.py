@@ -252,7 +252,7 @@ def entry_point(ros_process, tmp_path: Path):
                 "-c",
                 f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
                 f"import tsobs_ros.nodes; tsobs_ros.nodes.__path__.append({str(tmp_path)!r})\n"
-                "from tsobs_ros.executables import _run; sys.exit(_run('some_node'))",
+                "from tsobs_ros.executables import run; sys.exit(run('some_node'))",
             ]
         )
 
