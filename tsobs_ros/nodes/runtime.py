@@ -128,7 +128,8 @@ def _tick_for_a_while(tickers: Sequence[Ticker], stop: Callable[[], bool]) -> No
         left = until - time.monotonic()
         if left <= 0.0 or stop():
             return
-        time.sleep(min(wait, left))
+        # One that also waits for messages can do so only where it is alone.
+        (tickers[0].rest if len(tickers) == 1 else time.sleep)(min(wait, left))
 
 
 def _finished(node: RunnableNode) -> bool:
