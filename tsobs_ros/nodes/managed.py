@@ -194,8 +194,10 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return self._attempt("activate", self._activate)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Answer rclpy's lifecycle."""
-        return self._attempt("deactivate", self._deactivate)
+        """Answer rclpy's lifecycle; a failure means that the node stays active."""
+        result = self._attempt("deactivate", self._deactivate)
+        self._active = result == TransitionCallbackReturn.FAILURE
+        return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer rclpy's lifecycle; a failure would mean inactive, and there is no way back."""

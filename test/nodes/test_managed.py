@@ -1,0 +1,364 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Managed nodes obey a lifecycle manager in any order, and leave nothing behind."""
+
+import random
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from lifecycle_msgs.msg import Transition, TransitionEvent
+from lifecycle_msgs.srv import ChangeState, GetState
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.parameter import Parameter
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from tsobs_ros.errors import NodeError, ParameterError
+from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
+from tsobs_ros.nodes.parameters import parameter
+
+CONFIGURE, CLEANUP = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP
+ACTIVATE, DEACTIVATE = Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_DEACTIVATE
+SHUTDOWNS = {
+    "unconfigured": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
+    "inactive": Transition.TRANSITION_INACTIVE_SHUTDOWN,
+    "active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
+}
+POSSIBLE = {
+    ("unconfigured", CONFIGURE): ("inactive", ["configure"]),
+    ("inactive", ACTIVATE): ("active", ["activate"]),
+    ("active", DEACTIVATE): ("inactive", ["deactivate"]),
+    ("inactive", CLEANUP): ("unconfigured", ["cleanup", "release"]),
+}
+WAY_TO: dict[str, list[int]] = {
+    "unconfigured": [],
+    "inactive": [CONFIGURE],
+    "active": [CONFIGURE, ACTIVATE],
+}
+
+
+@dataclass(frozen=True)
+class ProbeParameters(ManagedParameters):
+    """One that can be changed."""
+
+    gain: float = parameter(1.0, "Gain")
+
+
+class Probe(ManagedNode[ProbeParameters]):
+    """Notes what is called, and fails where it is told to."""
+
+    def __init__(self, fails: dict[str, Exception] | None = None, **node_kwargs: Any) -> None:
+        super().__init__("probe", ProbeParameters, **node_kwargs)
+        self.fails = fails or {}
+        self.calls: list[str] = []
+        self.create_publisher(String, "~/lasting", 10)
+        self.start()
+
+    def _note(self, call: str) -> None:
+        self.calls.append(call)
+        if call in self.fails:
+            raise self.fails[call]
+
+    def configure(self) -> None:
+        self.create_publisher(String, "~/news", 10)
+        self.create_subscription(String, "question", print, 10)
+        self.create_service(Trigger, "~/reset", lambda request, response: response)
+        self.create_client(Trigger, "elsewhere")
+        self.create_timer(0.01, lambda: self.calls.append("tick") if self.active else None)
+        self.at_cleanup(self._note, "release")
+        self._note("configure")
+
+    def activate(self) -> None:
+        assert not self.active
+        self._note("activate")
+
+    def deactivate(self) -> None:
+        assert not self.active
+        self._note("deactivate")
+
+    def cleanup(self) -> None:
+        assert not self.active
+        self._note("cleanup")
+
+    def retune(self, parameters: ProbeParameters) -> None:
+        self._note(f"retune {parameters.gain}")
+
+
+def entities(node: Any) -> tuple[int, ...]:
+    """Count what a node owns, and with it what executors look through."""
+    return tuple(
+        len(list(each))
+        for each in (node.publishers, node.subscriptions, node.services, node.clients, node.timers,
+                     node.waitables, node.guards)
+    )  # fmt: skip
+
+
+class Manager:
+    """Drives a node by its lifecycle services, as a lifecycle manager does."""
+
+    def __init__(self, ros: Any, node: Any) -> None:
+        self._ros = ros
+        self.node = node
+        self.own = ros.node("manager")
+
+    def call(self, srv_type: type, service: str, request: Any) -> Any:
+        """Call a service of the node."""
+        name = f"{self.node.get_fully_qualified_name()}/{service}"
+        client = self.own.create_client(srv_type, name)
+        self._ros.spin_until(client.service_is_ready, what=f"the service {name}")
+        future = client.call_async(request)
+        self._ros.spin_until(future.done, what=f"the answer of {name}")
+        self.own.destroy_client(client)
+        return future.result()
+
+    def change(self, *transitions: int) -> bool:
+        """Ask for transitions one after the other, and say whether all succeeded."""
+        return all(
+            self.call(
+                ChangeState,
+                "change_state",
+                ChangeState.Request(transition=Transition(id=transition)),
+            ).success
+            for transition in transitions
+        )
+
+    @property
+    def state(self) -> str:
+        """The node's state."""
+        return self.call(GetState, "get_state", GetState.Request()).current_state.label
+
+
+@pytest.fixture
+def probe(ros: Any) -> Callable[..., Manager]:
+    """Start a probe with parameters and faults, unconfigured unless told otherwise."""
+
+    def start(fails: dict[str, Exception] | None = None, **parameters: Any) -> Manager:
+        given = {"autostart": False, **parameters}
+        overrides = [Parameter(name, value=value) for name, value in given.items()]
+        node = Probe(fails, context=ros.context, parameter_overrides=overrides)
+        return Manager(ros, ros.add(node))
+
+    return start
+
+
+def test_alone_it_is_active_at_once(probe: Any) -> None:
+    manager = probe(autostart=True)
+    assert manager.node.active
+    assert manager.state == "active"
+    assert manager.node.calls[:2] == ["configure", "activate"]
+
+
+def test_autostart_can_be_looked_up_and_not_changed(probe: Any) -> None:
+    manager = probe(autostart=True)
+    names = DescribeParameters.Request(names=["autostart"])
+    (descriptor,) = manager.call(DescribeParameters, "describe_parameters", names).descriptors
+    assert descriptor.read_only
+    assert "lifecycle" in descriptor.description
+    change = SetParameters.Request(
+        parameters=[Parameter("autostart", value=False).to_parameter_msg()]
+    )
+    (result,) = manager.call(SetParameters, "set_parameters", change).results
+    assert not result.successful
+
+
+def test_autostart_of_another_type_is_refused(probe: Any) -> None:
+    with pytest.raises(
+        ParameterError, match="'autostart': expected true or false, got the integer"
+    ):
+        probe(autostart=1)
+
+
+def test_unconfigured_it_owns_nothing_and_waits(probe: Any, ros: Any) -> None:
+    manager = probe()
+    assert manager.state == "unconfigured"
+    assert not manager.node.configured
+    assert manager.node.calls == []
+    assert manager.own.count_publishers("/probe/news") == 0
+    assert manager.own.count_publishers("/probe/lasting") == 1
+
+
+def test_requests_in_any_order_do_what_the_state_allows_and_are_refused_otherwise(
+    probe: Any,
+) -> None:
+    manager = probe()
+    node, chance = manager.node, random.Random(5)
+    bare = entities(node)
+    state, counts = "unconfigured", {}
+    for _ in range(150):
+        asked = chance.choice([CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE])
+        allowed = (state, asked) in POSSIBLE
+        state, calls = POSSIBLE.get((state, asked), (state, []))
+        node.calls.clear()
+        assert manager.change(asked) == allowed
+        assert [call for call in node.calls if call != "tick"] == calls
+        assert manager.state == state
+        assert (node.configured, node.active) == (state != "unconfigured", state == "active")
+        assert counts.setdefault(node.configured, entities(node)) == entities(node)
+    assert counts[False] == bare
+    assert counts[True] > bare
+
+
+def test_callbacks_work_while_active_only(probe: Any, ros: Any) -> None:
+    manager = probe()
+    calls = manager.node.calls
+    manager.change(CONFIGURE, ACTIVATE)
+    ros.spin_until(lambda: calls.count("tick") >= 3, what="the ticks")
+    manager.change(DEACTIVATE)
+    before = calls.count("tick")
+    beats: list[int] = []
+    manager.own.create_timer(0.01, lambda: beats.append(1))
+    ros.spin_until(lambda: len(beats) >= 5, what="time for five ticks")
+    assert calls.count("tick") == before
+
+
+def test_transitions_are_announced(probe: Any, ros: Any) -> None:
+    manager = probe()
+    events: list[str] = []
+    manager.own.create_subscription(
+        TransitionEvent, "probe/transition_event", lambda m: events.append(m.goal_state.label), 10
+    )
+    ros.spin_until(
+        lambda: (
+            manager.own.count_subscribers("/probe/transition_event") == 1
+            and manager.own.count_publishers("/probe/transition_event") == 1
+        ),
+        what="the match",
+    )
+    manager.change(CONFIGURE, ACTIVATE)
+    ros.spin_until(lambda: "active" in events, what="the announcement")
+    assert [label for label in events if label in WAY_TO] == ["inactive", "active"]
+
+
+@pytest.mark.parametrize("state", WAY_TO)
+def test_it_can_be_shut_down_in_every_state(probe: Any, state: str) -> None:
+    manager = probe()
+    manager.change(*WAY_TO[state])
+    manager.node.calls.clear()
+    assert not manager.node.finished
+    assert manager.change(SHUTDOWNS[state])
+    assert manager.state == "finalized"
+    assert manager.node.finished
+    released = [call for call in manager.node.calls if call != "tick"]
+    assert released == ["deactivate", "cleanup", "release"][3 - len(released) :]
+    assert len(released) == {"unconfigured": 0, "inactive": 2, "active": 3}[state]
+    assert not manager.change(CONFIGURE)
+
+
+@pytest.mark.parametrize(
+    ("state", "asked", "call", "end"),
+    [
+        ("unconfigured", CONFIGURE, "configure", "unconfigured"),
+        ("inactive", ACTIVATE, "activate", "inactive"),
+        ("active", DEACTIVATE, "deactivate", "active"),
+        ("inactive", CLEANUP, "cleanup", "unconfigured"),
+        ("inactive", CLEANUP, "release", "unconfigured"),
+        ("active", SHUTDOWNS["active"], "deactivate", "finalized"),
+        ("active", SHUTDOWNS["active"], "release", "finalized"),
+    ],
+)
+def test_a_transition_that_fails_says_why_and_the_node_goes_on(
+    probe: Any, capfd: Any, state: str, asked: int, call: str, end: str
+) -> None:
+    manager = probe()
+    node = manager.node
+    bare = entities(node)
+    manager.change(*WAY_TO[state])
+    node.fails[call] = NodeError("the disk is full")
+    assert not manager.change(asked)
+    assert manager.state == end
+    assert (node.configured, node.active) == (end in ("inactive", "active"), end == "active")
+    if not node.configured:
+        assert entities(node) == bare
+    (line,) = [text for text in capfd.readouterr().err.splitlines() if "ERROR" in text]
+    assert line.endswith(": the disk is full")
+
+    node.fails.clear()
+    if end != "finalized":
+        assert manager.change(*WAY_TO["active"][list(WAY_TO).index(end) :] or [DEACTIVATE])
+
+
+@pytest.mark.parametrize(
+    ("state", "asked", "call"),
+    [
+        ("unconfigured", CONFIGURE, "configure"),
+        ("inactive", ACTIVATE, "activate"),
+        ("active", DEACTIVATE, "deactivate"),
+        ("inactive", CLEANUP, "cleanup"),
+    ],
+)
+def test_a_bug_shows_its_traceback_and_leaves_the_node_unconfigured(
+    probe: Any, capfd: Any, state: str, asked: int, call: str
+) -> None:
+    manager = probe()
+    node = manager.node
+    bare = entities(node)
+    manager.change(*WAY_TO[state])
+    node.fails[call] = ZeroDivisionError("a bug")
+    assert not manager.change(asked)
+    assert manager.state == "unconfigured"
+    assert (node.configured, node.active, entities(node)) == (False, False, bare)
+    assert "ZeroDivisionError: a bug" in capfd.readouterr().err
+    node.fails.clear()
+    assert manager.change(*WAY_TO["active"])
+
+
+@pytest.mark.parametrize("call", ["configure", "activate"])
+@pytest.mark.parametrize("error", [NodeError("the disk is full"), ZeroDivisionError("a bug")])
+def test_a_start_that_fails_raises_and_leaves_nothing(
+    probe: Any, ros: Any, capfd: Any, call: str, error: Exception
+) -> None:
+    with pytest.raises(type(error)) as caught:
+        probe({call: error}, autostart=True)
+    assert caught.value is error
+    assert "[ERROR]" not in capfd.readouterr().err
+    watcher = ros.node("watcher")
+    ros.spin_until(lambda: "probe" not in watcher.get_node_names(), what="the end of the node")
+
+
+@pytest.mark.parametrize("state", WAY_TO)
+def test_closing_ends_in_any_state_and_twice(probe: Any, state: str) -> None:
+    manager = probe()
+    node = manager.node
+    bare = entities(node)
+    manager.change(*WAY_TO[state])
+    node.calls.clear()
+    node.close()
+    node.close()
+    expected = {"unconfigured": [], "inactive": ["cleanup", "release"]}
+    calls = [call for call in node.calls if call != "tick"]
+    assert calls == expected.get(state, ["deactivate", "cleanup", "release"])
+    assert (node.configured, node.active, entities(node)) == (False, False, bare)
+
+
+def test_closing_raises_what_could_not_be_finished_and_releases_the_rest(probe: Any) -> None:
+    manager = probe()
+    bare = entities(manager.node)
+    manager.change(*WAY_TO["active"])
+    manager.node.fails["deactivate"] = NodeError("the disk is full")
+    with pytest.raises(NodeError, match="the disk is full"):
+        manager.node.close()
+    assert manager.node.calls[-2:] == ["cleanup", "release"]
+    assert entities(manager.node) == bare
+
+
+def test_parameters_are_retuned_while_configured_and_read_anew_otherwise(probe: Any) -> None:
+    manager = probe()
+    node = manager.node
+    node.set_parameters([Parameter("gain", value=2.0)])
+    assert (node.calls, node.parameters.gain) == ([], 2.0)
+    manager.change(CONFIGURE)
+    node.set_parameters([Parameter("gain", value=3)])
+    assert (node.calls[-1], node.parameters.gain) == ("retune 3.0", 3.0)
+
+
+def test_simulated_time_that_was_switched_on_survives_a_clean_up(probe: Any) -> None:
+    manager = probe()
+    node = manager.node
+    manager.change(CONFIGURE)
+    node.set_parameters([Parameter("use_sim_time", value=True)])
+    assert manager.change(CLEANUP)
+    assert [s.topic_name for s in node.subscriptions] == ["/clock"]
+    node.set_parameters([Parameter("use_sim_time", value=False)])
+    assert list(node.subscriptions) == []
