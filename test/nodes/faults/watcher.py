@@ -1,0 +1,93 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Reads all that an observer publishes and holds it to what must always be true."""
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from faults.arm import Arm
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from tsobs_ros.nodes.draining import DrainedSubscription
+from tsobs_ros.nodes.stamps import to_nanoseconds
+
+ESTIMATES = ("joint_states", "error_bound", "disturbance", "disturbance_bound")
+OUTPUTS = (*ESTIMATES, "innovation")
+# How many of its bounds an error may be: 4 sigma.
+_SIGMAS = 4.0
+
+
+class Watcher:
+    """Reads an observer's topics.
+
+    Attributes:
+        broken: What should never have happened, in words.
+        count: Messages on each topic.
+        newest: The newest message on each topic.
+
+    Args:
+        node: Whose subscriptions they are.
+        prefix: The observer's full name.
+        keep: Called with topic and message, for tests that compare them.
+    """
+
+    def __init__(
+        self, node: Node, prefix: str, keep: Callable[[str, JointState], None] | None = None
+    ) -> None:
+        self._subscriptions = {
+            topic: DrainedSubscription(node, JointState, f"{prefix}/{topic}", QoSProfile(depth=5000))
+            for topic in OUTPUTS
+        }
+        self._keep = keep
+        self.broken: list[str] = []
+        self.count: Counter[str] = Counter()
+        self.newest: dict[str, JointState] = {}
+        self._stamps: dict[str, int] = {}
+
+    @property
+    def matched(self) -> bool:
+        """Whether all topics have a publisher."""
+        return all(each.publisher_count for each in self._subscriptions.values())
+
+    def time_began_anew(self) -> None:
+        """Allow stamps to begin anew: the clock went back, or the observer was reset."""
+        self.read()
+        self._stamps.clear()
+
+    def read(self) -> None:
+        """Take what has been published."""
+        for topic, subscription in self._subscriptions.items():
+            for message, _ in subscription.drain():
+                self._check(topic, message)
+                self.count[topic] += 1
+                self.newest[topic] = message
+                if self._keep is not None:
+                    self._keep(topic, message)
+
+    def stamp(self, topic: str = "joint_states") -> int | None:
+        """Return the newest stamp on a topic [ns]."""
+        return self._stamps.get(topic)
+
+    def error_in_bounds(self, arm: Arm) -> float:
+        """Return the largest error of the newest estimate, divided by four of its bounds."""
+        state, bound = self.newest["joint_states"], self.newest["error_bound"]
+        q1, v1, q2, v2 = arm.truth(to_nanoseconds(state.header.stamp))
+        error = np.abs([*state.position, *state.velocity] - np.array([q1, q2, v1, v2]))
+        return float((error / [*bound.position, *bound.velocity]).max() / _SIGMAS)
+
+    def _check(self, topic: str, message: Any) -> None:
+        stamp = to_nanoseconds(message.header.stamp)
+        numbers = (*message.position, *message.velocity, *message.effort)
+        if not all(map(math.isfinite, numbers)):
+            self.broken.append(f"{topic} at {stamp}: {numbers}")
+        # Innovations bear the stamps of measurements, which may be late.
+        if topic in ESTIMATES:
+            before = self._stamps.get(topic)
+            if before is not None and stamp <= before:
+                self.broken.append(f"{topic}: {stamp} after {before}")
+            self._stamps[topic] = stamp

@@ -1,0 +1,41 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Every kind of bad input: what becomes of it, and that the observer comes back from it."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from faults.arm import Arm
+from faults.kinds import KINDS
+from faults.script import Kind, complaints
+from faults.stage import Stage
+
+from tsobs_ros.estimation.records import NANOSECONDS
+
+BEGIN = 100 * NANOSECONDS
+RATE = 50.0
+PERIOD = round(NANOSECONDS / RATE)
+
+
+@pytest.fixture
+def stage(ros: Any) -> Iterator[Stage]:
+    stage = Stage(ros)
+    yield stage
+    stage.close()
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
+def test_bad_input_is_counted_for_what_it_is_and_the_observer_recovers(
+    stage: Stage, kind: Kind
+) -> None:
+    stage.add(rate=RATE)
+    stage.step(BEGIN - PERIOD)
+    arm = Arm(BEGIN)
+    events = kind.script(arm)
+    stage.play(events, BEGIN + round(kind.seconds * NANOSECONDS), PERIOD)
+    watcher = stage.watchers[""]
+    assert complaints(events, stage.counts()) == []
+    assert watcher.broken == []
+    assert watcher.stamp() == stage.now
+    assert watcher.error_in_bounds(arm) < 1.0
