@@ -4,6 +4,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap_ros2._dynamic import generate_dynamic
@@ -94,7 +95,7 @@ def test_each_dependency_comes_once_where_it_is_first_needed(tmp_path: Path) -> 
     "text",
     [
         "# Foo foo\n  # Bar bar\nint32 x # Baz baz\n",
-        "string<=10 bounded\nstring[<=3] many\nwstring wide\nbyte[] raw\n",
+        "string<=10 bounded\nstring[<=3] many\nbyte[] raw\n",
         "uint8 KIND=1\nstring NAME='Foo foo'\n",
         "int8 x\r\nfloat64[3] y\r\n",
         "",
@@ -125,6 +126,81 @@ def test_mcap_makes_a_decoder_from_the_text(msgtype: str) -> None:
 def test_the_hash_is_the_one_rosbags_computes(msgtype: str) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
     assert find_definition(msgtype).type_hash == store.hash_rihs01(msgtype)
+
+
+def services() -> list[str]:
+    paths = [path for folder in share_folders() for path in folder.glob("*/srv/*.srv")]
+    return sorted({f"{path.parts[-3]}/srv/{path.stem}" for path in paths})
+
+
+def rosbags_meaning(types: Any) -> Any:
+    """Undo two things rosbags does to what it parses: names outside msg/, and char being uint8."""
+    if isinstance(types, str):
+        return "uint8" if types == "char" else types.replace("/srv/msg/", "/srv/")
+    if isinstance(types, dict):
+        return {rosbags_meaning(key): rosbags_meaning(value) for key, value in types.items()}
+    if isinstance(types, list | tuple):
+        return type(types)(rosbags_meaning(item) for item in types)
+    return types
+
+
+@pytest.mark.parametrize("service", services())
+def test_the_events_of_a_service_have_the_definition_their_hash_was_made_of(service: str) -> None:
+    definition = find_definition(f"{service}_Event")
+    store = get_typestore(Stores.EMPTY)
+    store.register(rosbags_meaning(get_types_from_msg(definition.text, definition.type)))
+    assert definition.type_hash == store.hash_rihs01(definition.type)
+    assert definition.encoding == "ros2msg"
+
+
+def test_what_actions_send_is_composed_of_their_file(tmp_path: Path) -> None:
+    folder = tmp_path / "a_msgs" / "action"
+    folder.mkdir(parents=True)
+    (folder / "Go.action").write_text("Place to\n---\nfloat64 took\n---\nfloat64 left # m\n")
+    write_package(tmp_path, "a_msgs", Place="string name\n")
+    write_package(tmp_path, "unique_identifier_msgs", UUID="uint8[16] uuid\n")
+    write_package(tmp_path, "builtin_interfaces", Time="int32 sec\nuint32 nanosec\n")
+    write_package(tmp_path, "service_msgs", ServiceEventInfo="uint8 event_type\n")
+
+    feedback = find_definition("a_msgs/action/Go_FeedbackMessage", [tmp_path])
+    assert feedback == (
+        "a_msgs/action/Go_FeedbackMessage",
+        "unique_identifier_msgs/UUID goal_id\na_msgs/action/Go_Feedback feedback\n"
+        f"\n{SEPARATOR}\nMSG: a_msgs/action/Go_Feedback\nfloat64 left # m\n"
+        f"\n{SEPARATOR}\nMSG: unique_identifier_msgs/UUID\nuint8[16] uuid\n",
+        "",
+        "ros2msg",
+    )
+    sent = find_definition("a_msgs/action/Go_SendGoal_Event", [tmp_path]).text
+    assert f"{SEPARATOR}\nMSG: a_msgs/action/Go_Goal\na_msgs/Place to\n" in sent
+    assert "a_msgs/action/Go_SendGoal_Response[<=1] response\n" in sent
+    result = find_definition("a_msgs/action/Go_GetResult_Event", [tmp_path]).text
+    assert f"{SEPARATOR}\nMSG: a_msgs/action/Go_Result\nfloat64 took\n" in result
+
+
+def test_a_file_that_lacks_a_part_is_named(tmp_path: Path) -> None:
+    folder = tmp_path / "a_msgs" / "srv"
+    folder.mkdir(parents=True)
+    (folder / "Half.srv").write_text("int8 x\n")
+    write_package(tmp_path, "service_msgs", ServiceEventInfo="uint8 event_type\n")
+    with pytest.raises(BagWriteError, match=r"Half_Response: its \.srv file lacks that part"):
+        find_definition("a_msgs/srv/Half_Event", [tmp_path])
+
+
+def test_without_a_msg_file_the_definition_is_in_idl(tmp_path: Path) -> None:
+    # As rosbag2 does it, which does not know the type wstring either.
+    root = '#include "b_msgs/msg/Part.idl"\n\nmodule a_msgs { wstring wide; };\n'
+    write_package(tmp_path, "a_msgs", Root="wstring wide\nb_msgs/Part part\n")
+    (tmp_path / "a_msgs" / "msg" / "Root.idl").write_text(root)
+    write_package(tmp_path, "b_msgs", Part="int8 x\n")
+    (tmp_path / "b_msgs" / "msg" / "Part.idl").write_text("module b_msgs {};\n")
+    assert find_definition("a_msgs/msg/Root", [tmp_path]) == (
+        "a_msgs/msg/Root",
+        f"{SEPARATOR}\nIDL: a_msgs/msg/Root\n{root}"
+        f"\n{SEPARATOR}\nIDL: b_msgs/msg/Part\nmodule b_msgs {{}};\n",
+        "",
+        "ros2idl",
+    )
 
 
 def test_a_type_may_be_named_without_its_middle_part() -> None:

@@ -2,27 +2,58 @@
 # SPDX-License-Identifier: Apache-2.0
 """Message definitions from the installed interface packages, as rosbag2 stores them in a bag.
 
-Every interface package installs `share/<package>/msg/<Type>.msg`, its text, and `<Type>.json`,
-which carries the RIHS01 hash of the type. Both are read from disk: no ROS import is needed.
+Every interface package installs `share/<package>/msg/<Type>.msg`, its text, or only `<Type>.idl`,
+and `<Type>.json`, which carries the RIHS01 hash of the type. They are read from disk: no ROS import
+is needed.
+
+The messages that make services and actions visible, `package/srv/<Type>_Event` and
+`package/action/<Type>_FeedbackMessage`, have no file of their own. rosbag2 stores the `.srv` file
+in the place of their definition, and nothing for actions, at which readers stumble. Here they get
+the definition they have, put together from the parts of the `.srv` and `.action` files, so that
+readers can decode them; rosbag2 itself does not look at it.
 """
 
 import json
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from tsobs_ros.errors import BagWriteError
 
 _SEPARATOR = "=" * 80
-_TYPE_NAME = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/(?:msg/)?([A-Za-z][A-Za-z0-9_]*)")
+_TYPE_NAME = re.compile(
+    r"([A-Za-z][A-Za-z0-9_]*)/(?:(msg|srv|action)/)?([A-Za-z][A-Za-z0-9_]*)", flags=re.ASCII
+)
 _FIELD_TYPE = re.compile(
     r"^[ \t]*([A-Za-z0-9_/]+)(?:\[[^\]]*\])?[ \t]+", flags=re.ASCII | re.MULTILINE
 )
-_PRIMITIVES = frozenset({"bool", "byte", "char", "float32", "float64", "string", "wstring"}) | {
+_IDL_INCLUDE = re.compile(r"^#include\s+[\"<]([A-Za-z0-9_/]+)\.idl[\">]", flags=re.MULTILINE)
+# Those that rosbag2 knows: it has a message with a wstring in IDL.
+_PRIMITIVES = frozenset({"bool", "byte", "char", "float32", "float64", "string"}) | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+# What is composed from the parts between the `---` of a .srv or .action file: the type's suffix,
+# and the part's number or a text in which {} is the file's type without suffix.
+_EVENT = (
+    "service_msgs/ServiceEventInfo info\n{0}_Request[<=1] request\n{0}_Response[<=1] response\n"
+)
+_COMPOSED: Mapping[str, Mapping[str, int | str]] = {
+    "srv": {"_Request": 0, "_Response": 1, "_Event": _EVENT},
+    "action": {
+        "_SendGoal_Request": "unique_identifier_msgs/UUID goal_id\n{0}_Goal goal\n",
+        "_SendGoal_Response": "bool accepted\nbuiltin_interfaces/Time stamp\n",
+        "_SendGoal_Event": _EVENT.replace("{0}", "{0}_SendGoal"),
+        "_GetResult_Request": "unique_identifier_msgs/UUID goal_id\n",
+        "_GetResult_Response": "int8 status\n{0}_Result result\n",
+        "_GetResult_Event": _EVENT.replace("{0}", "{0}_GetResult"),
+        "_FeedbackMessage": "unique_identifier_msgs/UUID goal_id\n{0}_Feedback feedback\n",
+        "_Goal": 0,
+        "_Result": 1,
+        "_Feedback": 2,
+    },
 }
 
 
@@ -31,13 +62,15 @@ class MessageDefinition(NamedTuple):
 
     Attributes:
         type: Its full name, `package/msg/Type`.
-        text: The text of its `.msg` file and of all it depends on, in `ros2msg` encoding.
+        text: The text of its file and of all it depends on.
         type_hash: Its RIHS01 hash; empty when the installation does not tell.
+        encoding: The language of the text, `ros2msg` or `ros2idl`.
     """
 
     type: str
     text: str
     type_hash: str
+    encoding: str = "ros2msg"
 
 
 def share_folders() -> tuple[Path, ...]:
@@ -54,66 +87,131 @@ def find_definition(msgtype: str, folders: Sequence[Path] | None = None) -> Mess
     """Return the definition of a message type, complete with all it depends on.
 
     The order is rosbag2's, so that the text is the same to the byte: the root's text verbatim,
-    then each dependency once, depth first, siblings in bytewise order.
+    then each dependency once, depth first, siblings in bytewise order. As there, it is in IDL where
+    the type or a dependency has no `.msg` file.
 
     Args:
-        msgtype: The type as `package/msg/Type` or `package/Type`.
+        msgtype: The type as `package/msg/Type` or `package/Type`, or one of those that services
+            and actions bring along.
         folders: The share folders to search; those of `share_folders` by default.
 
     Raises:
         BagWriteError: The name is not a message type's, or it or a dependency is not installed.
     """
-    searched = share_folders() if folders is None else tuple(folders)
-    package, name = _split(msgtype)
-    path = _find(package, name, searched)
-    seen: set[str] = set()
-    text = _with_dependencies(path, package, searched, seen)
-    full_name = f"{package}/msg/{name}"
-    return MessageDefinition(full_name, text, _type_hash(path, full_name))
+    source = _Source(share_folders() if folders is None else tuple(folders))
+    name = _parse(msgtype)
+    try:
+        text, encoding = source.with_dependencies(name, "msg"), "ros2msg"
+    except BagWriteError as error:
+        try:
+            root = _delimiter("idl", name.full)
+            text, encoding = root + source.with_dependencies(name, "idl"), "ros2idl"
+        except BagWriteError:
+            raise error from None
+    return MessageDefinition(name.full, text, source.type_hash(name), encoding)
 
 
-def _split(msgtype: str) -> tuple[str, str]:
+class _Name(NamedTuple):
+    package: str
+    kind: str
+    name: str
+
+    @property
+    def full(self) -> str:
+        return f"{self.package}/{self.kind}/{self.name}"
+
+    def composed_of(self) -> tuple[str, int | str] | None:
+        """Return the name of the file it is made of, and its part or text; None for a message."""
+        for suffix, content in _COMPOSED.get(self.kind, {}).items():
+            if self.name.endswith(suffix):
+                return self.name.removesuffix(suffix), content
+        return None
+
+
+def _parse(msgtype: str) -> _Name:
     match = _TYPE_NAME.fullmatch(msgtype)
-    if match is None:
+    name = _Name(match[1], match[2] or "msg", match[3]) if match else None
+    if name is None or (name.kind != "msg" and name.composed_of() is None):
         raise BagWriteError(f"'{msgtype}' is not a message type: expected package/msg/Type")
-    return match[1], match[2]
+    return name
 
 
-def _find(package: str, name: str, folders: Sequence[Path]) -> Path:
-    for folder in folders:
-        path = folder / package / "msg" / f"{name}.msg"
-        if path.is_file():
-            return path
-    searched = ", ".join(map(str, folders)) or "no folder at all"
-    raise BagWriteError(
-        f"message type {package}/msg/{name} is not installed: no {package}/msg/{name}.msg in "
-        f"{searched}"
-    )
+class _Source:
+    """The installed definitions in some share folders."""
+
+    def __init__(self, folders: Sequence[Path]) -> None:
+        self._folders = folders
+        self._seen: dict[str, set[str]] = {"msg": set(), "idl": set()}
+
+    def with_dependencies(self, name: _Name, language: str) -> str:
+        """Return a type's text followed by those of all it needs and that have not come yet."""
+        text = self._text(name, language)
+        parts = [text]
+        for dependency in sorted(_dependencies(text, name.package, language), key=str.encode):
+            if dependency not in self._seen[language]:
+                self._seen[language].add(dependency)
+                parts.append(f"\n{_delimiter(language, dependency)}")
+                parts.append(self.with_dependencies(_parse(dependency), language))
+        return "".join(parts)
+
+    def type_hash(self, name: _Name) -> str:
+        try:
+            base, _ = name.composed_of() or (name.name, "")
+            entries = json.loads(self._find(name, base, "json").read_bytes())["type_hashes"]
+            return next(str(e["hash_string"]) for e in entries if e["type_name"] == name.full)
+        except (BagWriteError, OSError, ValueError, KeyError, TypeError, StopIteration):
+            # Packages built before Iron have no hash, and a bag is complete without one.
+            return ""
+
+    def _text(self, name: _Name, language: str) -> str:
+        composed = name.composed_of()
+        if composed is None or language == "idl":
+            return _read(self._find(name, name.name, language))
+        base, content = composed
+        parts = re.split(r"^---[ \t]*\r?\n?", _read(self._find(name, base, name.kind)), flags=re.M)
+        if isinstance(content, str):
+            return content.format(f"{name.package}/{name.kind}/{base}")
+        if content >= len(parts):
+            raise BagWriteError(f"{name.full}: its .{name.kind} file lacks that part")
+        return _qualified(parts[content], name.package)
+
+    def _find(self, name: _Name, file: str, extension: str) -> Path:
+        relative = f"{name.package}/{name.kind}/{file}.{extension}"
+        for folder in self._folders:
+            if (path := folder / relative).is_file():
+                return path
+        searched = ", ".join(map(str, self._folders)) or "no folder at all"
+        raise BagWriteError(
+            f"message type {name.full} is not installed: no {relative} in {searched}"
+        )
 
 
-def _with_dependencies(path: Path, package: str, folders: Sequence[Path], seen: set[str]) -> str:
+def _qualified(text: str, package: str) -> str:
+    """Return a text that means the same below a name other than `package/Type`."""
+
+    def qualified(field: re.Match[str]) -> str:
+        written = field[1]
+        if "/" in written or written in _PRIMITIVES:
+            return field[0]
+        return field[0].replace(written, f"{package}/{written}", 1)
+
+    return _FIELD_TYPE.sub(qualified, text)
+
+
+def _read(path: Path) -> str:
     # Bytes, not text mode: a definition with Windows line ends must stay as it is.
-    text = path.read_bytes().decode()
-    parts = [text]
-    for dependency in sorted(_dependencies(text, package), key=str.encode):
-        if dependency not in seen:
-            seen.add(dependency)
-            dependency_package, name = _split(dependency)
-            dependency_path = _find(dependency_package, name, folders)
-            parts.append(f"\n{_SEPARATOR}\nMSG: {dependency}\n")
-            parts.append(_with_dependencies(dependency_path, dependency_package, folders, seen))
-    return "".join(parts)
+    try:
+        return path.read_bytes().decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BagWriteError(f"{path}: cannot read it: {error}") from error
 
 
-def _dependencies(text: str, package: str) -> set[str]:
+def _delimiter(language: str, name: str) -> str:
+    return f"{_SEPARATOR}\n{language.upper()}: {name}\n"
+
+
+def _dependencies(text: str, package: str, language: str) -> set[str]:
+    if language == "idl":
+        return set(_IDL_INCLUDE.findall(text))
     types = set(_FIELD_TYPE.findall(text)) - _PRIMITIVES
     return {name if "/" in name else f"{package}/{name}" for name in types}
-
-
-def _type_hash(path: Path, full_name: str) -> str:
-    try:
-        entries = json.loads(path.with_suffix(".json").read_bytes())["type_hashes"]
-        return next(str(e["hash_string"]) for e in entries if e["type_name"] == full_name)
-    except (OSError, ValueError, KeyError, TypeError, StopIteration):
-        # Packages built before Iron have no hash, and a bag is complete without one.
-        return ""
