@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 from lifecycle_msgs.msg import Transition, TransitionEvent
-from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
@@ -19,23 +18,16 @@ from tsobs_ros.errors import NodeError, ParameterError
 from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
 from tsobs_ros.nodes.parameters import parameter
 
-CONFIGURE, CLEANUP = Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_CLEANUP
-ACTIVATE, DEACTIVATE = Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_DEACTIVATE
-SHUTDOWNS = {
-    "unconfigured": Transition.TRANSITION_UNCONFIGURED_SHUTDOWN,
-    "inactive": Transition.TRANSITION_INACTIVE_SHUTDOWN,
-    "active": Transition.TRANSITION_ACTIVE_SHUTDOWN,
-}
 POSSIBLE = {
-    ("unconfigured", CONFIGURE): ("inactive", ["configure"]),
-    ("inactive", ACTIVATE): ("active", ["activate"]),
-    ("active", DEACTIVATE): ("inactive", ["deactivate"]),
-    ("inactive", CLEANUP): ("unconfigured", ["cleanup", "release"]),
+    ("unconfigured", "configure"): ("inactive", ["configure"]),
+    ("inactive", "activate"): ("active", ["activate"]),
+    ("active", "deactivate"): ("inactive", ["deactivate"]),
+    ("inactive", "cleanup"): ("unconfigured", ["cleanup", "release"]),
 }
-WAY_TO: dict[str, list[int]] = {
+WAY_TO: dict[str, list[str]] = {
     "unconfigured": [],
-    "inactive": [CONFIGURE],
-    "active": [CONFIGURE, ACTIVATE],
+    "inactive": ["configure"],
+    "active": ["configure", "activate"],
 }
 
 
@@ -86,59 +78,15 @@ class Probe(ManagedNode[ProbeParameters]):
         self._note(f"retune {parameters.gain}")
 
 
-def entities(node: Any) -> tuple[int, ...]:
-    """Count what a node owns, and with it what executors look through."""
-    return tuple(
-        len(list(each))
-        for each in (node.publishers, node.subscriptions, node.services, node.clients, node.timers,
-                     node.waitables, node.guards)
-    )  # fmt: skip
-
-
-class Manager:
-    """Drives a node by its lifecycle services, as a lifecycle manager does."""
-
-    def __init__(self, ros: Any, node: Any) -> None:
-        self._ros = ros
-        self.node = node
-        self.own = ros.node("manager")
-
-    def call(self, srv_type: type, service: str, request: Any) -> Any:
-        """Call a service of the node."""
-        name = f"{self.node.get_fully_qualified_name()}/{service}"
-        client = self.own.create_client(srv_type, name)
-        self._ros.spin_until(client.service_is_ready, what=f"the service {name}")
-        future = client.call_async(request)
-        self._ros.spin_until(future.done, what=f"the answer of {name}")
-        self.own.destroy_client(client)
-        return future.result()
-
-    def change(self, *transitions: int) -> bool:
-        """Ask for transitions one after the other, and say whether all succeeded."""
-        return all(
-            self.call(
-                ChangeState,
-                "change_state",
-                ChangeState.Request(transition=Transition(id=transition)),
-            ).success
-            for transition in transitions
-        )
-
-    @property
-    def state(self) -> str:
-        """The node's state."""
-        return self.call(GetState, "get_state", GetState.Request()).current_state.label
-
-
 @pytest.fixture
-def probe(ros: Any) -> Callable[..., Manager]:
+def probe(ros: Any, manage: Callable[[Any], Any]) -> Callable[..., Any]:
     """Start a probe with parameters and faults, unconfigured unless told otherwise."""
 
-    def start(fails: dict[str, Exception] | None = None, **parameters: Any) -> Manager:
+    def start(fails: dict[str, Exception] | None = None, **parameters: Any) -> Any:
         given = {"autostart": False, **parameters}
         overrides = [Parameter(name, value=value) for name, value in given.items()]
         node = Probe(fails, context=ros.context, parameter_overrides=overrides)
-        return Manager(ros, ros.add(node))
+        return manage(ros.add(node))
 
     return start
 
@@ -184,10 +132,10 @@ def test_requests_in_any_order_do_what_the_state_allows_and_are_refused_otherwis
 ) -> None:
     manager = probe()
     node, chance = manager.node, random.Random(5)
-    bare = entities(node)
+    bare = manager.entities
     state, counts = "unconfigured", {}
     for _ in range(150):
-        asked = chance.choice([CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE])
+        asked = chance.choice(["configure", "cleanup", "activate", "deactivate"])
         allowed = (state, asked) in POSSIBLE
         state, calls = POSSIBLE.get((state, asked), (state, []))
         node.calls.clear()
@@ -195,17 +143,27 @@ def test_requests_in_any_order_do_what_the_state_allows_and_are_refused_otherwis
         assert [call for call in node.calls if call != "tick"] == calls
         assert manager.state == state
         assert (node.configured, node.active) == (state != "unconfigured", state == "active")
-        assert counts.setdefault(node.configured, entities(node)) == entities(node)
+        assert counts.setdefault(node.configured, manager.entities) == manager.entities
     assert counts[False] == bare
     assert counts[True] > bare
+
+
+def test_transitions_may_be_asked_for_by_number_and_unknown_ones_are_refused(probe: Any) -> None:
+    manager = probe()
+    assert manager.request(id=Transition.TRANSITION_CONFIGURE)
+    assert not manager.request(id=Transition.TRANSITION_CLEANUP + 90)
+    assert not manager.request(id=Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    assert not manager.request(label="fly")
+    assert manager.request(id=Transition.TRANSITION_ACTIVATE)
+    assert manager.state == "active"
 
 
 def test_callbacks_work_while_active_only(probe: Any, ros: Any) -> None:
     manager = probe()
     calls = manager.node.calls
-    manager.change(CONFIGURE, ACTIVATE)
+    manager.change("configure", "activate")
     ros.spin_until(lambda: calls.count("tick") >= 3, what="the ticks")
-    manager.change(DEACTIVATE)
+    manager.change("deactivate")
     before = calls.count("tick")
     beats: list[int] = []
     manager.own.create_timer(0.01, lambda: beats.append(1))
@@ -226,7 +184,7 @@ def test_transitions_are_announced(probe: Any, ros: Any) -> None:
         ),
         what="the match",
     )
-    manager.change(CONFIGURE, ACTIVATE)
+    manager.change("configure", "activate")
     ros.spin_until(lambda: "active" in events, what="the announcement")
     assert [label for label in events if label in WAY_TO] == ["inactive", "active"]
 
@@ -237,68 +195,68 @@ def test_it_can_be_shut_down_in_every_state(probe: Any, state: str) -> None:
     manager.change(*WAY_TO[state])
     manager.node.calls.clear()
     assert not manager.node.finished
-    assert manager.change(SHUTDOWNS[state])
+    assert manager.change("shutdown")
     assert manager.state == "finalized"
     assert manager.node.finished
     released = [call for call in manager.node.calls if call != "tick"]
     assert released == ["deactivate", "cleanup", "release"][3 - len(released) :]
     assert len(released) == {"unconfigured": 0, "inactive": 2, "active": 3}[state]
-    assert not manager.change(CONFIGURE)
+    assert not manager.change("configure")
 
 
 @pytest.mark.parametrize(
     ("state", "asked", "call", "end"),
     [
-        ("unconfigured", CONFIGURE, "configure", "unconfigured"),
-        ("inactive", ACTIVATE, "activate", "inactive"),
-        ("active", DEACTIVATE, "deactivate", "active"),
-        ("inactive", CLEANUP, "cleanup", "unconfigured"),
-        ("inactive", CLEANUP, "release", "unconfigured"),
-        ("active", SHUTDOWNS["active"], "deactivate", "finalized"),
-        ("active", SHUTDOWNS["active"], "release", "finalized"),
+        ("unconfigured", "configure", "configure", "unconfigured"),
+        ("inactive", "activate", "activate", "inactive"),
+        ("active", "deactivate", "deactivate", "active"),
+        ("inactive", "cleanup", "cleanup", "unconfigured"),
+        ("inactive", "cleanup", "release", "unconfigured"),
+        ("active", "shutdown", "deactivate", "finalized"),
+        ("active", "shutdown", "release", "finalized"),
     ],
 )
 def test_a_transition_that_fails_says_why_and_the_node_goes_on(
-    probe: Any, capfd: Any, state: str, asked: int, call: str, end: str
+    probe: Any, capfd: Any, state: str, asked: str, call: str, end: str
 ) -> None:
     manager = probe()
     node = manager.node
-    bare = entities(node)
+    bare = manager.entities
     manager.change(*WAY_TO[state])
     node.fails[call] = NodeError("the disk is full")
     assert not manager.change(asked)
     assert manager.state == end
     assert (node.configured, node.active) == (end in ("inactive", "active"), end == "active")
     if not node.configured:
-        assert entities(node) == bare
+        assert manager.entities == bare
     (line,) = [text for text in capfd.readouterr().err.splitlines() if "ERROR" in text]
     assert line.endswith(": the disk is full")
 
     node.fails.clear()
     if end != "finalized":
-        assert manager.change(*WAY_TO["active"][list(WAY_TO).index(end) :] or [DEACTIVATE])
+        assert manager.change(*WAY_TO["active"][list(WAY_TO).index(end) :] or ["deactivate"])
 
 
 @pytest.mark.parametrize(
     ("state", "asked", "call"),
     [
-        ("unconfigured", CONFIGURE, "configure"),
-        ("inactive", ACTIVATE, "activate"),
-        ("active", DEACTIVATE, "deactivate"),
-        ("inactive", CLEANUP, "cleanup"),
+        ("unconfigured", "configure", "configure"),
+        ("inactive", "activate", "activate"),
+        ("active", "deactivate", "deactivate"),
+        ("inactive", "cleanup", "cleanup"),
     ],
 )
 def test_a_bug_shows_its_traceback_and_leaves_the_node_unconfigured(
-    probe: Any, capfd: Any, state: str, asked: int, call: str
+    probe: Any, capfd: Any, state: str, asked: str, call: str
 ) -> None:
     manager = probe()
     node = manager.node
-    bare = entities(node)
+    bare = manager.entities
     manager.change(*WAY_TO[state])
     node.fails[call] = ZeroDivisionError("a bug")
     assert not manager.change(asked)
     assert manager.state == "unconfigured"
-    assert (node.configured, node.active, entities(node)) == (False, False, bare)
+    assert (node.configured, node.active, manager.entities) == (False, False, bare)
     assert "ZeroDivisionError: a bug" in capfd.readouterr().err
     node.fails.clear()
     assert manager.change(*WAY_TO["active"])
@@ -321,7 +279,7 @@ def test_a_start_that_fails_raises_and_leaves_nothing(
 def test_closing_ends_in_any_state_and_twice(probe: Any, state: str) -> None:
     manager = probe()
     node = manager.node
-    bare = entities(node)
+    bare = manager.entities
     manager.change(*WAY_TO[state])
     node.calls.clear()
     node.close()
@@ -329,18 +287,18 @@ def test_closing_ends_in_any_state_and_twice(probe: Any, state: str) -> None:
     expected = {"unconfigured": [], "inactive": ["cleanup", "release"]}
     calls = [call for call in node.calls if call != "tick"]
     assert calls == expected.get(state, ["deactivate", "cleanup", "release"])
-    assert (node.configured, node.active, entities(node)) == (False, False, bare)
+    assert (node.configured, node.active, manager.entities) == (False, False, bare)
 
 
 def test_closing_raises_what_could_not_be_finished_and_releases_the_rest(probe: Any) -> None:
     manager = probe()
-    bare = entities(manager.node)
+    bare = manager.entities
     manager.change(*WAY_TO["active"])
     manager.node.fails["deactivate"] = NodeError("the disk is full")
     with pytest.raises(NodeError, match="the disk is full"):
         manager.node.close()
     assert manager.node.calls[-2:] == ["cleanup", "release"]
-    assert entities(manager.node) == bare
+    assert manager.entities == bare
 
 
 def test_parameters_are_retuned_while_configured_and_read_anew_otherwise(probe: Any) -> None:
@@ -348,7 +306,7 @@ def test_parameters_are_retuned_while_configured_and_read_anew_otherwise(probe: 
     node = manager.node
     node.set_parameters([Parameter("gain", value=2.0)])
     assert (node.calls, node.parameters.gain) == ([], 2.0)
-    manager.change(CONFIGURE)
+    manager.change("configure")
     node.set_parameters([Parameter("gain", value=3)])
     assert (node.calls[-1], node.parameters.gain) == ("retune 3.0", 3.0)
 
@@ -356,9 +314,9 @@ def test_parameters_are_retuned_while_configured_and_read_anew_otherwise(probe: 
 def test_simulated_time_that_was_switched_on_survives_a_clean_up(probe: Any) -> None:
     manager = probe()
     node = manager.node
-    manager.change(CONFIGURE)
+    manager.change("configure")
     node.set_parameters([Parameter("use_sim_time", value=True)])
-    assert manager.change(CLEANUP)
+    assert manager.change("cleanup")
     assert [s.topic_name for s in node.subscriptions] == ["/clock"]
     node.set_parameters([Parameter("use_sim_time", value=False)])
     assert list(node.subscriptions) == []

@@ -1,0 +1,78 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A lifecycle manager: `manage(node)` drives a managed node of the test's graph by its services."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+
+
+class Manager:
+    """Drives a node by its lifecycle services, and counts what the node owns.
+
+    Args:
+        ros: The test's graph.
+        node: The managed node.
+    """
+
+    def __init__(self, ros: Any, node: Any) -> None:
+        self._ros = ros
+        self.node = node
+        self.own = ros.node("manager")
+
+    def call(self, srv_type: type, service: str, request: Any) -> Any:
+        """Call a service of the node."""
+        name = f"{self.node.get_fully_qualified_name()}/{service}"
+        client = self.own.create_client(srv_type, name)
+        self._ros.spin_until(client.service_is_ready, what=f"the service {name}")
+        future = client.call_async(request)
+        self._ros.spin_until(future.done, what=f"the answer of {name}")
+        self.own.destroy_client(client)
+        return future.result()
+
+    def change(self, *labels: str) -> bool:
+        """Ask for transitions one after the other until one fails; say whether none did."""
+        return all(self.request(label=label) for label in labels)
+
+    def request(self, **transition: Any) -> bool:
+        """Ask for one transition, by its label or its id."""
+        request = ChangeState.Request(transition=Transition(**transition))
+        return bool(self.call(ChangeState, "change_state", request).success)
+
+    @property
+    def state(self) -> str:
+        """The node's state."""
+        return str(self.call(GetState, "get_state", GetState.Request()).current_state.label)
+
+    @property
+    def entities(self) -> tuple[int, ...]:
+        """How much of each kind the node owns, and with it executors look through."""
+        node = self.node
+        kinds = (node.publishers, node.subscriptions, node.services, node.clients, node.timers,
+                 node.waitables, node.guards)  # fmt: skip
+        return tuple(len(list(kind)) for kind in kinds)
+
+    @property
+    def graph(self) -> tuple[dict[str, tuple[int, int]], list[str]]:
+        """Publishers and subscriptions of every topic there is, and the node's services."""
+        own = self.own
+        topics = [topic for topic, _ in own.get_topic_names_and_types()]
+        services = own.get_service_names_and_types_by_node(
+            self.node.get_name(), self.node.get_namespace()
+        )
+        return (
+            {
+                topic: (own.count_publishers(topic), own.count_subscribers(topic))
+                for topic in topics
+            },
+            sorted(service for service, _ in services),
+        )
+
+
+@pytest.fixture
+def manage(ros: Any) -> Callable[[Any], Manager]:
+    """Give what drives a node of the test's graph."""
+    return lambda node: Manager(ros, node)
