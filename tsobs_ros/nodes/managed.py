@@ -47,7 +47,7 @@ from rclpy.time_source import TimeSource
 
 from tsobs_ros.errors import TsobsError
 from tsobs_ros.nodes.parameters import ParameterBinding, parameter
-from tsobs_ros.nodes.ticker import Ticker
+from tsobs_ros.nodes.ticker import Ticking
 
 # What a user can mend; the second comes of a joint or a topic that ROS cannot name.
 _EXPECTED = (TsobsError, NameValidationException)
@@ -84,7 +84,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         ParameterError: A parameter has a wrong type or value.
     """
 
-    ticker: Ticker | None = None
+    ticker: Ticking | None = None
 
     def __init__(self, name: str, schema: type[P], **node_kwargs: Any) -> None:
         super().__init__(name, **node_kwargs)

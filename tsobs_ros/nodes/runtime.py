@@ -6,7 +6,7 @@
 tears everything down in order. Nodes are ordinary rclpy nodes; three optional members are honoured:
 
 * ``finished`` (bool property): the loop ends once any node says so;
-* ``ticker`` (Ticker or None): its ticks are made here, between two looks after everything else;
+* ``ticker`` (Ticking or None): its ticks are made here, between two looks after everything else;
 * ``close()``: called before any node is destroyed. Bags and whatever must not be lost are closed
   here, because destroying a participant is the one step that may hang (see `exit_guard`).
 
@@ -32,7 +32,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from tsobs_ros.errors import TsobsError
 from tsobs_ros.nodes.exit_guard import exit_guard
-from tsobs_ros.nodes.ticker import Ticker
+from tsobs_ros.nodes.ticker import Ticking
 from tsobs_ros.stop import StopFlag
 
 # A signal wakes nobody: the longest an idle process takes to notice one.
@@ -118,7 +118,7 @@ def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
         executor.shutdown()
 
 
-def _tick_for_a_while(tickers: Sequence[Ticker], stop: Callable[[], bool]) -> None:
+def _tick_for_a_while(tickers: Sequence[Ticking], stop: Callable[[], bool]) -> None:
     """Tick and sleep until the executor ought to be looked after."""
     until = time.monotonic() + _LOOK_AFTER_PERIOD
     for ticker in tickers:

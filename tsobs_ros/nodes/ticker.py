@@ -10,10 +10,31 @@ under simulated time, which only an executor makes pass, the tick is an ordinary
 
 import time
 from collections.abc import Callable
+from typing import Protocol
 
 from rclpy.node import Node
 
 from tsobs_ros.nodes.draining import DrainedSubscription
+
+
+class Ticking(Protocol):
+    """What `runtime.run` needs of ticks to make them in an executor's place."""
+
+    @property
+    def may_be_taken_over(self) -> bool:
+        """Whether there are ticks, and a sleep can make them."""
+
+    def take_over(self) -> None:
+        """Leave the ticks to whoever calls `run_if_due`."""
+
+    def give_back(self) -> None:
+        """Leave the ticks to the executor again."""
+
+    def run_if_due(self) -> int:
+        """Tick if it is time, and return how long the next tick is away [ns]."""
+
+    def rest(self, seconds: float) -> None:
+        """Sleep so long, or less."""
 
 
 class Ticker:

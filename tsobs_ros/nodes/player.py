@@ -1,0 +1,290 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The `player` node: publishes a recorded bag again, as it was recorded, at the times it was.
+
+When to publish what is decided in `bag.playback`; the node brings the time, the publishers and the
+ways to interfere: services to pause and to step, the live parameters `rate`, `loop` and `position`.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import Trigger
+
+from tsobs_ros.bag.playback import Event, Playback
+from tsobs_ros.bag.playback_source import BagSource
+from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.errors import ParameterError
+from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.player_pacing import Pacer, SubscriberGate
+from tsobs_ros.nodes.player_parameters import CLOCK, PlayerParameters
+from tsobs_ros.nodes.player_status import LagMeter, PlayerState
+from tsobs_ros.nodes.player_topics import PlayedTopics
+from tsobs_ros.nodes.stamps import set_stamp
+
+_MIB = 2**20
+_DIAGNOSTICS_PERIOD = 1.0
+# Catching up must not keep services waiting.
+_LONGEST_BURST = 5_000_000
+_WAIT_POLL = 10_000_000
+_ACKNOWLEDGE_TIMEOUT = 5_000_000_000
+_WARN_EVERY = 5.0
+
+
+class Player(ManagedNode[PlayerParameters]):
+    """Plays a bag while it is active; deactivating is a pause, cleaning up releases the bag.
+
+    Args:
+        node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
+
+    Raises:
+        ParameterError: A parameter has a wrong type or value, or does not fit the bag.
+        BagReadError: The bag cannot be read. Damage further on is raised where playing reaches it.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("player", PlayerParameters, **node_kwargs)
+        self._finished = False
+        self._ended: int | None = None
+        self.add_on_set_parameters_callback(self._check_position)
+        self.add_post_set_parameters_callback(self._take_position)
+        self.start()
+
+    def configure(self) -> None:
+        """Open the bag, offer its topics and read ahead."""
+        parameters = self.parameters
+        if not parameters.bag:
+            raise ParameterError("parameter 'bag' must name a bag folder or an .mcap file")
+        if self.get_parameter("use_sim_time").value:
+            self.get_logger().warning("use_sim_time does not matter: the player makes the time")
+        reader = BagReader(Path(parameters.bag).expanduser())
+        self._bag_start = reader.start_time or 0
+        self._length = (reader.end_time or 0) - self._bag_start
+        if refusal := self._refusal(parameters.position):
+            raise ParameterError(refusal)
+        start, end = parameters.window(self._bag_start, self._bag_start + self._length)
+        selected = [reader.topics[name] for name in parameters.select(reader.topics)]
+        self._topics = PlayedTopics(
+            self, selected, parameters.queue_depth, lambda text: self.get_logger().warning(text)
+        )
+        self._clock_publisher: Any = None
+        if parameters.clock:
+            self._clock_publisher = self.create_publisher(ClockMessage, CLOCK, 10)
+        self._open(reader, start, end)
+        self._diagnostics = DiagnosticsPublisher(self, hardware_id=str(reader.path))
+        self._lags = LagMeter()
+        self.create_timer(
+            _DIAGNOSTICS_PERIOD,
+            self._publish_diagnostics,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        self._offer_services()
+        self.ticker = self._pacer = Pacer(self, self._play)
+        self.get_logger().info(
+            f"opened {reader.path}: {sum(topic.count for topic in selected)} messages of "
+            f"{len(selected)} topics, {self._length * 1e-9:.3f} s"
+        )
+
+    def _open(self, reader: BagReader, start: int, end: int) -> None:
+        """Begin to read the bag, in a pause."""
+        parameters, topics = self.parameters, self._topics
+        read_ahead = round(parameters.read_ahead * _MIB)
+        source = BagSource(reader, list(topics.by_name), topics.latched, start, end, read_ahead)
+        self.at_cleanup(source.close)
+        self._playback = Playback(
+            source.read,
+            start,
+            end,
+            rate=parameters.rate,
+            clock_rate=parameters.clock,
+            loop=parameters.loop,
+        )
+        self._paused = parameters.start_paused
+        self._seek(parameters.position)
+
+    def activate(self) -> None:
+        """Play, as soon as there are subscribers, unless paused."""
+        parameters = self.parameters
+        self._gate = SubscriberGate(
+            parameters.wait_for_subscribers if self._topics.by_name else 0,
+            parameters.wait_timeout,
+            time.monotonic_ns(),
+        )
+        self._pacer.start()
+
+    def deactivate(self) -> None:
+        """Stand still."""
+        self._pacer.stop()
+        self._playback.pause(time.monotonic_ns())
+
+    def cleanup(self) -> None:
+        """Say what has been played."""
+        topics = self._topics
+        self.get_logger().info(f"played {topics.messages} messages of {len(topics.by_name)} topics")
+
+    def retune(self, parameters: PlayerParameters) -> None:
+        """Play at another rate, with or without a loop."""
+        self._playback.set_rate(parameters.rate, time.monotonic_ns())
+        self._playback.loop = parameters.loop
+        self._pacer.wake()
+
+    @property
+    def finished(self) -> bool:
+        """Whether all has been played and has arrived; a process then ends."""
+        return super().finished or self._finished
+
+    @property
+    def paused(self) -> bool:
+        """Whether a pause is wanted, by a service or by `start_paused`."""
+        return self._paused
+
+    @property
+    def position(self) -> float:
+        """Where playing is, from the bag's start [s]."""
+        return (self._playback.position(time.monotonic_ns()) - self._bag_start) * 1e-9
+
+    def _play(self) -> int:
+        """Publish what is due; return how long it is until more is [ns]."""
+        playback, now = self._playback, time.monotonic_ns()
+        if playback.paused and not (self._paused or playback.ended):
+            if not self._may_begin(now):
+                return _WAIT_POLL
+            playback.resume(now)
+        burst_end = now + _LONGEST_BURST
+        held_back = playback.held_back
+        while now < burst_end and (event := playback.take(now)) is not None:
+            self._lags.add(now - event.due)
+            self._publish(event)
+            now = time.monotonic_ns()
+        if playback.held_back > held_back:
+            self.get_logger().warning(
+                f"{(playback.held_back - held_back) * 1e-9:.3f} s behind: going on from here, "
+                "with nothing left out",
+                throttle_duration_sec=_WARN_EVERY,
+            )
+        if playback.ended and not self._finished:
+            self._finished = self._has_arrived(now)
+        return playback.wait(now)
+
+    def _publish(self, event: Event) -> None:
+        if event.message is not None:
+            self._topics.publish(event.message)
+            return
+        message = ClockMessage()
+        set_stamp(message.clock, event.time)
+        self._clock_publisher.publish(message)
+
+    def _may_begin(self, now: int) -> bool:
+        """Return whether enough subscribers are there."""
+        if not self._gate.is_open:
+            there = self._topics.subscribers
+            self._gate.look(there, now)
+            if self._gate.timed_out:
+                wanted = self.parameters.wait_for_subscribers
+                self.get_logger().warning(f"playing to {there} of {wanted} subscriptions")
+        return self._gate.is_open
+
+    def _has_arrived(self, now: int) -> bool:
+        """Return whether subscribers have got all that was played, or too much time has passed."""
+        if self._ended is None:
+            self._ended = now
+        return self._topics.acknowledged or now - self._ended > _ACKNOWLEDGE_TIMEOUT
+
+    def _seek(self, seconds: float) -> None:
+        self._finished = False
+        self._ended = None
+        target = self._bag_start + round(seconds * 1e9)
+        self._playback.seek(target, time.monotonic_ns())
+
+    def _refusal(self, position: float) -> str | None:
+        """Return why a position cannot be gone to."""
+        length = self._length * 1e-9
+        if position <= length:
+            return None
+        return f"parameter 'position' must be at most {length:.9g} s, the bag's length"
+
+    def _check_position(self, proposal: Sequence[Parameter]) -> SetParametersResult:
+        positions = [p.value for p in proposal if p.name == "position" and self.configured]
+        refusals = list(filter(None, map(self._refusal, positions)))
+        return SetParametersResult(successful=not refusals, reason="; ".join(refusals))
+
+    def _take_position(self, accepted: Sequence[Parameter]) -> None:
+        """Go to a position that was set, be it the one that was set before."""
+        for parameter in accepted:
+            if parameter.name == "position" and self.configured:
+                self._seek(parameter.value)
+                self._pacer.wake()
+
+    def _offer_services(self) -> None:
+        for name, act in (
+            ("pause", lambda: self._set_paused(True)),
+            ("resume", lambda: self._set_paused(False)),
+            ("toggle_paused", lambda: self._set_paused(not self._paused)),
+            ("is_paused", self._say_paused),
+            ("play_next", self._play_next),
+        ):
+            self.create_service(Trigger, f"~/{name}", _answer(act))
+
+    def _set_paused(self, paused: bool) -> tuple[bool, str]:
+        self._paused = paused
+        if paused:
+            self._playback.pause(time.monotonic_ns())
+        self._pacer.wake()
+        return True, f"{self._doing} at {self.position:.3f} s"
+
+    def _say_paused(self) -> tuple[bool, str]:
+        return self._paused, f"{self._doing} at {self.position:.3f} s"
+
+    def _play_next(self) -> tuple[bool, str]:
+        if not (self.active and self._paused):
+            return False, f"only a paused player steps; it is {self._doing}"
+        events = self._playback.step(time.monotonic_ns())
+        for event in events:
+            self._publish(event)
+        if not events or (message := events[-1].message) is None:
+            return False, "the bag has ended"
+        return True, f"{message.topic} at {self.position:.3f} s"
+
+    @property
+    def _doing(self) -> str:
+        if not self.active:
+            return "inactive"
+        if self._paused:
+            return "paused"
+        if not self._gate.is_open:
+            return "waiting for subscribers"
+        return "ended" if self._playback.ended else "playing"
+
+    def _publish_diagnostics(self) -> None:
+        state = PlayerState(
+            doing=self._doing,
+            position=self.position,
+            length=self._length * 1e-9,
+            rate=self.parameters.rate,
+            paused=self._paused,
+            held_back=self._playback.held_back * 1e-9,
+            messages={topic.name: topic.messages for topic in self._topics.by_name.values()},
+        )
+        self._diagnostics.publish([self._lags.status(state)])
+
+
+def create(**node_kwargs: Any) -> Player:
+    """Return a player, ready to be spun; the arguments are those of `Player`."""
+    return Player(**node_kwargs)
+
+
+def _answer(act: Callable[[], tuple[bool, str]]) -> Callable[[Any, Any], Any]:
+    """Make a Trigger service of something that tells its success and a message."""
+
+    def answer(_request: Any, response: Any) -> Any:
+        response.success, response.message = act()
+        return response
+
+    return answer

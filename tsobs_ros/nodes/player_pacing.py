@@ -1,0 +1,119 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""When a player begins and when it works: at times that only the work itself knows.
+
+Where `runtime.run` spins the node, it takes these ticks over as it does a `Ticker`'s: it sleeps
+until the next one, which is some 60 µs late, where an rclpy timer costs 200 µs of executor each.
+"""
+
+import time
+from collections.abc import Callable
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+# How soon a change is noticed that nobody calls `wake` for.
+_LONGEST_WAIT = 50_000_000
+# A best-effort subscriber hears nothing before it has matched the publisher too, and others may be
+# discovered at the same time.
+_SETTLING = 200_000_000
+
+
+class Pacer:
+    """Calls back whenever the callback wanted to be, from `start` until `stop`.
+
+    Args:
+        node: The node it belongs to; its clock does not matter, time is steady.
+        callback: What to do; returns how long to wait before it is called again [ns].
+    """
+
+    def __init__(self, node: Node, callback: Callable[[], int]) -> None:
+        self._callback = callback
+        self._running = False
+        self._taken_over = False
+        self._timer = node.create_timer(
+            _LONGEST_WAIT * 1e-9,
+            self._tick,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+            autostart=False,
+        )
+        self._timer.cancel()
+
+    @property
+    def may_be_taken_over(self) -> bool:
+        """Whether there are ticks."""
+        return self._running
+
+    def start(self) -> None:
+        """Begin to tick, at once."""
+        self._running = True
+        self.wake()
+
+    def stop(self) -> None:
+        """Stop ticking, until the next `start`."""
+        self._running = self._taken_over = False
+        self._timer.cancel()
+
+    def wake(self) -> None:
+        """Tick at once, as what the wait depended on has changed."""
+        if self._running and not self._taken_over:
+            self._schedule(0)
+
+    def take_over(self) -> None:
+        """Stop the timer; from now on `run_if_due` ticks and `rest` waits."""
+        if not self._taken_over:
+            self._taken_over = True
+            self._timer.cancel()
+
+    def give_back(self) -> None:
+        """Let the timer tick again."""
+        if self._taken_over:
+            self._taken_over = False
+            self.wake()
+
+    def run_if_due(self) -> int:
+        """Do what is due, and return how long it is until more is [ns]."""
+        return self._callback()
+
+    def rest(self, seconds: float) -> None:
+        """Sleep."""
+        time.sleep(seconds)
+
+    def _tick(self) -> None:
+        wait = self._callback()
+        if self._running and not self._taken_over:
+            self._schedule(wait)
+
+    def _schedule(self, wait: int) -> None:
+        self._timer.timer_period_ns = min(max(wait, 1), _LONGEST_WAIT)
+        self._timer.reset()
+
+
+class SubscriberGate:
+    """Opens once enough subscribers are there and no more come, or after a timeout.
+
+    Args:
+        wanted: How many to wait for; 0 opens at once.
+        timeout: How long to wait at most [s]; 0 waits for ever.
+        now: Steady time at the beginning [ns].
+
+    Attributes:
+        is_open: Whether it has opened; it stays open.
+        timed_out: Whether it has opened without enough subscribers.
+    """
+
+    def __init__(self, wanted: int, timeout: float, now: int) -> None:
+        self.is_open = wanted == 0
+        self.timed_out = False
+        self._wanted = wanted
+        self._deadline = now + round(timeout * 1e9) if timeout else None
+        self._there, self._since = 0, now
+
+    def look(self, there: int, now: int) -> None:
+        """Take in how many subscribers are there at a steady time [ns]."""
+        if there != self._there:
+            self._there, self._since = there, now
+        enough = there >= self._wanted
+        over = self._deadline is not None and now >= self._deadline
+        self.timed_out = over and not enough
+        self.is_open = over or (enough and now - self._since >= _SETTLING)

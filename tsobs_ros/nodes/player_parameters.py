@@ -1,0 +1,126 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The player's parameters, and which topics of a bag they select."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from tsobs_ros.errors import ParameterError
+from tsobs_ros.nodes.managed import ManagedParameters
+from tsobs_ros.nodes.parameters import parameter
+
+CLOCK = "/clock"
+
+
+@dataclass(frozen=True)
+class PlayerParameters(ManagedParameters):
+    """The node's parameters; `config/player.yaml` shows them with their reasons."""
+
+    bag: str = parameter("", "Bag folder or .mcap file to play", read_only=True)
+    rate: float = parameter(1.0, "Seconds of the bag per second", minimum=0.01, maximum=100.0)
+    loop: bool = parameter(False, "Begin again at the end")
+    start_offset: float = parameter(
+        0.0, "Where each pass begins, from the bag's start", unit="s", minimum=0.0, read_only=True
+    )
+    duration: float = parameter(
+        0.0,
+        "How much of the bag a pass plays; 0: all that is left",
+        unit="s",
+        minimum=0.0,
+        read_only=True,
+    )
+    position: float = parameter(
+        0.0,
+        "Set it to go there, back or forth, from the bag's start; playing begins there too",
+        unit="s",
+        minimum=0.0,
+    )
+    start_paused: bool = parameter(False, "Begin in a pause", read_only=True)
+    topics: tuple[str, ...] = parameter((), "Topics to play; empty for all", read_only=True)
+    regex: str = parameter("", "Play the topics in which this is found, too", read_only=True)
+    exclude_topics: tuple[str, ...] = parameter((), "Topics not to play", read_only=True)
+    exclude_regex: str = parameter("", "Do not play topics in which this is found", read_only=True)
+    clock: float = parameter(
+        0.0,
+        "How often to publish the bag's time on /clock, in place of the bag's own; 0: never",
+        unit="Hz",
+        minimum=0.0,
+        maximum=10_000.0,
+        read_only=True,
+    )
+    wait_for_subscribers: int = parameter(
+        1, "Subscriptions to wait for before playing begins", minimum=0, read_only=True
+    )
+    wait_timeout: float = parameter(
+        5.0, "Longest wait for them; 0: no limit", unit="s", minimum=0.0, read_only=True
+    )
+    queue_depth: int = parameter(
+        1000, "Messages of a topic that slow subscribers may leave waiting", minimum=1,
+        maximum=1_000_000, read_only=True,
+    )  # fmt: skip
+    read_ahead: float = parameter(
+        8.0, "How much of the bag is read ahead", unit="MiB", minimum=0.0, maximum=4096.0,
+        read_only=True,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        """Check the patterns.
+
+        Raises:
+            ParameterError: One of them is not a regular expression.
+        """
+        for name in ("regex", "exclude_regex"):
+            try:
+                re.compile(getattr(self, name))
+            except re.error as error:
+                raise ParameterError(
+                    f"parameter '{name}': '{getattr(self, name)}' is not a regular expression: "
+                    f"{error}"
+                ) from error
+
+    def select(self, names: Iterable[str]) -> list[str]:
+        """Return which of a bag's topics to play.
+
+        Raises:
+            ParameterError: A listed topic is not in the bag, or none is left.
+        """
+        there = list(names)
+        listed = {_absolute(name) for name in self.topics}
+        excluded = {_absolute(name) for name in self.exclude_topics}
+        has = f"the bag has {', '.join(there) or 'none'}"
+        if missing := sorted(listed - set(there)):
+            raise ParameterError(f"parameter 'topics': no topic {', '.join(missing)}; {has}")
+        if self.clock:
+            excluded.add(CLOCK)
+        selected = [
+            name
+            for name in there
+            if (name in listed or _found(self.regex, name) or not (listed or self.regex))
+            and not (name in excluded or _found(self.exclude_regex, name))
+        ]
+        if there and not selected:
+            raise ParameterError(f"the parameters leave no topic to play; {has}")
+        return selected
+
+    def window(self, start: int, end: int) -> tuple[int, int]:
+        """Return where a pass begins and ends, of a bag that begins and ends there [ns].
+
+        Raises:
+            ParameterError: The offset is beyond the bag's end.
+        """
+        begin = start + round(self.start_offset * 1e9)
+        if begin > end:
+            raise ParameterError(
+                f"parameter 'start_offset' must be at most {(end - start) * 1e-9:.9g} s, the bag's "
+                f"length, got {self.start_offset:g}"
+            )
+        return begin, min(end, begin + round(self.duration * 1e9)) if self.duration else end
+
+
+def _absolute(name: str) -> str:
+    return name if name.startswith("/") else f"/{name}"
+
+
+def _found(pattern: str, name: str) -> bool:
+    return bool(pattern) and re.search(pattern, name) is not None

@@ -1,0 +1,156 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The topics a player publishes, with the QoS they were recorded with."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+from tsobs_ros.bag.definitions import find_definition
+from tsobs_ros.bag.qos import QosProfile, QosTime
+from tsobs_ros.bag.reader import BagMessage, TopicInfo
+from tsobs_ros.errors import BagWriteError, NodeError
+from tsobs_ros.nodes.message_types import message_class
+
+# The depth of ROS's default profile: of a publisher whose depth discovery did not tell.
+_USUAL_DEPTH = 10
+_FOREVER = 2**63 - 1
+_AT_ONCE = Duration(nanoseconds=0)
+
+
+class PlayedTopic:
+    """One topic being played.
+
+    Attributes:
+        name: The topic's name in the bag; the publisher's may be remapped.
+        publisher: Takes its messages as bytes.
+        latched: How many messages it keeps for late subscribers; 0 if it is not latched.
+        messages: How many have been published.
+    """
+
+    def __init__(self, name: str, publisher: Any, qos: QoSProfile) -> None:
+        self.name = name
+        self.publisher = publisher
+        self.latched = qos.depth if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL else 0
+        self.messages = 0
+
+
+class PlayedTopics:
+    """Publishers for topics of a bag; those that cannot be published are left out.
+
+    Args:
+        node: The node that owns the publishers.
+        topics: What to publish.
+        queue_depth: How many messages a volatile publisher keeps for slow subscribers.
+        warn: Told about each topic that is left out.
+    """
+
+    def __init__(
+        self, node: Node, topics: Iterable[TopicInfo], queue_depth: int, warn: Callable[[str], None]
+    ) -> None:
+        self.by_name: dict[str, PlayedTopic] = {}
+        for topic in topics:
+            try:
+                qos = offered_qos(topic.qos_profiles, queue_depth)
+                publisher = _publisher(node, topic, qos)
+            except NodeError as error:
+                warn(f"not playing {topic.name}: {error}")
+                continue
+            self.by_name[topic.name] = PlayedTopic(topic.name, publisher, qos)
+
+    @property
+    def latched(self) -> dict[str, int]:
+        """How many messages each latched topic keeps for late subscribers."""
+        return {t.name: t.latched for t in self.by_name.values() if t.latched}
+
+    @property
+    def messages(self) -> int:
+        """How many messages have been published."""
+        return sum(topic.messages for topic in self.by_name.values())
+
+    @property
+    def subscribers(self) -> int:
+        """How many subscriptions are matched, of all topics together."""
+        return sum(t.publisher.get_subscription_count() for t in self.by_name.values())
+
+    @property
+    def acknowledged(self) -> bool:
+        """Whether all reliable subscribers have got everything."""
+        return all(t.publisher.wait_for_all_acked(_AT_ONCE) for t in self.by_name.values())
+
+    def publish(self, message: BagMessage) -> None:
+        """Publish a message's bytes as they were recorded."""
+        topic = self.by_name[message.topic]
+        topic.publisher.publish(message.data)
+        topic.messages += 1
+
+
+def offered_qos(profiles: tuple[QosProfile, ...], queue_depth: int) -> QoSProfile:
+    """Return what to offer on a topic: the recorded profile where all its publishers agree.
+
+    Where they do not, or nothing was recorded, it is reliable and volatile, as for rosbag2. How
+    many messages to keep matters to late subscribers of latched topics: there it is what all
+    publishers together kept, as one now stands for all of them.
+
+    Args:
+        profiles: What the recorded publishers offered.
+        queue_depth: How many messages a volatile publisher keeps for slow subscribers.
+    """
+    # Not policies that a subscription is matched by; discovery often does not tell them.
+    alike = {replace(profile, history="unknown", depth=0) for profile in profiles}
+    profile = alike.pop() if len(alike) == 1 else QosProfile()
+    latched = profile.durability == "transient_local"
+    kept = sum(p.depth or _USUAL_DEPTH for p in profiles if p.history != "keep_all")
+    keeps_all = any(p.history == "keep_all" for p in profiles)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=kept if latched and not keeps_all else queue_depth,
+        reliability=_policy(ReliabilityPolicy, profile.reliability, "reliable"),
+        durability=_policy(DurabilityPolicy, profile.durability, "volatile"),
+        deadline=_duration(profile.deadline),
+        lifespan=_duration(profile.lifespan),
+        liveliness=_policy(LivelinessPolicy, profile.liveliness, "automatic"),
+        liveliness_lease_duration=_duration(profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )
+
+
+def _publisher(node: Node, topic: TopicInfo, qos: QoSProfile) -> Any:
+    _check_definition(topic)
+    type_ = message_class(topic.type)
+    try:
+        return node.create_publisher(type_, topic.name, qos)
+    except Exception as error:  # rclpy's errors on names, types and profiles are of many kinds
+        raise NodeError(f"it cannot be published: {error}") from error
+
+
+def _check_definition(topic: TopicInfo) -> None:
+    """Refuse bytes that subscribers would take for something else."""
+    try:
+        installed = find_definition(topic.type).type_hash
+    except BagWriteError:
+        return  # no message of its own file, such as a service's event, or not installed at all
+    if topic.type_hash and installed and topic.type_hash != installed:
+        raise NodeError(
+            f"it was recorded with another definition of {topic.type} than the installed one"
+        )
+
+
+def _policy(policies: Any, name: str, default: str) -> Any:
+    """Return a policy by name; the default where the name does not say what to do."""
+    known = {"best_effort", "transient_local", "manual_by_topic"}
+    return policies[(name if name in known else default).upper()]
+
+
+def _duration(time: QosTime) -> Duration:
+    return Duration(nanoseconds=min(time.sec * 10**9 + time.nsec, _FOREVER))
