@@ -137,8 +137,9 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self._driven.start(self._steady_ns(), self._schedule.next_stamp)
         elif self._schedule.lag(now := self._now_ns()) > 0:
             self._schedule.start(now)
+        what = "going on" if self._plant.index else "started"
         subscribers = self._publish_sample.subscribers
-        self.get_logger().info(f"started: {subscribers} subscriptions of joint_measurements")
+        self.get_logger().info(f"{what}: {subscribers} subscriptions of joint_measurements")
         # A timer on the node's clock wakes up with each /clock message; only then does it serve,
         # since a system clock that is set back would stop it.
         clock = self.get_clock() if self._follows_clock else self._steady

@@ -1,0 +1,127 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""An inactive arm stands still in time, and a new one begins anew."""
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+from rosgraph_msgs.msg import Clock
+
+from tsobs_ros.nodes.stamps import to_stamp
+
+PERIOD = 5_000_000
+SECOND = 1_000_000_000
+
+
+def wait(ros: Any, beats: int) -> None:
+    """Let a tenth of a second pass for each five beats."""
+    count: list[int] = []
+    timer = ros.node("metronome").create_timer(0.02, lambda: count.append(1))
+    ros.spin_until(lambda: len(count) >= beats, what="time to pass")
+    timer.cancel()
+
+
+def indices(listener: Any, samples: list[Any]) -> list[int]:
+    """Find each true state that arrived among the samples of the core."""
+    index = {sample.physical[0].item(): sample.index for sample in samples}
+    return [index[item.message.position[0]] for item in listener.states]
+
+
+def test_after_a_pause_the_arm_goes_on_from_there_with_present_stamps(
+    ros: Any, listener: Any, manage: Callable[[Any], Any]
+) -> None:
+    manager = manage(listener.start())
+    listener.wait_for(listener.states, 20)
+    assert manager.change("deactivate")
+    listener.command(5.0)  # not for an arm that stands still
+    arrived, paused_at = len(listener.states), listener.states[-1].stamp
+    wait(ros, 25)
+    assert len(listener.states) <= arrived + 1  # one may have been on its way
+    assert manager.change("activate")
+    listener.wait_for(listener.states, 30)
+
+    found = indices(listener, listener.core(5000))
+    assert found == list(range(found[0], found[0] + len(found)))
+    stamps = [item.stamp for item in listener.states]
+    (gap,) = {b - a for a, b in itertools.pairwise(stamps)} - {PERIOD}
+    assert gap > SECOND // 2
+    assert stamps[-1] > paused_at + SECOND // 2
+
+
+def test_a_driven_clock_stands_still_with_the_arm(
+    ros: Any, listener: Any, manage: Callable[[Any], Any]
+) -> None:
+    listener.listen_to_clock()
+    manager = manage(listener.start(publish_clock=True))
+    listener.wait_for(listener.clock, 20)
+    assert manager.change("deactivate")
+    wait(ros, 15)
+    paused_at = len(listener.clock)
+    wait(ros, 5)
+    assert len(listener.clock) == paused_at
+    assert manager.change("activate")
+    listener.wait_for(listener.clock, 20)
+    assert {b - a for a, b in itertools.pairwise(listener.clock)} == {PERIOD}
+
+
+def test_a_clean_up_ends_the_arm_and_configuring_makes_a_new_one(
+    listener: Any, manage: Callable[[Any], Any]
+) -> None:
+    manager = manage(listener.start())
+    listener.wait_for(listener.states, 50)
+    assert manager.change("deactivate", "cleanup")
+    listener.wait_until(
+        lambda: listener.node.count_publishers("/joint_measurements") == 0, "the end of the topic"
+    )
+    before = len(listener.states)
+    assert manager.change("configure", "activate")
+    listener.wait_for(listener.states, 20)
+    found = indices(listener, listener.core(5000))[before:]
+    # Truth needs no listener to begin: the first samples may be before its match.
+    assert found == list(range(found[0], found[0] + len(found)))
+    assert found[0] < 50
+
+
+def test_an_external_clock_that_stood_still_or_went_back_during_a_pause(
+    listener: Any, manage: Callable[[Any], Any]
+) -> None:
+    clock = listener.node.create_publisher(Clock, "/clock", 10)
+    manager = manage(listener.start(use_sim_time=True))
+    listener.wait_until(lambda: clock.get_subscription_count() == 1, "matching of /clock")
+
+    def show(now: int) -> None:
+        clock.publish(Clock(clock=to_stamp(now)))
+        listener.wait_until(lambda: manager.node.get_clock().now().nanoseconds == now, "the clock")
+
+    def sampled(now: int) -> None:
+        listener.wait_until(
+            lambda: bool(listener.states) and listener.states[-1].stamp == now, "the sample"
+        )
+
+    for step in range(2):
+        show(10 * SECOND + step * PERIOD)
+        sampled(10 * SECOND + step * PERIOD)
+    assert manager.change("deactivate", "activate")
+    show(10 * SECOND + 2 * PERIOD)
+    sampled(10 * SECOND + 2 * PERIOD)
+    assert manager.change("deactivate")
+    show(4 * SECOND)
+    assert manager.change("activate")
+    sampled(4 * SECOND)
+    stamps = [item.stamp for item in listener.states]
+    assert stamps == [10 * SECOND + k * PERIOD for k in range(3)] + [4 * SECOND]
+    assert indices(listener, listener.core(10)) == [0, 1, 2, 0]
+
+
+def test_a_reset_while_it_is_inactive_begins_anew_with_the_next_activation(
+    listener: Any, manage: Callable[[Any], Any]
+) -> None:
+    manager = manage(listener.start())
+    listener.wait_for(listener.states, 20)
+    assert manager.change("deactivate")
+    assert listener.reset().success
+    listener.states.clear()
+    assert manager.change("activate")
+    listener.wait_for(listener.states, 10)
+    assert indices(listener, listener.core(5000))[-10:] == list(range(10))
