@@ -67,7 +67,6 @@ class Observer(ManagedNode[ObserverParameters]):
         self._fresh = True
         self._last_now = 0
         self._last_output = 0
-        self._published_since_tick = False
         self._unanswered: list[int] = []
         self._next_warning: dict[object, float] = {}
         self._meter = TickMeter(parameters.rate)
@@ -129,24 +128,20 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _on_tick(self) -> None:
         now = self._now()
-        if now is None:
-            return
-        self._meter.begin(now)
-        self._take_all(now)
-        if not self._published_since_tick:
+        if now is not None:
+            self._meter.begin(now)
+            self._take_all(now)
             self._publish(now)
-        self._published_since_tick = False
-        self._meter.end()
+            self._meter.end()
 
     def _on_arrival(self) -> None:
         """Estimate from measurements as soon as they have come."""
         now = self._now()
-        if now is None:
-            return
-        self._meter.begin_work()
-        if self._take_all(now):
-            self._published_since_tick = self._publish(now)
-        self._meter.end()
+        if now is not None:
+            self._meter.begin(now, tick=False)
+            if self._take_all(now) and self._publish(now):
+                self._ticker.skip_next()
+            self._meter.end()
 
     def _now(self) -> int | None:
         """Return the time, None before simulated time begins; begin afresh where it went back."""

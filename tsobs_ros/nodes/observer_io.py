@@ -111,6 +111,8 @@ class _Output:
         velocity: Sequence[float] = (),
     ) -> None:
         """Send the positions, and the velocities where there are any, of joints by their index."""
+        if not self._publisher.get_subscription_count():
+            return  # nobody would ever get it, and to ask costs a quarter of sending it
         encode = self._encoders.get(joints)
         if encode is None:
             if len(self._encoders) >= _KNOWN_SUBSETS:

@@ -22,24 +22,27 @@ class TickMeter:
         self._rate = rate
         self.missed = 0
         self._latest: int | None = None
+        self._latest_was_tick = True
         self._work_began: int | None = None
         self._periods: list[int] = []
         self._durations: list[int] = []
         self._latencies: list[int] = []
         self._missed_before = 0
 
-    def begin_work(self) -> None:
-        """Note that work begins that is no tick's."""
-        self._work_began = time.monotonic_ns()
+    def begin(self, now: int, *, tick: bool = True) -> None:
+        """Note that work begins.
 
-    def begin(self, now: int) -> None:
-        """Note that a tick begins at `now` on the node's clock [ns]."""
-        self.begin_work()
+        Args:
+            now: Time on the node's clock [ns].
+            tick: Whether it is a tick's; ticks are missed only between two of them.
+        """
+        self._work_began = time.monotonic_ns()
         if self._latest is not None:
             period = now - self._latest
             self._periods.append(period)
-            self.missed += max(0, round(period / self._period_ns) - 1)
-        self._latest = now
+            if tick and self._latest_was_tick:
+                self.missed += max(0, round(period / self._period_ns) - 1)
+        self._latest, self._latest_was_tick = now, tick
 
     def end(self) -> None:
         """Note that the work is done."""

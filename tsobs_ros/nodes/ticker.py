@@ -24,6 +24,10 @@ class Ticking(Protocol):
     def may_be_taken_over(self) -> bool:
         """Whether there are ticks, and a sleep can make them."""
 
+    def skip_next(self) -> None:
+        """Leave the next tick out: what it would have done has just been done."""
+        self._skip = True
+
     def take_over(self) -> None:
         """Leave the ticks to whoever calls `run_if_due`."""
 
@@ -60,7 +64,8 @@ class Ticker:
         self._period_ns = round(period * 1e9)
         self._running = False
         self._due: int | None = None
-        self._timer = node.create_timer(period, callback, autostart=False)
+        self._skip = False
+        self._timer = node.create_timer(period, self._tick, autostart=False)
         self._wake_executor(False)
 
     @property
@@ -85,6 +90,10 @@ class Ticker:
         self._due = None
         self._wake_executor(False)
 
+    def skip_next(self) -> None:
+        """Leave the next tick out: what it would have done has just been done."""
+        self._skip = True
+
     def take_over(self) -> None:
         """Stop the timer; from now on `run_if_due` ticks and `rest` waits."""
         if self._due is None:
@@ -101,6 +110,9 @@ class Ticker:
         """Tick if it is time, and return how long the next tick is away [ns]."""
         now = time.monotonic_ns()
         assert self._due is not None, "ticks were not taken over"
+        if self._skip:
+            self._skip = False
+            self._due += self._period_ns
         if now >= self._due:
             self._callback()
             now = time.monotonic_ns()
@@ -117,6 +129,13 @@ class Ticker:
             time.sleep(seconds)
         else:
             self._arrivals.serve(seconds)
+
+    def _tick(self) -> None:
+        """Tick from an executor's timer."""
+        if self._skip:
+            self._skip = False
+        else:
+            self._callback()
 
     def _wake_executor(self, wanted: bool) -> None:
         """Decide whether an executor makes the ticks, and looks for arrivals."""

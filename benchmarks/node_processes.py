@@ -1,0 +1,193 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Processes around a node that is measured: the node itself, a sensor, a listener, a reference.
+
+Run as a script, this is one of those that are not installed: `sensor` publishes the measurements of
+some simulated arms from a loop of its own, on a grid of the system clock; `listener` takes whatever
+the observer publishes, as a recorder does, and at the end prints the stamps of the estimates;
+`bare-timer` is a node that does nothing but have an empty timer spun by rclpy.
+"""
+
+import argparse
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+_START_TIMEOUT = 30.0
+_STOP_TIMEOUT = 15.0
+_OUTPUTS = ("joint_states", "error_bound", "disturbance", "disturbance_bound", "innovation")
+_DRAIN_PERIOD = 0.05
+_DEPTH = 5000
+
+
+class Process:
+    """A process with its output in a file.
+
+    Args:
+        name: For people, and the file's name.
+        command: What to run, after the Python interpreter.
+        folder: Where its output goes.
+        domain: ROS domain.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], folder: Path, domain: int) -> None:
+        self.name = name
+        self._log = folder / f"{name.replace(' ', '_')}.log"
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_LOG_DIR": str(folder),
+            "PYTHONUNBUFFERED": "1",
+        }
+        with self._log.open("wb") as output:
+            self._process = subprocess.Popen(
+                [sys.executable, *command],
+                env=environment,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+
+    @property
+    def output(self) -> str:
+        """Everything it has printed."""
+        return self._log.read_text(encoding="utf-8", errors="replace")
+
+    def wait_for(self, pattern: str) -> None:
+        """Wait until it has printed something, or end the benchmark."""
+        deadline = time.monotonic() + _START_TIMEOUT
+        while not re.search(pattern, self.output):
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                sys.exit(f"{self.name} did not start:\n{self.output}")
+            time.sleep(0.05)
+
+    def cpu_seconds(self) -> float:
+        """Return the user and system time it has used in all its threads [s]."""
+        text = Path(f"/proc/{self._process.pid}/stat").read_text(encoding="ascii")
+        # The name in brackets may hold anything, so fields count from the last bracket.
+        fields = text.rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def stop(self) -> int:
+        """End it as Ctrl-C does and return its exit code."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+            try:
+                self._process.wait(_STOP_TIMEOUT)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+        return self._process.wait()
+
+
+def executable(name: str, parameters: Mapping[str, Any], folder: Path, domain: int) -> Process:
+    """Start one of the package's nodes."""
+    command = ["-m", "tsobs_ros.executables", name, "--ros-args"]
+    for key, value in parameters.items():
+        command += ["-p", f"{key}:={json.dumps(value)}"]
+    return Process(name, command, folder, domain)
+
+
+def helper(role: str, folder: Path, domain: int, *arguments: object) -> Process:
+    """Start this script in one of its roles."""
+    return Process(role, [__file__, role, *map(str, arguments)], folder, domain)
+
+
+def joint_names(count: int) -> list[str]:
+    """Return names of some joints; of one, the default's."""
+    return ["elastic_joint"] if count == 1 else [f"joint_{k + 1}" for k in range(count)]
+
+
+def _sensor(rate: float, joints: int) -> None:
+    import rclpy
+    from rclpy.qos import qos_profile_sensor_data
+    from sensor_msgs.msg import JointState
+
+    from tsobs_ros.bag.joint_states import JointStateEncoder
+    from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+
+    encode = JointStateEncoder(joint_names(joints))
+    run = simulate(SCENARIOS["noise"], list(range(joints)), 20.0)
+    angles, torques = run.measurements[:, :, 0].T, run.torques[:, :, 0].T
+    rclpy.init()
+    node = rclpy.create_node("sensor")
+    publisher = node.create_publisher(JointState, "joint_measurements", qos_profile_sensor_data)
+    while publisher.get_subscription_count() < 1:
+        time.sleep(0.05)
+    print("started")
+    period = round(1e9 / rate)
+    stamp, begin = time.time_ns(), time.time_ns()
+    while True:
+        # The simulated run goes to and fro, at the 200 Hz it was simulated with.
+        place = (stamp - begin) * 200 // 10**9 % (2 * len(angles) - 2)
+        index = min(place, 2 * len(angles) - 2 - place)
+        publisher.publish(encode(stamp, angles[index].tolist(), (), torques[index].tolist()))
+        stamp += period
+        time.sleep(max(0, stamp - time.time_ns()) * 1e-9)
+
+
+def _listener() -> None:
+    import rclpy
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import JointState
+
+    from tsobs_ros.bag.joint_states import JointStateDecoder
+    from tsobs_ros.nodes.draining import DrainedSubscription
+
+    rclpy.init()
+    node = rclpy.create_node("listener")
+    qos, decode = QoSProfile(depth=_DEPTH), JointStateDecoder()
+    taken = {
+        topic: DrainedSubscription(node, JointState, f"observer/{topic}", qos, raw=True)
+        for topic in _OUTPUTS
+    }
+    while not all(each.publisher_count for each in taken.values()):
+        time.sleep(0.05)
+    print("started")
+    stamps: list[int] = []
+    try:
+        while True:
+            time.sleep(_DRAIN_PERIOD)
+            for topic, each in taken.items():
+                drained = each.drain()
+                if topic == _OUTPUTS[0]:
+                    stamps += [decode(data).stamp for data, _ in drained]
+    except KeyboardInterrupt:
+        print(json.dumps({"stamps": stamps}))
+
+
+def _bare_timer(rate: float) -> None:
+    import rclpy
+
+    rclpy.init()
+    node = rclpy.create_node("bare_timer")
+    node.create_timer(1.0 / rate, lambda: None)
+    print("started")
+    rclpy.spin(node)
+
+
+def _main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+    parser.add_argument("role", choices=("sensor", "listener", "bare-timer"))
+    parser.add_argument("rate", type=float, nargs="?", default=200.0)
+    parser.add_argument("joints", type=int, nargs="?", default=1)
+    options = parser.parse_args()
+    try:
+        if options.role == "sensor":
+            _sensor(options.rate, options.joints)
+        elif options.role == "listener":
+            _listener()
+        else:
+            _bare_timer(options.rate)
+    except KeyboardInterrupt:
+        pass
+
+
+if __name__ == "__main__":
+    _main()
