@@ -1,0 +1,159 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A process that is killed takes nobody with it: the others say so, go on, and welcome it back."""
+
+import itertools
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+
+from tsobs_ros.bag import BagReader
+from tsobs_ros.nodes.stamps import to_nanoseconds
+
+TIMEOUT = 30.0
+TOPICS = ["joint_measurements", "observer/joint_states"]
+
+
+class Watch:
+    """What the processes say of themselves, and when the measurements and estimates are from."""
+
+    def __init__(self, ros: Any, start: Callable[..., Any]) -> None:
+        self._ros = ros
+        self._start = start
+        self.said: dict[str, list[str]] = {}
+        self.values: dict[str, dict[str, str]] = {}
+        self.measured: list[int] = []
+        self.estimated: list[int] = []
+        node = ros.node("watch")
+        qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+        for topic, stamps in zip(TOPICS, (self.measured, self.estimated), strict=True):
+            node.create_subscription(JointState, topic, self._keeper(stamps), qos)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._listen, 10)
+
+    @staticmethod
+    def _keeper(stamps: list[int]) -> Callable[[JointState], None]:
+        return lambda message: stamps.append(to_nanoseconds(message.header.stamp))
+
+    def _listen(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            self.said.setdefault(status.name, []).append(status.message)
+            self.values[status.name] = {item.key: item.value for item in status.values}
+
+    def start(self, name: str, **parameters: Any) -> Any:
+        """Start an executable."""
+        return self._start(name, parameters=parameters)
+
+    def hear(self, name: str, message: str) -> None:
+        """Wait until a status says something from now on."""
+        heard = len(self.said.get(name, []))
+        self._ros.spin_until(
+            lambda: message in self.said.get(name, [])[heard:], TIMEOUT, f"{name}: {message}"
+        )
+
+    def more(self, stamps: list[int], count: int = 20) -> None:
+        """Wait for so many messages from now on."""
+        wanted = len(stamps) + count
+        self._ros.spin_until(lambda: len(stamps) >= wanted, TIMEOUT, f"{count} more messages")
+
+    def recorded(self, more: int = 20) -> None:
+        """Wait until the recorder says that it has so many more messages than it said last."""
+
+        def count() -> int:
+            return int(self.values.get("recorder: recording", {}).get("messages", "0"))
+
+        wanted = count() + more
+        self._ros.spin_until(lambda: count() >= wanted, TIMEOUT, f"{more} more recorded messages")
+
+
+@pytest.fixture
+def watch(ros: Any, ros_process: Callable[..., Any]) -> Watch:
+    """Watch the processes of this test's graph."""
+    return Watch(ros, ros_process)
+
+
+def kill(process: Any) -> None:
+    process.signal(signal.SIGKILL)
+    finished = process.finish(TIMEOUT)
+    assert finished.exit_code == -signal.SIGKILL
+    assert "Traceback" not in finished.stderr
+
+
+def stop(number: int, *processes: Any) -> None:
+    for process in processes:
+        process.signal(number)
+    for process in processes:
+        finished = process.finish(TIMEOUT)
+        assert (finished.exit_code, "Traceback" in finished.stderr) == (0, False), finished.stderr
+
+
+def estimates(bag: Path) -> list[int]:
+    """Return the stamps of the recorded estimates."""
+    return [
+        to_nanoseconds(deserialize_message(item.data, JointState).header.stamp)
+        for item in BagReader(bag).messages()
+        if item.topic == "/observer/joint_states"
+    ]
+
+
+def test_without_its_plant_the_observer_coasts_falls_silent_and_tracks_the_next(
+    watch: Watch,
+) -> None:
+    observer = watch.start("observer", stale_after=1.5)
+    plant = watch.start("plant_simulator")
+    watch.hear("observer: state", "TRACKING")
+    kill(plant)
+    watch.hear("observer: state", "COASTING")
+    watch.more(watch.estimated)
+    watch.hear("observer: state", "STALE")
+    silent = len(watch.estimated)
+    watch.hear("observer: state", "STALE")
+    assert len(watch.estimated) == silent
+
+    plant = watch.start("plant_simulator")
+    watch.hear("observer: state", "TRACKING")
+    watch.more(watch.estimated)
+    assert all(a < b for a, b in itertools.pairwise(watch.estimated))
+    stop(signal.SIGTERM, plant, observer)
+
+
+def test_without_its_recorder_or_observer_the_rest_goes_on_and_takes_the_next_in(
+    watch: Watch, tmp_path: Path
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    recorder = watch.start("recorder", output=str(first), topics=TOPICS, flush_period=0.1)
+    observer = watch.start("observer")
+    plant = watch.start("plant_simulator")
+    watch.recorded()
+
+    kill(recorder)
+    watch.more(watch.estimated)
+    left = {path: path.read_bytes() for path in first.iterdir()}
+    refused = watch.start("recorder", output=str(first), topics=TOPICS)
+    recorder = watch.start("recorder", output=str(second), topics=TOPICS)
+    finished = refused.finish(TIMEOUT)
+    assert finished.exit_code == 1
+    assert f"error: {first}: exists already" in finished.stderr
+    assert {path: path.read_bytes() for path in first.iterdir()} == left
+    watch.hear("recorder: recording", "recording")
+    watch.recorded()
+
+    kill(observer)
+    last = watch.estimated[-1]
+    watch.more(watch.measured)
+    watch.recorded()
+    observer = watch.start("observer")
+    watch.more(watch.estimated)
+    watch.recorded()
+    stop(signal.SIGINT, observer, recorder, plant)
+
+    stamps = estimates(second)
+    assert stamps[0] < last < stamps[-1]
+    assert all(a < b for a, b in itertools.pairwise(stamps))
+    assert BagReader(second).topics["/joint_measurements"].count > 100
