@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
+from rclpy.clock import Clock
 from rclpy.node import Node
 
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -49,6 +50,8 @@ class Ticker:
         period: Time between ticks [s].
         callback: What to do.
         arrivals: A subscription with `on_arrival`, which is served between the ticks too.
+        executor_clock: What an executor's ticks follow, if not the node's clock, which stands
+            still while simulated time does.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class Ticker:
         period: float,
         callback: Callable[[], None],
         arrivals: DrainedSubscription | None = None,
+        executor_clock: Clock | None = None,
     ) -> None:
         self._clock = node.get_clock()
         self._callback = callback
@@ -65,7 +69,9 @@ class Ticker:
         self._running = False
         self._due: int | None = None
         self._skip = False
-        self._timer = node.create_timer(period, self._tick, autostart=False)
+        self._timer = node.create_timer(
+            period, self._tick, clock=executor_clock, autostart=False
+        )
         self._wake_executor(False)
 
     @property
