@@ -4,12 +4,15 @@
 
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
 from tsobs_ros.bag._records import MAX_RECORD_SIZE, RecordError
 
 _HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
+_PIECE_SIZE = 65_536
 
 
 class Chunk(NamedTuple):
@@ -32,23 +35,28 @@ class Chunk(NamedTuple):
     data: memoryview
 
 
-def parse_chunk(body: bytes) -> Chunk:
+def parse_chunk(body: bytes, size: int | None = None) -> Chunk:
     """Return the chunk that a record's body holds.
+
+    Args:
+        body: The body.
+        size: The size of the whole body, of which `body` is the front; by default it is whole.
 
     Raises:
         RecordError: The body is not that of a chunk.
     """
     try:
-        start, end, size, crc, name_size = _HEAD.unpack_from(body)
+        start, end, content_size, crc, name_size = _HEAD.unpack_from(body)
         length_at = _HEAD.size + name_size
         (length,) = _LENGTH.unpack_from(body, length_at)
         compression = body[_HEAD.size : length_at].decode("ascii")
     except (struct.error, UnicodeDecodeError) as error:
         raise RecordError(f"not a chunk: {error}") from error
-    data = memoryview(body)[length_at + _LENGTH.size :]
-    if length != len(data):
-        raise RecordError(f"the chunk states {length} bytes of data, but has {len(data)}")
-    return Chunk(start, end, size, crc, compression, data)
+    data_at = length_at + _LENGTH.size
+    if data_at + length != (len(body) if size is None else size):
+        raise RecordError("the chunk states another size than its record")
+    data = memoryview(body)[data_at:]
+    return Chunk(start, end, content_size, crc, compression, data)
 
 
 def chunk_records(chunk: Chunk) -> bytes:
@@ -87,3 +95,35 @@ def _decompress(compression: str, data: memoryview, size: int) -> bytes:
             raise RecordError(f"zstd states {stated} bytes of content, the chunk {size}")
         return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=size))
     raise RecordError(f"compression '{compression}' is not known")
+
+
+def chunk_front(chunk: Chunk) -> bytes:
+    """Return as much of a chunk's records as its damaged or cut-off data yields."""
+    front = bytearray()
+    limit = min(chunk.size, MAX_RECORD_SIZE)
+    # Decompressors raise errors of their own kinds; what came before them is kept.
+    with suppress(Exception):
+        for piece in _pieces(chunk.compression, chunk.data):
+            front += piece
+            if len(front) >= limit:
+                break
+    return bytes(front[:limit])
+
+
+def _pieces(compression: str, data: memoryview) -> Iterator[bytes]:
+    """Yield the decompressed data in pieces too small for a hostile frame to do harm."""
+    if not compression:
+        yield bytes(data)
+    elif compression == "lz4":
+        import lz4.frame
+
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        yield decompressor.decompress(data, max_length=_PIECE_SIZE)
+        while not (decompressor.needs_input or decompressor.eof):
+            yield decompressor.decompress(b"", max_length=_PIECE_SIZE)
+    elif compression == "zstd":
+        import zstandard
+
+        reader = zstandard.ZstdDecompressor().stream_reader(data)
+        while piece := reader.read(_PIECE_SIZE):
+            yield piece

@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from mcap.exceptions import UnsupportedCompressionError
-from mcap.writer import CompressionType, Writer
+from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, Writer
 
+from tsobs_ros import __version__
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.metadata import EMPTY_START_NS, BagMetadata, FileMetadata
 from tsobs_ros.bag.qos import QosProfile, profiles_to_yaml
 from tsobs_ros.errors import BagWriteError
 
+LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
 COMPRESSIONS: Mapping[str, CompressionType] = {
     "none": CompressionType.NONE,
@@ -55,7 +57,9 @@ class BagFile:
             self._writer: Any = Writer(
                 self._stream, chunk_size=CHUNK_SIZE, compression=COMPRESSIONS[compression]
             )
-            self._writer.start(profile="ros2")
+            self._writer.start(
+                profile="ros2", library=f"{LIBRARY} {__version__}; {LIBRARY_IDENTIFIER}"
+            )
             self._add_metadata(metadata)
             self._stream.flush()
 
@@ -70,7 +74,7 @@ class BagFile:
         with self._errors():
             if (schema := self._schemas.get(definition.type)) is None:
                 schema = self._writer.register_schema(
-                    definition.type, "ros2msg", definition.text.encode()
+                    definition.type, definition.encoding, definition.text.encode()
                 )
                 self._schemas[definition.type] = schema
             self._channels[topic] = self._writer.register_channel(

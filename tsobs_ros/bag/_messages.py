@@ -30,7 +30,7 @@ _MESSAGE_OPCODE = int(Opcode.MESSAGE)
 def decode_messages(
     records: bytes, channels: Mapping[int, tuple[str, str] | None]
 ) -> list[BagMessage]:
-    """Return the messages in a run of records, in order of log time; equal ones as recorded.
+    """Return the messages in a run of records, as recorded.
 
     Args:
         records: Whole records, one after the other.
@@ -61,5 +61,4 @@ def decode_messages(
         raise RecordError(f"a record is cut off: {error}") from error
     if start != size:
         raise RecordError("its last record is cut off")
-    messages.sort(key=LOG_TIME)
     return messages

@@ -119,6 +119,42 @@ class BagMetadata:
         """Return the content of the root key as YAML: the text an MCAP file carries."""
         return _dump(self.to_map())
 
+    @classmethod
+    def from_map(cls, information: Mapping[str, Any]) -> "BagMetadata":
+        """Return the metadata that the content of the root key states.
+
+        Raises:
+            KeyError: A key is missing.
+            TypeError: The content is not a map.
+            ValueError: It is of another version than 9, or a value makes no sense.
+        """
+        if information["version"] != VERSION:
+            raise ValueError(f"version is {information['version']}, only {VERSION} is supported")
+        if information["compression_mode"] not in ("", "NONE"):
+            raise ValueError("bags compressed by file or by message are not supported")
+        return cls(
+            topics=tuple(map(_topic_from, information["topics_with_message_count"])),
+            files=_files_from(information["relative_file_paths"], information["files"]),
+            custom_data=_custom_data_from(information["custom_data"]),
+            ros_distro=str(information["ros_distro"]),
+            storage_identifier=str(information["storage_identifier"]),
+        )
+
+    @classmethod
+    def from_yaml(cls, text: str) -> "BagMetadata":
+        """Return the metadata that an MCAP file carries.
+
+        Raises:
+            ValueError: The text is not YAML or not the metadata of a bag.
+        """
+        content: Any = load_yaml(text)
+        try:
+            return cls.from_map(content)
+        except KeyError as error:
+            raise ValueError(f"the key {error} is missing") from error
+        except TypeError as error:
+            raise ValueError(f"not the metadata of a bag: {error}") from error
+
 
 def write_metadata(folder: Path, metadata: BagMetadata) -> None:
     """Replace a bag folder's metadata.yaml in one step that a power cut cannot halve.
@@ -161,18 +197,7 @@ def read_metadata(folder: Path) -> BagMetadata:
     except (OSError, ValueError) as error:  # not UTF-8 is a ValueError as well
         raise BagReadError(f"{path}: cannot read it: {error}") from error
     try:
-        information = content[ROOT_KEY]
-        if information["version"] != VERSION:
-            raise ValueError(f"version is {information['version']}, only {VERSION} is supported")
-        if information["compression_mode"] not in ("", "NONE"):
-            raise ValueError("bags compressed by file or by message are not supported")
-        return BagMetadata(
-            topics=tuple(map(_topic_from, information["topics_with_message_count"])),
-            files=_files_from(information["relative_file_paths"], information["files"]),
-            custom_data=information["custom_data"],
-            ros_distro=str(information["ros_distro"]),
-            storage_identifier=str(information["storage_identifier"]),
-        )
+        return BagMetadata.from_map(content[ROOT_KEY])
     except KeyError as error:
         raise BagReadError(f"{path}: the key {error} is missing") from error
     except (TypeError, ValueError) as error:
@@ -245,6 +270,14 @@ def _files_from(
     if (listed := [file.path for file in files]) != list(paths):
         raise ValueError(f"files are {listed}, but relative_file_paths {list(paths)}")
     return files
+
+
+def _custom_data_from(values: object) -> dict[str, str] | None:
+    if values is None:
+        return None
+    if not isinstance(values, dict):
+        raise ValueError(f"custom_data is not a map: {values!r}")
+    return {str(key): str(value) for key, value in values.items()}
 
 
 def _count(value: object) -> int:

@@ -206,6 +206,7 @@ class BagReader:
                 with path.open("rb") as stream:
                     records = read_span(stream, span.frame)
                 messages = decode_messages(records, known[span.rank])
+                messages.sort(key=LOG_TIME)
                 if messages and not span.start <= messages[0].log_time <= span.end:
                     raise RecordError(f"the index states other times at byte {span.frame.start}")
             except (OSError, RecordError) as error:
