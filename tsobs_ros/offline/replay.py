@@ -1,0 +1,166 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The observer's loop without its clock: measurements in, innovations and estimates out."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, TypeAlias
+
+from tsobs_ros.estimation.health import Phase, phase_of
+from tsobs_ros.estimation.joints import JointTrackers
+from tsobs_ros.estimation.records import (
+    NANOSECONDS,
+    Estimate,
+    Innovation,
+    Measurement,
+    RejectReason,
+)
+from tsobs_ros.offline.samples import Sample, Samples
+from tsobs_ros.offline.schedule import Schedule
+
+Estimates: TypeAlias = Sequence[Estimate | None]
+Agrees: TypeAlias = Callable[[int, Estimates], bool]
+"""Whether the estimates at a tick are those that were recorded."""
+
+
+class Used(NamedTuple):
+    """What became of a message.
+
+    Attributes:
+        tick: At which it was used; as many as there are ticks after the last one.
+        message: Which one it is, in the order of the samples.
+        outcomes: One entry a joint; None where there was nothing for it.
+    """
+
+    tick: int
+    message: int
+    outcomes: Sequence[Innovation | RejectReason | None]
+
+
+class Estimated(NamedTuple):
+    """The estimates of a tick.
+
+    Attributes:
+        tick: Which one.
+        estimates: One entry a joint, None where there is nothing to say; at least one says more.
+    """
+
+    tick: int
+    estimates: Estimates
+
+
+class Afresh(NamedTuple):
+    """The observer has started afresh before a tick."""
+
+    tick: int
+
+
+class Replay:
+    """Runs an observer over samples.
+
+    Args:
+        trackers: Of the samples' joints.
+        samples: What to run over.
+        schedule: When to estimate.
+        stale_after: Age of a joint's newest measurement after which it is not estimated [s].
+
+    Attributes:
+        used: Number of measurements that were used, of all joints.
+        rejected: Number of those that were not, by reason.
+        rewinds: Number of late ones put in their place.
+        failures: Number of states or outputs that were not finite.
+    """
+
+    def __init__(
+        self,
+        trackers: JointTrackers,
+        samples: Samples,
+        schedule: Schedule,
+        stale_after: float = 5.0,
+    ) -> None:
+        self.used = 0
+        self.rejected: Counter[RejectReason] = Counter()
+        self._finished = Counter[str]()
+        self._trackers = trackers
+        self._samples, self._schedule = samples, schedule
+        self._stale_after = stale_after
+
+    @property
+    def rewinds(self) -> int:
+        """Number of late measurements put in their place."""
+        return self._finished["rewinds"] + sum(t.rewinds for t in self._trackers.trackers)
+
+    @property
+    def failures(self) -> int:
+        """Number of states or outputs that were not finite."""
+        return self._finished["failures"] + sum(t.failures for t in self._trackers.trackers)
+
+    def run(self, agrees: Agrees | None = None) -> Iterator[Used | Estimated | Afresh]:
+        """Yield what happens, in order.
+
+        Args:
+            agrees: Of the messages that a tick may or may not know of, as many are used as it
+                takes to agree with what was recorded; all of them if None.
+        """
+        schedule = self._schedule
+        waiting = enumerate(self._samples.of_each_joint())
+        offered, last = 0, 0
+        columns = (schedule.stamps, schedule.now, schedule.least, schedule.most, schedule.afresh)
+        ticks = zip(*(column.tolist() for column in columns), strict=True)
+        for tick, (stamp, now, least, most, afresh) in enumerate(ticks):
+            if afresh >= 0:
+                while offered < afresh:
+                    yield self._offer(tick, *next(waiting), now)
+                    offered += 1
+                self._begin_afresh()
+                last = 0
+                yield Afresh(tick)
+            while offered < least:
+                yield self._offer(tick, *next(waiting), now)
+                offered += 1
+            if stamp <= last or (schedule.at_samples and not self._is_newest(stamp)):
+                continue
+            estimates = self._estimate(stamp)
+            while offered < most and not (agrees and agrees(tick, estimates)):
+                yield self._offer(tick, *next(waiting), now)
+                offered += 1
+                if agrees or offered == most:
+                    estimates = self._estimate(stamp)
+            if any(one is not None for one in estimates):
+                last = stamp
+                yield Estimated(tick, estimates)
+        for message, sample in waiting:
+            now = int(self._samples.arrivals[message])
+            yield self._offer(schedule.count, message, sample, now)
+
+    def _offer(self, tick: int, message: int, sample: list[Sample], now: int) -> Used:
+        """Use a message."""
+        for joint, one in enumerate(sample):
+            if isinstance(one, RejectReason):
+                self._trackers.trackers[joint].reject(one)
+        given = [one if isinstance(one, Measurement) else None for one in sample]
+        outcomes = self._trackers.offer(given, now)
+        for one, outcome in zip(sample, outcomes, strict=True):
+            if isinstance(outcome, Innovation):
+                self.used += 1
+            elif reason := outcome or (one if isinstance(one, RejectReason) else None):
+                self.rejected[reason] += 1
+        return Used(tick, message, outcomes)
+
+    def _estimate(self, stamp: int) -> list[Estimate | None]:
+        estimates = self._trackers.estimate(stamp)
+        for joint, tracker in enumerate(self._trackers.trackers):
+            newest = tracker.newest
+            age = None if newest is None else max(0, stamp - newest) / NANOSECONDS
+            # As the node, which says nothing of a joint without news of it.
+            if phase_of(age, 0.0, self._stale_after) in (Phase.WAITING, Phase.STALE):
+                estimates[joint] = None
+        return estimates
+
+    def _is_newest(self, stamp: int) -> bool:
+        return any(tracker.newest == stamp for tracker in self._trackers.trackers)
+
+    def _begin_afresh(self) -> None:
+        for tracker in self._trackers.trackers:
+            self._finished.update(rewinds=tracker.rewinds, failures=tracker.failures)
+        self._trackers.reset()

@@ -1,0 +1,155 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""When estimates are made, and which measurements each of them knows of.
+
+Live, the clock decides both. Afterwards the recording tells: an estimate knows of the measurements
+that had arrived by its tick.
+"""
+
+from collections import defaultdict, deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsobs_ros.bag.joint_series import JointSeries, Times
+from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.offline.samples import Samples, passes
+
+Counts = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Ticks of an observer over n messages, m of them.
+
+    Attributes:
+        stamps: What the estimates are for [ns], shape (m,).
+        now: The time on the observer's clock, by which stamps from the future are told [ns], (m,).
+        least: How many messages the tick knows of for certain, ascending, shape (m,).
+        most: How many it knows of at most, ascending, shape (m,).
+        afresh: After how many messages the observer starts afresh before the tick, if after fewer
+            than it has, at once; -1 where it goes on; shape (m,).
+        log_times: Of the estimates' messages, ns since the epoch, shape (m,).
+        publish_times: Of the same, shape (m,).
+        at_samples: Whether there are only estimates at measurements that are in use.
+    """
+
+    stamps: Times
+    now: Times
+    least: Counts
+    most: Counts
+    afresh: Counts
+    log_times: Times
+    publish_times: Times
+    at_samples: bool = False
+
+    @property
+    def count(self) -> int:
+        """The number of ticks."""
+        return len(self.stamps)
+
+
+def at_samples(samples: Samples) -> Schedule:
+    """Return a tick at every message, as soon as it has arrived."""
+    n = samples.count
+    afresh = np.full(n, -1)
+    for begin, _ in passes(samples.stamps.tolist())[1:]:
+        afresh[begin] = begin
+    known = np.arange(1, n + 1)
+    return Schedule(
+        stamps=samples.stamps,
+        now=samples.arrivals,
+        least=known,
+        most=known,
+        afresh=afresh,
+        log_times=samples.log_times,
+        publish_times=samples.publish_times,
+        at_samples=True,
+    )
+
+
+def at_rate(samples: Samples, rate: float) -> Schedule:
+    """Return ticks at a fixed rate [Hz] on the clock of the recording, as a node has them."""
+    arrivals = samples.arrivals
+    stamps, known, afresh = [], [], []
+    for begin, end in passes(samples.stamps.tolist()):
+        own = np.maximum.accumulate(arrivals[begin:end])
+        if not len(own):
+            continue
+        count = int(np.ptp(own) * rate / NANOSECONDS) + 1
+        ticks = own[0] + np.round(np.arange(count) * (NANOSECONDS / rate)).astype(np.int64)
+        stamps.append(ticks)
+        known.append(begin + np.searchsorted(own, ticks, side="right"))
+        afresh.append(np.where((np.arange(count) == 0) & (begin > 0), begin, -1))
+    if not stamps:
+        return at_samples(samples)
+    ticks, counts = np.concatenate(stamps), np.concatenate(known)
+    log_times = samples.log_times[counts - 1] + ticks - arrivals[counts - 1]
+    return Schedule(ticks, ticks, counts, counts, np.concatenate(afresh), log_times, log_times)
+
+
+def as_recorded(
+    samples: Samples, estimates: JointSeries, innovations: JointSeries | None
+) -> Schedule:
+    """Return the ticks of the observer that was recorded, as far as the recording tells.
+
+    An innovation is published when its measurement is used, and the estimate after those of its
+    tick. Of a measurement without one, rejected or gated, it is only known between which two used
+    ones it came; and that it had been published before the estimate.
+
+    Args:
+        samples: In the order of publishing.
+        estimates: The recorded ones.
+        innovations: The recorded ones, if there are any.
+    """
+    order = np.argsort(estimates.publish_times, kind="stable")
+    stamps, published = estimates.stamps[order], estimates.publish_times[order]
+    tick = _ticks_of_use(samples, published, innovations)
+    m, n = len(stamps), samples.count
+    used = np.flatnonzero(tick < m)
+    least, beyond = np.zeros(m, np.intp), np.full(m + 1, n)
+    np.maximum.at(least, tick[used], used + 1)
+    np.minimum.at(beyond, tick[used], used)
+    least = np.maximum.accumulate(least)
+    # What is used at a later tick did not come before an earlier one.
+    bound = np.minimum.accumulate(beyond[::-1])[::-1][1:]
+    most = np.searchsorted(samples.publish_times, published, side="right")
+    afresh = np.full(m, -1)
+    afresh[1:][np.diff(stamps) <= 0] = 0
+    return Schedule(
+        stamps=stamps,
+        now=stamps,
+        least=least,
+        most=np.maximum(least, np.minimum(most, bound)),
+        afresh=afresh,
+        log_times=estimates.log_times[order],
+        publish_times=published,
+    )
+
+
+def _ticks_of_use(
+    samples: Samples, published: Times, innovations: JointSeries | None
+) -> NDArray[np.intp]:
+    """Return the first tick after each measurement's innovation; past the last one if unknown."""
+    used_at = np.full(samples.count, np.iinfo(np.int64).max)
+    if innovations is not None:
+        order = np.argsort(innovations.publish_times, kind="stable")
+        places = match(samples.stamps, innovations.stamps[order])
+        found = places >= 0
+        used_at[found] = innovations.publish_times[order][places[found]]
+    return np.searchsorted(published, used_at, side="left")
+
+
+def match(wanted: Times, there: Times) -> NDArray[np.intp]:
+    """Return where each stamp is found, -1 if nowhere, and no place twice, shape of `wanted`.
+
+    Stamps come again where time began anew: the first is matched with the first.
+    """
+    places: dict[int, deque[int]] = defaultdict(deque)
+    for place, stamp in enumerate(there.tolist()):
+        places[stamp].append(place)
+    none = deque([-1])
+    return np.array(
+        [(places.get(stamp) or none.copy()).popleft() for stamp in wanted.tolist()], dtype=np.intp
+    )
