@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.records import Measurement
+from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.resources import config_path
@@ -86,3 +86,44 @@ def test_without_history_a_sample_ahead_of_the_clock_does_not_silence_the_estima
     for k in range(3):
         t.offer(sample(k), BEGIN + k * PERIOD - 1)
     assert t.estimate(BEGIN + 2 * PERIOD - 1) is not None
+
+
+def test_a_burst_of_dense_stamps_takes_neither_memory_nor_a_rewind_without_bound():
+    dense = 10_000
+    t = tracker(most_steps=50)
+    for k in range(200):
+        t.offer(sample(k, BEGIN + k * dense), END)
+    assert t.forgotten == 150
+    assert len(t._history) == 50
+    assert t.offer(sample(7, BEGIN + 149 * dense), END) is RejectReason.TOO_OLD
+    inside = sample(7, BEGIN + 170 * dense + 1)
+    assert not isinstance(t.offer(inside, END), RejectReason)
+    assert t.rewinds == 1
+    assert len(t._history) == 50
+
+
+def test_a_sparse_history_is_forgotten_by_time_alone():
+    t = tracker(most_steps=50)
+    for k in range(200):
+        t.offer(sample(k, BEGIN + k * 20_000_000), END)
+    assert t.forgotten == 0
+
+
+def test_what_a_full_history_still_reaches_is_put_in_its_place():
+    order = [*range(120), 121, 122, 120]
+    in_order, late = tracker(most_steps=50), tracker(most_steps=50)
+    for k in sorted(order):
+        in_order.offer(sample(k), END)
+    for k in order:
+        late.offer(sample(k), END)
+    stamp = BEGIN + 123 * PERIOD
+    assert (in_order.estimate(stamp).state == late.estimate(stamp).state).all()
+
+
+@pytest.mark.parametrize("ahead", [5 * 10**9 + 1, 3600 * 10**9, 10**18])
+def test_an_estimate_far_from_any_measurement_is_none_and_costs_nothing(ahead):
+    t = tracker()
+    t.offer(sample(0), END)
+    assert t.estimate(BEGIN + 5 * 10**9) is not None
+    assert t.estimate(BEGIN + ahead) is None
+    assert t.failures == 0

@@ -143,7 +143,7 @@ def test_the_flow_over_a_step_long_for_the_arm_is_the_matrix_exponential(
 def test_the_common_step_needs_no_doubling() -> None:
     """One product, whatever the length: benchmarks count on it."""
     flow = shipped()
-    assert flow._linear._reach == flow.period
+    assert flow._linear._reach >= 1.25 * flow.period
 
 
 @pytest.mark.parametrize(
@@ -268,18 +268,18 @@ def test_one_step_is_far_closer_than_eulers(rate: float) -> None:
 
 @PROPERTY
 @given(st.data(), FLOWS, st.integers(0, 4), st.floats(0.05, 0.95))
-def test_a_long_prediction_is_nominal_steps_and_a_remainder(
+def test_a_long_prediction_is_nominal_steps_and_a_last_one(
     data: st.DataObject, flow: ArmFlow, whole: int, fraction: float
 ) -> None:
     x, u = draw_state(data, flow), np.array([1.0])
     duration = (whole + fraction) * flow.period
-    stepped = x
-    for _ in range(whole):
-        stepped = flow.predict(stepped, u, flow.period)
-    stepped = flow.predict(stepped, u, duration - whole * flow.period)
-    np.testing.assert_allclose(flow.predict(x, u, duration), stepped, rtol=1e-10, atol=1e-10)
     durations = [step.duration for step in flow.steps(duration)]
-    assert durations[:-1] == [flow.period] * whole
+    stepped = x
+    for each in durations:
+        stepped = flow.predict(stepped, u, each)
+    np.testing.assert_allclose(flow.predict(x, u, duration), stepped, rtol=1e-10, atol=1e-10)
+    assert durations[:-1] == [flow.period] * (len(durations) - 1)
+    assert 0.25 * flow.period < durations[-1] <= 1.25 * flow.period or whole == 0
     assert sum(durations) == pytest.approx(duration, rel=1e-13)
 
 

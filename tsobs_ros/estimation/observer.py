@@ -19,7 +19,9 @@ import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.estimation.estimator import Correction, Readout
+from tsobs_ros.estimation.output_model import OutputModel
 from tsobs_ros.model.prediction import PredictionModel
+from tsobs_ros.model.products import mapped
 
 PERIOD_TOLERANCE = 0.1
 """Steps within this fraction of the design's period count as regular samples.
@@ -72,6 +74,7 @@ class TSObserver:
     Attributes:
         flow: Prediction model.
         certified: The constant gain and its bound.
+        output: What a measurement says of the state.
         settle_time: Least duration of the Riccati phase [s].
         gain_mode: Whether the certified gain ever takes over.
     """
@@ -92,18 +95,19 @@ class TSObserver:
         self.certified = CertifiedGain(
             as_matrix("K", certified.K, (n, p)), as_matrix("X", certified.X, (n, n))
         )
-        self._R = as_matrix("R", measurement_covariance, (p, p))
         self._initial_covariance = as_matrix("initial covariance", initial_covariance, (n, n))
-        self._C = flow.output_matrix
-        self._first_w = n - flow.disturbance.state_count
-        self._identity = np.eye(n)
-        self._gain_transposed = np.ascontiguousarray(self.certified.K.T)
-        self._posterior = self._joseph(self.certified.X, self.certified.K)
-        self._P = np.linalg.inv(self.certified.X)
+        self.output = OutputModel.of(flow, as_matrix("R", measurement_covariance, (p, p)))
+        X, C = self.certified.X, self.output.C
+        self._posterior = self.output.joseph(X, self.certified.K)
+        self._P = np.linalg.inv(X)
         self._root = np.linalg.cholesky(self._P)
-        self._certified_spread = self._C @ self.certified.X @ self._C.T + self._R
-        self._certified_std = np.sqrt(np.diag(self.certified.X))
-        self._certified_disturbance_std = self._disturbance_std(self.certified.X)
+        self._certified_spread = C @ X @ C.T + self.output.R
+        self._certified_std = np.sqrt(np.diag(X))
+        self._certified_disturbance_std = self._disturbance_std(X)
+        self._certified_bounds = (
+            flow.to_physical(self._certified_std),
+            self._certified_disturbance_std,
+        )
 
     @property
     def period(self) -> float:
@@ -131,13 +135,13 @@ class TSObserver:
 
     def expect(self, state: ObserverState, y: Array) -> Correction:
         """Return the innovation, the covariance expected of it and the gain for it."""
-        innovation = y - state.x @ self._C.T
+        return self.expected(state, self.output.innovation(state.x, y))
+
+    def expected(self, state: ObserverState, innovation: Array) -> Correction:
+        """Return the same for an innovation that was computed elsewhere."""
         if state.certified:
             return Correction(innovation, self._certified_spread, self.certified.K)
-        cross = state.covariance @ self._C.T
-        spread = self._C @ cross + self._R
-        gain = np.swapaxes(np.linalg.solve(spread, np.swapaxes(cross, -1, -2)), -1, -2)
-        return Correction(innovation, spread, gain)
+        return Correction(innovation, *self.output.gain(state.covariance))
 
     def apply(
         self, state: ObserverState, correction: Correction, weight: float = 1.0, adapt: bool = True
@@ -152,11 +156,13 @@ class TSObserver:
             adapt: For observers that learn; this one has nothing to.
         """
         innovation = correction.innovation if weight == 1.0 else weight * correction.innovation
+        return self.applied(state, correction, state.x + mapped(correction.gain, innovation))
+
+    def applied(self, state: ObserverState, correction: Correction, x: Array) -> ObserverState:
+        """Return the state after a correction to x̂ that was computed elsewhere."""
         if state.certified:
-            x = state.x + innovation @ self._gain_transposed
             return ObserverState(x, self._posterior, 0.0, True, True)
-        x = state.x + (correction.gain @ innovation[..., np.newaxis])[..., 0]
-        covariance = self._joseph(state.covariance, correction.gain)
+        covariance = self.output.joseph(state.covariance, correction.gain)
         return ObserverState(x, covariance, state.settling, False, True)
 
     def predict(self, state: ObserverState, u: Array, duration: float) -> ObserverState:
@@ -240,12 +246,11 @@ class TSObserver:
 
     def limited(self, state: ObserverState, limit: float) -> ObserverState:
         """Return the state with the disturbance ω = H w kept within ±limit [rad]."""
-        H = self.flow.disturbance.H
-        first = self.flow.state_count - self.flow.disturbance.state_count
-        omega = state.x[..., first:] @ H.T
+        omega = self.output.disturbance(state.x)
         inside = abs(omega[0]) <= limit if omega.shape == (1,) else (np.abs(omega) <= limit).all()
         if inside:
             return state
+        H, first = self.output.H, self.flow.state_count - self.flow.disturbance.state_count
         excess = omega - np.clip(omega, -limit, limit)
         x = state.x.copy()
         # The smallest change of w that does it.
@@ -254,15 +259,23 @@ class TSObserver:
 
     def readout(self, state: ObserverState) -> Readout:
         """Return the estimate and its bounds in physical units."""
-        model, w = self.flow.disturbance, state.x[..., self._first_w :]
-        return Readout(
-            state=self.flow.to_physical(state.x),
-            state_bound=self.flow.to_physical(self.error_bound(state)),
-            disturbance=w @ model.H.T,
-            disturbance_rate=w @ model.rate_map.T,
-            disturbance_bound=self.disturbance_bound(state),
-            certified=state.certified,
+        return self.reported(
+            state,
+            self.flow.to_physical(state.x),
+            self.output.disturbance(state.x),
+            self.output.disturbance_rate(state.x),
         )
+
+    def reported(
+        self, state: ObserverState, physical: Array, disturbance: Array, rate: Array
+    ) -> Readout:
+        """Return the readout of numbers that were computed elsewhere, with their bounds."""
+        if state.certified:
+            state_bound, disturbance_bound = self._certified_bounds
+        else:
+            state_bound = self.flow.to_physical(self.error_bound(state))
+            disturbance_bound = self.disturbance_bound(state)
+        return Readout(physical, state_bound, disturbance, rate, disturbance_bound, state.certified)
 
     def events(self, state: ObserverState) -> dict[str, int]:
         """Return no counts: this observer judges nothing."""
@@ -289,8 +302,8 @@ class TSObserver:
         return np.maximum(std, self._certified_disturbance_std)
 
     def _disturbance_std(self, covariance: Array) -> Array:
-        H = self.flow.disturbance.H
-        own = covariance[..., self._first_w :, self._first_w :]
+        H, first = self.output.H, self.flow.state_count - self.flow.disturbance.state_count
+        own = covariance[..., first:, first:]
         variance = np.einsum("pi,...ij,pj->...p", H, own, H)
         return np.asarray(np.sqrt(variance))
 
@@ -306,10 +319,3 @@ class TSObserver:
             return False
         ratio = np.linalg.eigvalsh(self._root.T @ covariance @ self._root)
         return bool(ratio.max() <= 1.0)
-
-    def _joseph(self, covariance: Array, gain: Array) -> Array:
-        """Return (I − KC) Σ (I − KC)ᵀ + K R Kᵀ, symmetric and positive for any gain."""
-        closed = self._identity - gain @ self._C
-        gain_t = np.swapaxes(gain, -1, -2)
-        result = closed @ covariance @ np.swapaxes(closed, -1, -2) + gain @ self._R @ gain_t
-        return np.asarray(0.5 * (result + np.swapaxes(result, -1, -2)))

@@ -88,50 +88,89 @@ class SupervisedObserver:
 
     def correct(self, state: SupervisedState, y: Array) -> tuple[SupervisedState, Correction]:
         """Use one measurement y [rad], shape (1,), as far as it can be believed."""
-        correction: Correction = self.observer.expect(state.inner, y)
+        expected: Correction = self.observer.expect(state.inner, y)
+        state, correction, verdict = self.judged(state, expected, y)
+        if verdict is not None:
+            inner = self.observer.apply(
+                state.inner, correction, correction.weight, self.learns(state)
+            )
+            state = self.concluded(state, inner, verdict)
+        return state, correction
+
+    def judged(
+        self, state: SupervisedState, correction: Correction, y: Array
+    ) -> tuple[SupervisedState, Correction, Verdict | None]:
+        """Judge an innovation.
+
+        Args:
+            state: Before the correction.
+            correction: What the observer expects of it.
+            y: The measurement [rad], shape (1,).
+
+        Returns:
+            The state to correct, the correction with its weight, and the verdict; None in its
+            place if the measurement is not to be used and the state is already final.
+        """
         sample = float(y[0])
         repeats = state.repeats + 1 if sample == state.y else 0
         if 0 < self._options.stuck_samples <= repeats:
-            return state._replace(y=sample, repeats=repeats), correction._replace(weight=0.0)
+            return state._replace(y=sample, repeats=repeats), correction._replace(weight=0.0), None
         normalised = float(correction.innovation[0]) / float(correction.spread[0, 0]) ** 0.5
         watch, verdict = judge(state.watch, normalised, self._period, self._options)
-        state = state._replace(watch=watch, y=sample, repeats=repeats)
+        # Made whole: replacing single fields of so many takes several times as long.
+        state = SupervisedState(
+            state.inner, watch, state.pause, state.pinned, sample, repeats, *state[6:]
+        )
         if verdict.lost:
             # Not from this sample: it may be the worst of those that gave the estimate up. And
             # with the sensor in doubt: what was lost is more often the sensor than the arm.
             initial = self.observer.initial()
             inner = self.observer.reopened(initial, self._doubted, 0.0)
             state = state._replace(inner=inner, losses=state.losses + 1)
-            return state, correction._replace(weight=0.0)
+            return state, correction._replace(weight=0.0), None
         if verdict.weight < 1.0:
             state = state._replace(outliers=state.outliers + 1)
             correction = correction._replace(weight=verdict.weight)
-        if verdict.weight == 0.0:
-            return state, correction
-        adapt = state.pause <= 0.0 and not self.frozen(state)
-        inner = self.observer.apply(state.inner, correction, verdict.weight, adapt)
+        return state, correction, verdict if verdict.weight > 0.0 else None
+
+    def learns(self, state: SupervisedState) -> bool:
+        """Return whether parameters may be learnt from the next correction."""
+        return state.pause <= 0.0 and not self.frozen(state)
+
+    def concluded(self, state: SupervisedState, inner: Any, verdict: Verdict) -> SupervisedState:
+        """Return the state after a correction, with what the verdict says besides.
+
+        Args:
+            state: From `judged`.
+            inner: State of the observer underneath after the correction.
+            verdict: From `judged`.
+        """
         if verdict.jumped and self._opened.any():
             duration = self._options.jump_duration
             inner = self.observer.reopened(inner, self._opened, duration)
             state = state._replace(jumps=state.jumps + 1, pause=duration)
         inner = self.observer.limited(inner, self._options.disturbance_limit)
-        return self._guarded(state, inner, verdict), correction
+        return self._guarded(state, inner, verdict)
 
     def predict(self, state: SupervisedState, u: Array, duration: float) -> SupervisedState:
         """Predict over `duration` [s] with the torque u [N m], shape (1,), held."""
-        return state._replace(
-            inner=self.observer.predict(state.inner, u, duration),
-            watch=elapse(state.watch, duration),
-            pause=max(0.0, state.pause - duration),
-        )
+        return self.moved(state, self.observer.predict(state.inner, u, duration), duration)
+
+    def moved(self, state: SupervisedState, inner: Any, duration: float) -> SupervisedState:
+        """Return the state after a prediction of the observer underneath."""
+        pause = max(0.0, state.pause - duration)
+        return SupervisedState(inner, elapse(state.watch, duration), pause, *state[3:])
 
     def extrapolate(self, state: SupervisedState, u: Array, duration: float) -> SupervisedState:
         """Predict to a time between samples, for reading only."""
-        return state._replace(inner=self.observer.extrapolate(state.inner, u, duration))
+        return SupervisedState(self.observer.extrapolate(state.inner, u, duration), *state[1:])
 
     def readout(self, state: SupervisedState) -> Readout:
         """Return the estimate and its bounds in physical units."""
-        readout: Readout = self.observer.readout(state.inner)
+        return self.reported(state, self.observer.readout(state.inner))
+
+    def reported(self, state: SupervisedState, readout: Readout) -> Readout:
+        """Return a readout of the observer underneath, as far as it can be believed."""
         return readout._replace(parameters_valid=False) if self.frozen(state) else readout
 
     def events(self, state: SupervisedState) -> dict[str, int]:
@@ -151,10 +190,10 @@ class SupervisedObserver:
         """Take the corrected inner state, or begin learning again where it went wrong."""
         learner = self._learner
         if learner is None or self.frozen(state):
-            return state._replace(inner=inner)
+            return SupervisedState(inner, *state[1:])
         pinned = state.pinned + self._period if learner.at_limit(inner) else 0.0
         if not verdict.strained and pinned < self._options.strain:
-            return state._replace(inner=inner, pinned=pinned)
+            return SupervisedState(inner, state.watch, state.pause, pinned, *state[4:])
         again = state._replace(pinned=0.0, relearned=state.relearned + 1)
         forget = learner.nominal if self.frozen(again) else learner.relearning
         return again._replace(inner=forget(inner))

@@ -116,7 +116,7 @@ class Verdict(NamedTuple):
 
 def elapse(watch: Watch, duration: float) -> Watch:
     """Return the watch a time `duration` [s] later."""
-    return watch._replace(age=watch.age + duration)
+    return Watch(*watch[:5], watch.age + duration, watch.jumps)
 
 
 def judge(

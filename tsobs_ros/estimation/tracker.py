@@ -9,15 +9,15 @@ one that arrival in order would have given.
 """
 
 import math
-from bisect import bisect_left, bisect_right
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple
+from typing import Generic
 
 import numpy as np
 
-from tsobs_ros.checks import non_negative, positive
+from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.estimation.estimator import Correction, Estimator, Readout, S
+from tsobs_ros.estimation.history import History, Step
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -35,32 +35,23 @@ class TrackerOptions:
         x_max: Half width of the certificate's domain [rad].
         history: How far back a late measurement may reach [s].
         future_tolerance: How far ahead of `now` a stamp may lie [s].
-        restart_after: A gap in the measurements longer than this starts afresh [s].
+        restart_after: A gap in the measurements longer than this starts afresh [s]; no estimate
+            is given further than this from a measurement.
+        most_steps: How many measurements the history holds at most, however dense their stamps.
     """
 
     x_max: float
     history: float = 0.5
     future_tolerance: float = 0.1
     restart_after: float = 5.0
+    most_steps: int = 1024
 
     def __post_init__(self) -> None:
         positive("x_max", self.x_max)
         non_negative("history", self.history)
         non_negative("future_tolerance", self.future_tolerance)
         positive("restart_after", self.restart_after)
-
-
-class _Step(NamedTuple):
-    """A measurement, the state after it, and what happened up to it since the last reset.
-
-    The counts are kept with the steps, so that a rewind takes them back too.
-    """
-
-    measurement: Measurement
-    state: Any
-    gated: int
-    restarts: int
-    failures: int
+        positive("most_steps", self.most_steps)
 
 
 class Tracker(Generic[S]):
@@ -70,12 +61,14 @@ class Tracker(Generic[S]):
         estimator: The step functions.
         options: Limits.
         rewinds: Number of late measurements put in their place.
+        forgotten: Number of measurements that left the history early because it was full: those
+            that are older yet are then too old.
     """
 
     def __init__(self, estimator: Estimator[S], options: TrackerOptions) -> None:
         self.estimator = estimator
         self.options = options
-        self._history = round(options.history * NANOSECONDS)
+        self._span = round(options.history * NANOSECONDS)
         self._future = round(options.future_tolerance * NANOSECONDS)
         self._restart_after = round(options.restart_after * NANOSECONDS)
         self.reset()
@@ -83,18 +76,18 @@ class Tracker(Generic[S]):
     def reset(self) -> None:
         """Forget everything; afterwards the tracker is as a new one."""
         self.rewinds = 0
+        self.forgotten = 0
         self._accepted = 0
         self._refused: Counter[RejectReason] = Counter()
         self._bad_outputs = 0
-        self._base: _Step | None = None
-        self._steps: list[_Step] = []
-        self._stamps: list[int] = []
-        self._coasted: tuple[_Step, int, S] | None = None
+        self._history = History(self._span, self.options.most_steps)
+        self._coasted: tuple[Step, int, S] | None = None
 
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
-        return self._steps[-1].measurement.stamp if self._steps else None
+        last = self._history.last
+        return last.measurement.stamp if last is not None else None
 
     @property
     def used(self) -> int:
@@ -110,17 +103,18 @@ class Tracker(Generic[S]):
     @property
     def restarts(self) -> int:
         """Number of fresh starts after a gap or a numerical failure."""
-        return self._steps[-1].restarts if self._steps else 0
+        return self._history.last.restarts if self._history.last else 0
 
     @property
     def failures(self) -> int:
         """Number of numerical failures: states or outputs that were not finite."""
-        return self._bad_outputs + (self._steps[-1].failures if self._steps else 0)
+        return self._bad_outputs + (self._history.last.failures if self._history.last else 0)
 
     @property
     def events(self) -> dict[str, int]:
         """What the estimator noticed up to the newest measurement, by name."""
-        return self.estimator.events(self._steps[-1].state) if self._steps else {}
+        last = self._history.last
+        return self.estimator.events(last.state) if last is not None else {}
 
     def reject(self, reason: RejectReason) -> None:
         """Count a measurement that the caller could not even read."""
@@ -140,57 +134,73 @@ class Tracker(Generic[S]):
         if reason is not None:
             self._refused[reason] += 1
             return reason
-        place = bisect_left(self._stamps, measurement.stamp)
-        later = [step.measurement for step in self._steps[place:]]
-        del self._stamps[place:], self._steps[place:]
+        newest = self.newest
+        late = newest is not None and measurement.stamp < newest
+        later = self._history.rewind(measurement.stamp) if late else []
         correction = self._advance(measurement)
         for waiting in later:
             self._advance(waiting)
-        self.rewinds += bool(later)
-        self._accepted += 1
-        self._trim()
-        if correction.weight == 0.0:
-            return RejectReason.GATED
-        expected_std = np.sqrt(np.diagonal(correction.spread))
-        return Innovation(measurement.stamp, correction.innovation, expected_std)
+        self.rewinds += late
+        return self._used(measurement, correction)
+
+    def plain_step(self, measurement: Measurement, now: int) -> tuple[S, Array, float] | None:
+        """Return the state, the torque [N m] and the time [s] to predict a measurement from.
+
+        Returns:
+            None if there is more to it: it is refused, late or the first one after a gap.
+        """
+        last = self._history.last
+        if last is None or self._refusal(measurement, now) is not None:
+            return None
+        gap = measurement.stamp - last.measurement.stamp
+        if not 0 < gap <= self._restart_after:
+            return None
+        return last.state, last.measurement.u, gap / NANOSECONDS
+
+    def take(
+        self, measurement: Measurement, state: S, correction: Correction
+    ) -> Innovation | RejectReason:
+        """Go on with a plain step that was computed elsewhere; see `offer` for what is returned."""
+        return self._used(measurement, self._keep(measurement, state, correction, 0))
 
     def estimate(self, stamp: int) -> Estimate | None:
         """Return the estimate at a stamp [ns].
 
         Returns:
-            None before the first measurement, or if the estimate is not finite, which is counted.
+            None before the first measurement, too long after the last, or if the estimate is not
+            finite, which is counted.
         """
-        step = self._latest_until(stamp)
-        if step is None:
+        basis = self.basis(stamp)
+        if basis is None:
+            return None
+        state = self.estimator.extrapolate(*basis)
+        return self.published(stamp, self.estimator.readout(state))
+
+    def basis(self, stamp: int) -> tuple[S, Array, float] | None:
+        """Return the state, the torque [N m] and the time [s] to extrapolate to a stamp from."""
+        step = self._history.until(stamp)
+        if step is None or stamp - step.measurement.stamp > self._restart_after:
             return None
         state, elapsed = self._coast(step, stamp)
-        state = self.estimator.extrapolate(state, step.measurement.u, elapsed)
-        readout = self.estimator.readout(state)
-        if not _is_finite(readout):
+        return state, step.measurement.u, elapsed
+
+    def published(self, stamp: int, readout: Readout) -> Estimate | None:
+        """Return the estimate that a readout at a stamp makes; see `estimate`."""
+        step = self._history.until(stamp)
+        if step is None or not _is_finite(*readout[:5], *readout[6:8]):
             self._bad_outputs += 1
             return None
-        return Estimate(
-            stamp,
-            *readout,
-            in_domain=bool(abs(readout.state[0]) <= self.options.x_max),
-            age=(stamp - step.measurement.stamp) / NANOSECONDS,
-        )
+        in_domain = abs(float(readout.state[0])) <= self.options.x_max
+        age = (stamp - step.measurement.stamp) / NANOSECONDS
+        return Estimate(stamp, *readout, in_domain, age)
 
     @property
     def _gated(self) -> int:
-        return self._steps[-1].gated if self._steps else 0
-
-    def _latest_until(self, stamp: int) -> _Step | None:
-        place = bisect_right(self._stamps, stamp) - 1
-        if place >= 0:
-            return self._steps[place]
-        if self._base is not None and self._base.measurement.stamp <= stamp:
-            return self._base
-        return None
+        return self._history.last.gated if self._history.last else 0
 
     def _refusal(self, measurement: Measurement, now: int) -> RejectReason | None:
         stamp = measurement.stamp
-        if not (np.isfinite(measurement.y).all() and np.isfinite(measurement.u).all()):
+        if not all(map(math.isfinite, (*measurement.y.tolist(), *measurement.u.tolist()))):
             return RejectReason.NON_FINITE
         if stamp <= 0:
             return RejectReason.ZERO_STAMP
@@ -199,40 +209,49 @@ class Tracker(Generic[S]):
         newest = self.newest
         if newest is None or stamp > newest:
             return None
-        if self._base is not None and stamp <= self._base.measurement.stamp:
+        if not self._history.reaches(stamp):
             return RejectReason.TOO_OLD
-        if stamp < newest - self._history:
-            return RejectReason.TOO_OLD
-        place = bisect_left(self._stamps, stamp)
-        return RejectReason.DUPLICATE if self._stamps[place] == stamp else None
+        return RejectReason.DUPLICATE if self._history.holds(stamp) else None
 
     def _advance(self, measurement: Measurement) -> Correction:
         """Predict to the measurement from the step before it, correct, and remember."""
-        previous = self._steps[-1] if self._steps else self._base
-        gated, restarts, failures = previous[2:] if previous is not None else (0, 0, 0)
+        previous = self._history.last
         gap = 0 if previous is None else measurement.stamp - previous.measurement.stamp
         if previous is None or gap > self._restart_after:
             predicted = self.estimator.initial()
-            restarts += previous is not None
+            restarts = int(previous is not None)
         else:
             u = previous.measurement.u
             predicted = self.estimator.predict(previous.state, u, gap / NANOSECONDS)
-        state, correction = self.estimator.correct(predicted, measurement.y)
-        if not math.isfinite(float(correction.innovation.sum() + correction.spread.sum())):
+            restarts = 0
+        return self._keep(measurement, *self.estimator.correct(predicted, measurement.y), restarts)
+
+    def _keep(
+        self, measurement: Measurement, state: S, correction: Correction, restarts: int
+    ) -> Correction:
+        """Remember a step, begun afresh if it is not finite; return its correction."""
+        failures = 0
+        if not _is_finite(correction.innovation, correction.spread):
             state, correction = self.estimator.correct(self.estimator.initial(), measurement.y)
-            restarts, failures = restarts + 1, failures + 1
-        gated += correction.weight == 0.0
-        self._stamps.append(measurement.stamp)
-        self._steps.append(_Step(measurement, state, gated, restarts, failures))
+            restarts, failures = restarts + 1, 1
+        gated, last = int(correction.weight == 0.0), self._history.last
+        if last is not None:
+            gated += last.gated
+            restarts += last.restarts
+            failures += last.failures
+        self._history.append(Step(measurement, state, gated, restarts, failures))
         return correction
 
-    def _trim(self) -> None:
-        keep_from = bisect_left(self._stamps, self._stamps[-1] - self._history)
-        if keep_from:
-            self._base = self._steps[keep_from - 1]
-            del self._stamps[:keep_from], self._steps[:keep_from]
+    def _used(self, measurement: Measurement, correction: Correction) -> Innovation | RejectReason:
+        """Count an accepted measurement and return what `offer` does."""
+        self._accepted += 1
+        self.forgotten += self._history.trim()
+        if correction.weight == 0.0:
+            return RejectReason.GATED
+        expected_std = np.sqrt(correction.spread.diagonal())
+        return Innovation(measurement.stamp, correction.innovation, expected_std)
 
-    def _coast(self, step: _Step, stamp: int) -> tuple[S, float]:
+    def _coast(self, step: Step, stamp: int) -> tuple[S, float]:
         """Return the state at the last whole period before `stamp`, and what remains [s].
 
         Whole periods are remembered from one call to the next; without that every tick of a
@@ -252,7 +271,6 @@ class Tracker(Generic[S]):
         return state, duration - whole * period
 
 
-def _is_finite(readout: Readout) -> bool:
-    """Return whether every number of a readout is finite, by one sum that any other spoils."""
-    numbers = (*readout[:5], readout.parameters, readout.parameter_bound)
-    return math.isfinite(float(sum(array.sum() for array in numbers)))
+def _is_finite(*arrays: Array) -> bool:
+    """Return whether every number is finite, by one sum that any other spoils."""
+    return math.isfinite(sum([sum(array.ravel().tolist()) for array in arrays]))

@@ -16,7 +16,6 @@ the estimate that serves as premise.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +26,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps
+from tsobs_ros.model.transition import Transition, predicted, predicted_with_covariance
 from tsobs_ros.model.uncertainty import VELOCITY_ROWS, ArmUncertainty
 from tsobs_ros.model.vertices import (
     KickCorner,
@@ -35,6 +35,9 @@ from tsobs_ros.model.vertices import (
     kick_corners,
     linear_directions,
 )
+
+_REMEMBERED = 16
+"""Transitions to keep: stamps from a grid repeat the same few durations."""
 
 
 @dataclass(frozen=True)
@@ -53,24 +56,6 @@ class ProcessNoise:
         for name in ("link", "motor"):
             density = non_negative(f"process noise density of the {name}", getattr(self, name))
             object.__setattr__(self, name, density)
-
-
-class Transition(NamedTuple):
-    """The linear flow over one step.
-
-    Attributes:
-        duration: T [s].
-        phi: State transition Φ(T), shape (n, n).
-        gamma: Effect of a held torque Γ(T), shape (n, 1).
-        noise: Covariance the process noise adds, shape (n, n).
-        half_kick: (T/2) mgl/J₁ [1/s].
-    """
-
-    duration: float
-    phi: Array
-    gamma: Array
-    noise: Array
-    half_kick: float
 
 
 class ArmFlow:
@@ -101,6 +86,7 @@ class ArmFlow:
             )
         torque = np.vstack([arm.input_matrix, np.zeros((disturbance.state_count, 1))])
         self._linear = LinearFlow(self.drift, torque, self._noise_density(), self.period)
+        self._transitions: dict[float, Transition] = {}
         self.nominal = self.transition(self.period)
 
     @property
@@ -125,11 +111,18 @@ class ArmFlow:
 
     def transition(self, duration: float) -> Transition:
         """Return the linear flow over `duration` [s]."""
-        phi, gamma, noise = self._linear.over(duration)
-        return Transition(duration, phi, gamma, noise, 0.5 * duration * self.arm.gravity_gain)
+        known = self._transitions.get(duration)
+        if known is None:
+            phi, gamma, noise = self._linear.over(duration)
+            half_kick = 0.5 * duration * self.arm.gravity_gain
+            known = Transition(duration, phi, gamma, noise, half_kick)
+            if len(self._transitions) >= _REMEMBERED:
+                self._transitions.clear()
+            self._transitions[duration] = known
+        return known
 
     def steps(self, duration: float) -> list[Transition]:
-        """Cut `duration` [s] into nominal steps and a remainder, in the order to take them.
+        """Cut `duration` [s] into nominal steps and a last one, in the order to take them.
 
         Raises:
             ModelError: The duration is negative or not finite.
@@ -147,11 +140,7 @@ class ArmFlow:
         Raises:
             ModelError: The duration is negative or not finite.
         """
-        for step in self.steps(duration):
-            x = self._half_kicked(x, step)
-            x = x @ step.phi.T + u * step.gamma[:, 0]
-            x[..., LINK_VELOCITY] -= step.half_kick * np.sin(x[..., LINK_ANGLE])
-        return x
+        return predicted(x, u, self.steps(duration))
 
     def predict_with_covariance(
         self, x: Array, covariance: Array, u: Array, duration: float
@@ -173,15 +162,7 @@ class ArmFlow:
         Raises:
             ModelError: The duration is negative or not finite.
         """
-        if covariance.ndim <= x.ndim:
-            covariance = np.broadcast_to(covariance, (*x.shape, x.shape[-1]))
-        for step in self.steps(duration):
-            covariance = self._sheared(covariance, step.half_kick * np.cos(x[..., LINK_ANGLE]))
-            covariance = step.phi @ covariance @ step.phi.T + step.noise
-            x = self._half_kicked(x, step) @ step.phi.T + u * step.gamma[:, 0]
-            covariance = self._sheared(covariance, step.half_kick * np.cos(x[..., LINK_ANGLE]))
-            x = self._half_kicked(x, step)
-        return x, covariance
+        return predicted_with_covariance(x, covariance, u, self.steps(duration))
 
     def vertices(
         self,
@@ -224,21 +205,6 @@ class ArmFlow:
             matrix[VELOCITY_ROWS, :4] += 0.5 * self.period * np.tensordot(corner.theta, rows, 1)
         matrix[LINK_VELOCITY, LINK_ANGLE] -= self.nominal.half_kick * corner.slope
         return matrix
-
-    @staticmethod
-    def _half_kicked(x: Array, step: Transition) -> Array:
-        kicked = x.copy()
-        kicked[..., LINK_VELOCITY] -= step.half_kick * np.sin(x[..., LINK_ANGLE])
-        return kicked
-
-    @staticmethod
-    def _sheared(covariance: Array, gain: Array) -> Array:
-        """Return K Σ Kᵀ for the kick matrix K of `gain`, by one row and one column operation."""
-        sheared = covariance.copy()
-        gain = np.asarray(gain)[..., np.newaxis]
-        sheared[..., LINK_VELOCITY, :] -= gain * sheared[..., LINK_ANGLE, :]
-        sheared[..., :, LINK_VELOCITY] -= gain * sheared[..., :, LINK_ANGLE]
-        return sheared
 
     def _noise_density(self) -> Array:
         """Return the white noise density of the augmented state in design coordinates, (n, n)."""

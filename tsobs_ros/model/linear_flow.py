@@ -25,6 +25,9 @@ _MOST_TERMS = 60
 _LARGEST_TURN = 2.0**16
 """Most a mode may turn or decay in one step [rad]; doubling loses a digit for every factor 10."""
 
+_STRETCH = 1.25
+"""A step may be longer than nominal by so much: real stamps jitter about the period."""
+
 
 class LinearFlow:
     """Φ, Γ and Q of ẋ = A x + B u + noise of density W.
@@ -49,10 +52,11 @@ class LinearFlow:
                 f"higher rate or a softer, heavier or less damped arm is needed"
             )
         # The series converges fast for |A|t up to 1; the common step needs no doubling.
-        self._reach = period / max(1.0, turn)
+        self._reach = _STRETCH * period / max(1.0, _STRETCH * turn)
         self._n, self._m = B.shape
         with np.errstate(over="ignore", invalid="ignore"):
             self._series = self._coefficients(A, B, W)
+            self._orders = np.arange(len(self._series), dtype=np.float64)
             over_period = self.over(period)
         if not all(np.isfinite(part).all() for part in over_period):
             raise ModelError(
@@ -75,7 +79,7 @@ class LinearFlow:
 
     def _evaluate(self, duration: float) -> tuple[Array, Array, Array]:
         n, m, square = self._n, self._m, self._n * self._n
-        flat = duration ** np.arange(self._series.shape[0]) @ self._series
+        flat = (duration**self._orders).dot(self._series)
         noise = flat[square + n * m :].reshape(n, n)
         return (
             flat[:square].reshape(n, n),
@@ -115,15 +119,15 @@ def _norm(A: Array) -> float:
 
 
 def cut_into_steps(
-    duration: float, period: float, nominal: Step, remainder: Callable[[float], Step]
+    duration: float, period: float, nominal: Step, last: Callable[[float], Step]
 ) -> list[Step]:
-    """Cut a time into nominal steps and a remainder, in the order to take them.
+    """Cut a time into nominal steps and a last one, up to 1.25 periods long, in their order.
 
     Args:
         duration: The time [s].
         period: Length of a nominal step [s].
         nominal: The step of that length.
-        remainder: Makes a shorter step from its length [s].
+        last: Makes a step from its length [s].
 
     Raises:
         ModelError: The duration is negative or not finite.
@@ -134,4 +138,6 @@ def cut_into_steps(
         raise ModelError(f"duration: expected a finite number of at least 0, got {duration!r} s")
     whole = int(duration // period)
     rest = duration - whole * period
-    return [nominal] * whole + ([remainder(rest)] if rest > 0.0 else [])
+    if whole and 0.0 < rest <= (_STRETCH - 1.0) * period:
+        whole, rest = whole - 1, rest + period
+    return [nominal] * whole + ([last(rest)] if rest > 0.0 else [])

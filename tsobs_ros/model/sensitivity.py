@@ -114,15 +114,16 @@ class ArmSensitivity:
             if step is not self._flow.nominal:
                 kicks = 0.5 * step.duration * self._effects
                 rows = kicks.tolist()
-            total = (theta @ kicks).tolist()
-            slopes = _kick(columns, total, rows, torque, step.half_kick)
+            total = theta.dot(kicks).tolist()
+            half_kick = float(step.half_kick)
+            slopes = _kick(columns, total, rows, torque, half_kick)
             if covariance is not None:
                 onward = step.phi @ self._jacobian(slopes)
                 covariance = onward @ covariance @ onward.T + step.noise
-            moved = np.array(columns) @ step.phi.T
+            moved = np.array(columns).dot(step.phi.T)
             moved[0] += step.gamma[:, 0] * torque
             columns = moved.tolist()
-            slopes = _kick(columns, total, rows, torque, step.half_kick)
+            slopes = _kick(columns, total, rows, torque, half_kick)
             if covariance is not None:
                 after = self._jacobian(slopes)
                 covariance = after @ covariance @ after.T
