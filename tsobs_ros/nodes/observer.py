@@ -13,7 +13,7 @@ from std_srvs.srv import SetBool, Trigger
 from tsobs_ros.estimation import comparison
 from tsobs_ros.estimation.health import Phase, Status
 from tsobs_ros.estimation.joints import JointTrackers
-from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -28,12 +28,16 @@ from tsobs_ros.nodes.observer_statuses import (
     state_status,
     summary_status,
     tracking_values,
+    worst_phase,
 )
 from tsobs_ros.nodes.tick_meter import TickMeter
 from tsobs_ros.nodes.ticker import Ticker
 
 _DIAGNOSTICS_PERIOD = 1.0
 _WARNING_PERIOD = 5.0
+
+NUMERICAL_FAILURES = (ArithmeticError, np.linalg.LinAlgError)
+"""What may be raised where numbers leave what floats can hold, besides those that come out NaN."""
 
 
 class Observer(ManagedNode[ObserverParameters]):
@@ -62,7 +66,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._joints = observed_joints(parameters)
         self._trackers = JointTrackers([joint.tracker for joint in self._joints])
         self._resets = 0
-        self._failures = 0
+        self._failures = self._told_failures = 0
         self._enabled = True
         self._fresh = True
         self._last_now = 0
@@ -183,7 +187,7 @@ class Observer(ManagedNode[ObserverParameters]):
             measurements.append(sample)
         try:
             outcomes = self._trackers.offer(measurements, now)
-        except (ArithmeticError, np.linalg.LinAlgError) as error:
+        except NUMERICAL_FAILURES as error:
             self._on_numerical_failure(error)
             return False
         for joint, measurement, outcome in zip(self._joints, measurements, outcomes, strict=True):
@@ -206,21 +210,18 @@ class Observer(ManagedNode[ObserverParameters]):
         if not self._enabled or now <= self._last_output:
             return False
         parameters = self.parameters
-        fresh = [
-            joint.phase(now, parameters) in (Phase.TRACKING, Phase.COASTING)
-            for joint in self._joints
-        ]
-        estimates: list[Estimate | None] = [None] * len(fresh)
-        if any(fresh):
-            try:
-                estimates = self._trackers.estimate(now, fresh)
-            except (ArithmeticError, np.linalg.LinAlgError) as error:
-                self._on_numerical_failure(error)
-                return False
+        phases = [joint.phase(now, parameters) for joint in self._joints]
+        # Only these: to predict through a long silence would take long, and say nothing.
+        wanted = [phase in (Phase.TRACKING, Phase.COASTING) for phase in phases]
+        try:
+            estimates = self._trackers.estimate(now, wanted)
+        except NUMERICAL_FAILURES as error:
+            self._on_numerical_failure(error)
+            return False
         for place, (joint, estimate) in enumerate(zip(self._joints, estimates, strict=True)):
             if estimate is not None:
                 joint.estimated(estimate)
-            elif parameters.when_stale == "hold" and joint.phase(now, parameters) is Phase.STALE:
+            elif parameters.when_stale == "hold" and phases[place] is Phase.STALE:
                 estimates[place] = joint.held()
         if all(estimate is None for estimate in estimates):
             return False
@@ -254,13 +255,11 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _on_numerical_failure(self, error: Exception) -> None:
         self._failures += 1
-        if self._may_warn("failure"):
-            self.get_logger().error(f"numerical failure: {error}")
-        self._begin_afresh("numerical failure")
+        self._begin_afresh(f"numerical failure: {error}")
 
     def _begin_afresh(self, why: str) -> None:
         """Reset everything an instance computes from data; counts of a new instance are zero."""
-        if self._may_warn(why.partition(" by ")[0]):
+        if self._may_warn("afresh"):
             self.get_logger().warning(f"starting afresh: {why}")
         self._trackers.reset()
         for joint in self._joints:
@@ -268,11 +267,6 @@ class Observer(ManagedNode[ObserverParameters]):
         self._resets += 1
         self._fresh = True
         self._unanswered.clear()
-        self._next_warning = {
-            subject: due
-            for subject, due in self._next_warning.items()
-            if not isinstance(subject, RejectReason)
-        }
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         # What was received before the reset must not be used after it.
@@ -294,23 +288,35 @@ class Observer(ManagedNode[ObserverParameters]):
         if not self.active:
             return
         now, parameters, joints = self._ticker.now(), self.parameters, self._joints
-        phases = {joint.name: joint.phase(now, parameters) for joint in joints}
-        statuses = [
-            state_status(phases, self._resets, self._enabled),
-            measurement_status([joint.tracker for joint in joints], self.received),
-            self._meter.status(),
-        ]
+        values = {"resets": str(self._resets)}
         parts: dict[str, list[Status]] = {}
         if len(joints) == 1:
-            statuses[0].values.update(tracking_values(joints[0], now))
-            statuses += estimate_statuses(joints[0], parameters.method)
+            values |= tracking_values(joints[0], now)
+            further = estimate_statuses(joints[0], parameters.method)
         else:
             parts = {
-                joint.name: joint_statuses(joint, phases[joint.name], now, parameters)
+                joint.name: joint_statuses(joint, now, parameters, enabled=self._enabled)
                 for joint in joints
             }
-            statuses.append(summary_status(parts))
+            further = [summary_status(parts)]
+        phase = worst_phase(joint.phase(now, parameters) for joint in joints)
+        failed = self._has_failed()
+        statuses = [
+            state_status(phase, values, enabled=self._enabled, failed=failed),
+            measurement_status([joint.tracker for joint in joints], self.received),
+            self._meter.status(),
+            *further,
+        ]
         self._diagnostics.publish(statuses, parts)
+
+    def _has_failed(self) -> bool:
+        """Return, and say, whether there was a numerical failure since the last time."""
+        failures = self._failures + sum(joint.tracker.failures for joint in self._joints)
+        failed = failures > self._told_failures
+        self._told_failures = failures
+        if failed and self._may_warn("failure"):
+            self.get_logger().error("numerical failure: an estimate was not finite; began afresh")
+        return failed
 
     def _tell_of_designs(self) -> None:
         """Say what each joint is estimated with, and warn of methods that cannot work."""

@@ -3,7 +3,7 @@
 """What the observer node says of itself in diagnostics, as functions of its parts."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from tsobs_ros.estimation.health import Level, Phase, Status
@@ -22,26 +22,25 @@ _FROM_BEST_TO_WORST = list(_LEVEL_OF_PHASE)
 _MANY_REJECTED = 0.01
 
 
-def worst_phase(phases: Sequence[Phase]) -> Phase:
+def worst_phase(phases: Iterable[Phase]) -> Phase:
     """Return the worst of some phases."""
     return max(phases, key=_FROM_BEST_TO_WORST.index)
 
 
-def state_status(phases: Mapping[str, Phase], resets: int, enabled: bool) -> Status:
-    """Return the node's state, which is that of its worst joint.
+def state_status(phase: Phase, values: dict[str, str], *, enabled: bool, failed: bool) -> Status:
+    """Return the state of a joint, or of the node, which is that of its worst joint.
 
     Args:
-        phases: By the names of the joints.
-        resets: How often the node began afresh.
-        enabled: Whether it works at all.
+        phase: How fresh its measurements are.
+        values: What else there is to say.
+        enabled: Whether the node works at all.
+        failed: Whether there was a numerical failure since the last status.
     """
-    values = {"resets": str(resets)}
     if not enabled:
         return Status("state", Level.WARN, "DISABLED", values)
-    worst = worst_phase(list(phases.values()))
-    if len(phases) > 1:
-        values |= {joint: phase.value for joint, phase in phases.items()}
-    return Status("state", _LEVEL_OF_PHASE[worst], worst.value, values)
+    if failed:
+        return Status("state", Level.ERROR, f"{phase.value}, after a numerical failure", values)
+    return Status("state", _LEVEL_OF_PHASE[phase], phase.value, values)
 
 
 def tracking_values(joint: ObservedJoint, now: int) -> dict[str, str]:
@@ -124,11 +123,12 @@ def estimate_statuses(joint: ObservedJoint, method: str) -> list[Status]:
 
 
 def joint_statuses(
-    joint: ObservedJoint, phase: Phase, now: int, parameters: ObserverParameters
+    joint: ObservedJoint, now: int, parameters: ObserverParameters, *, enabled: bool
 ) -> list[Status]:
     """Return all that can be said of one of several joints."""
+    phase, values = joint.phase(now, parameters), tracking_values(joint, now)
     return [
-        Status("state", _LEVEL_OF_PHASE[phase], phase.value, tracking_values(joint, now)),
+        state_status(phase, values, enabled=enabled, failed=False),
         measurement_status([joint.tracker], joint.received),
         *estimate_statuses(joint, parameters.method),
     ]

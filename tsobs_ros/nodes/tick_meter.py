@@ -8,6 +8,9 @@ import time
 from tsobs_ros.estimation.health import Level, Status
 
 _WORTH_A_WARNING = 0.05
+# The clock has jumped when it went on by more than this [ns], so much faster than time passes.
+_JUMP = 1_000_000_000
+_FASTEST = 100
 
 
 class TickMeter:
@@ -15,14 +18,17 @@ class TickMeter:
 
     Attributes:
         missed: Ticks that fell out since the start, because one came a period late or more.
+        jumps: Jumps of the clock ahead, which make no ticks fall out.
     """
 
     def __init__(self, rate: float) -> None:
         self._period_ns = 1e9 / rate
         self._rate = rate
         self.missed = 0
+        self.jumps = 0
         self._latest: int | None = None
         self._latest_was_tick = True
+        self._began = 0
         self._work_began: int | None = None
         self._periods: list[int] = []
         self._durations: list[int] = []
@@ -36,13 +42,17 @@ class TickMeter:
             now: Time on the node's clock [ns].
             tick: Whether it is a tick's; ticks are missed only between two of them.
         """
-        self._work_began = time.monotonic_ns()
+        steady = time.monotonic_ns()
         if self._latest is not None:
             period = now - self._latest
-            self._periods.append(period)
-            if tick and self._latest_was_tick:
-                self.missed += max(0, round(period / self._period_ns) - 1)
+            if period > _JUMP and period > _FASTEST * (steady - self._began):
+                self.jumps += 1
+            else:
+                self._periods.append(period)
+                if tick and self._latest_was_tick:
+                    self.missed += max(0, round(period / self._period_ns) - 1)
         self._latest, self._latest_was_tick = now, tick
+        self._began = self._work_began = steady
 
     def end(self) -> None:
         """Note that the work is done."""
@@ -65,6 +75,8 @@ class TickMeter:
         latencies, self._latencies = sorted(self._latencies), []
         missed, self._missed_before = self.missed - self._missed_before, self.missed
         values = {"wanted rate [Hz]": f"{self._rate:g}", "missed ticks": str(self.missed)}
+        if self.jumps:
+            values["clock jumps ahead"] = str(self.jumps)
         if not durations:
             return Status("timing", Level.STALE, "no ticks", values)
         if sum(periods) > 0:

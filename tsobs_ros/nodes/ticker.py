@@ -25,10 +25,6 @@ class Ticking(Protocol):
     def may_be_taken_over(self) -> bool:
         """Whether there are ticks, and a sleep can make them."""
 
-    def skip_next(self) -> None:
-        """Leave the next tick out: what it would have done has just been done."""
-        self._skip = True
-
     def take_over(self) -> None:
         """Leave the ticks to whoever calls `run_if_due`."""
 
@@ -69,9 +65,7 @@ class Ticker:
         self._running = False
         self._due: int | None = None
         self._skip = False
-        self._timer = node.create_timer(
-            period, self._tick, clock=executor_clock, autostart=False
-        )
+        self._timer = node.create_timer(period, self._tick, clock=executor_clock, autostart=False)
         self._wake_executor(False)
 
     @property
@@ -92,13 +86,17 @@ class Ticker:
 
     def stop(self) -> None:
         """Stop ticking, until the next `start`."""
-        self._running = False
+        self._running = self._skip = False
         self._due = None
         self._wake_executor(False)
 
     def skip_next(self) -> None:
         """Leave the next tick out: what it would have done has just been done."""
-        self._skip = True
+        if self._due is None:
+            self._skip = True
+        else:
+            past = (time.monotonic_ns() - self._due) // self._period_ns
+            self._due += (past + 2) * self._period_ns
 
     def take_over(self) -> None:
         """Stop the timer; from now on `run_if_due` ticks and `rest` waits."""
@@ -116,9 +114,6 @@ class Ticker:
         """Tick if it is time, and return how long the next tick is away [ns]."""
         now = time.monotonic_ns()
         assert self._due is not None, "ticks were not taken over"
-        if self._skip:
-            self._skip = False
-            self._due += self._period_ns
         if now >= self._due:
             self._callback()
             now = time.monotonic_ns()
