@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.report.run import read_run, restarts
+from tsobs_ros.report.run import read_run
 from tsobs_ros.report.series import Series, align, hold, interpolate_motion
 
 SECOND = 1_000_000_000
@@ -139,16 +139,6 @@ def test_of_a_looped_bag_the_longest_pass_is_read(short, messages_of, write_bag)
     assert len(run.stamps) == 200
     np.testing.assert_array_equal(run.states, short.states)
     np.testing.assert_array_equal(run.truth.values, short.truth.values)
-
-
-def test_restarts_are_told_from_stragglers() -> None:
-    first = [k * SECOND // 10 for k in range(1, 61)]
-
-    assert restarts(first) == []
-    assert restarts([*first, first[0], *(s + 6 * SECOND for s in first)]) == []
-    assert restarts([*first, *first, *first]) == [60, 120]
-    assert restarts([*first[:50], 0, *first[50:]]) == []  # a zero stamp is no time at all
-    assert restarts([*first, *(s - SECOND // 2 for s in first[56:])]) == []  # merely late
 
 
 def test_interpolated_motion_keeps_the_documented_error() -> None:

@@ -6,7 +6,7 @@ The reference has the same model, disturbance states and noise densities as the 
 gain is the Kalman gain along its own estimate for ever. It has no gates and no health logic.
 """
 
-from collections.abc import Iterator
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,12 +14,16 @@ import numpy as np
 
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.observer import GainMode
-from tsobs_ros.estimation.records import Estimate, Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.offline.replay import Estimated, Replay, Used
+from tsobs_ros.offline.samples import Samples
+from tsobs_ros.offline.schedule import Schedule
+from tsobs_ros.offline.table import EstimateTable
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
 from tsobs_ros.report.run import RecordedRun
-from tsobs_ros.report.series import Series
+from tsobs_ros.report.series import Series, Stamps
 
 
 @dataclass(frozen=True)
@@ -82,48 +86,53 @@ def rerun(run: RecordedRun, observer: Estimator[Any], x_max: float) -> RecordedR
         observer: The other observer.
         x_max: Half width of its domain [rad].
     """
-    tracker = Tracker(observer, TrackerOptions(x_max=x_max))
-    innovations: list[Innovation] = []
-    waiting = _in_order_of_arrival(run)
-    upcoming = next(waiting, None)
-    estimates: list[Estimate | None] = []
-    for stamp in run.stamps.tolist():
-        while upcoming is not None and upcoming.stamp <= stamp:
-            outcome = tracker.offer(upcoming, now=stamp)
-            if isinstance(outcome, Innovation):
-                innovations.append(outcome)
-            upcoming = next(waiting, None)
-        estimates.append(tracker.estimate(stamp))
-    return _with_estimates(run, estimates, innovations)
+    samples = _known_samples(run)
+    trackers = JointTrackers([Tracker(observer, TrackerOptions(x_max=x_max))])
+    known = np.searchsorted(np.maximum.accumulate(samples.stamps), run.stamps, side="right")
+    schedule = Schedule(
+        stamps=run.stamps,
+        now=run.stamps,
+        least=known,
+        most=known,
+        afresh=np.full(len(run.stamps), -1),
+        log_times=run.stamps,
+        publish_times=run.stamps,
+    )
+    table = EstimateTable(len(run.stamps), samples.count, 1)
+    for event in Replay(trackers, samples, schedule, stale_after=math.inf).run():
+        match event:
+            case Estimated(tick, estimates):
+                table.add_estimates(tick, estimates)
+            case Used(_, message, outcomes):
+                table.add_innovations(message, outcomes)
+    return replace(run, **estimates_of(table, samples.stamps))
 
 
-def _in_order_of_arrival(run: RecordedRun) -> Iterator[Measurement]:
-    """Yield the measurements but those that no estimate could know of."""
-    last = int(run.stamps[-1])
-    stamps, values = run.measurements
-    for stamp, (y, u) in zip(stamps.tolist(), values, strict=True):
-        if stamp <= last:
-            yield Measurement(stamp, np.array([y]), np.array([u]))
+def estimates_of(table: EstimateTable, stamps: Stamps, joint: int = 0) -> dict[str, Any]:
+    """Return what a replay estimated of a joint, as a `RecordedRun` has it.
+
+    Args:
+        table: What it estimated.
+        stamps: Of the measurements [ns].
+        joint: Its index.
+    """
+    used = ~np.isnan(table.innovations[:, joint])
+    return {
+        "states": table.states[:, joint],
+        "state_bounds": table.state_bounds[:, joint],
+        "disturbance": table.disturbances[:, joint, 0],
+        "disturbance_bounds": table.disturbance_bounds[:, joint, 0],
+        "innovations": Series(stamps[used], table.innovations[used, joint, np.newaxis]).ordered(),
+    }
 
 
-def _with_estimates(
-    run: RecordedRun, estimates: list[Estimate | None], innovations: list[Innovation]
-) -> RecordedRun:
-    blank = np.full(4, np.nan)
-    states = [blank if one is None else one.state for one in estimates]
-    bounds = [blank if one is None else one.state_bound for one in estimates]
-    faults = [np.nan if one is None else one.disturbance.item() for one in estimates]
-    fault_bounds = [np.nan if one is None else one.disturbance_bound.item() for one in estimates]
-    return replace(
-        run,
-        states=np.array(states),
-        state_bounds=np.array(bounds),
-        disturbance=np.array(faults),
-        disturbance_bounds=np.array(fault_bounds),
-        innovations=Series(
-            np.array([one.stamp for one in innovations], dtype=np.int64),
-            np.array([one.value for one in innovations]).reshape(-1, 1),
-        ).ordered(),
+def _known_samples(run: RecordedRun) -> Samples:
+    """Return the measurements, but for those that no estimate could know of."""
+    known = run.measurements.stamps <= run.stamps[-1]
+    stamps, values = (array[known] for array in run.measurements)
+    there = np.ones((len(stamps), 1), np.bool_)
+    return Samples(
+        stamps, stamps, stamps, values[:, :1], values[:, 1:], named=there, complete=there
     )
 
 

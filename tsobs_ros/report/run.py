@@ -2,26 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as plain arrays, read from a bag."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from tsobs_ros.bag.joint_series import Wanted, read_joint_series
+from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
+from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.offline.samples import passes
 from tsobs_ros.report.series import Series, Stamps, align, hold, interpolate_motion
-
-_JOINT_STATE = "sensor_msgs/msg/JointState"
-_NANOSECONDS = 1_000_000_000
-# Stamps this far back are not late any more: the run began anew (a looped bag, a new simulation).
-_RESTART = _NANOSECONDS
-# So many messages in a row must lie back, for a single straggler is not a new run.
-_RESTART_MESSAGES = 10
 
 
 @dataclass(frozen=True)
@@ -66,7 +61,7 @@ class RecordedRun:
     @cached_property
     def times(self) -> Array:
         """Times of the estimates since the origin [s], shape (m,)."""
-        return np.asarray((self.stamps - self.origin) / _NANOSECONDS, dtype=np.float64)
+        return np.asarray((self.stamps - self.origin) / NANOSECONDS, dtype=np.float64)
 
     @cached_property
     def true_states(self) -> Array | None:
@@ -163,48 +158,22 @@ def _find(reader: BagReader, suffix: str, namespace: str | None) -> str | None:
             f"{reader.path}: several topics end in {suffix}: {', '.join(matches)}; choose one by "
             "its namespace"
         )
-    if matches and (type_ := reader.topics[matches[0]].type) != _JOINT_STATE:
-        raise BagReadError(f"{reader.path}: {matches[0]} is {type_}, expected {_JOINT_STATE}")
+    if matches and (type_ := reader.topics[matches[0]].type) != JOINT_STATE:
+        raise BagReadError(f"{reader.path}: {matches[0]} is {type_}, expected {JOINT_STATE}")
     return matches[0] if matches else None
 
 
 def _read(reader: BagReader, topics: dict[str, _Topic]) -> dict[str, _Stream]:
-    log_times: dict[str, list[int]] = {name: [] for name in topics}
-    stamps: dict[str, list[int]] = {name: [] for name in topics}
-    rows: dict[str, list[list[float]]] = {name: [] for name in topics}
-    for name, _, message, log_time, _ in reader.decoded(list(topics)):
-        row = _row(message, topics[name])
-        if row is not None:
-            stamp = message.header.stamp
-            log_times[name].append(log_time)
-            stamps[name].append(stamp.sec * _NANOSECONDS + stamp.nanosec)
-            rows[name].append(row)
-    return {
-        name: _Stream(
-            np.array(log_times[name], dtype=np.int64),
-            Series(
-                np.array(stamps[name], dtype=np.int64),
-                np.array(rows[name], dtype=np.float64).reshape(
-                    -1, len(topic.names) * len(topic.fields)
-                ),
-            ),
+    wanted = {name: Wanted(topic.names, topic.fields) for name, topic in topics.items()}
+    streams = {}
+    for name, series in read_joint_series(reader, wanted).items():
+        topic = topics[name]
+        named = series.named.all(axis=1)
+        values = series.values.reshape(series.count, len(topic.names) * len(topic.fields))
+        streams[name] = _Stream(
+            series.log_times[named], Series(series.stamps[named], values[named])
         )
-        for name, topic in topics.items()
-    }
-
-
-def _row(message: Any, topic: _Topic) -> list[float] | None:
-    """Return the fields of the joint in a message, NaN for those left empty."""
-    try:
-        places = [message.name.index(name) for name in topic.names]
-    except ValueError:
-        return None
-    columns = [getattr(message, field) for field in topic.fields]
-    return [
-        column[place] if place < len(column) else float("nan")
-        for place in places
-        for column in columns
-    ]
+    return streams
 
 
 def _longest_pass(streams: dict[str, _Stream]) -> tuple[dict[str, Series], int]:
@@ -222,23 +191,11 @@ def _longest_pass(streams: dict[str, _Stream]) -> tuple[dict[str, Series], int]:
 
 
 def _passes(stream: _Stream) -> list[_Stream]:
-    borders = [0, *restarts(stream.series.stamps.tolist()), len(stream.log_times)]
+    stamps, values = stream.series
     return [
-        _Stream(stream.log_times[a:b], Series(stream.series.stamps[a:b], stream.series.values[a:b]))
-        for a, b in pairwise(borders)
+        _Stream(stream.log_times[a:b], Series(stamps[a:b], values[a:b]))
+        for a, b in passes(stamps.tolist())
     ]
-
-
-def restarts(stamps: Sequence[int]) -> list[int]:
-    """Return where stamps [ns] begin anew: back by more than a second, and staying back."""
-    found, highest = [], 0
-    for place, stamp in enumerate(stamps):
-        floor = highest - _RESTART
-        if 0 < stamp < floor and max(stamps[place : place + _RESTART_MESSAGES]) < floor:
-            found.append(place)
-            highest = stamp
-        highest = max(highest, stamp)
-    return found
 
 
 def _assemble(bag: Path, joint: str, chosen: dict[str, Series], passes: int) -> RecordedRun:
