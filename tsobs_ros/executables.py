@@ -3,15 +3,16 @@
 """Entry points of the node executables; light, so that signals are caught before heavy imports.
 
 Importing numpy and rclpy takes a second on a busy machine, and a signal in that time would end the
-process with a traceback or a failure. So each entry point first raises a flag on signals and only
-then imports its node module ``tsobs_ros.nodes.<name>``, whose ``create()`` makes the node.
+process with a traceback or a failure. So each entry point first sees to it that signals end the
+process in peace, and only then imports its node module ``tsobs_ros.nodes.<name>``, whose
+``create()`` makes the node. From there on a signal raises a flag.
 """
 
 import sys
 from functools import partial
 from importlib import import_module
 
-from tsobs_ros.stop import StopFlag
+from tsobs_ros.stop import StopFlag, end_at_once
 
 # Time for the interpreter's own shutdown, which may still destroy a participant.
 _FINALISE_TIMEOUT = 5.0
@@ -26,8 +27,7 @@ def run(name: str) -> int:
     Returns:
         The process's exit code: 0 after a clean end, 1 after an error.
     """
-    stop = StopFlag()
-    stop.install()
+    end_at_once()
     try:
         module = import_module(f"tsobs_ros.nodes.{name}")
         runtime = import_module("tsobs_ros.nodes.runtime")
@@ -41,7 +41,9 @@ def run(name: str) -> int:
             file=sys.stderr,
         )
         return 1
-    exit_code: int = 0 if stop() else runtime.run(module.create, stop=stop)
+    stop = StopFlag()
+    stop.install()
+    exit_code: int = runtime.run(module.create, stop=stop)
     stop.ignore_further()
     guard.arm(_FINALISE_TIMEOUT, exit_code)
     return exit_code

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A flag that SIGINT and SIGTERM raise; imports nothing heavy, so it can be in place early.
+"""What SIGINT and SIGTERM do; imports nothing heavy, so it can be in place early.
 
 Not even typing, which alone takes four times as long as everything else up to the first handler:
 a signal that comes before kills the process.
@@ -8,6 +8,7 @@ a signal that comes before kills the process.
 
 from __future__ import annotations
 
+import os
 import signal
 
 TYPE_CHECKING = False
@@ -16,6 +17,12 @@ if TYPE_CHECKING:
     from typing import Any, Self
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def end_at_once() -> None:
+    """Let the signals end the process with exit code 0 while nothing has begun."""
+    for number in _SIGNALS:
+        signal.signal(number, lambda _number, _frame: os._exit(0))
 
 
 class StopFlag:
