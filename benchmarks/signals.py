@@ -1,0 +1,316 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Do the executables end cleanly on SIGINT and SIGTERM, whenever they come?
+
+Starts each executable again and again, alone and in pairs that are stopped together, and signals it
+at a random time: while the interpreter starts, during the imports, while it joins the middleware,
+while it works; often a second time shortly after, while it ends. Clean is exit code 0, without a
+traceback or an error in the output. Every deviation is printed with its output.
+
+A signal that comes before an executable has its handlers in place, in the interpreter's own
+start-up, ends the process as it ends any: such signals are told apart by the process's signal mask
+in /proc just before they are sent, and counted by themselves.
+"""
+
+import argparse
+import os
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from common import parser, show
+from tqdm import tqdm
+
+from tsobs_ros.bag.writer import BagWriter
+
+EXECUTABLES = ("plant_simulator", "observer", "recorder", "player")
+# A hang in Fast DDS is ended after 5 s; this is for one that is not.
+STOP_TIMEOUT = 30.0
+FIRST_DOMAIN = 60
+BAD_OUTPUT = ("Traceback", "\nerror", "[ERROR]", "[FATAL]")
+
+
+@dataclass(frozen=True)
+class Stop:
+    """How one process ended.
+
+    Attributes:
+        what: The executable, and with which other it was stopped.
+        signals: The signals by name, in order.
+        after: When the first came, from the process's start [s].
+        early: Whether it came before the handlers were in place.
+        took: From the first signal to the end [s].
+        exit_code: Negative when a signal ended it.
+        output: Everything it printed.
+    """
+
+    what: str
+    signals: tuple[str, ...]
+    after: float
+    early: bool
+    took: float
+    exit_code: int
+    output: str
+
+    @property
+    def clean(self) -> bool:
+        """Whether it ended as it should."""
+        return self.exit_code == 0 and not any(bad in f"\n{self.output}" for bad in BAD_OUTPUT)
+
+
+class Process:
+    """One executable as a child process.
+
+    Args:
+        name: Its name.
+        parameters: ROS parameters by name.
+        domain: ROS domain.
+        folder: Of logs and of the output, which goes to a file so that no pipe can fill up.
+    """
+
+    def __init__(self, name: str, parameters: dict[str, Any], domain: int, folder: Path) -> None:
+        self.name = name
+        command = [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args"]
+        for key, value in parameters.items():
+            command += ["-p", f"{key}:={value}"]
+        environment = {
+            **os.environ,
+            "PYTHONUNBUFFERED": "1",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_LOG_DIR": str(folder),
+        }
+        self._log = folder / f"{name}.log"
+        self.began = time.monotonic()
+        with self._log.open("wb") as output:
+            self._process = subprocess.Popen(
+                command,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
+    @property
+    def listens(self) -> bool:
+        """Whether SIGTERM is caught or ignored, which no interpreter does by itself."""
+        text = Path(f"/proc/{self._process.pid}/status").read_text(encoding="ascii")
+        masks = dict(line.split(":\t", 1) for line in text.splitlines())
+        handled = int(masks["SigCgt"], 16) | int(masks["SigIgn"], 16)
+        return bool(handled >> (signal.SIGTERM - 1) & 1)
+
+    def signal(self, number: int) -> None:
+        """Send a signal, unless it has ended."""
+        self._process.send_signal(number)
+
+    def finish(self, deadline: float) -> tuple[int, str]:
+        """Return the exit code and the output; what hangs is killed."""
+        try:
+            self._process.wait(max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        return self._process.returncode, self._log.read_text(encoding="utf-8", errors="replace")
+
+
+def parameters_of(name: str, folder: Path, bag: Path) -> dict[str, Any]:
+    """Return what an executable needs to work until it is stopped."""
+    if name == "recorder":
+        return {"output": folder / "bag", "flush_period": 0.1}
+    if name == "player":
+        return {"bag": bag, "loop": "true", "wait_for_subscribers": 0}
+    return {}
+
+
+def stop_once(
+    names: Sequence[str], chance: random.Random, until: float, bag: Path, domain: int
+) -> list[Stop]:
+    """Start executables, signal them together at a random time, and see how they end."""
+    number = chance.choice([signal.SIGINT, signal.SIGTERM])
+    after = chance.uniform(0.0, until)
+    again = [
+        (chance.expovariate(1 / 0.15), chance.choice([signal.SIGINT, signal.SIGTERM]))
+        for _ in range(chance.choice([0, 0, 1, 2]))
+    ]
+    with tempfile.TemporaryDirectory(prefix="tsobs_signals_") as name:
+        folder = Path(name)
+        processes = [Process(n, parameters_of(n, folder, bag), domain, folder) for n in names]
+        time.sleep(after)
+        early = [process.running and not process.listens for process in processes]
+        signalled = time.monotonic()
+        for process in processes:
+            process.signal(number)
+        for pause, other in again:
+            time.sleep(pause)
+            for process in processes:
+                process.signal(other)
+        ended: dict[int, float] = {}
+        while len(ended) < len(processes) and time.monotonic() < signalled + STOP_TIMEOUT:
+            for index, process in enumerate(processes):
+                if index not in ended and not process.running:
+                    ended[index] = time.monotonic() - signalled
+            time.sleep(0.002)
+        stops = []
+        for index, process in enumerate(processes):
+            exit_code, output = process.finish(signalled + STOP_TIMEOUT)
+            others = [other for other in names if other != process.name]
+            stops.append(
+                Stop(
+                    what=" with ".join([process.name, *others]),
+                    signals=tuple(signal.Signals(n).name for n in (number, *(o for _, o in again))),
+                    after=signalled - process.began,
+                    early=early[index],
+                    took=ended.get(index, STOP_TIMEOUT),
+                    exit_code=exit_code,
+                    output=output,
+                )
+            )
+    return stops
+
+
+def window(name: str, bag: Path, domain: int) -> float:
+    """Return how long a signal would still kill an executable that was just started [s]."""
+    with tempfile.TemporaryDirectory(prefix="tsobs_signals_") as folder:
+        process = Process(name, parameters_of(name, Path(folder), bag), domain, Path(folder))
+        while not process.listens:
+            time.sleep(0.0005)
+        took = time.monotonic() - process.began
+        process.signal(signal.SIGTERM)
+        process.finish(time.monotonic() + STOP_TIMEOUT)
+    return took
+
+
+def make_bag(path: Path) -> Path:
+    """Write a bag of a second for the player."""
+    with BagWriter(path) as writer:
+        writer.add_topic("/chatter", "std_msgs/msg/String")
+        for index in range(100):
+            data = b"\x00\x01\x00\x00\x02\x00\x00\x00x\x00"
+            stamp = 10**18 + index * 10**7
+            writer.write("/chatter", data, stamp, stamp)
+    return path
+
+
+def rows(stops: Iterable[Stop], windows: dict[str, list[float]]) -> list[dict[str, Any]]:
+    """Summarise the stops of each kind."""
+    kinds: dict[str, list[Stop]] = {}
+    for stop in stops:
+        kinds.setdefault(stop.what, []).append(stop)
+    found = []
+    for what, those in kinds.items():
+        caught = [stop for stop in those if not stop.early]
+        took = [stop.took for stop in caught] or [0.0]
+        found.append(
+            {
+                "what": what,
+                "signals": sum(len(stop.signals) for stop in those),
+                "processes": len(those),
+                "early": len(those) - len(caught),
+                "exit codes of early": dict(Counter(s.exit_code for s in those if s.early)),
+                "clean": sum(stop.clean for stop in caught),
+                "deviations": sum(not stop.clean for stop in caught),
+                "median stop [s]": statistics.median(took),
+                "slowest stop [s]": max(took),
+                "deaf at start [s]": statistics.median(windows[what]) if what in windows else None,
+            }
+        )
+    return found
+
+
+def text(table: Sequence[dict[str, Any]], deviations: Sequence[Stop]) -> str:
+    """Lay the results out for people."""
+    lines = [
+        f"{'':34}{'processes':>10}{'signals':>9}{'clean':>7}{'deviate':>9}{'early':>7}"
+        f"{'stop p50':>10}{'slowest':>9}{'deaf for':>10}"
+    ]
+    for row in table:
+        deaf = row["deaf at start [s]"]
+        lines.append(
+            f"{row['what']:34}{row['processes']:>10}{row['signals']:>9}{row['clean']:>7}"
+            f"{row['deviations']:>9}{row['early']:>7}{row['median stop [s]']:>8.2f} s"
+            f"{row['slowest stop [s]']:>7.2f} s"
+            + (f"{deaf * 1e3:>7.0f} ms" if deaf is not None else "")
+        )
+    for stop in deviations:
+        lines += [
+            f"\n{stop.what}: {', '.join(stop.signals)} after {stop.after:.3f} s: exit code "
+            f"{stop.exit_code} after {stop.took:.2f} s, and its output was",
+            *(f"    {line}" for line in stop.output.splitlines() or ["nothing"]),
+        ]
+    return "\n".join(lines)
+
+
+def arguments() -> argparse.Namespace:
+    """Read the command line."""
+    made = parser(__doc__)
+    made.add_argument("-n", "--stops", type=int, default=100, help="of each executable alone")
+    made.add_argument("--pairs", type=int, default=50, help="stops of each pair together")
+    made.add_argument("--until", type=float, default=3.0, help="latest first signal [s]")
+    made.add_argument("--jobs", type=int, default=2, help="stops at the same time")
+    made.add_argument("--seed", type=int, default=1)
+    made.add_argument("--only", nargs="+", choices=EXECUTABLES, default=EXECUTABLES)
+    return made.parse_args()
+
+
+def main() -> int:
+    """Run the benchmark.
+
+    Returns:
+        1 if any process ended otherwise than it should, else 0.
+    """
+    options = arguments()
+    names = [name for name in options.only if find_spec(f"tsobs_ros.nodes.{name}")]
+    kinds = [((name,), options.stops) for name in names]
+    if len(names) > 1:
+        # Each is in two pairs, once as the first to be signalled and once as the second.
+        kinds += [(pair, options.pairs) for pair in pairwise([*names, names[0]])]
+    free_domains: SimpleQueue[int] = SimpleQueue()
+    for domain in range(FIRST_DOMAIN, FIRST_DOMAIN + options.jobs):
+        free_domains.put(domain)
+    with tempfile.TemporaryDirectory(prefix="tsobs_signals_") as folder:
+        bag = make_bag(Path(folder) / "bag")
+        windows = {name: [window(name, bag, FIRST_DOMAIN) for _ in range(5)] for name in names}
+
+        def stop(case: tuple[Sequence[str], int]) -> list[Stop]:
+            domain = free_domains.get()
+            try:
+                chance = random.Random(f"{options.seed} {case}")
+                return stop_once(case[0], chance, options.until, bag, domain)
+            finally:
+                free_domains.put(domain)
+
+        cases = [(kind, index) for kind, number in kinds for index in range(number)]
+        with ThreadPoolExecutor(options.jobs) as pool:
+            stops = [
+                one
+                for group in tqdm(pool.map(stop, cases), total=len(cases), disable=options.json)
+                for one in group
+            ]
+    table = rows(stops, windows)
+    deviations = [stop for stop in stops if not (stop.clean or stop.early)]
+    results = {"rows": table, "deviations": [asdict(stop) for stop in deviations]}
+    show(results, text(table, deviations), options.json)
+    return 1 if deviations else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
