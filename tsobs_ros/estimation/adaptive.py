@@ -21,6 +21,9 @@ import numpy as np
 from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.estimation.estimator import Correction, Readout
 from tsobs_ros.estimation.observer import ObserverState, TSObserver
+from tsobs_ros.estimation.output_model import OutputModel
+from tsobs_ros.estimation.regression import Explained, Regression, exceeds, spread_of
+from tsobs_ros.model.products import mapped, product, transposed
 from tsobs_ros.model.sensitivity import Uncertainty, sensitivity
 
 
@@ -95,10 +98,11 @@ class AdaptiveObserver:
         k = uncertainty.count
         self._C = observer.flow.output_matrix
         self._initial_gamma = np.eye(k) * self.options.initial_std**2
+        # None for several outputs, which take a general and slower way.
+        self.regression = Regression(self._C[0], uncertainty.limits) if len(self._C) == 1 else None
         self._limits: list[float] = uncertainty.limits.tolist()
         self._wander = np.eye(k) * self.options.wander_density
         self._sensitivity = sensitivity(observer.flow, uncertainty)
-        self._first_w = observer.flow.state_count - observer.flow.disturbance.state_count
 
     @property
     def period(self) -> float:
@@ -149,12 +153,20 @@ class AdaptiveObserver:
 
     def expect(self, state: AdaptiveState, y: Array) -> Correction:
         """Return the innovation, what is expected of it, and the gain; nothing is changed."""
-        innovation, spread, gain, *_ = self.observer.expect(state.observer, y)
+        known = self.observer.expect(state.observer, y)
+        if self.regression is not None:
+            explained = self.regression.explained(state.upsilon.T, state.gamma)
+            return self.expected(known, explained)
         omega = self._C @ state.upsilon
         cross = state.gamma @ omega.T
-        explained = omega @ cross
-        learning = (omega, cross, explained)
-        return Correction(innovation, spread + explained, gain, 1.0, learning)
+        learning = (omega, cross, omega @ cross)
+        return Correction(known.innovation, known.spread + learning[2], known.gain, 1.0, learning)
+
+    @staticmethod
+    def expected(known: Correction, explained: Explained) -> Correction:
+        """Return what is expected of one output, from that for known parameters."""
+        spread = known.spread + explained.variance
+        return Correction(known.innovation, spread, known.gain, 1.0, explained)
 
     def apply(
         self, state: AdaptiveState, correction: Correction, weight: float = 1.0, adapt: bool = True
@@ -168,9 +180,17 @@ class AdaptiveObserver:
             adapt: Whether θ may learn from it.
         """
         observer = self.observer.apply(state.observer, correction, weight)
-        adapt = adapt and weight >= 1.0 and state.age >= self.options.start
-        take = self._apply_one if len(self._C) == 1 else self._apply_many
+        adapt = adapt and self.learns(state, weight)
+        take = self._apply_many if self.regression is None else self._apply_one
         return take(state, observer, correction, adapt)
+
+    def learns(self, state: AdaptiveState, weight: float) -> bool:
+        """Return whether θ learns from a correction of which a share is applied."""
+        return weight >= 1.0 and state.age >= self.options.start
+
+    def doubt(self, state: AdaptiveState) -> float:
+        """Return κ ≥ 1, by how much the estimate is less certain than it will be."""
+        return max(1.0, self.observer.covariance_ratio(state.observer))
 
     def _apply_many(
         self, state: AdaptiveState, observer: ObserverState, correction: Correction, adapt: bool
@@ -182,7 +202,7 @@ class AdaptiveObserver:
         gram = state.gram + omega.T @ _solved(own_spread, omega)
         if not adapt:
             return AdaptiveState(observer, state.theta, state.gamma, upsilon, gram, state.age)
-        spread = own_spread * max(1.0, self.observer.covariance_ratio(state.observer)) + explained
+        spread = own_spread * self.doubt(state) + explained
         gain = _solved(spread, cross.T).T
         limits = self.uncertainty.limits
         theta = np.clip(state.theta + gain @ correction.innovation, -limits, limits)
@@ -196,28 +216,21 @@ class AdaptiveObserver:
         self, state: AdaptiveState, observer: ObserverState, correction: Correction, adapt: bool
     ) -> AdaptiveState:
         """Do the same for one output, quicker: quotients stand for inverses."""
-        omega, cross = correction.learning[0][0], correction.learning[1][:, 0]
-        explained = float(correction.learning[2][0, 0])
-        own_spread = float(correction.spread[0, 0]) - explained
-        upsilon = state.upsilon - correction.gain * omega
-        scaled = omega / math.sqrt(own_spread)
-        gram = state.gram + scaled[:, np.newaxis] * scaled
-        if not adapt:
-            return AdaptiveState(observer, state.theta, state.gamma, upsilon, gram, state.age)
-        spread = own_spread * max(1.0, self.observer.covariance_ratio(state.observer)) + explained
-        share = float(correction.innovation[0]) / spread
-        theta = np.array(
-            [
-                min(max(old + share * each, -most), most)
-                for old, each, most in zip(
-                    state.theta.tolist(), cross.tolist(), self._limits, strict=True
-                )
-            ]
+        regression, explained = self.regression, correction.learning
+        assert regression is not None
+        known = correction.spread[0] - explained.variance
+        rows, gram = regression.filtered(
+            state.upsilon.T, state.gram, correction.gain, explained, known
         )
-        x = observer.x + upsilon @ (theta - state.theta)
-        root = cross / math.sqrt(spread)
-        gamma = state.gamma - root[:, np.newaxis] * root
-        return AdaptiveState(observer._replace(x=x), theta, gamma, upsilon, gram, state.age)
+        if not adapt:
+            return AdaptiveState(observer, state.theta, state.gamma, rows.T, gram, state.age)
+        spread = known * self.doubt(state) + explained.variance
+        theta, gamma = regression.learnt(
+            state.theta, state.gamma, correction.innovation, explained, spread
+        )
+        x = observer.x + mapped(rows.T, theta - state.theta)
+        observer = ObserverState(x, *observer[1:])
+        return AdaptiveState(observer, theta, gamma, rows.T, gram, state.age)
 
     def predict(self, state: AdaptiveState, u: Array, duration: float) -> AdaptiveState:
         """Predict over `duration` [s] with the inputs u, shape (m,), held."""
@@ -239,24 +252,37 @@ class AdaptiveObserver:
 
     def valid(self, state: AdaptiveState) -> bool:
         """Return whether the motion has been rich enough for θ to be believed."""
-        if not self.uncertainty.count:
-            return False
-        return bool(np.linalg.eigvalsh(state.gram)[0] >= self.options.excitation)
+        return self.uncertainty.count > 0 and exceeds(state.gram.tolist(), self.options.excitation)
 
     def readout(self, state: AdaptiveState) -> Readout:
         """Return the estimate; its bound has what the uncertain parameters add to it."""
-        flow, readout = self.observer.flow, self.observer.readout(state.observer)
-        # x − x̂ is the observer's own error plus Υ(θ − θ̂).
-        spread = state.upsilon @ state.gamma @ state.upsilon.T
-        added = flow.to_physical(np.sqrt(np.maximum(np.diagonal(spread), 0.0)))
-        H = flow.disturbance.H
-        added_disturbance = np.diagonal(H @ spread[self._first_w :, self._first_w :] @ H.T)
-        return readout._replace(
-            state_bound=np.hypot(readout.state_bound, added),
-            disturbance_bound=np.sqrt(readout.disturbance_bound**2 + added_disturbance),
+        return self.reported(
+            state,
+            self.observer.readout(state.observer),
+            *added_variances(state.upsilon.T, state.gamma, self.observer.output),
+        )
+
+    def reported(
+        self, state: AdaptiveState, readout: Readout, added: Array, added_disturbance: Array
+    ) -> Readout:
+        """Return the readout of the observer with what is learnt.
+
+        Args:
+            state: What is read.
+            readout: Of the observer underneath.
+            added: Variance of x̂ from the uncertain parameters, shape (n,).
+            added_disturbance: That of the disturbance, shape (p,).
+        """
+        added_std = self.observer.flow.to_physical(np.sqrt(added))
+        return Readout(
+            readout.state,
+            np.hypot(readout.state_bound, added_std),
+            readout.disturbance,
+            readout.disturbance_rate,
+            np.sqrt(readout.disturbance_bound**2 + added_disturbance),
             certified=readout.certified and self.covered,
             parameters=state.theta,
-            parameter_bound=np.sqrt(np.diagonal(state.gamma)),
+            parameter_bound=np.sqrt(state.gamma.diagonal()),
             parameters_valid=self.valid(state),
         )
 
@@ -266,7 +292,7 @@ class AdaptiveObserver:
 
     def _capped(self, gamma: Array) -> Array:
         """Return Γ shrunk so that no variance exceeds the initial one."""
-        variance = np.diagonal(gamma)
+        variance = gamma.diagonal()
         most = self.options.initial_std**2
         if max(variance.tolist(), default=0.0) <= most:
             return gamma
@@ -293,3 +319,19 @@ def _solved(spread: Array, right: Array) -> Array:
     if spread.shape == (1, 1):
         return np.asarray(right / spread[0, 0])
     return np.asarray(np.linalg.solve(spread, right), dtype=np.float64)
+
+
+def added_variances(rows: Array, gamma: Array, output: OutputModel) -> tuple[Array, Array]:
+    """Return what θ's uncertainty adds to the variances of x̂ and of the disturbance.
+
+    For x − x̂ is the observer's own error plus Υ(θ − θ̂). A stack has a leading axis.
+
+    Args:
+        rows: Υᵀ, shape (k, n).
+        gamma: Γ, shape (k, k).
+        output: Of the observer.
+    """
+    exosystem = rows[..., rows.shape[-1] - output.H.shape[-1] :]
+    # No variance of a rounding error below zero.
+    added = np.maximum(spread_of(rows, gamma), 0.0)
+    return added, np.maximum(spread_of(product(exosystem, transposed(output.H)), gamma), 0.0)

@@ -32,3 +32,10 @@ def mapped(matrix: Array, x: Array) -> Array:
 def transposed(matrix: NDArray[np.floating[Any]]) -> Array:
     """Return Mᵀ of each matrix, shape (..., n, m)."""
     return np.asarray(matrix.T if matrix.ndim == 2 else matrix.swapaxes(-1, -2))
+
+
+def product(left: Array, right: Array) -> Array:
+    """Return the product of two matrices, or of each two of a stack."""
+    if left.ndim == right.ndim == 2:
+        return np.asarray(left.dot(right))
+    return np.asarray(left @ right)
