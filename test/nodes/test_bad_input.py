@@ -10,11 +10,20 @@ from faults.arm import Arm
 from faults.kinds import KINDS
 from faults.script import Kind, complaints
 from faults.stage import Stage
+from rclpy.qos import (
+    DurabilityPolicy,
+    LivelinessPolicy,
+    QoSCompatibility,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_check_compatible,
+)
 
 from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.nodes.observer_io import MEASUREMENT_QOS
 
 BEGIN = 100 * NANOSECONDS
-RATE = 50.0
+RATE = 25.0
 PERIOD = round(NANOSECONDS / RATE)
 
 
@@ -23,6 +32,20 @@ def stage(ros: Any) -> Iterator[Stage]:
     stage = Stage(ros)
     yield stage
     stage.close()
+
+
+def test_no_publisher_is_incompatible() -> None:
+    """Sensor data QoS asks for nothing, so there is no QoS that a sensor could get wrong."""
+    offers = [
+        QoSProfile(depth=1, reliability=reliability, durability=durability, liveliness=liveliness)
+        for reliability in (ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE)
+        for durability in (DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL)
+        for liveliness in (LivelinessPolicy.AUTOMATIC, LivelinessPolicy.MANUAL_BY_TOPIC)
+    ]
+    for offer in offers:
+        compatible, reason = qos_check_compatible(offer, MEASUREMENT_QOS)
+        # A warning is for what it leaves to the system's default.
+        assert compatible != QoSCompatibility.ERROR, reason
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))

@@ -6,6 +6,7 @@ Messages are read and written as the bytes on the wire. Building, converting and
 message objects would cost more than all that is estimated.
 """
 
+import reprlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -76,7 +77,9 @@ class MeasurementReader:
         except MessageError as error:
             return f"not a JointState: {error}"
         if joint not in message.names:
-            return f"expected {', '.join(self._joints)}; got names {list(message.names)}"
+            # Whoever sends it decides how many names there are, and how long.
+            names = reprlib.repr(list(message.names))
+            return f"expected {', '.join(self._joints)}; got names {names}"
         place, said = message.names.index(joint), f"stamp {message.stamp * 1e-9:.3f}"
         for field in ("position", "effort"):
             numbers = getattr(message, field)

@@ -5,10 +5,10 @@
 from collections.abc import Iterator
 
 import numpy as np
-from faults.arm import SECONDS, Arm
-from faults.script import Event, Fate, Sender, good, kind
 from std_msgs.msg import Float64MultiArray
 
+from faults.arm import SECONDS, Arm
+from faults.script import Event, Fate, Sender, good, kind
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 
 _FAMILY = "arrival"

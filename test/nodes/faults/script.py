@@ -9,9 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from faults.arm import Arm
-
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
-
 
 _LONG = 7 * NANOSECONDS
 
@@ -124,7 +122,7 @@ def steps(
 ) -> Iterator[tuple[int, list[Event]]]:
     """Cut events into what is sent until each of evenly spaced instants; leap over long silence."""
     place, silent_since = 0, begin
-    for now in range(begin, end + 1, period):
+    for now in range(begin, end + period, period):
         first = place
         while place < len(events) and events[place].at <= now:
             place += 1

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
-from faults.script import Event, Sender
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+
+from faults.script import Event, Sender
 
 _DEPTH = 5000
 SENSOR_QOS = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from faults.arm import Arm
-from faults.script import Event, Fate, Sender, kind
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
+from faults.arm import Arm
+from faults.script import Event, Fate, Sender, kind
 from tsobs_ros.estimation.records import RejectReason
 
 _FAMILY = "message"
@@ -95,14 +95,12 @@ def thousands_of_joints(arm: Arm, begin: int) -> Iterator[Event]:
 def thousands_of_foreign_joints(arm: Arm, begin: int) -> Iterator[Event]:
     """Three thousand joints, none of them ours: rejected, in a line that stays short."""
     others = [f"joint_{index}" for index in range(_MANY)]
-    return _changed(
-        arm, begin, RejectReason.WRONG_JOINT, 0.05, name=others, position=[0.0] * _MANY
-    )
+    return _changed(arm, begin, RejectReason.WRONG_JOINT, 0.05, name=others, position=[0.0] * _MANY)
 
 
 @kind(_FAMILY)
 def very_long_name(arm: Arm, begin: int) -> Iterator[Event]:
-    """A joint whose name is a hundred thousand letters long: rejected, in a line that stays short."""
+    """A joint with a name of a hundred thousand letters: rejected, in a line that stays short."""
     return _changed(arm, begin, RejectReason.WRONG_JOINT, 0.05, name=["x" * 100_000])
 
 

@@ -2,20 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Observers in the process of a test, under a time that only the test lets pass.
 
-Nothing waits and nothing races: what is published in one process is in every queue when `publish`
-returns, time is where the test has put it, and a step ends when every tick that it made due is done.
+Nothing waits and nothing races: what is published in one process is in every queue of it when
+`publish` returns, time is where the test has put it, and a step ends when all ticks that it made
+due are done.
 """
 
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from faults.script import Counts, Event, Sender, steps
-from faults.senders import Senders
-from faults.watcher import Watcher
 from rclpy.clock import ClockType
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
+from faults.script import Counts, Event, Sender, steps
+from faults.senders import Senders
+from faults.watcher import Watcher
 from tsobs_ros.nodes.observer import create
 from tsobs_ros.nodes.stamps import to_stamp
 
@@ -83,8 +84,22 @@ class Stage:
             self.step(self.now)
         return observer
 
+    def remove(self, namespace: str) -> None:
+        """End an observer and what reads it."""
+        self.watchers.pop(namespace).close()
+        self.ros.remove(self.observers.pop(namespace))
+
+    def call(self, kind: Any, name: str, request: Any) -> Any:
+        """Call a service and return its answer."""
+        client = self.node.create_client(kind, name)
+        self.wait_until(client.service_is_ready, f"the service {name}")
+        future = client.call_async(request)
+        self.wait_until(future.done, f"the answer of {name}")
+        self.node.destroy_client(client)
+        return future.result()
+
     def play(self, events: Iterable[Event], until: int, period: int) -> None:
-        """Send events as their time comes, time going on by a period at a time."""
+        """Send events as their time comes, time going on by a period at a time, to `until` [ns]."""
         for now, batch in steps(list(events), self.now + period, until, period):
             self.step(now, batch)
 
@@ -127,5 +142,7 @@ class Stage:
 def _has_work(observer: Any) -> bool:
     """Return whether a tick is due: whoever spins runs a due timer and returns when it is done."""
     return any(
-        timer.is_ready() for timer in observer.timers if timer.clock.clock_type == ClockType.ROS_TIME
+        timer.is_ready()
+        for timer in observer.timers
+        if timer.clock.clock_type == ClockType.ROS_TIME
     )

@@ -5,9 +5,9 @@
 from collections.abc import Callable, Iterator
 
 from builtin_interfaces.msg import Time
+
 from faults.arm import Arm
 from faults.script import Event, Fate, kind
-
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 from tsobs_ros.nodes.stamps import to_stamp
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+
 from faults.arm import Arm
 from faults.script import Event, Fate, kind
-
 from tsobs_ros.estimation.records import RejectReason
 
 _FAMILY = "numbers"
@@ -32,7 +32,9 @@ def _torques(arm: Arm, begin: int, seconds: float, *torques: float) -> Iterator[
         yield Event(stamp, arm.message(stamp, effort=[torques[index % len(torques)]]), fate)
 
 
-def _shifted(arm: Arm, begin: int, seconds: float, by: float, scale: float = 1.0) -> Iterator[Event]:
+def _shifted(
+    arm: Arm, begin: int, seconds: float, by: float, scale: float = 1.0
+) -> Iterator[Event]:
     for stamp in arm.stamps(begin, seconds):
         angle = scale * float(arm.measurement(stamp).y[0]) + by
         yield Event(stamp, arm.message(stamp, position=[angle]), Fate.JUDGED)
@@ -78,7 +80,9 @@ def largest_torque(arm: Arm, begin: int) -> Iterator[Event]:
 def denormal_numbers(arm: Arm, begin: int) -> Iterator[Event]:
     """Angle and torque are the smallest doubles there are: numbers like any other."""
     for stamp in arm.stamps(begin, 0.025):
-        yield Event(stamp, arm.message(stamp, position=[_SMALLEST], effort=[-_SMALLEST]), Fate.JUDGED)
+        yield Event(
+            stamp, arm.message(stamp, position=[_SMALLEST], effort=[-_SMALLEST]), Fate.JUDGED
+        )
 
 
 @kind(_FAMILY, lasts=1.0)

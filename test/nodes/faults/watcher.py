@@ -8,11 +8,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from faults.arm import Arm
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
+from faults.arm import Arm
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.stamps import to_nanoseconds
 
@@ -29,21 +29,24 @@ class Watcher:
         broken: What should never have happened, in words.
         count: Messages on each topic.
         newest: The newest message on each topic.
+        keep: Called with topic and message, for tests that compare them.
 
     Args:
         node: Whose subscriptions they are.
         prefix: The observer's full name.
-        keep: Called with topic and message, for tests that compare them.
+        keep: See the attribute.
     """
 
     def __init__(
         self, node: Node, prefix: str, keep: Callable[[str, JointState], None] | None = None
     ) -> None:
         self._subscriptions = {
-            topic: DrainedSubscription(node, JointState, f"{prefix}/{topic}", QoSProfile(depth=5000))
+            topic: DrainedSubscription(
+                node, JointState, f"{prefix}/{topic}", QoSProfile(depth=5000)
+            )
             for topic in OUTPUTS
         }
-        self._keep = keep
+        self.keep = keep
         self.broken: list[str] = []
         self.count: Counter[str] = Counter()
         self.newest: dict[str, JointState] = {}
@@ -53,6 +56,11 @@ class Watcher:
     def matched(self) -> bool:
         """Whether all topics have a publisher."""
         return all(each.publisher_count for each in self._subscriptions.values())
+
+    def close(self) -> None:
+        """Stop reading."""
+        for subscription in self._subscriptions.values():
+            subscription.destroy()
 
     def time_began_anew(self) -> None:
         """Allow stamps to begin anew: the clock went back, or the observer was reset."""
@@ -66,8 +74,8 @@ class Watcher:
                 self._check(topic, message)
                 self.count[topic] += 1
                 self.newest[topic] = message
-                if self._keep is not None:
-                    self._keep(topic, message)
+                if self.keep is not None:
+                    self.keep(topic, message)
 
     def stamp(self, topic: str = "joint_states") -> int | None:
         """Return the newest stamp on a topic [ns]."""
