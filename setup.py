@@ -13,6 +13,7 @@ EXECUTABLES = {
     "plant_simulator": "tsobs_ros.executables:plant_simulator",
     "observer": "tsobs_ros.executables:observer",
     "recorder": "tsobs_ros.executables:recorder",
+    "player": "tsobs_ros.executables:player",
     "tsobs": "tsobs_ros.cli:main",
 }
 LAUNCHER = """#!/bin/sh
