@@ -10,9 +10,14 @@ from typing import Any
 
 import pytest
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 
-NODES = ["observer", "plant_simulator", "recorder"]
+from tsobs_ros.bag import BagWriter
+
+NODES = ["observer", "plant_simulator", "recorder", "player"]
 CYCLES = 50
+SECOND = 1_000_000_000
 # Fast DDS keeps some 2 kB of every entity there has been; a leaked publisher is a hundred times it.
 GROWTH_LIMIT_MIB = 1.5
 
@@ -23,6 +28,14 @@ def resident_mib() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
 
 
+def make_bag(path: Path) -> Path:
+    """Write a bag of one message."""
+    with BagWriter(path) as writer:
+        writer.add_topic("/chatter", "std_msgs/msg/String")
+        writer.write("/chatter", serialize_message(String(data="hello")), SECOND, SECOND)
+    return path
+
+
 @pytest.fixture(params=NODES)
 def manager(
     request: Any, ros: Any, manage: Callable[[Any], Any], tmp_path: Path, monkeypatch: Any
@@ -30,8 +43,10 @@ def manager(
     """Give a manager of each node, unconfigured; bags get dated names in the test's folder."""
     monkeypatch.chdir(tmp_path)
     module = import_module(f"tsobs_ros.nodes.{request.param}")
-    autostart = Parameter("autostart", value=False)
-    return manage(ros.add(module.create(context=ros.context, parameter_overrides=[autostart])))
+    overrides = [Parameter("autostart", value=False)]
+    if request.param == "player":
+        overrides.append(Parameter("bag", value=str(make_bag(tmp_path / "bag"))))
+    return manage(ros.add(module.create(context=ros.context, parameter_overrides=overrides)))
 
 
 def test_fifty_lives_leave_nothing_behind(manager: Any, ros: Any) -> None:
