@@ -72,6 +72,34 @@ def test_a_jump_of_the_clock_is_not_missed() -> None:
     assert meter.status().values["achieved rate [Hz]"] == "100.0"
 
 
+def test_a_clock_that_is_ahead_at_once_has_jumped() -> None:
+    meter = TickMeter(100.0)
+    tick(meter, 1000.0, 1010.0, 61010.0, 61020.0)
+    assert (meter.missed, meter.jumps) == (0, 1)
+    values = meter.status().values
+    assert (values["achieved rate [Hz]"], values["clock jumps ahead"]) == ("100.0", "1")
+
+
+def test_work_between_the_ticks_belongs_to_the_rate_and_makes_no_tick_missing() -> None:
+    meter = TickMeter(100.0)
+    for now, is_tick in ((0, True), (15, False), (30, False), (50, True), (60, True)):
+        meter.begin(now * 1_000_000, tick=is_tick)
+        meter.end()
+    assert meter.missed == 0
+    assert meter.status().values["achieved rate [Hz]"] == "66.7"
+
+
+def test_the_latency_is_told_where_there_is_one() -> None:
+    meter = TickMeter(100.0)
+    tick(meter, 0.0)
+    for latency in range(1, 101):
+        meter.answered(latency * 10_000)
+    values = meter.status().values
+    assert (values["latency p50 [ms]"], values["latency p99 [ms]"]) == ("0.500", "0.990")
+    tick(meter, 10.0)
+    assert "latency p50 [ms]" not in meter.status().values
+
+
 def test_the_tick_time_is_that_of_the_work() -> None:
     meter = TickMeter(0.001)
     for seconds in (0.0, 0.0, 0.0, 0.02):

@@ -1,0 +1,143 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What the observer reads from bytes is what rclpy would, and what it writes rclpy would write."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+from tsobs_ros.estimation.records import Estimate, Measurement, RejectReason
+from tsobs_ros.nodes.draining import DrainedSubscription
+from tsobs_ros.nodes.observer_io import EstimatePublisher, MeasurementReader
+from tsobs_ros.nodes.stamps import to_stamp
+
+WRONG = RejectReason.WRONG_JOINT
+JOINTS = ("hip", "knee")
+STAMP = 12_000_000_345
+
+
+def message(names: list[str], position: list[float], effort: list[float]) -> bytes:
+    state = JointState(name=names, position=position, effort=effort)
+    state.header.stamp = to_stamp(STAMP)
+    return bytes(serialize_message(state))
+
+
+def shown(read: list[Any]) -> list[Any]:
+    return [
+        (each.stamp, float(each.y[0]), float(each.u[0])) if isinstance(each, Measurement) else each
+        for each in read
+    ]
+
+
+@pytest.mark.parametrize(
+    ("names", "position", "effort", "expected"),
+    [
+        (["hip", "knee"], [1.0, 2.0], [3.0, 4.0], [(STAMP, 1.0, 3.0), (STAMP, 2.0, 4.0)]),
+        (["knee", "x", "hip"], [1.0, 2.0, 3.0], [4.0, 5.0, 6.0],
+         [(STAMP, 3.0, 6.0), (STAMP, 1.0, 4.0)]),
+        (["x", "knee"], [1.0, 2.0], [3.0, 4.0], [None, (STAMP, 2.0, 4.0)]),
+        (["hip", "hip"], [1.0, 2.0], [3.0, 4.0], [(STAMP, 1.0, 3.0), None]),
+        (["hip", "knee"], [1.0, 2.0], [3.0], [(STAMP, 1.0, 3.0), WRONG]),
+        (["hip", "knee"], [1.0], [3.0, 4.0], [(STAMP, 1.0, 3.0), WRONG]),
+        (["hip"], [1.0], [], [WRONG, None]),
+        (["x"], [1.0], [1.0], [WRONG, WRONG]),
+        ([], [], [], [WRONG, WRONG]),
+    ],
+)  # fmt: skip
+def test_each_joint_finds_its_sample(
+    names: list[str], position: list[float], effort: list[float], expected: list[Any]
+) -> None:
+    reader = MeasurementReader(JOINTS, assume_zero_torque=False)
+    data = message(names, position, effort)
+    for _ in range(2):  # the second time with what the reader remembers
+        assert shown(reader.read(data)) == expected
+
+
+def test_without_effort_torques_may_be_zero_but_not_where_some_are_missing() -> None:
+    reader = MeasurementReader(JOINTS, assume_zero_torque=True)
+    read = reader.read(message(["hip", "knee"], [1.0, 2.0], []))
+    assert shown(read) == [(STAMP, 1.0, 0.0), (STAMP, 2.0, 0.0)]
+    read = reader.read(message(["hip", "knee"], [1.0, 2.0], [3.0]))
+    assert shown(read) == [(STAMP, 1.0, 3.0), WRONG]
+
+
+def test_layouts_may_change_from_message_to_message_for_ever() -> None:
+    reader = MeasurementReader(JOINTS, assume_zero_torque=False)
+    for index in range(300):
+        names = [f"x{index}"] * (index % 5) + ["knee"]
+        read = reader.read(message(names, [float(index)] * len(names), [0.5] * len(names)))
+        assert shown(read) == [None, (STAMP, float(index), 0.5)]
+
+
+@given(data=st.binary(max_size=200))
+def test_any_bytes_are_read_or_refused(data: bytes) -> None:
+    reader = MeasurementReader(JOINTS, assume_zero_torque=False)
+    valid = message(["hip", "knee"], [1.0, 2.0], [3.0, 4.0])
+    for each in (data, valid[: len(data)], valid[: len(data) // 2] + data):
+        assert len(reader.read(each)) == len(JOINTS)
+        assert reader.describe(each, "hip")
+
+
+def estimate(scale: float, *, bounded: bool = True) -> Estimate:
+    one = np.array([scale])
+    none = np.zeros(0)
+    return Estimate(
+        stamp=STAMP,
+        state=scale * np.array([1.0, 2.0, 3.0, 4.0]),
+        state_bound=0.1 * scale * np.ones(4) if bounded else none,
+        disturbance=one,
+        disturbance_rate=0.0 * one,
+        disturbance_bound=0.01 * one if bounded else none,
+        certified=bounded,
+        parameters=np.array([scale, -scale]),
+        parameter_bound=np.array([0.5, 0.5]),
+        parameters_valid=bounded,
+        in_domain=True,
+        age=0.0,
+    )
+
+
+def test_what_is_published_is_what_rclpy_would_send(ros: Any) -> None:
+    node = ros.node("observer")
+    learnt = {"hip": ("stiffness", "gravity"), "knee": ("stiffness", "gravity")}
+    publisher = EstimatePublisher(node, learnt)
+    topics = ("joint_states", "error_bound", "disturbance", "disturbance_bound",
+              "parameters_estimate", "parameters_bound")  # fmt: skip
+    taken = {
+        topic: DrainedSubscription(
+            node, JointState, f"observer/{topic}", QoSProfile(depth=10), raw=True
+        )
+        for topic in topics
+    }
+    ros.spin_until(lambda: all(each.publisher_count for each in taken.values()), what="the match")
+
+    publisher.publish(STAMP, [estimate(1.0), estimate(2.0, bounded=False)])
+    came: dict[str, bytes] = {}
+
+    def all_there() -> bool:
+        came.update({topic: data for topic, each in taken.items() for data, _ in each.drain()})
+        return len(came) == len(topics)
+
+    ros.spin_until(all_there, what="the messages")
+    sides = ["hip_link", "hip_motor", "knee_link", "knee_motor"]
+    expected = {
+        "joint_states": (sides, [1.0, 3.0, 2.0, 6.0], [2.0, 4.0, 4.0, 8.0]),
+        "error_bound": (sides[:2], [0.1, 0.1], [0.1, 0.1]),
+        "disturbance": (["hip", "knee"], [1.0, 2.0], [0.0, 0.0]),
+        "disturbance_bound": (["hip"], [0.01], []),
+        "parameters_estimate": (["hip/stiffness", "hip/gravity"], [1.0, -1.0], []),
+        "parameters_bound": (["hip/stiffness", "hip/gravity"], [0.5, 0.5], []),
+    }
+    for topic, (names, position, velocity) in expected.items():
+        wanted = JointState(name=names, position=position, velocity=velocity)
+        wanted.header.stamp = to_stamp(STAMP)
+        assert deserialize_message(came[topic], JointState) == wanted
+        # rclpy appends what it had reserved for the alignment of each empty array.
+        empty = 1 + (not velocity)
+        assert len(serialize_message(wanted)) - len(came[topic]) <= 4 * empty
