@@ -1,13 +1,23 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A lifecycle manager: `manage(node)` drives a managed node of the test's graph by its services."""
+"""A lifecycle manager: `manage(node)` drives a managed node of the test's graph by its services.
+
+`manage("/name")` drives one in a process of its own.
+"""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
+
+from tsobs_ros.bag import BagWriter
+
+SECOND = 1_000_000_000
 
 
 class Manager:
@@ -15,17 +25,18 @@ class Manager:
 
     Args:
         ros: The test's graph.
-        node: The managed node.
+        node: The managed node, or its full name.
     """
 
     def __init__(self, ros: Any, node: Any) -> None:
         self._ros = ros
         self.node = node
+        self._name = node if isinstance(node, str) else node.get_fully_qualified_name()
         self.own = ros.node("manager")
 
     def call(self, srv_type: type, service: str, request: Any) -> Any:
         """Call a service of the node."""
-        name = f"{self.node.get_fully_qualified_name()}/{service}"
+        name = f"{self._name}/{service}"
         client = self.own.create_client(srv_type, name)
         self._ros.spin_until(client.service_is_ready, what=f"the service {name}")
         future = client.call_async(request)
@@ -76,3 +87,12 @@ class Manager:
 def manage(ros: Any) -> Callable[[Any], Manager]:
     """Give what drives a node of the test's graph."""
     return lambda node: Manager(ros, node)
+
+
+@pytest.fixture
+def small_bag(tmp_path: Path) -> Path:
+    """A bag of one message, for a player."""
+    with BagWriter(tmp_path / "small_bag") as writer:
+        writer.add_topic("/chatter", "std_msgs/msg/String")
+        writer.write("/chatter", serialize_message(String(data="hello")), SECOND, SECOND)
+    return writer.path

@@ -10,14 +10,9 @@ from typing import Any
 
 import pytest
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
-from std_msgs.msg import String
-
-from tsobs_ros.bag import BagWriter
 
 NODES = ["observer", "plant_simulator", "recorder", "player"]
 CYCLES = 50
-SECOND = 1_000_000_000
 # Fast DDS keeps some 2 kB of every entity there has been; a leaked publisher is a hundred times it.
 GROWTH_LIMIT_MIB = 1.5
 
@@ -28,24 +23,21 @@ def resident_mib() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
 
 
-def make_bag(path: Path) -> Path:
-    """Write a bag of one message."""
-    with BagWriter(path) as writer:
-        writer.add_topic("/chatter", "std_msgs/msg/String")
-        writer.write("/chatter", serialize_message(String(data="hello")), SECOND, SECOND)
-    return path
-
-
 @pytest.fixture(params=NODES)
 def manager(
-    request: Any, ros: Any, manage: Callable[[Any], Any], tmp_path: Path, monkeypatch: Any
+    request: Any,
+    ros: Any,
+    manage: Callable[[Any], Any],
+    small_bag: Path,
+    tmp_path: Path,
+    monkeypatch: Any,
 ) -> Any:
     """Give a manager of each node, unconfigured; bags get dated names in the test's folder."""
     monkeypatch.chdir(tmp_path)
     module = import_module(f"tsobs_ros.nodes.{request.param}")
     overrides = [Parameter("autostart", value=False)]
     if request.param == "player":
-        overrides.append(Parameter("bag", value=str(make_bag(tmp_path / "bag"))))
+        overrides.append(Parameter("bag", value=str(small_bag)))
     return manage(ros.add(module.create(context=ros.context, parameter_overrides=overrides)))
 
 

@@ -78,14 +78,37 @@ def test_three_working_processes_end_cleanly(
         assert by_stamp[to_nanoseconds(message.header.stamp)] == message
 
 
+def test_a_lifecycle_manager_drives_a_process_and_its_shutdown_ends_it(
+    ros: Any, ros_process: Process, manage: Callable[[Any], Any]
+) -> None:
+    process = ros_process("observer", parameters={"autostart": False})
+    plant = ros_process("plant_simulator")
+    received: list[JointState] = []
+    ros.node("listener").create_subscription(
+        JointState, "observer/joint_states", received.append, 10
+    )
+    manager = manage("/observer")
+    assert manager.state == "unconfigured"
+    for _ in range(2):
+        assert manager.change("configure", "activate")
+        before = len(received)
+        ros.spin_until(lambda n=before: len(received) > n + 20, TIMEOUT, "estimates")
+        assert manager.change("deactivate", "cleanup")
+    assert manager.change("configure", "activate", "shutdown")
+    check_clean(process.finish(TIMEOUT))
+    plant.signal(signal.SIGINT)
+    check_clean(plant.finish(TIMEOUT))
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("name", ["observer", "plant_simulator", "recorder"])
+@pytest.mark.parametrize("name", ["observer", "plant_simulator", "recorder", "player"])
 # What a process has mapped tells how far its start-up is: imports, or the middleware's start.
 @pytest.mark.parametrize("library", ["_rclpy_pybind11", "libfastrtps"])
 def test_a_signal_during_the_start_ends_cleanly(
-    ros_process: Process, tmp_path: Path, library: str, name: str, number: int
+    ros_process: Process, tmp_path: Path, small_bag: Path, library: str, name: str, number: int
 ) -> None:
-    process = start(ros_process, name, tmp_path)
+    parameters = {"bag": str(small_bag), "loop": True} if name == "player" else {}
+    process = start(ros_process, name, tmp_path, **parameters)
     maps = Path("/proc", str(process.pid), "maps")
     deadline = time.monotonic() + TIMEOUT
     while library not in maps.read_text():
