@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forcing a bag to the disk from a thread of its own: a disk may take seconds over it."""
 
+import time
 from collections.abc import Callable
 from threading import Event, Thread
 
@@ -23,19 +24,37 @@ class BackgroundSync:
         self.error: BagWriteError | None = None
         self._sync = sync
         self._period = period
-        self._stopping = Event()
+        self._synced_at = time.monotonic()
+        self._stopping = False
+        self._wake = Event()
         self._thread = Thread(target=self._run, name="bag sync", daemon=True)
         self._thread.start()
 
+    @property
+    def age(self) -> float:
+        """The time since the beginning of the last call that succeeded, s."""
+        return time.monotonic() - self._synced_at
+
+    def hurry(self) -> None:
+        """Call at once instead of at the end of the pause."""
+        self._wake.set()
+
     def stop(self) -> None:
         """End the calls and wait for the one in progress; safe to call twice."""
-        self._stopping.set()
+        self._stopping = True
+        self._wake.set()
         self._thread.join()
 
     def _run(self) -> None:
-        while not self._stopping.wait(self._period):
+        while True:
+            self._wake.wait(self._period)
+            self._wake.clear()
+            if self._stopping:
+                return
+            begun_at = time.monotonic()
             try:
                 self._sync()
             except BagWriteError as error:
                 self.error = error
                 return
+            self._synced_at = begun_at

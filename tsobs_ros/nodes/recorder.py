@@ -4,87 +4,40 @@
 
 import shutil
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from datetime import datetime
 from itertools import chain, count
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 
-from tsobs_ros.bag.syncing import BackgroundSync
-from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.errors import NodeError
-from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.bag.recording import Recording
+from tsobs_ros.bag.snapshot import BufferedMessage
+from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
-from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
-from tsobs_ros.nodes.parameters import parameter
-from tsobs_ros.nodes.recorder_topics import TopicFinder
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.recorder_parameters import RecorderParameters
+from tsobs_ros.nodes.recorder_services import offer_services
+from tsobs_ros.nodes.recorder_status import (
+    RecorderState,
+    RecorderStatistics,
+    SnapshotFill,
+    TopicStatistics,
+    disk_is_filling,
+    statuses,
+)
+from tsobs_ros.nodes.recorder_topics import RecordedTopic, TopicFinder
+from tsobs_ros.nodes.ticker import Ticker
 
 _GRAPH_PERIOD = 0.1
 _DIAGNOSTICS_PERIOD = 1.0
 _MIB = 2**20
-# Well before the disk is as full as recording ends at.
-_FREE_DISK_WARNING = 2.0
-
-
-@dataclass(frozen=True)
-class RecorderParameters(ManagedParameters):
-    """The node's parameters; `config/recorder.yaml` shows them with their reasons."""
-
-    topics: tuple[str, ...] = parameter(
-        (), "Topics to record; empty, or with '*' in it, for all that are visible", read_only=True
-    )
-    all: bool = parameter(False, "Record all visible topics, whatever is listed", read_only=True)
-    output: str = parameter(
-        "", "Folder of the bag, which must not exist; empty for a dated name", read_only=True
-    )
-    compression: str = parameter(
-        "zstd", "Compression of the chunks", choices=("none", "lz4", "zstd"), read_only=True
-    )
-    flush_period: float = parameter(
-        1.0, "What is older survives a kill", unit="s", minimum=0.01, maximum=10, read_only=True
-    )
-    sync_period: float = parameter(
-        5.0, "What is older survives a power cut", unit="s", minimum=0.1, read_only=True
-    )
-    drain_period: float = parameter(
-        0.01, "How often queues are emptied", unit="s", minimum=0.001, maximum=1, read_only=True
-    )
-    queue_depth: int = parameter(
-        5000, "Messages of a topic that may wait to be drained", minimum=1, read_only=True
-    )
-    minimum_free_disk: int = parameter(
-        256, "Free disk space at which recording ends", unit="MiB", minimum=0
-    )
-
-
-class TopicStatistics(NamedTuple):
-    """Counts of one topic.
-
-    Attributes:
-        messages: Messages recorded.
-        lost: Messages known to be lost, from gaps in the publisher's numbering.
-        loss_known: Whether that is all: false once the topic had several publishers at a time.
-    """
-
-    messages: int
-    lost: int
-    loss_known: bool
-
-
-class RecorderStatistics(NamedTuple):
-    """Counts of the whole recording, and of each topic by its full name."""
-
-    messages: int
-    lost: int
-    topics: Mapping[str, TopicStatistics]
 
 
 class Recorder(ManagedNode[RecorderParameters]):
-    """Records from its activation until it is closed.
+    """Records while it is active and not paused.
 
     Configuring begins the bag and subscribes, activating records, deactivating pauses: what arrives
     meanwhile is discarded. Cleaning up closes the bag.
@@ -106,35 +59,37 @@ class Recorder(ManagedNode[RecorderParameters]):
     def configure(self) -> None:
         """Begin the bag and look for the topics."""
         parameters = self.parameters
-        everything = parameters.all or "*" in parameters.topics
-        self._finder = TopicFinder(
-            self,
-            () if everything else parameters.topics,
-            parameters.queue_depth,
-            lambda message: self.get_logger().warning(message),
-        )
         path = _output(parameters.output)
-        self._free_disk_warned = False
         if _free_disk(path) < parameters.minimum_free_disk:
             raise NodeError(
                 f"{path}: {_free_disk(path):.0f} MiB of disk space are free, less than "
                 f"minimum_free_disk ({parameters.minimum_free_disk} MiB)"
             )
-        self._writer = BagWriter(path, compression=parameters.compression)
-        self.at_cleanup(self._writer.close)
-        self._sync = BackgroundSync(self._writer.sync, parameters.sync_period)
-        self.at_cleanup(self._sync.stop)
+        self._finder = TopicFinder(
+            self,
+            parameters.selection(self.resolve_topic_name, self.resolve_service_name),
+            {self.resolve_topic_name(name): name for name in parameters.topics if name != "*"},
+            parameters.queue_depth,
+            parameters.include_unpublished,
+            self.get_logger().warning,
+        )
+        self._recording = Recording(path, parameters.recording_options())
+        self.at_cleanup(self._recording.close)
+        self._paused = parameters.start_paused
+        self._failed = self._free_disk_warned = False
+        self._messages_at_diagnostics = 0
+        offer_services(self, parameters.snapshot_mode)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=str(path))
+        self._chores = [
+            _Chore(_GRAPH_PERIOD, self._look_for_topics),
+            _Chore(parameters.flush_period, self._flush),
+            _Chore(_DIAGNOSTICS_PERIOD, self._publish_diagnostics),
+        ]
         # Not the node's clock: simulated time may be slow, stop or never begin.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        for period, callback in (
-            (_GRAPH_PERIOD, self._look_for_topics),
-            (parameters.drain_period, self._drain),
-            (parameters.flush_period, self._flush),
-            (_DIAGNOSTICS_PERIOD, self._publish_diagnostics),
-        ):
-            self.create_timer(period, callback, clock=steady)
-        self.get_logger().info(f"recording to {self._writer.path}")
+        self.ticker = Ticker(self, parameters.drain_period, self._tick, executor_clock=steady)
+        self.ticker.start()
+        self.get_logger().info(f"recording to {path}")
 
     def activate(self) -> None:
         """Record what arrives from here on."""
@@ -142,7 +97,8 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def deactivate(self) -> None:
         """Record what has arrived, and discard what arrives from here on."""
-        self._record()
+        if not (self._paused or self._failed):
+            self._record()
 
     def cleanup(self) -> None:
         """Say what the bag holds that is about to be closed."""
@@ -155,7 +111,7 @@ class Recorder(ManagedNode[RecorderParameters]):
     @property
     def path(self) -> Path:
         """The bag's folder."""
-        return self._writer.path
+        return self._recording.path
 
     @property
     def ready(self) -> bool:
@@ -163,39 +119,85 @@ class Recorder(ManagedNode[RecorderParameters]):
         return not self._finder.missing
 
     @property
-    def statistics(self) -> RecorderStatistics:
-        """What has been recorded and lost so far."""
-        topics = {
-            topic.name: TopicStatistics(topic.messages, topic.losses.lost, topic.losses.complete)
-            for topic in self._finder.recorded.values()
-        }
-        return RecorderStatistics(
-            messages=sum(topic.messages for topic in topics.values()),
-            lost=sum(topic.lost for topic in topics.values()),
-            topics=topics,
-        )
+    def paused(self) -> bool:
+        """Whether the services have paused it."""
+        return self._paused
 
     @property
     def finished(self) -> bool:
         """Whether the disk is full; a process then ends."""
         return super().finished or self._full
 
+    @property
+    def statistics(self) -> RecorderStatistics:
+        """What has been recorded and lost so far."""
+        recording = self._recording
+        topics = {
+            topic.name: _statistics(topic, recording.counts[topic.name])
+            for topic in self._finder.recorded.values()
+        }
+        return RecorderStatistics(
+            messages=sum(topic.messages for topic in topics.values()),
+            lost=sum(topic.lost for topic in topics.values()),
+            topics=topics,
+            discarded=recording.discarded,
+            bytes=recording.bytes,
+            files=recording.file_count,
+        )
+
+    def pause(self) -> None:
+        """Record what has arrived, and discard what arrives from here on."""
+        self._drain()
+        self._paused = True
+        self.get_logger().info("paused")
+
+    def resume(self) -> None:
+        """Record what arrives from here on, and what was latched meanwhile."""
+        self._drain()
+        self._paused = False
+        self.get_logger().info("resumed")
+
+    def split(self) -> None:
+        """Go on in another file of the bag, unless the current one is empty.
+
+        Raises:
+            BagWriteError: The disk failed; the bag is closed.
+        """
+        self._drain()
+        self._recording.split()
+
+    def take_snapshot(self) -> int:
+        """Begin to write the last seconds, and return how many messages they are."""
+        self._drain()
+        return self._recording.take_snapshot()
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        try:
+            self._drain()
+            self._recording.write_pending()
+            for chore in self._chores:
+                chore.run_if_due(now)
+        except BagWriteError:
+            self._failed = True  # closing must not try again what cannot be done
+            raise
+
     def _look_for_topics(self) -> None:
         for topic in self._finder.poll():
-            self._writer.add_topic(
-                topic.name, topic.definition.type, topic.offers, definition=topic.definition
-            )
+            self._recording.add_topic(topic.name, topic.definition, topic.offers)
             self.get_logger().info(f"recording {topic.name} [{topic.definition.type}]")
 
     def _drain(self) -> None:
-        if self.active:
+        if self.active and not self._paused:
             self._record()
         else:
             self._discard()
 
     def _discard(self) -> None:
         for topic in self._finder.recorded.values():
-            topic.discard()
+            for received in topic.drain(self.parameters.queue_depth):
+                message = BufferedMessage(topic.name, received.data, 0, max(received.source_ns, 0))
+                self._recording.discard(message, topic.latched_by(received))
 
     def _record(self) -> None:
         simulated_ns = None
@@ -205,51 +207,86 @@ class Recorder(ManagedNode[RecorderParameters]):
                 return  # no /clock yet: let messages wait rather than stamp them with 1970
         limit = self.parameters.queue_depth
         batch = [
-            (info.received_ns, topic.name, data, info.source_ns)
+            (received.received_ns, received, topic)
             for topic in self._finder.recorded.values()
-            for data, info in topic.drain(limit)
+            for received in topic.drain(limit)
         ]
         # Drained topic by topic, but readers of an unfinished file see it in file order.
         batch.sort(key=itemgetter(0))
-        for received_ns, name, data, source_ns in batch:
+        record = self._recording.record
+        for received_ns, received, topic in batch:
             log_time_ns = received_ns if simulated_ns is None else simulated_ns
-            self._writer.write(name, data, log_time_ns or time.time_ns(), max(source_ns, 0))
+            message = BufferedMessage(
+                topic.name,
+                received.data,
+                log_time_ns or time.time_ns(),
+                max(received.source_ns, 0),
+            )
+            record(message, topic.latched_by(received))
 
     def _flush(self) -> None:
-        self._writer.flush()
-        if self._sync.error is not None:
-            raise self._sync.error
+        self._recording.flush()
         free, minimum = _free_disk(self.path), self.parameters.minimum_free_disk
         if free < minimum:
             self.get_logger().error(f"disk almost full ({free:.0f} MiB free): recording ends here")
             self.close()
             self._full = True
-        elif free < _FREE_DISK_WARNING * minimum and not self._free_disk_warned:
+        elif disk_is_filling(free, minimum) and not self._free_disk_warned:
             self._free_disk_warned = True
             self.get_logger().warning(
                 f"{free:.0f} MiB of disk space are left, recording ends at {minimum} MiB"
             )
 
     def _publish_diagnostics(self) -> None:
-        statistics, missing = self.statistics, self._finder.missing
-        level, message = Level.OK, "recording" if self.active else "paused"
-        if statistics.lost:
-            level, message = Level.WARN, f"{statistics.lost} messages lost"
-        elif missing:
-            level, message = Level.WARN, f"waiting for {missing[0]}"
-        values = {
-            "messages": str(statistics.messages),
-            "lost": str(statistics.lost),
-            "topics": str(len(statistics.topics)),
-            "waiting for": ", ".join(missing),
-            "free disk space (MiB)": f"{_free_disk(self.path):.0f}",
-        }
-        self._diagnostics.publish([Status("recording", level, message, values)])
+        statistics, snapshot = self.statistics, self._recording.snapshot
+        news = statistics.messages - self._messages_at_diagnostics
+        self._messages_at_diagnostics = statistics.messages
+        clock = self.get_clock()
+        state = RecorderState(
+            statistics=statistics,
+            rate=news / _DIAGNOSTICS_PERIOD,
+            recording=self.active and not self._paused,
+            clock_awaited=clock.ros_time_is_active and clock.now().nanoseconds == 0,
+            waiting_for=self._finder.missing,
+            free_disk=_free_disk(self.path),
+            minimum_free_disk=self.parameters.minimum_free_disk,
+            sync_age=self._recording.sync_age,
+            sync_period=self.parameters.sync_period,
+            snapshot=None
+            if snapshot is None
+            else SnapshotFill(
+                len(snapshot), snapshot.size, snapshot.duration_ns * 1e-9, snapshot.refused
+            ),
+        )
+        self._diagnostics.publish(statuses(state))
+
+
+class _Chore:
+    """Something to be done every so often, looked after at each tick."""
+
+    def __init__(self, period: float, do: Callable[[], None]) -> None:
+        self._period = period
+        self._do = do
+        self._due = 0.0
+
+    def run_if_due(self, now: float) -> None:
+        if now >= self._due:
+            self._due = now + self._period
+            self._do()
 
 
 def create(**node_kwargs: Any) -> Recorder:
     """Return a recorder that has begun to record; the arguments are those of `Recorder`."""
     return Recorder(**node_kwargs)
+
+
+def _statistics(topic: RecordedTopic, messages: int) -> TopicStatistics:
+    losses = topic.losses
+    by_publisher = losses.lost_by_publisher if losses.lost else {}
+    losers = {
+        topic.publishers.get(p, "a node that left") for p, lost in by_publisher.items() if lost
+    }
+    return TopicStatistics(messages, losses.lost, losses.complete, tuple(sorted(losers)))
 
 
 def _output(output: str) -> Path:

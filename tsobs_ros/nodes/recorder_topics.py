@@ -2,58 +2,121 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics a recorder subscribes to: found in the graph, with the QoS their publishers offer."""
 
-from collections.abc import Callable, Iterable, Sequence
-from importlib import import_module
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.losses import LossCounter
-from tsobs_ros.bag.qos import QosProfile, QosTime
-from tsobs_ros.errors import BagWriteError
-from tsobs_ros.nodes.draining import Drained, DrainedSubscription
+from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.errors import BagWriteError, NodeError
+from tsobs_ros.nodes.recorder_selection import TopicSelection
+from tsobs_ros.nodes.recorder_subscription import RawSubscription, Received
+from tsobs_ros.nodes.recorder_types import message_class, to_bag_qos
+
+# Counting the publishers of a topic tells that one came, but not that one took another's place.
+_POLLS_PER_FULL_LOOK = 10
+# Of one topic: nodes that are started again and again leave one behind each time.
+_MAX_PUBLISHERS = 1000
+
+
+class QosKind(NamedTuple):
+    """What decides whether a subscription hears a publisher, and what it hears."""
+
+    latched: bool
+    reliable: bool
+
+    @classmethod
+    def of(cls, profile: QoSProfile) -> "QosKind":
+        """Return the kind that a publisher offers."""
+        return cls(
+            latched=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+            reliable=profile.reliability == ReliabilityPolicy.RELIABLE,
+        )
+
+    def request(self, depth: int) -> QoSProfile:
+        """Return the profile of a subscription that asks for as much as is offered."""
+        reliability, durability = ReliabilityPolicy, DurabilityPolicy
+        return QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=depth,
+            reliability=reliability.RELIABLE if self.reliable else reliability.BEST_EFFORT,
+            durability=durability.TRANSIENT_LOCAL if self.latched else durability.VOLATILE,
+        )
 
 
 class RecordedTopic:
-    """One topic being recorded: its subscription and what is known about it."""
+    """One topic being recorded.
+
+    There is a subscription for each kind of QoS that a publisher offers, so that each is heard with
+    all it offers. What asks for less also hears those who offer more; the copies are told by their
+    publisher's number and left out.
+
+    Attributes:
+        name: The full topic name.
+        definition: Its type.
+        offers: What its publishers offered when it was found.
+        losses: What is missing of it.
+        publishers: The nodes that publish it, by their publishers' ids.
+    """
 
     def __init__(
         self,
         name: str,
         definition: MessageDefinition,
         offers: tuple[QosProfile, ...],
-        requested: QoSProfile,
-        subscription: DrainedSubscription,
+        subscribe: Callable[[QosKind], RawSubscription],
     ) -> None:
         self.name = name
         self.definition = definition
         self.offers = offers
-        self.requested = requested
-        self.subscription = subscription
         self.losses = LossCounter()
-        self.messages = 0
-        self.publishers_seen = len(offers)
+        self.publishers: dict[bytes, str] = {}
+        self._subscribe = subscribe
+        self._subscriptions: dict[QosKind, RawSubscription] = {}
+        self._latched_publishers: set[bytes] = set()
 
-    def drain(self, limit: int) -> list[Drained]:
-        """Take what has arrived, at most `limit` messages, and count it and what is missing."""
-        drained = self._take(limit)
-        self.messages += len(drained)
-        return drained
+    @property
+    def matched(self) -> bool:
+        """Whether a publisher is heard at the moment."""
+        return any(s.publisher_count for s in self._subscriptions.values())
 
-    def discard(self) -> None:
-        """Throw away what has arrived; nothing of it is a loss."""
-        self._take(None)
+    def hear(self, publishers: Sequence[TopicEndpointInfo]) -> None:
+        """Subscribe to those of all the publishers that are not heard yet, as they should be."""
+        if len(self.publishers) > _MAX_PUBLISHERS:
+            self.publishers.clear()
+            self._latched_publishers.clear()
+        for info in publishers:
+            kind = QosKind.of(info.qos_profile)
+            publisher = bytes(info.endpoint_gid)
+            self.publishers[publisher] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            if kind.latched:
+                self._latched_publishers.add(publisher)
+            self.hear_kind(kind)
 
-    def _take(self, limit: int | None) -> list[Drained]:
-        drained = self.subscription.drain(limit)
-        self.losses.observe(
-            [item.info.sequence for item in drained], self.subscription.publisher_count
-        )
-        return drained
+    def hear_kind(self, kind: QosKind) -> None:
+        """Subscribe to publishers of a kind."""
+        if kind not in self._subscriptions:
+            self._subscriptions[kind] = self._subscribe(kind)
+            # Latched ones first: what comes twice is taken for what it is.
+            self._subscriptions = dict(sorted(self._subscriptions.items(), reverse=True))
+
+    def drain(self, limit: int) -> list[Received]:
+        """Take what has arrived for the first time, at most `limit` from each subscription."""
+        is_new = self.losses.is_new
+        return [
+            message
+            for subscription in self._subscriptions.values()
+            for message in subscription.drain(limit)
+            if is_new(message.publisher, message.number)
+        ]
+
+    def latched_by(self, message: Received) -> bytes | None:
+        """Return a message's publisher if what it publishes is for those too who come later."""
+        return message.publisher if message.publisher in self._latched_publishers else None
 
 
 class TopicFinder:
@@ -61,132 +124,129 @@ class TopicFinder:
 
     Args:
         node: The node that owns the subscriptions.
-        names: The topics to record, relative ones in the node's namespace; empty for all that
-            are not hidden.
+        selection: What to record.
+        remapped: The listed topics' names from before remapping, by their full names:
+            subscribing applies the remappings again.
         queue_depth: How many messages of a topic may wait to be drained.
+        include_unpublished: Whether to subscribe to topics that nobody publishes.
         warn: Told once about each topic that cannot be recorded, or not all of it.
+
+    Attributes:
+        recorded: The topics that have been found, by name.
     """
 
     def __init__(
-        self, node: Node, names: Sequence[str], queue_depth: int, warn: Callable[[str], None]
+        self,
+        node: Node,
+        selection: TopicSelection,
+        remapped: Mapping[str, str],
+        queue_depth: int,
+        include_unpublished: bool,
+        warn: Callable[[str], None],
     ) -> None:
         self.recorded: dict[str, RecordedTopic] = {}
         self._node = node
-        # Subscribing applies the remappings, so it must be given the name from before them.
-        self._names = {str(node.resolve_topic_name(name)): name for name in names}
+        self._selection = selection
+        self._remapped = remapped
         self._queue_depth = queue_depth
+        self._include_unpublished = include_unpublished
         self._warn = warn
-        self._refused: set[str] = set()
+        self._warnings: dict[str, str] = {}
+        self._publisher_counts: dict[str, int] = {}
+        self._polls = 0
 
     @property
     def missing(self) -> list[str]:
         """The listed topics that nobody publishes yet, or that cannot be recorded."""
         return [
             name
-            for name in self._names
-            if name not in self.recorded or not self.recorded[name].subscription.publisher_count
+            for name in self._selection.listed
+            if name not in self.recorded or not self.recorded[name].matched
         ]
 
     def poll(self) -> list[RecordedTopic]:
         """Look at the graph and return the topics that have been subscribed to by this call."""
+        self._polls += 1
+        full_look = self._polls % _POLLS_PER_FULL_LOOK == 0
         for topic in self.recorded.values():
-            self._check_publishers(topic)
-        wanted = self._names or self._visible()
+            count = self._node.count_publishers(topic.name)
+            if full_look or count != self._publisher_counts.get(topic.name):
+                self._publisher_counts[topic.name] = count
+                self._look_at(topic)
         found = []
-        for name in wanted:
-            if name in self.recorded or name in self._refused:
-                continue
-            if not (offered := self._node.get_publishers_info_by_topic(name)):
-                continue
+        for name, types in self._wanted().items():
             try:
-                found.append(self._subscribe(name, offered))
-            except BagWriteError as error:
-                self._refused.add(name)
-                self._warn(f"not recording {name}: {error}")
+                if (new := self._found(name, types)) is not None:
+                    found.append(new)
+            except (BagWriteError, NodeError) as error:
+                self._warn_once(name, f"not recording {name}: {error}")
         self.recorded.update({topic.name: topic for topic in found})
         return found
 
-    def _visible(self) -> list[str]:
-        names = (name for name, _ in self._node.get_topic_names_and_types())
-        return [name for name in names if "/_" not in name]
+    def _wanted(self) -> dict[str, Sequence[str]]:
+        """Return the topics yet to be found, and their types as far as those are known."""
+        selection = self._selection
+        wanted: dict[str, Sequence[str]] = dict.fromkeys(selection.listed, ())
+        if selection.has_patterns or self._include_unpublished:
+            for name, types in self._node.get_topic_names_and_types():
+                if name in wanted or selection.wants(name, types):
+                    wanted[name] = types
+        return {name: types for name, types in wanted.items() if name not in self.recorded}
 
-    def _subscribe(self, name: str, offered: Sequence[TopicEndpointInfo]) -> RecordedTopic:
-        types = sorted({info.topic_type for info in offered})
+    def _found(self, name: str, types: Sequence[str]) -> RecordedTopic | None:
+        """Subscribe to a topic, unless it must wait for a publisher."""
+        publishers = self._node.get_publishers_info_by_topic(name)
+        if publishers:
+            types = sorted({info.topic_type for info in publishers})
+        elif not (self._include_unpublished and types):
+            return None
+        if not self._selection.wants(name, types):
+            return None
         if len(types) > 1:
             raise BagWriteError(f"its publishers disagree about its type: {', '.join(types)}")
         definition = find_definition(types[0])
-        message_class = _message_class(types[0])
-        # The hash of the type as it is published; a different one here means other definitions.
-        published = {str(info.topic_type_hash) for info in offered} - {definition.type_hash}
-        if definition.type_hash and any(text.startswith("RIHS01_") for text in published):
-            self._warn(f"{name}: a publisher's definition of {types[0]} is not the installed one")
-        requested = _requested([info.qos_profile for info in offered], self._queue_depth)
-        subscription = DrainedSubscription(
-            self._node, message_class, self._names.get(name, name), requested, raw=True
+        msg_type = message_class(types[0])
+        topic = RecordedTopic(
+            name,
+            definition,
+            tuple(to_bag_qos(info.qos_profile) for info in publishers),
+            lambda kind: RawSubscription(
+                self._node,
+                msg_type,
+                self._remapped.get(name, name),
+                kind.request(self._queue_depth),
+            ),
         )
-        offers = tuple(_to_bag_qos(info.qos_profile) for info in offered)
-        return RecordedTopic(name, definition, offers, requested, subscription)
+        self._check_definition(definition, name, publishers)
+        topic.hear(publishers)
+        if not publishers:
+            topic.hear_kind(QosKind(latched=False, reliable=True))
+        return topic
 
-    def _check_publishers(self, topic: RecordedTopic) -> None:
-        if (count := self._node.count_publishers(topic.name)) == topic.publishers_seen:
-            return
-        topic.publishers_seen = count
+    def _look_at(self, topic: RecordedTopic) -> None:
+        """Hear publishers that came later."""
+        fitting = []
         for info in self._node.get_publishers_info_by_topic(topic.name):
-            reason = _unheard(topic, info)
-            if reason and (about := f"{topic.name} {info.endpoint_gid}") not in self._refused:
-                self._refused.add(about)
-                self._warn(f"not recording the {topic.name} of node {info.node_name}: {reason}")
+            if info.topic_type == topic.definition.type:
+                fitting.append(info)
+            else:
+                self._warn_once(
+                    f"{topic.name} {info.endpoint_gid}",
+                    f"not recording the {topic.name} of node {info.node_name}: it is a "
+                    f"{info.topic_type}, not a {topic.definition.type}",
+                )
+        topic.hear(fitting)
 
+    def _check_definition(
+        self, definition: MessageDefinition, name: str, publishers: Iterable[TopicEndpointInfo]
+    ) -> None:
+        published = {str(info.topic_type_hash) for info in publishers} - {definition.type_hash}
+        if definition.type_hash and any(text.startswith("RIHS01_") for text in published):
+            self._warn(
+                f"{name}: a publisher's definition of {definition.type} is not the installed one"
+            )
 
-def _requested(offered: Iterable[QoSProfile], depth: int) -> QoSProfile:
-    """Ask for as much as all publishers offer: more would leave one of them out."""
-    profiles = list(offered)
-    reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
-    latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-    return QoSProfile(
-        history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-    )
-
-
-def _unheard(topic: RecordedTopic, info: TopicEndpointInfo) -> str:
-    """Return why a publisher that came later is not heard, or nothing when it is."""
-    if info.topic_type != topic.definition.type:
-        return f"it is a {info.topic_type}, not a {topic.definition.type}"
-    for policy, strong in (
-        ("reliability", ReliabilityPolicy.RELIABLE),
-        ("durability", DurabilityPolicy.TRANSIENT_LOCAL),
-    ):
-        offered = getattr(info.qos_profile, policy)
-        if getattr(topic.requested, policy) == strong and offered != strong:
-            return f"it came later and offers less {policy} than the first publishers"
-    return ""
-
-
-def _message_class(msgtype: str) -> type[Any]:
-    package, _, name = msgtype.split("/")
-    try:
-        message_class: type[Any] = getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:
-        raise BagWriteError(f"the Python module of {msgtype} is not installed: {error}") from error
-    return message_class
-
-
-def _to_bag_qos(profile: QoSProfile) -> QosProfile:
-    return QosProfile(
-        history=profile.history.name.lower(),
-        depth=profile.depth,
-        reliability=profile.reliability.name.lower(),
-        durability=profile.durability.name.lower(),
-        deadline=_to_bag_time(profile.deadline),
-        lifespan=_to_bag_time(profile.lifespan),
-        liveliness=profile.liveliness.name.lower(),
-        liveliness_lease_duration=_to_bag_time(profile.liveliness_lease_duration),
-        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
-    )
-
-
-def _to_bag_time(duration: Duration) -> QosTime:
-    return QosTime(*divmod(duration.nanoseconds, 10**9))
+    def _warn_once(self, about: str, message: str) -> None:
+        if self._warnings.get(about) != message:
+            self._warnings[about] = message
+            self._warn(message)

@@ -2,15 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder finds its topics, and tells what it has of them and what it lacks."""
 
+import sys
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from rclpy.service_introspection import ServiceIntrospectionState
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
+from stereo_msgs.msg import DisparityImage
 
 from tsobs_ros.bag import BagReader
 
@@ -35,12 +39,12 @@ def test_publishers_of_different_reliability_are_both_recorded(ros, recording) -
     ros.spin_until(lambda: node.count_publishers("/chatter") == 2, what="both publishers")
     recorder = recording.start(topics=["chatter"])
     ros.spin_until(
-        lambda: all(p.get_subscription_count() == 1 for p in publishers), what="both matches"
+        lambda: [p.get_subscription_count() for p in publishers] == [2, 1], what="the matches"
     )
     for index, publisher in enumerate(publishers):
         publisher.publish(String(data=str(index)))
     ros.spin_until(lambda: recording.count(recorder, "/chatter") == 2, what="both messages")
-    assert not recorder.statistics.topics["/chatter"].loss_known
+    assert recorder.statistics.topics["/chatter"] == (2, 0, True, ())
 
 
 def test_a_publisher_that_comes_late_is_recorded(ros, recording) -> None:
@@ -77,16 +81,12 @@ def test_all_visible_topics_are_recorded(ros, recording, parameters) -> None:
     assert "/_hidden" not in recorder.statistics.topics
 
 
-def test_an_unknown_type_does_not_stop_the_others(ros, recording, capfd) -> None:
-    # The events of a service are a topic whose type no .msg file defines.
-    recorder = recording.start(topics=["trigger/_service_event", "joints"])
+def test_an_unknown_type_does_not_stop_the_others(ros, recording, monkeypatch, capfd) -> None:
     node = ros.node("source")
-    service = node.create_service(Trigger, "trigger", lambda request, response: response)
-    service.configure_introspection(
-        node.get_clock(), QoSProfile(depth=10), ServiceIntrospectionState.METADATA
-    )
+    node.create_publisher(DisparityImage, "strange", 10)
+    monkeypatch.setitem(sys.modules, "stereo_msgs.msg", None)
+    recorder = recording.start(topics=["strange", "joints"])
     publisher = node.create_publisher(JointState, "joints", 10)
-    ros.spin_until(lambda: "/joints" in recorder.statistics.topics, what="the known topic")
     ros.spin_until(lambda: publisher.get_subscription_count() == 1, what="the match")
     for message in recording.joint_states(3):
         publisher.publish(message)
@@ -97,7 +97,56 @@ def test_an_unknown_type_does_not_stop_the_others(ros, recording, capfd) -> None
     assert set(BagReader(recorder.path).topics) == {"/joints"}
     warnings = [line for line in capfd.readouterr().err.splitlines() if "not recording" in line]
     assert len(warnings) == 1
-    assert "not recording /trigger/_service_event: 'std_srvs/srv/Trigger_Event'" in warnings[0]
+    assert (
+        "not recording /strange: the Python module of stereo_msgs/msg/DisparityImage" in warnings[0]
+    )
+
+
+@pytest.fixture
+def stranger(ros) -> Iterator[Any]:
+    """Give a node of another process, as far as DDS can tell: there, types may differ."""
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context, domain_id=ros.domain_id)
+    node = Node("stranger", context=context)
+    yield node
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def test_types_that_differ_are_reported_until_they_agree(ros, recording, stranger, capfd) -> None:
+    node = ros.node("source")
+    publisher = node.create_publisher(String, "chatter", 10)
+    odd = stranger.create_publisher(JointState, "chatter", 10)
+    ros.spin_until(
+        lambda: len(node.get_publishers_info_by_topic("/chatter")) == 2, what="both publishers"
+    )
+    recorder = recording.start(topics=["chatter"])
+    errors: list[str] = []
+
+    def reported() -> bool:
+        errors.extend(capfd.readouterr().err.splitlines())
+        return any("its publishers disagree about its type: sensor_msgs" in e for e in errors)
+
+    ros.spin_until(reported, what="the warning")
+    stranger.destroy_publisher(odd)
+    recording.publish(recorder, publisher, [String(data="heard")])
+
+
+def test_a_late_publisher_of_another_type_is_reported_once(ros, recording, stranger, capfd) -> None:
+    recorder = recording.start(topics=["chatter"])
+    node = ros.node("source")
+    publisher = node.create_publisher(String, "chatter", 10)
+    recording.publish(recorder, publisher, [String(data="heard")])
+    stranger.create_publisher(JointState, "chatter", 10)
+    errors: list[str] = []
+
+    def warnings() -> list[str]:
+        errors.extend(capfd.readouterr().err.splitlines())
+        return [e for e in errors if "not recording the /chatter of node stranger: it is" in e]
+
+    ros.spin_until(lambda: bool(warnings()), what="the warning")
+    recording.publish(recorder, publisher, [String(data="heard")] * 2)
+    assert len(warnings()) == 1
 
 
 def test_what_a_full_queue_drops_is_counted(ros, recording) -> None:
@@ -107,7 +156,7 @@ def test_what_a_full_queue_drops_is_counted(ros, recording) -> None:
     for message in recording.joint_states(60):
         publisher.publish(message)
     ros.spin_until(lambda: recording.count(recorder, "/joints") == 11, what="the last ten")
-    assert recorder.statistics.topics["/joints"] == (11, 50, True)
+    assert recorder.statistics.topics["/joints"] == (11, 50, True, ("/source",))
     assert recorder.statistics.lost == 50
 
 
@@ -129,37 +178,45 @@ def test_diagnostics_tell_counts_and_what_is_awaited(ros, recording) -> None:
         DiagnosticArray, "/diagnostics", lambda array: statuses.extend(array.status), 10
     )
     ros.spin_until(lambda: bool(statuses), what="diagnostics")
-    assert statuses[0].name.startswith("recorder: ")
+    assert [status.name for status in statuses[:2]] == ["recorder: recording", "recorder: topics"]
     assert statuses[0].level == DiagnosticStatus.WARN
     assert statuses[0].message == "waiting for /joints"
 
     publisher = node.create_publisher(JointState, "joints", 10)
     recording.publish(recorder, publisher, recording.joint_states(2))
-    ros.spin_until(lambda: statuses[-1].message == "recording", what="the news")
-    values = {item.key: item.value for item in statuses[-1].values}
-    assert statuses[-1].level == DiagnosticStatus.OK
+    ros.spin_until(lambda: statuses[-2].message == "recording", what="the news")
+    values = {item.key: item.value for item in statuses[-2].values}
+    assert statuses[-2].level == DiagnosticStatus.OK
     assert (values["messages"], values["lost"]) == ("2", "0")
+    assert {item.key: item.value for item in statuses[-1].values} == {
+        "/joints": "2 messages, 0 lost"
+    }
 
 
-def test_a_late_publisher_that_cannot_be_heard_is_reported_once(ros, recording, capfd) -> None:
+def test_a_late_publisher_that_offers_less_is_heard_and_takes_nothing_from_others(
+    ros, recording
+) -> None:
     recorder = recording.start(topics=["chatter"])
     node = ros.node("source")
-    publisher = node.create_publisher(String, "chatter", 10)
-    recording.publish(recorder, publisher, [String(data="heard")])
+    latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    strong = node.create_publisher(String, "chatter", latched)
+    recording.publish(recorder, strong, [String(data="first")])
 
-    unreliable = ros.node("weak").create_publisher(String, "chatter", qos_profile_sensor_data)
-    errors: list[str] = []
-
-    def reported() -> bool:
-        errors.extend(capfd.readouterr().err.splitlines())
-        return any("node weak" in line for line in errors)
-
-    ros.spin_until(reported, what="the warning")
-    unreliable.publish(String(data="not heard"))
-    another = node.create_publisher(String, "chatter", 10)
-    recording.publish(recorder, another, [String(data="heard")] * 2)
+    weak = ros.node("weak").create_publisher(String, "chatter", qos_profile_sensor_data)
+    # The strong publisher is now heard twice.
+    ros.spin_until(lambda: weak.get_subscription_count() == 1, what="the weak one's match")
+    ros.spin_until(lambda: strong.get_subscription_count() == 2, what="the strong one's match")
+    for index in range(20):
+        strong.publish(String(data=f"strong {index}"))
+        weak.publish(String(data=f"weak {index}"))
+    ros.spin_until(lambda: recording.count(recorder, "/chatter") >= 41, what="the messages")
     recorder.close()
 
-    errors.extend(capfd.readouterr().err.splitlines())
-    (warning,) = [line for line in errors if "node weak" in line and "recorder" in line]
-    assert "offers less reliability than the first publishers" in warning
+    assert recorder.statistics.topics["/chatter"] == (41, 0, True, ())
+    reader = BagReader(recorder.path)
+    texts = [deserialize_message(m.data, String).data for m in reader.messages()]
+    assert sorted(texts) == sorted(
+        ["first"] + [f"{who} {index}" for who in ("strong", "weak") for index in range(20)]
+    )
+    (offer,) = reader.topics["/chatter"].qos_profiles
+    assert (offer.reliability, offer.durability) == ("reliable", "transient_local")

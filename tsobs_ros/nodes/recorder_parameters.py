@@ -1,0 +1,142 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder's parameters; `config/recorder.yaml` shows them with their reasons."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tsobs_ros.bag.recording import RecordingOptions
+from tsobs_ros.errors import ParameterError
+from tsobs_ros.nodes.managed import ManagedParameters
+from tsobs_ros.nodes.parameters import parameter
+from tsobs_ros.nodes.recorder_selection import TopicSelection
+
+_MIB = 2**20
+
+
+@dataclass(frozen=True)
+class RecorderParameters(ManagedParameters):
+    """The node's parameters."""
+
+    topics: tuple[str, ...] = parameter(
+        (), "Topics to record, also hidden ones; '*' for all that are not", read_only=True
+    )
+    services: tuple[str, ...] = parameter(
+        (), "Services to record the events of; '*' for all", read_only=True
+    )
+    all: bool = parameter(
+        False, "Record all topics and services, as without any selection", read_only=True
+    )
+    all_services: bool = parameter(False, "Record all services", read_only=True)
+    regex: str = parameter("", "Record topics and services that contain this", read_only=True)
+    exclude_topics: tuple[str, ...] = parameter((), "Topics not to record", read_only=True)
+    exclude_services: tuple[str, ...] = parameter((), "Services not to record", read_only=True)
+    exclude_regex: str = parameter(
+        "", "Do not record topics and services that contain this", read_only=True
+    )
+    include_hidden: bool = parameter(
+        False, "Let 'all' and 'regex' find hidden topics too", read_only=True
+    )
+    include_unpublished: bool = parameter(
+        False, "Subscribe to topics that others only subscribe to as well", read_only=True
+    )
+    output: str = parameter(
+        "", "Folder of the bag, which must not exist; empty for a dated name", read_only=True
+    )
+    compression: str = parameter(
+        "zstd", "Compression of the chunks", choices=("none", "lz4", "zstd"), read_only=True
+    )
+    max_bag_size: int = parameter(
+        0, "Size at which another file is begun; 0: never", unit="bytes", minimum=0, read_only=True
+    )
+    max_bag_duration: float = parameter(
+        0.0, "Time after which another file is begun; 0: never", unit="s", minimum=0, read_only=True
+    )
+    repeat_latched: int = parameter(
+        1,
+        "Messages of each latched publisher to repeat where a file begins; 0: none",
+        minimum=0,
+        maximum=1000,
+        read_only=True,
+    )
+    start_paused: bool = parameter(False, "Wait for the service ~/resume", read_only=True)
+    snapshot_mode: bool = parameter(
+        False, "Write only when the service ~/snapshot asks for the last seconds", read_only=True
+    )
+    snapshot_duration: float = parameter(
+        30.0, "Time that a snapshot goes back", unit="s", minimum=0.001, read_only=True
+    )
+    snapshot_size: int = parameter(
+        100, "Memory that a snapshot may take", unit="MiB", minimum=1, read_only=True
+    )
+    flush_period: float = parameter(
+        0.5, "What is older survives a kill", unit="s", minimum=0.01, maximum=10, read_only=True
+    )
+    sync_period: float = parameter(
+        5.0, "What is older survives a power cut", unit="s", minimum=0.1, read_only=True
+    )
+    drain_period: float = parameter(
+        0.01, "How often queues are emptied", unit="s", minimum=0.001, maximum=1, read_only=True
+    )
+    queue_depth: int = parameter(
+        5000,
+        "Messages of a topic that may wait to be drained",
+        minimum=1,
+        maximum=5000,
+        read_only=True,
+    )
+    minimum_free_disk: int = parameter(
+        256, "Free disk space at which recording ends", unit="MiB", minimum=0
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse patterns that are none.
+
+        Raises:
+            ParameterError: A regular expression is malformed.
+        """
+        for name in ("regex", "exclude_regex"):
+            try:
+                re.compile(getattr(self, name))
+            except re.error as error:
+                raise ParameterError(
+                    f"parameter '{name}': not a regular expression ({error}): "
+                    f"'{getattr(self, name)}'"
+                ) from error
+
+    def recording_options(self) -> RecordingOptions:
+        """Return how to record."""
+        return RecordingOptions(
+            compression=self.compression,
+            max_size=self.max_bag_size,
+            max_duration_ns=round(self.max_bag_duration * 1e9),
+            repeat_latched=self.repeat_latched,
+            sync_period=self.sync_period,
+            snapshot_duration_ns=self.snapshot_mode * round(self.snapshot_duration * 1e9),
+            snapshot_size=self.snapshot_size * _MIB,
+        )
+
+    def selection(
+        self, topic_name: Callable[[str], str], service_name: Callable[[str], str]
+    ) -> TopicSelection:
+        """Return which topics are wanted; with nothing selected, all topics and services.
+
+        Args:
+            topic_name: Makes a topic's name as listed a full one.
+            service_name: The same for a service's name.
+        """
+        all_topics, all_services = "*" in self.topics, "*" in self.services or self.all_services
+        if self.all or not (self.topics or self.services or self.regex or all_services):
+            all_topics = all_services = True
+        return TopicSelection(
+            topics=frozenset(topic_name(name) for name in self.topics if name != "*"),
+            services=frozenset(service_name(name) for name in self.services if name != "*"),
+            all_topics=all_topics,
+            all_services=all_services,
+            regex=self.regex,
+            exclude_topics=frozenset(map(topic_name, self.exclude_topics)),
+            exclude_services=frozenset(map(service_name, self.exclude_services)),
+            exclude_regex=self.exclude_regex,
+            include_hidden=self.include_hidden,
+        )
