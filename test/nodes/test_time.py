@@ -191,14 +191,11 @@ def test_whatever_the_order_of_arrival_the_estimate_is_that_of_the_order_of_stam
     observer = stage.add("", recording.keep, rate=50.0, supervision__jump_quiet=0.0)
     arm = Arm(BEGIN, rate=sensor, seconds=2.0)
     rng = np.random.default_rng(seed)
-    samples = {}
+    samples, frozen = {}, arm.measurement(BEGIN).y
     for index, stamp in enumerate(arm.stamps(BEGIN, 200.0 / sensor)):
         sample = arm.measurement(stamp)
         offset = 0.3 * (index > 90) + rng.choice([0.0, 2.0], p=[0.95, 0.05])
-        samples[stamp] = sample._replace(
-            y=samples[last].y if 40 < index < 60 else sample.y + offset
-        )
-        last = stamp
+        samples[stamp] = sample._replace(y=frozen if 40 <= index < 60 else sample.y + offset)
     arrivals = sorted((stamp + int(rng.integers(0, 300 * MS)), stamp) for stamp in samples)
     events = [
         Event(at, arm.message(stamp, position=samples[stamp].y.tolist())) for at, stamp in arrivals
