@@ -3,8 +3,10 @@
 """Observers over a recording, as many as wanted in one pass, and a new bag of their estimates."""
 
 import heapq
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
@@ -23,6 +25,7 @@ from tsobs_ros.offline.source import Live, Source
 from tsobs_ros.offline.table import Agreement, EstimateTable, Recorded
 
 _PROGRESS = 256
+_LOG_TIME = attrgetter("log_time")
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,7 @@ class Run:
 
     Attributes:
         observer: The observer.
+        schedule: When it estimates.
         replay: Its counts.
         table: Its estimates and innovations.
     """
@@ -65,7 +69,8 @@ class Run:
         live: Live | None = None,
     ) -> None:
         self.observer = observer
-        self._samples, self._schedule = samples, schedule
+        self.schedule = schedule
+        self._samples = samples
         trackers = [make_tracker(design, observer.settings) for design in observer.designs]
         stale_after = observer.settings.stale_after
         self.replay = Replay(JointTrackers(trackers), samples, schedule, stale_after)
@@ -80,13 +85,14 @@ class Run:
         """The topics that there are messages of, under the observer's name."""
         return self._encode.topics
 
-    def messages(self, prefix: str) -> Iterator[BagMessage]:
+    def messages(self, prefix: str, progress: Callable[[int], None]) -> Iterator[BagMessage]:
         """Run the observer, and yield what it publishes, in order.
 
         Args:
             prefix: Of the topics' names, with a slash at its end.
+            progress: Told now and then of how many measurements more have been taken.
         """
-        stamps, samples, schedule = self._samples.stamps.tolist(), self._samples, self._schedule
+        stamps, samples, schedule = self._samples.stamps.tolist(), self._samples, self.schedule
         log_times = [*schedule.log_times.tolist(), 0]
         publish_times = [*schedule.publish_times.tolist(), 0]
         agrees = None if self._recorded is None else self._recorded.agrees
@@ -94,6 +100,8 @@ class Run:
             log_time, publish_time = log_times[event.tick], publish_times[event.tick]
             match event:
                 case Used(tick, message, outcomes):
+                    if message % _PROGRESS == 0:
+                        progress(_PROGRESS)
                     self.table.add_innovations(message, outcomes)
                     self._encode.innovations(stamps[message], outcomes)
                     if tick == schedule.count:
@@ -149,17 +157,17 @@ def run_all(
         runs: From `make_runs`.
         output: Folder of the new bag, which must not exist; None to write none.
         estimates_only: Leave out the measurements, and the truth where it is known.
-        progress: Told of every so many messages that there were so many more.
+        progress: Told now and then of how many measurements more an observer has taken.
 
     Raises:
         BagWriteError: The folder exists, the definition of JointStates is not to be found, or the
             bag cannot be written.
     """
     prefixes = [f"{source.namespace}/{run.observer.name}/" for run in runs]
-    streams = [run.messages(prefix) for run, prefix in zip(runs, prefixes, strict=True)]
+    streams = [run.messages(prefix, progress) for run, prefix in zip(runs, prefixes, strict=True)]
     if output is None:
         for stream in streams:
-            _exhaust(stream, lambda message: None, progress)
+            deque(stream, maxlen=0)
         return
     copied = [] if estimates_only else source.topics
     definition = _definition(source)
@@ -173,24 +181,8 @@ def run_all(
                 writer.add_topic(prefix + name, JOINT_STATE, [QosProfile()], definition=definition)
         if not estimates_only:
             streams.insert(0, source.messages())
-        ordered = heapq.merge(*streams, key=lambda message: message.log_time)
-        write = writer.write
-        _exhaust(
-            ordered,
-            lambda one: write(one.topic, one.data, one.log_time, one.publish_time),
-            progress,
-        )
-
-
-def _exhaust(
-    messages: Iterable[BagMessage],
-    take: Callable[[BagMessage], None],
-    progress: Callable[[int], None],
-) -> None:
-    for count, message in enumerate(messages, 1):
-        take(message)
-        if count % _PROGRESS == 0:
-            progress(_PROGRESS)
+        for one in heapq.merge(*streams, key=_LOG_TIME):
+            writer.write(one.topic, one.data, one.log_time, one.publish_time)
 
 
 def _definition(source: Source) -> MessageDefinition:

@@ -121,8 +121,8 @@ class Agreement(NamedTuple):
             )
         if not reasons:
             reasons.append(
-                "it ran with another design or other parameters, was running before the recording "
-                "began, or was reset"
+                "it had another design, other parameters or another version, was reset, or ran "
+                "before the recording began"
             )
         return f"{line}; {' and '.join(reasons)}"
 

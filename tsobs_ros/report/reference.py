@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
@@ -108,20 +109,26 @@ def rerun(run: RecordedRun, observer: Estimator[Any], x_max: float) -> RecordedR
     return replace(run, **estimates_of(table, samples.stamps))
 
 
-def estimates_of(table: EstimateTable, stamps: Stamps, joint: int = 0) -> dict[str, Any]:
+def estimates_of(
+    table: EstimateTable,
+    stamps: Stamps,
+    joint: int = 0,
+    ticks: slice | NDArray[np.intp] = slice(None),
+) -> dict[str, Any]:
     """Return what a replay estimated of a joint, as a `RecordedRun` has it.
 
     Args:
         table: What it estimated.
         stamps: Of the measurements [ns].
         joint: Its index.
+        ticks: Some of the ticks.
     """
     used = ~np.isnan(table.innovations[:, joint])
     return {
-        "states": table.states[:, joint],
-        "state_bounds": table.state_bounds[:, joint],
-        "disturbance": table.disturbances[:, joint, 0],
-        "disturbance_bounds": table.disturbance_bounds[:, joint, 0],
+        "states": table.states[ticks, joint],
+        "state_bounds": table.state_bounds[ticks, joint],
+        "disturbance": table.disturbances[ticks, joint, 0],
+        "disturbance_bounds": table.disturbance_bounds[ticks, joint, 0],
         "innovations": Series(stamps[used], table.innovations[used, joint, np.newaxis]).ordered(),
     }
 

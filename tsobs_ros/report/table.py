@@ -24,18 +24,18 @@ def render_metrics(metrics: RunMetrics, comparison: EkfComparison | None = None)
     rows = [head]
     for quantity in QUANTITIES:
         one = metrics[quantity.key]
-        row = [quantity.name, quantity.unit, _number(one.rmse), _number(one.bound)]
-        row += [_ratio(one.ratio), _percent(one.inside)]
+        row = [quantity.name, quantity.unit, number(one.rmse), number(one.bound)]
+        row += [ratio(one.ratio), _percent(one.inside)]
         if comparison is not None:
-            row += [_number(comparison.ekf[quantity.key].rmse)]
-            row += [_ratio(comparison.ratios[quantity.key])]
+            row += [number(comparison.ekf[quantity.key].rmse)]
+            row += [ratio(comparison.ratios[quantity.key])]
         rows.append(row)
-    total = ["all states, normalised", "", _number(metrics.normalised_rmse), "", "", ""]
+    total = ["all states, normalised", "", number(metrics.normalised_rmse), "", "", ""]
     if comparison is not None:
-        total += [_number(comparison.ekf.normalised_rmse), _ratio(comparison.normalised_ratio)]
+        total += [number(comparison.ekf.normalised_rmse), ratio(comparison.normalised_ratio)]
     rows.append(total)
     last = [] if comparison is None else [_ABOUT_THE_EKF]
-    return "\n".join([_first_line(metrics), "", *_aligned(rows), "", *_events(metrics), *last])
+    return "\n".join([_first_line(metrics), "", *aligned(rows), "", *_events(metrics), *last])
 
 
 def _first_line(metrics: RunMetrics) -> str:
@@ -46,7 +46,8 @@ def _first_line(metrics: RunMetrics) -> str:
     )
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table: a head with a rule below it, two columns of text, numbers."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     lines = []
     for row in rows:
@@ -72,11 +73,13 @@ def _events(metrics: RunMetrics) -> list[str]:
     return lines
 
 
-def _number(value: float | None) -> str:
+def number(value: float | None) -> str:
+    """Return a number with three digits."""
     return _NOTHING if value is None else f"{value:#.3g}"
 
 
-def _ratio(value: float | None) -> str:
+def ratio(value: float | None) -> str:
+    """Return a ratio with two decimals."""
     return _NOTHING if value is None else f"{value:.2f}"
 
 

@@ -1,0 +1,123 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How many times faster than real time `tsobs estimate` is on a bag recorded at 200 Hz.
+
+The bag has measurements and ground truth of a simulated arm; a new bag of both and the estimates
+is written. The time is that of the work itself, from opening the bag to the new one's last fsync;
+starting Python and loading the design take another half second, however long the bag is.
+"""
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import design_of, parser, show, use_one_thread
+
+from tsobs_ros.bag.estimate_messages import sides
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.writer import BagWriter
+from tsobs_ros.design.observers import ObserverSettings
+from tsobs_ros.design.record import Design
+from tsobs_ros.offline.estimate import Observer, make_runs, run_all
+from tsobs_ros.offline.source import BagSource
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+
+_JOINT = "elastic_joint"
+_START = 1_700_000_000_000_000_000
+_LATENCY = 200_000
+
+
+def _record(path: Path, design: Design, seconds: float) -> None:
+    """Write a bag as the recorder does, of a simulated run."""
+    scenario = SCENARIOS["bias_step"]
+    runs = simulate(scenario, [1], seconds)
+    y, u, truth = runs.measurements[0, :, 0], runs.torques[0, :, 0], runs.states[0]
+    physical = design.request.arm.to_physical(truth)
+    own, arm = JointStateEncoder([_JOINT]), JointStateEncoder(sides(_JOINT))
+    stamps = (_START + np.round(runs.times * 1e9)).astype(np.int64).tolist()
+    measured, true = "/joint_measurements", "/ground_truth/joint_states"
+    disturbed = "/ground_truth/disturbance"
+    with BagWriter(path) as writer:
+        for topic in (measured, true, disturbed):
+            writer.add_topic(topic, JOINT_STATE)
+        rows = zip(stamps, y.tolist(), u.tolist(), physical.tolist(), strict=True)
+        disturbances = runs.disturbances[0, :, 0].tolist()
+        for (stamp, angle, torque, (q1, v1, q2, v2)), d in zip(rows, disturbances, strict=True):
+            log = stamp + _LATENCY
+            writer.write(measured, own(stamp, [angle], (), [torque]), log, log)
+            writer.write(true, arm(stamp, [q1, q2], [v1, v2]), log, log)
+            writer.write(disturbed, own(stamp, [d]), log, log)
+
+
+def _timed(action: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    action()
+    return time.perf_counter() - begun
+
+
+def _estimate(bag: Path, design: Design, output: Path | None) -> None:
+    source = BagSource(bag)
+    observer = Observer("observer", ObserverSettings(), (design,))
+    runs = make_runs(source, [observer], rate=None, as_live=True)
+    run_all(source, runs, output)
+    done = int(runs[0].table.done.sum())
+    assert done == source.samples.count, f"{done} estimates of {source.samples.count} samples"
+
+
+def _measure(folder: Path, design: Design, seconds: float, repeats: int) -> dict[str, Any]:
+    bag, live = folder / "bag", folder / "live"
+    _record(bag, design, seconds)
+    _estimate(bag, design, live)
+    times: dict[str, list[float]] = {"all": [], "read": [], "estimate": [], "with live": []}
+    outputs = [folder / f"new_{repeat}" for repeat in range(2 * repeats)]
+    for _ in range(repeats):
+        times["all"].append(_timed(lambda: _estimate(bag, design, outputs.pop())))
+        times["read"].append(_timed(lambda: BagSource(bag)))
+        times["estimate"].append(_timed(lambda: _estimate(bag, design, None)))
+        times["with live"].append(_timed(lambda: _estimate(live, design, outputs.pop())))
+    medians = {name: float(np.median(each)) for name, each in times.items()}
+    samples = BagReader(bag).topics["/joint_measurements"].count
+    parts = {
+        "read and decode the measurements": medians["read"],
+        "estimate and encode": medians["estimate"] - medians["read"],
+        "copy the recorded topics and write": medians["all"] - medians["estimate"],
+    }
+    return {
+        "seconds_of_bag": seconds,
+        "samples": samples,
+        "times_real_time": seconds / medians["all"],
+        "times_real_time_with_recorded_estimates": seconds / medians["with live"],
+        "us_per_sample": {name: 1e6 * each / samples for name, each in parts.items()},
+    }
+
+
+def main() -> None:
+    """Measure and print."""
+    made = parser(__doc__)
+    made.add_argument("--seconds", type=float, default=120.0, help="length of the bag")
+    made.add_argument("--repeats", type=int, default=5)
+    options = made.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        design = design_of(options)
+        results = _measure(Path(folder), design, options.seconds, options.repeats)
+    parts = results["us_per_sample"]
+    text = "\n".join(
+        [
+            f"tsobs estimate, {options.seconds:g} s at 200 Hz, median of {options.repeats}:",
+            f"  {results['times_real_time']:.0f} × real time; "
+            f"{results['times_real_time_with_recorded_estimates']:.0f} × where the bag has a live "
+            "observer's estimates, which are reproduced",
+            *(f"  {name:<36}{each:6.1f} µs a sample" for name, each in parts.items()),
+            f"  {'together':<36}{sum(parts.values()):6.1f} µs a sample",
+        ]
+    )
+    show(results, text, options.json)
+
+
+if __name__ == "__main__":
+    use_one_thread()
+    main()

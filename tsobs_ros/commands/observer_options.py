@@ -1,0 +1,131 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Options that say what to estimate from and which observers to run."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tsobs_ros.commands.options import positive
+from tsobs_ros.errors import DesignFileError
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+
+if TYPE_CHECKING:
+    from tsobs_ros.design.record import Design
+    from tsobs_ros.offline.estimate import Observer
+    from tsobs_ros.offline.source import Source
+
+METHODS = ("certified", "ekf", "high_gain", "proportional_integral", "paper")
+
+
+def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str]) -> None:
+    """Let a command run observers over a bag or a log.
+
+    Args:
+        command: The command.
+        methods: What it runs unless told otherwise.
+    """
+    command.add_argument("bag", type=Path, metavar="BAG", help="bag folder, MCAP file or CSV log")
+    command.add_argument(
+        "--design",
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="design files, each run; JOINT=FILE for joints with designs of their own "
+        "(default: the shipped design)",
+    )
+    command.add_argument(
+        "--method",
+        nargs="+",
+        choices=METHODS,
+        default=methods,
+        metavar="METHOD",
+        help=f"observers to run, of {', '.join(METHODS)} (default: {' '.join(methods)})",
+    )
+    command.add_argument("--joints", nargs="+", default=[], metavar="NAME", help="default: all")
+    command.add_argument("--topic", help="the measurements (default: …/joint_measurements)")
+    command.add_argument(
+        "--at",
+        choices=("recorded", "measurements"),
+        help="when to estimate (default: when the recorded observer did, if there is one)",
+    )
+    command.add_argument("--rate", type=positive, metavar="HZ", help="estimate at a fixed rate")
+    command.add_argument(
+        "--columns",
+        metavar="NAME=COLUMN,...",
+        help="of a CSV log: time=t,angle=q,torque=tau (default: by their names)",
+    )
+    as_run = command.add_argument_group("the observer's parameters, as those of the node")
+    as_run.add_argument("--theta", type=positive, default=2.5, metavar="RAD/S")
+    as_run.add_argument("--gain-mode", choices=("certified", "riccati"), default="certified")
+    as_run.add_argument("--settle-time", type=float, default=5.0, metavar="S")
+    as_run.add_argument("--no-adapt", action="store_true", help="learn no parameters")
+    as_run.add_argument("--history", type=float, default=0.5, metavar="S")
+    as_run.add_argument("--future-tolerance", type=float, default=0.1, metavar="S")
+    as_run.add_argument("--stale-after", type=positive, default=5.0, metavar="S")
+    as_run.add_argument("--assume-zero-torque", action="store_true")
+
+
+def source_of(options: argparse.Namespace) -> "Source":
+    """Open the bag or the log that the options name."""
+    from tsobs_ros.offline.source import BagSource
+
+    return BagSource(
+        options.bag,
+        topic=options.topic,
+        joints=options.joints,
+        assume_zero_torque=options.assume_zero_torque,
+    )
+
+
+def observers_of(options: argparse.Namespace, joints: Sequence[str]) -> "list[Observer]":
+    """Return the observers that the options name, one for each design and method."""
+    from tsobs_ros.design.observers import ObserverSettings
+    from tsobs_ros.estimation.observer import GainMode
+    from tsobs_ros.offline.estimate import Observer
+
+    designs = _designs(options.design, joints)
+    observers = []
+    for stem, own in designs.items():
+        for method in options.method:
+            parts = [stem] * (len(designs) > 1) + [method] * (len(options.method) > 1)
+            settings = ObserverSettings(
+                method=method,
+                theta=options.theta,
+                gain_mode=GainMode(options.gain_mode),
+                settle_time=options.settle_time,
+                adapt=not options.no_adapt,
+                history=options.history,
+                future_tolerance=options.future_tolerance,
+                stale_after=options.stale_after,
+                assume_zero_torque=options.assume_zero_torque,
+            )
+            observers.append(Observer("_".join(parts) or "observer", settings, own))
+    return observers
+
+
+def _designs(arguments: Sequence[str], joints: Sequence[str]) -> "dict[str, tuple[Design, ...]]":
+    """Return the designs to compare by the names of their files, each with one design a joint."""
+    from tsobs_ros.design.file import load_design
+
+    own = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
+    shared = [Path(argument) for argument in arguments if "=" not in argument]
+    if unknown := sorted(set(own) - set(joints)):
+        raise DesignFileError(
+            f"--design {unknown[0]}={own[unknown[0]]}: no such joint; joints: {', '.join(joints)}"
+        )
+    if own:
+        if len(shared) > 1:
+            raise DesignFileError(
+                "--design: expected one file at most for the joints without their own, got "
+                + ", ".join(map(str, shared))
+            )
+        rest = shared[0] if shared else config_path(SHIPPED_DESIGN)
+        return {"own": tuple(load_design(Path(own.get(joint, rest))) for joint in joints)}
+    found: dict[str, tuple[Design, ...]] = {}
+    for path in shared or [config_path(SHIPPED_DESIGN)]:
+        stem = path.name.split(".")[0].replace("-", "_").replace(" ", "_")
+        name = stem if stem not in found else f"{stem}_{len(found) + 1}"
+        found[name] = (load_design(path),) * len(joints)
+    return found
