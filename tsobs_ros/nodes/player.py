@@ -6,6 +6,7 @@ When to publish what is decided in `bag.playback`; the node brings the time, the
 ways to interfere: services to pause and to step, the live parameters `rate`, `loop` and `position`.
 """
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -31,6 +32,9 @@ from tsobs_ros.nodes.stamps import set_stamp
 
 _MIB = 2**20
 _DIAGNOSTICS_PERIOD = 1.0
+# While a chunk of the bag is unpacked in the reader's thread, a message that is due would wait for
+# the interpreter for as long as this; Python's own 5 ms are too long [s].
+_SWITCH_INTERVAL = 0.0005
 # Catching up must not keep services waiting.
 _LONGEST_BURST = 5_000_000
 _WAIT_POLL = 10_000_000
@@ -98,6 +102,8 @@ class Player(ManagedNode[PlayerParameters]):
         read_ahead = round(parameters.read_ahead * _MIB)
         source = BagSource(reader, list(topics.by_name), topics.latched, start, end, read_ahead)
         self.at_cleanup(source.close)
+        self.at_cleanup(sys.setswitchinterval, sys.getswitchinterval())
+        sys.setswitchinterval(_SWITCH_INTERVAL)
         self._playback = Playback(
             source.read,
             start,
@@ -144,6 +150,11 @@ class Player(ManagedNode[PlayerParameters]):
     def paused(self) -> bool:
         """Whether a pause is wanted, by a service or by `start_paused`."""
         return self._paused
+
+    @property
+    def messages(self) -> int:
+        """How many messages have been published since it was configured."""
+        return self._topics.messages
 
     @property
     def position(self) -> float:

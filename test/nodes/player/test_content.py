@@ -1,0 +1,182 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What is played is what was recorded: all of it, to the byte, in order, whatever kind of bag."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from player.bags import LATCHED, MS, START, STRING, Entry, data_of, regular, texts, write_bag
+from rclpy.parameter import Parameter
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from tsobs_ros.bag import BagReader, BagWriter, QosProfile
+from tsobs_ros.bag.definitions import MessageDefinition, find_definition
+from tsobs_ros.nodes.recorder import Recorder
+from tsobs_ros.nodes.recorder import create as create_recorder
+
+Play = Callable[..., Any]
+
+
+def test_topics_are_played_in_order_of_log_time(play: Play, listener: Any, tmp_path: Path) -> None:
+    entries = [*regular(20), Entry("/b", 55, "b0"), Entry("/b", 155, "b1"), Entry("/b", 155, "b2")]
+    bag = write_bag(tmp_path / "bag", entries)
+    listener.listen("/a", "/b")
+    listener.hear_out(play(bag, wait_for_subscribers=2))
+
+    heard = [said for _, said in sorted(zip(listener.sent, listener.heard, strict=True))]
+    expected = sorted(entries, key=lambda entry: entry.at)
+    assert heard == [(entry.topic, entry.text) for entry in expected]
+
+
+@pytest.mark.parametrize("make", ["split", "file", "rosbag2"])
+def test_any_kind_of_bag_is_played(
+    ros: Any, play: Play, listener: Any, tmp_path: Path, make: str
+) -> None:
+    bag = tmp_path / "bag"
+    if make == "rosbag2":
+        store = get_typestore(Stores.ROS2_JAZZY)
+        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            connection = writer.add_connection("/a", STRING, typestore=store)
+            for entry in regular(20):
+                writer.write(connection, START + int(entry.at * MS), data_of(entry.text))
+    else:
+        write_bag(bag, regular(20), max_duration_ns=45 * MS if make == "split" else 0)
+        assert len(list(bag.glob("*.mcap"))) == (4 if make == "split" else 1)
+    listener.listen("/a")
+    player = play(bag / "bag_0.mcap" if make == "file" else bag, rate=10.0)
+    listener.hear_out(player)
+
+    assert listener.texts() == texts(0, 20)
+
+
+@pytest.fixture
+def record(ros: Any, tmp_path: Path) -> Callable[..., Recorder]:
+    """Give what starts recorders of some topics."""
+
+    def start(name: str, *topics: str) -> Recorder:
+        values = {"output": str(tmp_path / name), "topics": list(topics)}
+        overrides = [Parameter(key, value=value) for key, value in values.items()]
+        return ros.add(create_recorder(context=ros.context, parameter_overrides=overrides))
+
+    return start
+
+
+def test_what_was_recorded_played_and_recorded_again_is_the_same(
+    ros: Any, play: Play, record: Callable[..., Recorder], tmp_path: Path
+) -> None:
+    offers = {
+        "/latched": [LATCHED],
+        "/best_effort": [QosProfile(reliability="best_effort")],
+    }
+    entries = [
+        Entry("/latched", 0, "the map"),
+        *regular(100, 1.0, "/a"),
+        *regular(50, 2.0, "/best_effort"),
+        Entry("/a", 50.5, ""),
+        Entry("/a", 60.5, "Größe θ̂ ≤ 1 😀" * 1000),
+    ]
+    first = BagReader(write_bag(tmp_path / "first", entries, offers))
+    recorder = record("second", *first.topics)
+    player = play(first.path, wait_for_subscribers=3)
+    ros.spin_until(lambda: player.finished, what="the end")
+    ros.spin_until(
+        lambda: recorder.statistics.messages >= first.message_count, what="the recording"
+    )
+    recorder.close()
+
+    second = BagReader(tmp_path / "second")
+    for topic, info in first.topics.items():
+        assert [m.data for m in second.messages([topic])] == [
+            m.data for m in first.messages([topic])
+        ]
+        assert second.topics[topic].qos_profiles == info.qos_profiles
+        assert second.topics[topic].type_hash == info.type_hash
+
+
+@pytest.mark.parametrize(
+    ("parameters", "played"),
+    [
+        ({"topics": ["/a", "b"]}, {"/a", "/b"}),
+        ({"regex": "^/a"}, {"/a", "/ab"}),
+        ({"regex": "^/a$", "topics": ["/b"]}, {"/a", "/b"}),
+        ({"exclude_topics": ["/a", "/unheard_of"]}, {"/ab", "/b", "/clock"}),
+        ({"exclude_regex": "b", "clock": 10.0}, {"/a"}),
+    ],
+)
+def test_topics_are_selected(
+    play: Play, tmp_path: Path, parameters: dict[str, Any], played: set[str]
+) -> None:
+    names = ("/a", "/ab", "/b", "/clock")
+    bag = write_bag(tmp_path / "bag", [Entry(name, 0, "") for name in names])
+    player = play(bag, start_paused=True, **parameters)
+
+    published = {p.topic_name for p in player.publishers if p.topic_name in names}
+    assert published == played | ({"/clock"} if "clock" in parameters else set())
+
+
+@pytest.mark.parametrize(
+    ("definition", "reason"),
+    [
+        (
+            MessageDefinition("no_such_msgs/msg/Thing", "int32 x\n", ""),
+            "no_such_msgs/msg/Thing is not installed",
+        ),
+        (MessageDefinition("os/path/join", "int32 x\n", ""), "'os/path/join' is not a message"),
+        (
+            MessageDefinition("std_msgs/msg/Nothing", "int32 x\n", ""),
+            "the Python module of std_msgs",
+        ),
+        (
+            find_definition(STRING)._replace(type_hash="RIHS01_" + "0" * 64),
+            "another definition of std_msgs/msg/String",
+        ),
+        (MessageDefinition("std_srvs/srv/Trigger", "", ""), "it cannot be published"),
+    ],
+    ids=["package", "name", "type", "hash", "service"],
+)
+def test_what_cannot_be_published_is_left_out_and_said(
+    ros: Any, play: Play, listener: Any, tmp_path: Path, capfd: Any,
+    definition: MessageDefinition, reason: str,
+) -> None:  # fmt: skip
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/strange", definition.type, definition=definition)
+        writer.add_topic("/a", STRING)
+        for k in range(3):
+            writer.write("/strange", b"\0\1\0\0\0\0\0\0", START + k, START)
+            writer.write("/a", data_of(f"a{k}"), START + k, START)
+    listener.listen("/a")
+    player = play(tmp_path / "bag")
+    listener.hear_out(player)
+
+    assert listener.texts() == texts(0, 3)
+    (warning,) = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
+    assert "not playing /strange: " in warning
+    assert reason in warning
+
+
+def test_services_events_are_played(ros: Any, play: Play, tmp_path: Path) -> None:
+    from std_srvs.srv import Trigger
+
+    definition = MessageDefinition("std_srvs/srv/Trigger_Event", "", "")
+    event = b"\0\1\0\0" + bytes(44)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/s/_service_event", definition.type, definition=definition)
+        writer.write("/s/_service_event", event, START, START)
+    heard: list[bytes] = []
+    ros.node("listener").create_subscription(
+        Trigger.Event, "/s/_service_event", heard.append, 10, raw=True
+    )
+    player = play(tmp_path / "bag")
+    ros.spin_until(lambda: player.finished and bool(heard), what="the event")
+
+    assert heard == [event]
+
+
+def test_an_empty_bag_ends_at_once(ros: Any, play: Play, tmp_path: Path) -> None:
+    BagWriter(tmp_path / "bag").close()
+    player = play(tmp_path / "bag", loop=False)
+
+    ros.spin_until(lambda: player.finished, timeout=2.0, what="the end")

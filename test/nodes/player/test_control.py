@@ -1,0 +1,230 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Pausing, stepping, seeking, looping and changing the rate while a bag is played."""
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from player.bags import regular, texts, write_bag
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+Play = Callable[..., Any]
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """Give a bag of 100 messages on /a, one every 10 ms."""
+    return write_bag(tmp_path / "bag", regular(100))
+
+
+@pytest.fixture
+def call(ros: Any) -> Callable[[str], Any]:
+    """Give what calls one of the player's services and returns the answer."""
+    node = ros.node("caller")
+    clients: dict[str, Any] = {}
+
+    def ask(name: str) -> Any:
+        client = clients.setdefault(name, node.create_client(Trigger, f"player/{name}"))
+        ros.spin_until(client.service_is_ready, what=f"the service {name}")
+        future = client.call_async(Trigger.Request())
+        ros.spin_until(future.done, what=f"the answer of {name}")
+        return future.result()
+
+    return ask
+
+
+def set_parameter(player: Any, name: str, value: Any) -> None:
+    (result,) = player.set_parameters([Parameter(name, value=value)])
+    assert result.successful, result.reason
+
+
+def test_a_pause_lasts_until_it_is_over_and_nothing_is_left_out(
+    ros: Any, play: Play, listener: Any, call: Any, bag: Path
+) -> None:
+    listener.listen("/a")
+    player = play(bag)
+    ros.spin_until(lambda: len(listener.heard) >= 3, what="the first messages")
+
+    assert call("pause").success
+    assert call("is_paused").success
+    position, heard = player.position, player.messages
+    assert call("is_paused").message == f"paused at {position:.3f} s"
+    assert call("pause").success  # once more changes nothing
+    assert (player.position, player.messages) == (position, heard)
+
+    assert call("toggle_paused").message.startswith("playing at")
+    assert not call("is_paused").success
+    assert call("toggle_paused").message.startswith("paused at")
+    assert call("resume").success
+    listener.hear_out(player)
+    assert listener.texts() == texts(0, 100)
+
+
+def test_steps_publish_one_message_each(
+    ros: Any, play: Play, listener: Any, call: Any, tmp_path: Path
+) -> None:
+    listener.listen("/a").listen_to_clock()
+    player = play(write_bag(tmp_path / "short", regular(3)), start_paused=True, clock=100.0)
+    ros.spin_until(lambda: len(listener.clock) >= 3, what="the clock")
+    assert set(listener.clock) == {0.0}
+    for number in range(3):
+        answer = call("play_next")
+        assert answer.success
+        assert answer.message == f"/a at {0.01 * number:.3f} s"
+        ros.spin_until(lambda n=number: len(listener.heard) == n + 1, what="a message")
+
+    answer = call("play_next")
+    assert (answer.success, answer.message) == (False, "the bag has ended")
+    assert not player.finished
+    ros.spin_until(lambda: 20.0 in listener.clock, what="the clock at the last message")
+    assert list(dict.fromkeys(listener.clock)) == [0.0, 10.0, 20.0]
+    call("resume")
+    listener.hear_out(player)
+    assert listener.texts() == texts(0, 3)
+
+
+def test_only_a_paused_player_steps(play: Play, call: Any, bag: Path) -> None:
+    play(bag, wait_timeout=0.0)
+
+    answer = call("play_next")
+
+    assert not answer.success
+    assert answer.message == "only a paused player steps; it is waiting for subscribers"
+
+
+def test_setting_the_position_goes_there_however_often(
+    ros: Any, play: Play, listener: Any, bag: Path
+) -> None:
+    listener.listen("/a")
+    player = play(bag, start_paused=True)
+    for position, first in ((0.9, 90), (0.2, 20), (0.2, 20), (0.985, 99)):
+        set_parameter(player, "position", position)
+        assert player.position == pytest.approx(position)
+        player._play_next()
+        ros.spin_until(lambda n=first: listener.texts()[-1:] == [f"a{n}"], what="the message there")
+
+    (result,) = player.set_parameters([Parameter("position", value=1.0)])
+    assert not result.successful
+    assert result.reason == "parameter 'position' must be at most 0.99 s, the bag's length"
+    (result,) = player.set_parameters([Parameter("position", value="there")])
+    assert "expected a number" in result.reason
+    assert player.position == pytest.approx(0.99)
+
+
+def test_seeking_while_playing_goes_on_playing_from_there(
+    ros: Any, play: Play, listener: Any, bag: Path
+) -> None:
+    listener.listen("/a")
+    player = play(bag, position=0.5)
+    ros.spin_until(lambda: len(listener.heard) >= 3, what="the first messages")
+    set_parameter(player, "position", 0.9)
+    listener.hear_out(player)
+
+    numbers = [int(text[1:]) for text in listener.texts()]
+    assert numbers[0] == 50
+    assert numbers == [*range(50, numbers[-11] + 1), *range(90, 100)]
+
+    set_parameter(player, "position", 0.95)
+    assert not player.finished
+    listener.hear_out(player)
+    assert listener.texts()[-5:] == texts(95, 100)
+
+
+def test_the_rate_may_change_while_playing(ros: Any, play: Play, listener: Any, bag: Path) -> None:
+    listener.listen("/a")
+    player = play(bag, rate=0.01)
+    ros.spin_until(lambda: player.position > 0.0005, what="some of the bag")
+    assert player.position < 0.5
+    set_parameter(player, "rate", 100)
+    listener.hear_out(player)
+
+    assert listener.texts() == texts(0, 100)
+    (result,) = player.set_parameters([Parameter("rate", value=0.0)])
+    assert not result.successful
+
+
+def test_in_a_loop_the_clock_jumps_back_to_the_start(
+    ros: Any, play: Play, listener: Any, bag: Path
+) -> None:
+    listener.listen("/a").listen_to_clock()
+    player = play(bag, start_offset=0.9, duration=0.05, loop=True, clock=200.0, rate=0.5)
+    ros.spin_until(lambda: len(listener.heard) >= 15, what="two passes and a half")
+    assert not player.finished
+    set_parameter(player, "loop", False)
+    listener.hear_out(player)
+    ros.spin_until(lambda: 950.0 in listener.clock[-3:], what="the clock at the end")
+
+    passed = len(listener.heard) // 6
+    assert passed >= 3
+    assert listener.texts() == texts(90, 96) * passed
+    jumps = [(first, second) for first, second in pairwise(listener.clock) if second < first]
+    assert len(jumps) == passed - 1
+    assert all(second == 900.0 for _, second in jumps)
+    assert listener.clock[0] == 900.0
+    assert max(listener.clock) <= 950.0
+    # 200 Hz of real time at half the rate.
+    steps = {round(b - a, 3) for a, b in pairwise(listener.clock) if b > a}
+    assert 2.5 in steps
+
+
+def test_the_bags_own_clock_is_replaced(
+    ros: Any, play: Play, listener: Any, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / "bag", [*regular(5), *regular(5, topic="/clock")])
+    listener.listen("/a").listen_to_clock()
+    player = play(bag, clock=100.0)
+    listener.hear_out(player)
+
+    assert player.messages == 5
+
+
+def test_a_lifecycle_manager_may_drive_it(
+    ros: Any, play: Play, listener: Any, manage: Any, bag: Path
+) -> None:
+    listener.listen("/a")
+    player = play(bag, autostart=False)
+    manager = manage(player)
+    fresh = manager.entities
+    for _ in range(2):
+        assert manager.change("configure")
+        inactive = manager.entities
+        assert manager.change("activate")
+        ros.spin_until(lambda: player.messages >= 3, what="some messages")
+        assert manager.change("deactivate")
+        stopped, position = player.messages, player.position
+        assert manager.change("activate")
+        assert player.position >= position
+        ros.spin_until(lambda n=stopped: player.messages > n, what="more messages")
+        assert manager.change("deactivate")
+        assert manager.entities == inactive
+        total = player.messages
+        assert manager.change("cleanup")
+        assert manager.entities == fresh
+        ros.spin_until(lambda n=total: len(listener.heard) >= n, what="all messages")
+        assert listener.texts() == texts(0, total)
+        listener.heard.clear()
+
+
+def test_diagnostics_say_where_it_is_and_how_late(
+    ros: Any, play: Play, listener: Any, bag: Path
+) -> None:
+    found: list[Any] = []
+    listener.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: found.extend(array.status), 10
+    )
+    play(bag, wait_for_subscribers=0, loop=True)
+    ros.spin_until(lambda: bool(found), what="diagnostics")
+
+    status = found[0]
+    values = {value.key: value.value for value in status.values}
+    assert (status.name, status.message) == ("player: playing", "playing")
+    assert (values["length [s]"], values["rate"], values["paused"]) == ("0.990", "1", "false")
+    assert 0.0 <= float(values["position [s]"]) <= 0.99
+    assert float(values["lag p50 [ms]"]) <= float(values["lag p99 [ms]"])
+    assert values["messages"] == values["messages of /a"]
+    assert int(values["messages"]) > 0

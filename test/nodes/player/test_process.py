@@ -1,0 +1,92 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The player as a process ends with the bag, with a signal, or with one line on what is wrong."""
+
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from player.bags import regular, texts, write_bag
+
+from tsobs_ros.bag import BagReader
+from tsobs_ros.errors import BagReadError
+
+Process = Callable[..., Any]
+
+
+def test_it_ends_with_the_bag_and_follows_remappings(
+    ros: Any, ros_process: Process, listener: Any, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / "bag", [*regular(50, 1.0), *regular(50, 1.0, "/b")])
+    listener.listen("/new", "/b").listen_to_clock()
+    process = ros_process(
+        "player",
+        parameters={"bag": str(bag), "clock": 100.0, "wait_for_subscribers": 2},
+        remap={"/a": "/new"},
+    )
+    ros.spin_until(lambda: len(listener.heard) >= 100, 30.0, "all messages")
+    finished = process.finish()
+
+    assert finished.exit_code == 0, finished.stderr
+    assert "Traceback" not in finished.stderr
+    assert listener.texts("/new") == texts(0, 50)
+    assert listener.texts("/b") == texts(0, 50, "b")
+    assert listener.clock[0] == 0.0
+    assert "played 100 messages of 2 topics" in finished.stderr
+
+
+def test_a_signal_ends_it_cleanly(
+    ros: Any, ros_process: Process, listener: Any, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / "bag", regular(100))
+    listener.listen("/a")
+    process = ros_process("player", parameters={"bag": str(bag), "loop": True})
+    ros.spin_until(lambda: len(listener.heard) >= 3, 30.0, "the first messages")
+    process.signal(signal.SIGINT)
+    finished = process.finish()
+
+    assert finished.exit_code == 0, finished.stderr
+    assert "Traceback" not in finished.stderr
+
+
+def test_damage_is_an_error_after_all_before_it_has_been_played(
+    ros: Any, ros_process: Process, listener: Any, tmp_path: Path
+) -> None:
+    # Two chunks, of which the second is damaged.
+    text = "x" * 8_000
+    entries = [e._replace(text=f"{e.text} {text}") for e in regular(150, 1.0)]
+    bag = write_bag(tmp_path / "bag", entries, compression="none")
+    file = bag / "bag_0.mcap"
+    content = bytearray(file.read_bytes())
+    content[content.index(b"a149 ") + 10] ^= 0xFF
+    file.write_bytes(content)
+    whole = sum(1 for _ in _until_damage(bag))
+    assert 0 < whole < 150
+
+    listener.listen("/a")
+    process = ros_process("player", parameters={"bag": str(bag)})
+    ros.spin_until(lambda: len(listener.heard) >= whole, 30.0, "all before the damage")
+    finished = process.finish()
+
+    assert finished.exit_code == 1
+    assert "Traceback" not in finished.stderr
+    (line,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
+    assert "bag_0.mcap: the file is damaged" in line
+    assert [text.split()[0] for text in listener.texts()] == texts(0, whole)
+
+
+def _until_damage(bag: Path) -> Iterator[Any]:
+    try:
+        yield from BagReader(bag).messages()
+    except BagReadError:
+        return
+
+
+def test_a_missing_bag_is_one_line_and_exit_code_1(ros_process: Process, tmp_path: Path) -> None:
+    finished = ros_process("player", parameters={"bag": str(tmp_path / "none")}).finish()
+
+    assert finished.exit_code == 1
+    assert "Traceback" not in finished.stderr
+    (line,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
+    assert "none" in line
