@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processes around a node that is measured: the node itself, a sensor, a listener, a reference.
 
-Run as a script, this is one of those that are not installed: `sensor` publishes the measurements of
-some simulated arms from a loop of its own, on a grid of the system clock; `listener` takes whatever
-the observer publishes, as a recorder does, and at the end prints the stamps of the estimates;
-`bare-timer` is a node that does nothing but have an empty timer spun by rclpy.
+Run as a script, this is one of those that are not installed: `sensor` publishes the measurements
+of some simulated arms from a loop of its own, on a grid of the system clock; `listener` takes
+whatever the observer publishes, as a recorder does, and at the end prints when the estimates are
+for, when they came, and what diagnostics say of the timing; `bare-timer` is a node that does
+nothing but have an empty timer spun by rclpy.
 """
 
 import argparse
@@ -85,6 +86,11 @@ class Process:
                 self._process.kill()
         return self._process.wait()
 
+    def kill(self) -> None:
+        """End it at once."""
+        self._process.kill()
+        self._process.wait()
+
 
 def executable(name: str, parameters: Mapping[str, Any], folder: Path, domain: int) -> Process:
     """Start one of the package's nodes."""
@@ -134,6 +140,7 @@ def _sensor(rate: float, joints: int) -> None:
 
 def _listener() -> None:
     import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
@@ -147,19 +154,27 @@ def _listener() -> None:
         topic: DrainedSubscription(node, JointState, f"observer/{topic}", qos, raw=True)
         for topic in _OUTPUTS
     }
+    diagnostics = DrainedSubscription(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     while not all(each.publisher_count for each in taken.values()):
         time.sleep(0.05)
     print("started")
-    stamps: list[int] = []
+    estimates: list[tuple[int, int]] = []
+    timing: list[dict[str, str]] = []
     try:
         while True:
             time.sleep(_DRAIN_PERIOD)
             for topic, each in taken.items():
                 drained = each.drain()
                 if topic == _OUTPUTS[0]:
-                    stamps += [decode(data).stamp for data, _ in drained]
+                    estimates += [(decode(data).stamp, info.received_ns) for data, info in drained]
+            timing += [
+                {item.key: item.value for item in status.values}
+                for array, _ in diagnostics.drain()
+                for status in array.status
+                if status.name == "observer: timing"
+            ]
     except KeyboardInterrupt:
-        print(json.dumps({"stamps": stamps}))
+        print(json.dumps({"estimates": estimates, "timing": timing}))
 
 
 def _bare_timer(rate: float) -> None:
