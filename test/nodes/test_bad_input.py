@@ -10,6 +10,7 @@ from faults.arm import Arm
 from faults.kinds import KINDS
 from faults.script import Kind, complaints
 from faults.stage import Stage
+from faults.watcher import SIGMAS
 from rclpy.qos import (
     DurabilityPolicy,
     LivelinessPolicy,
@@ -61,4 +62,4 @@ def test_bad_input_is_counted_for_what_it_is_and_the_observer_recovers(
     assert complaints(events, stage.counts()) == []
     assert watcher.broken == []
     assert watcher.stamp() == stage.now
-    assert watcher.error_in_bounds(arm) < 1.0
+    assert watcher.sigmas(arm) < SIGMAS

@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from faults.arm import Arm
 from faults.script import Event, good
 from faults.stage import Stage
+from faults.watcher import SIGMAS
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
 
@@ -101,7 +102,7 @@ def test_sensor_and_node_may_have_any_rates(
     assert stamps[-1] >= until
     assert agrees(recording, observer, arm, as_sampled(events)) == len(stamps)
     assert stage.watchers[""].broken == []
-    assert stage.watchers[""].error_in_bounds(arm) < 1.0
+    assert stage.watchers[""].sigmas(arm) < SIGMAS
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.3, 3.0, 10.0])
@@ -117,7 +118,7 @@ def test_time_may_run_at_any_speed(stage: Stage, recording: Recording, speed: fl
     stamps = [stamp for stamp, _ in recording.states]
     assert abs(np.diff(stamps) - max(step, PERIOD)).max() < step
     assert agrees(recording, observer, arm, as_sampled(events)) > 20
-    assert stage.watchers[""].error_in_bounds(arm) < 1.0
+    assert stage.watchers[""].sigmas(arm) < SIGMAS
 
 
 def test_while_time_stands_still_nothing_is_published_twice(
@@ -270,7 +271,7 @@ def test_two_clocks_at_odds_do_no_worse_than_begin_anew(
     stage.step(3 * BEGIN)
     arm = Arm(stage.now + PERIOD)
     stage.play(good(arm, arm.origin, 0.5), arm.origin + 500 * MS, PERIOD)
-    assert stage.watchers[""].error_in_bounds(arm) < 1.0
+    assert stage.watchers[""].sigmas(arm) < SIGMAS
 
 
 def test_the_phases_are_told_as_they_come(stage: Stage) -> None:

@@ -18,8 +18,8 @@ from tsobs_ros.nodes.stamps import to_nanoseconds
 
 ESTIMATES = ("joint_states", "error_bound", "disturbance", "disturbance_bound")
 OUTPUTS = (*ESTIMATES, "innovation")
-# How many of its bounds an error may be: 4 sigma.
-_SIGMAS = 4.0
+SIGMAS = 4.0
+"""How many of its bounds an error may be."""
 
 
 class Watcher:
@@ -81,12 +81,12 @@ class Watcher:
         """Return the newest stamp on a topic [ns]."""
         return self._stamps.get(topic)
 
-    def error_in_bounds(self, arm: Arm) -> float:
-        """Return the largest error of the newest estimate, divided by four of its bounds."""
+    def sigmas(self, arm: Arm) -> float:
+        """Return the largest error of the newest estimate, in its bounds."""
         state, bound = self.newest["joint_states"], self.newest["error_bound"]
         q1, v1, q2, v2 = arm.truth(to_nanoseconds(state.header.stamp))
         error = np.abs([*state.position, *state.velocity] - np.array([q1, q2, v1, v2]))
-        return float((error / [*bound.position, *bound.velocity]).max() / _SIGMAS)
+        return float((error / [*bound.position, *bound.velocity]).max())
 
     def _check(self, topic: str, message: Any) -> None:
         stamp = to_nanoseconds(message.header.stamp)
