@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from common import design_of, parser, show, use_one_thread
 
-from tsobs_ros.bag.estimate_messages import sides
+from tsobs_ros.bag.estimate_topics import sides
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.writer import BagWriter

@@ -121,6 +121,16 @@ def test_messages_of_the_same_joints_are_one_group() -> None:
     assert group.effort[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
 
 
+@given(MESSAGES, st.lists(st.integers(-(2**61), 2**60), min_size=1, max_size=4))
+def test_many_messages_encoded_at_once_are_those_encoded_one_by_one(message, stamps) -> None:
+    encode = JointStateEncoder(message.names, message.frame_id)
+    arrays = [np.array([numbers] * len(stamps)) for numbers in message[2:5]]
+
+    assert encode.encode_all(np.array(stamps), *arrays) == [
+        encode(stamp, *message[2:5]) for stamp in stamps
+    ]
+
+
 def test_not_a_number_and_infinity_keep_their_bits() -> None:
     payload = struct.unpack("<d", bytes.fromhex("010000000000f87f"))[0]
     message = EXAMPLE._replace(position=(payload,), effort=(-np.inf,))
@@ -176,3 +186,5 @@ def test_any_bytes_are_a_message_or_refused(data: bytes) -> None:
 def test_a_stamp_that_no_message_can_hold_is_refused(stamp: int) -> None:
     with pytest.raises(MessageError, match=f"stamp {stamp} ns"):
         JointStateEncoder(["a"])(stamp)
+    with pytest.raises(MessageError, match=f"stamp {stamp} ns"):
+        JointStateEncoder(["a"]).encode_all(np.array([0, stamp]))

@@ -21,6 +21,8 @@ from tsobs_ros.errors import MessageError
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
 _NANOSECONDS = 1_000_000_000
+_SECONDS = 2**31
+_NO_VALUES = np.zeros((1, 0))
 _HEADER = b"\x00\x01\x00\x00"
 _CONSTANT = HEADER + 8
 """Where what comes after the stamp begins."""
@@ -167,6 +169,20 @@ class _Template:
             *(rows[name].astype(np.float64) for name in ("position", "velocity", "effort")),
         )
 
+    def pack_all(
+        self, stamps: NDArray[np.int64], position: Array, velocity: Array, effort: Array
+    ) -> list[bytes]:
+        """Return many messages with these numbers, each of as many as the lengths say."""
+        size = self._struct.size
+        rows = np.zeros(len(stamps), self._dtype(size))
+        rows["header"] = np.frombuffer(self._header, np.uint8)
+        rows["sec"], rows["nanosec"] = np.divmod(stamps, _NANOSECONDS)
+        rows["constant"] = np.frombuffer(self._constant, np.uint8)
+        rows["velocities"], rows["efforts"] = self._lengths[1:]
+        rows["position"], rows["velocity"], rows["effort"] = position, velocity, effort
+        data = rows.tobytes()
+        return [data[begin : begin + size] for begin in range(0, len(data), size)]
+
     def _dtype(self, size: int) -> np.dtype[Any]:
         integer, unsigned, double = (self._order + kind for kind in ("i4", "u4", "f8"))
         positions, velocities, efforts = self._lengths
@@ -223,15 +239,43 @@ class JointStateEncoder:
             MessageError: The stamp does not fit into a message, or a value is not a number.
         """
         lengths = (len(position), len(velocity), len(effort))
-        template = self._templates.get(lengths)
-        if template is None:
-            constant = _constant(self._frame_id, self._names, lengths[0])
-            template = _Template(_HEADER, constant, lengths, "<", self._names, self._frame_id)
-            self._templates[lengths] = template
+        template = self._templates.get(lengths) or self._template(lengths)
         try:
             return template.pack(stamp, position, velocity, effort)
         except struct.error as error:
             raise MessageError(f"stamp {stamp} ns, {lengths} numbers: {error}") from error
+
+    def encode_all(
+        self,
+        stamps: NDArray[np.int64],
+        position: Array = _NO_VALUES,
+        velocity: Array = _NO_VALUES,
+        effort: Array = _NO_VALUES,
+    ) -> list[bytes]:
+        """Return m messages, each as if encoded on its own.
+
+        Args:
+            stamps: Of the headers, ns since the epoch, shape (m,).
+            position: Shape (m, joints), or (m, 0) or (1, 0) for none.
+            velocity: As `position`.
+            effort: As `position`.
+
+        Raises:
+            MessageError: A stamp does not fit into a message.
+        """
+        seconds = stamps // _NANOSECONDS
+        wrong = (seconds < -_SECONDS) | (seconds >= _SECONDS)
+        if wrong.any():
+            raise MessageError(f"stamp {stamps[wrong][0]} ns: its seconds do not fit into 32 bits")
+        lengths = (position.shape[1], velocity.shape[1], effort.shape[1])
+        template = self._templates.get(lengths) or self._template(lengths)
+        return template.pack_all(stamps, position, velocity, effort)
+
+    def _template(self, lengths: tuple[int, int, int]) -> _Template:
+        constant = _constant(self._frame_id, self._names, lengths[0])
+        template = _Template(_HEADER, constant, lengths, "<", self._names, self._frame_id)
+        self._templates[lengths] = template
+        return template
 
 
 class JointStateDecoder:

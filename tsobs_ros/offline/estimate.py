@@ -6,26 +6,34 @@ import heapq
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
+from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.estimate_messages import INNOVATION, EstimateMessages
+from tsobs_ros.bag.estimate_topics import (
+    DISTURBANCE,
+    DISTURBANCE_BOUND,
+    INNOVATION,
+    STATE_BOUNDS,
+    STATES,
+)
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.qos import QosProfile
-from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.writer import BagWriter
+from tsobs_ros.checks import Array
 from tsobs_ros.design.observers import ObserverSettings, make_tracker
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.joints import JointTrackers
-from tsobs_ros.offline.replay import Afresh, Estimated, Replay, Used
-from tsobs_ros.offline.samples import Samples
+from tsobs_ros.offline.publishing import Publishing, Record, Stamped, by_log_time
+from tsobs_ros.offline.replay import Afresh, Estimated, Estimates, Replay, Used
 from tsobs_ros.offline.schedule import Schedule, as_recorded, at_rate, at_samples
 from tsobs_ros.offline.source import Live, Source
 from tsobs_ros.offline.table import Agreement, EstimateTable, Recorded
 
-_PROGRESS = 256
-_LOG_TIME = attrgetter("log_time")
+_BLOCK = 1024
 
 
 @dataclass(frozen=True)
@@ -43,13 +51,21 @@ class Observer:
     designs: tuple[Design, ...]
 
 
+class _Block(NamedTuple):
+    """Events whose messages are made at once: messages taken, and ticks estimated."""
+
+    messages: list[int]
+    ticks_of_use: list[int]
+    ticks: list[int]
+    estimates: list[Estimates]
+
+
 class Run:
     """One observer over some samples.
 
     Args:
         observer: The observer.
-        joints: The samples' joints.
-        samples: What it is run over.
+        source: The samples and their joints.
         schedule: When it estimates.
         live: What the live observer estimated, if the schedule is made of that.
 
@@ -58,63 +74,78 @@ class Run:
         schedule: When it estimates.
         replay: Its counts.
         table: Its estimates and innovations.
+        topics: The topics that there may be messages of.
     """
 
     def __init__(
-        self,
-        observer: Observer,
-        joints: Sequence[str],
-        samples: Samples,
-        schedule: Schedule,
-        live: Live | None = None,
+        self, observer: Observer, source: Source, schedule: Schedule, live: Live | None = None
     ) -> None:
-        self.observer = observer
-        self.schedule = schedule
-        self._samples = samples
+        self.observer, self.schedule = observer, schedule
+        self._samples = source.samples
         trackers = [make_tracker(design, observer.settings) for design in observer.designs]
         stale_after = observer.settings.stale_after
-        self.replay = Replay(JointTrackers(trackers), samples, schedule, stale_after)
-        self.table = EstimateTable(schedule.count, samples.count, len(joints))
+        self.replay = Replay(JointTrackers(trackers), source.samples, schedule, stale_after)
+        self.table = EstimateTable(schedule.count, source.samples.count, len(source.joints))
         self._recorded = None if live is None else Recorded(live, schedule)
-        learnt = zip(joints, map(observer.settings.learnt, observer.designs), strict=True)
-        self._sent: list[tuple[str, bytes]] = []
-        self._encode = EstimateMessages(lambda *message: self._sent.append(message), dict(learnt))
+        learnt = zip(source.joints, map(observer.settings.learnt, observer.designs), strict=True)
+        self._publishing = Publishing(f"{source.namespace}/{observer.name}/", dict(learnt))
+        self.topics = self._publishing.topics
 
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """The topics that there are messages of, under the observer's name."""
-        return self._encode.topics
-
-    def messages(self, prefix: str, progress: Callable[[int], None]) -> Iterator[BagMessage]:
-        """Run the observer, and yield what it publishes, in order.
+    def records(self, progress: Callable[[int], None]) -> Iterator[Record]:
+        """Run the observer, and yield what it publishes, in order of log time.
 
         Args:
-            prefix: Of the topics' names, with a slash at its end.
             progress: Told now and then of how many measurements more have been taken.
         """
-        stamps, samples, schedule = self._samples.stamps.tolist(), self._samples, self.schedule
-        log_times = [*schedule.log_times.tolist(), 0]
-        publish_times = [*schedule.publish_times.tolist(), 0]
         agrees = None if self._recorded is None else self._recorded.agrees
+        block = _Block([], [], [], [])
         for event in self.replay.run(agrees):
-            log_time, publish_time = log_times[event.tick], publish_times[event.tick]
             match event:
                 case Used(tick, message, outcomes):
-                    if message % _PROGRESS == 0:
-                        progress(_PROGRESS)
                     self.table.add_innovations(message, outcomes)
-                    self._encode.innovations(stamps[message], outcomes)
-                    if tick == schedule.count:
-                        log_time = int(samples.log_times[message])
-                        publish_time = int(samples.publish_times[message])
+                    block.messages.append(message)
+                    block.ticks_of_use.append(tick)
+                    if len(block.messages) >= _BLOCK:
+                        progress(len(block.messages))
+                        yield from self._published(block)
+                        block = _Block([], [], [], [])
                 case Estimated(tick, estimates):
-                    self.table.add_estimates(tick, estimates)
-                    self._encode.estimates(int(schedule.stamps[tick]), estimates)
+                    block.ticks.append(tick)
+                    block.estimates.append(estimates)
                 case Afresh():
-                    self._encode.restart()
-            for topic, data in self._sent:
-                yield BagMessage(prefix + topic, JOINT_STATE, data, log_time, publish_time)
-            self._sent.clear()
+                    yield from self._published(block)
+                    block = _Block([], [], [], [])
+                    self._publishing.restart()
+        progress(len(block.messages))
+        yield from self._published(block)
+
+    def _published(self, block: "_Block") -> list[Record]:
+        """Return the messages of a block of events, which is also kept in the table."""
+        table, publishing, schedule = self.table, self._publishing, self.schedule
+        ticks = np.array(block.ticks, np.intp)
+        table.add(block.ticks, block.estimates)
+        at = Stamped(schedule.stamps, schedule.log_times, schedule.publish_times).take(ticks)
+        records = [
+            *publishing.scalars(INNOVATION, *self._innovations(block)),
+            *publishing.motion(STATES, at, table.states[ticks]),
+            *publishing.motion(STATE_BOUNDS, at, table.state_bounds[ticks]),
+            *publishing.scalars(DISTURBANCE, at, table.disturbances[ticks]),
+            *publishing.scalars(DISTURBANCE_BOUND, at, table.disturbance_bounds[ticks]),
+            *publishing.parameters(at, block.estimates),
+        ]
+        records.sort(key=by_log_time)
+        return records
+
+    def _innovations(self, block: "_Block") -> tuple[Stamped, Array]:
+        """Return the innovations of a block, published at the tick at which they were used."""
+        messages, ticks = np.array(block.messages, np.intp), np.array(block.ticks_of_use, np.intp)
+        samples, schedule = self._samples, self.schedule
+        log_times, publish_times = samples.log_times[messages], samples.publish_times[messages]
+        there = ticks < schedule.count
+        log_times[there] = schedule.log_times[ticks[there]]
+        publish_times[there] = schedule.publish_times[ticks[there]]
+        at = Stamped(samples.stamps[messages], log_times, publish_times)
+        return at, self.table.innovations[messages][..., np.newaxis]
 
     def agreement(self) -> Agreement | None:
         """Return how the estimates compare with the recorded ones, if the run was made by them."""
@@ -139,7 +170,7 @@ def make_runs(
         schedule = as_recorded(samples, live.states, innovations)
     else:
         schedule = at_samples(samples) if rate is None else at_rate(samples, rate)
-    return [Run(observer, source.joints, samples, schedule, live) for observer in observers]
+    return [Run(observer, source, schedule, live) for observer in observers]
 
 
 def run_all(
@@ -163,8 +194,7 @@ def run_all(
         BagWriteError: The folder exists, the definition of JointStates is not to be found, or the
             bag cannot be written.
     """
-    prefixes = [f"{source.namespace}/{run.observer.name}/" for run in runs]
-    streams = [run.messages(prefix, progress) for run, prefix in zip(runs, prefixes, strict=True)]
+    streams: list[Iterator[Record]] = [run.records(progress) for run in runs]
     if output is None:
         for stream in streams:
             deque(stream, maxlen=0)
@@ -172,17 +202,14 @@ def run_all(
     copied = [] if estimates_only else source.topics
     definition = _definition(source)
     with BagWriter(output, custom_data={"estimated from": str(source.path)}) as writer:
-        for topic in copied:
-            writer.add_topic(
-                topic.name, topic.type, topic.qos_profiles, definition=topic.definition
-            )
-        for run, prefix in zip(runs, prefixes, strict=True):
-            for name in run.topics:
-                writer.add_topic(prefix + name, JOINT_STATE, [QosProfile()], definition=definition)
+        for one in copied:
+            writer.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition)
+        for name in chain.from_iterable(run.topics for run in runs):
+            writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
         if not estimates_only:
             streams.insert(0, source.messages())
-        for one in heapq.merge(*streams, key=_LOG_TIME):
-            writer.write(one.topic, one.data, one.log_time, one.publish_time)
+        for topic, _, data, log_time, publish_time in heapq.merge(*streams, key=by_log_time):
+            writer.write(topic, data, log_time, publish_time)
 
 
 def _definition(source: Source) -> MessageDefinition:

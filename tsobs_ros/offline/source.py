@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from tsobs_ros.bag import estimate_messages as topics
+from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.joint_series import (
     JointSeries,
@@ -46,7 +46,7 @@ class Live:
 
     Attributes:
         states: Angles and velocities of every joint's link and motor.
-        others: The other topics that were recorded of it, by the names of `estimate_messages`.
+        others: The other topics that were recorded of it, by the names in `estimate_topics`.
     """
 
     states: JointSeries

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.bag import estimate_messages as topics
+from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.records import Estimate, Innovation
@@ -16,7 +16,7 @@ from tsobs_ros.offline.schedule import Schedule, match
 from tsobs_ros.offline.source import Live
 
 _STATES, _STATE_BOUNDS = slice(0, 4), slice(4, 8)
-_DISTURBANCE, _DISTURBANCE_BOUND = slice(8, 10), slice(10, 11)
+_DISTURBANCE, _DISTURBANCE_RATE, _DISTURBANCE_BOUND = slice(8, 9), slice(9, 10), slice(10, 11)
 _COLUMNS = 11
 
 
@@ -51,28 +51,37 @@ class EstimateTable:
     @property
     def disturbances(self) -> Array:
         """Estimated disturbance and its rate (rad, rad/s), NaN without one, shape (m, J, 2)."""
-        return self._values[..., _DISTURBANCE]
+        return self._values[..., _DISTURBANCE.start : _DISTURBANCE_RATE.stop]
 
     @property
     def disturbance_bounds(self) -> Array:
         """1σ bound of the disturbance [rad], NaN without one, shape (m, J, 1)."""
         return self._values[..., _DISTURBANCE_BOUND]
 
-    def add_estimates(self, tick: int, estimates: Sequence[Estimate | None]) -> None:
-        """Keep the estimates of a tick."""
-        self.done[tick] = True
-        for row, one in zip(self._values[tick], estimates, strict=True):
-            if one is None:
-                continue
-            row[_STATES] = one.state
-            if one.state_bound.size:
-                row[_STATE_BOUNDS] = one.state_bound
-            if one.disturbance.size:
-                row[8] = one.disturbance[0]
-                if one.disturbance_rate.size:
-                    row[9] = one.disturbance_rate[0]
-            if one.disturbance_bound.size:
-                row[10] = one.disturbance_bound[0]
+    def add(self, ticks: Sequence[int], estimates: Sequence[Sequence[Estimate | None]]) -> None:
+        """Keep the estimates of some ticks."""
+        self.done[list(ticks)] = True
+        for joint in range(self._values.shape[1]):
+            known = [(tick, each[joint]) for tick, each in zip(ticks, estimates, strict=True)]
+            rows = [tick for tick, one in known if one is not None]
+            own = [one for _, one in known if one is not None]
+            for columns, arrays in (
+                (_STATES, [one.state for one in own]),
+                (_STATE_BOUNDS, [one.state_bound for one in own]),
+                (_DISTURBANCE, [one.disturbance for one in own]),
+                (_DISTURBANCE_RATE, [one.disturbance_rate for one in own]),
+                (_DISTURBANCE_BOUND, [one.disturbance_bound for one in own]),
+            ):
+                self._fill(rows, joint, columns, arrays)
+
+    def _fill(self, rows: list[int], joint: int, columns: slice, arrays: list[Array]) -> None:
+        width = columns.stop - columns.start
+        there = [len(array) == width for array in arrays]
+        if not all(there):
+            rows = [row for row, is_there in zip(rows, there, strict=True) if is_there]
+            arrays = [array for array in arrays if len(array) == width]
+        if rows:
+            self._values[rows, joint, columns] = np.concatenate(arrays).reshape(-1, width)
 
     def add_innovations(self, message: int, outcomes: Sequence[object]) -> None:
         """Keep the innovations of a message."""

@@ -103,7 +103,7 @@ def rerun(run: RecordedRun, observer: Estimator[Any], x_max: float) -> RecordedR
     for event in Replay(trackers, samples, schedule, stale_after=math.inf).run():
         match event:
             case Estimated(tick, estimates):
-                table.add_estimates(tick, estimates)
+                table.add([tick], [estimates])
             case Used(_, message, outcomes):
                 table.add_innovations(message, outcomes)
     return replace(run, **estimates_of(table, samples.stamps))

@@ -1,0 +1,27 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The topics of an observer, below its own name; all of them are JointStates."""
+
+STATES, STATE_BOUNDS = "joint_states", "error_bound"
+DISTURBANCE, DISTURBANCE_BOUND = "disturbance", "disturbance_bound"
+INNOVATION = "innovation"
+PARAMETERS, PARAMETER_BOUNDS = "parameters_estimate", "parameters_bound"
+
+TOPICS = (STATES, STATE_BOUNDS, DISTURBANCE, DISTURBANCE_BOUND, INNOVATION)
+"""What every observer publishes."""
+
+PARAMETER_TOPICS = (PARAMETERS, PARAMETER_BOUNDS)
+"""What it publishes besides where it learns parameters."""
+
+PARAMETER_PERIOD = 100_000_000
+"""Parameters change slowly: they are published ten times a second [ns]."""
+
+
+def sides(joint: str) -> tuple[str, str]:
+    """Return the names of a joint's link and motor in estimates."""
+    return f"{joint}_link", f"{joint}_motor"
+
+
+def parameter_names(joint: str, learnt: tuple[str, ...], *, alone: bool) -> tuple[str, ...]:
+    """Return the names of a joint's parameters, which tell whose they are unless it is alone."""
+    return learnt if alone else tuple(f"{joint}/{name}" for name in learnt)
