@@ -161,12 +161,26 @@ class Player(ManagedNode[PlayerParameters]):
         """Where playing is, from the bag's start [s]."""
         return (self._playback.position(time.monotonic_ns()) - self._bag_start) * 1e-9
 
+    def step(self) -> tuple[bool, str]:
+        """Publish the next message, in a pause; return whether there was one, and which or why."""
+        if not (self.active and self._paused):
+            return False, f"only a paused player steps; it is {self._doing}"
+        self._play()  # what is latched here is no step
+        events = self._playback.step(time.monotonic_ns())
+        for event in events:
+            self._publish(event)
+        if not events or (message := events[-1].message) is None:
+            return False, "the bag has ended"
+        return True, f"{message.topic} at {self.position:.3f} s"
+
     def _play(self) -> int:
         """Publish what is due; return how long it is until more is [ns]."""
         playback, now = self._playback, time.monotonic_ns()
         if playback.paused and not (self._paused or playback.ended):
             if not self._may_begin(now):
                 return _WAIT_POLL
+            playback.position(now)  # reads the first message, which may take a while after a seek
+            now = time.monotonic_ns()
             playback.resume(now)
         burst_end = now + _LONGEST_BURST
         held_back = playback.held_back
@@ -239,7 +253,7 @@ class Player(ManagedNode[PlayerParameters]):
             ("resume", lambda: self._set_paused(False)),
             ("toggle_paused", lambda: self._set_paused(not self._paused)),
             ("is_paused", self._say_paused),
-            ("play_next", self._play_next),
+            ("play_next", self.step),
         ):
             self.create_service(Trigger, f"~/{name}", _answer(act))
 
@@ -252,16 +266,6 @@ class Player(ManagedNode[PlayerParameters]):
 
     def _say_paused(self) -> tuple[bool, str]:
         return self._paused, f"{self._doing} at {self.position:.3f} s"
-
-    def _play_next(self) -> tuple[bool, str]:
-        if not (self.active and self._paused):
-            return False, f"only a paused player steps; it is {self._doing}"
-        events = self._playback.step(time.monotonic_ns())
-        for event in events:
-            self._publish(event)
-        if not events or (message := events[-1].message) is None:
-            return False, "the bag has ended"
-        return True, f"{message.topic} at {self.position:.3f} s"
 
     @property
     def _doing(self) -> str:

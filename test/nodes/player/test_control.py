@@ -13,6 +13,9 @@ from player.bags import regular, texts, write_bag
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.nodes.player_status import LagMeter, PlayerState
+
 Play = Callable[..., Any]
 
 
@@ -105,7 +108,7 @@ def test_setting_the_position_goes_there_however_often(
     for position, first in ((0.9, 90), (0.2, 20), (0.2, 20), (0.985, 99)):
         set_parameter(player, "position", position)
         assert player.position == pytest.approx(position)
-        player._play_next()
+        player.step()
         ros.spin_until(lambda n=first: listener.texts()[-1:] == [f"a{n}"], what="the message there")
 
     (result,) = player.set_parameters([Parameter("position", value=1.0)])
@@ -228,3 +231,38 @@ def test_diagnostics_say_where_it_is_and_how_late(
     assert float(values["lag p50 [ms]"]) <= float(values["lag p99 [ms]"])
     assert values["messages"] == values["messages of /a"]
     assert int(values["messages"]) > 0
+
+
+def test_without_subscribers_it_plays_after_a_while(
+    ros: Any, play: Play, tmp_path: Path, capfd: Any
+) -> None:
+    player = play(write_bag(tmp_path / "short", regular(3)), wait_timeout=0.1)
+    ros.spin_until(lambda: player.finished, what="the end")
+
+    assert player.messages == 3
+    assert capfd.readouterr().err.count("playing to 0 of 1 subscriptions") == 1
+
+
+def test_simulated_time_does_not_matter(
+    ros: Any, play: Play, listener: Any, tmp_path: Path, capfd: Any
+) -> None:
+    listener.listen("/a")
+    listener.hear_out(play(write_bag(tmp_path / "short", regular(3)), use_sim_time=True))
+
+    assert listener.texts() == texts(0, 3)
+    assert "use_sim_time does not matter" in capfd.readouterr().err
+
+
+def test_being_too_slow_is_a_warning_until_the_next_status() -> None:
+    meter = LagMeter()
+    state = PlayerState("playing", 1.0, 2.0, 100.0, False, 0.5, {"/a": 3})
+    for lag in (1_000_000, 3_000_000):
+        meter.add(lag)
+
+    late, after = meter.status(state), meter.status(state)
+
+    assert (late.level, late.message) == (Level.WARN, "too slow for the rate")
+    assert late.values["lag p50 [ms]"] == "2.000"
+    assert late.values["held back [s]"] == "0.500"
+    assert (after.level, after.message) == (Level.OK, "playing")
+    assert "lag p50 [ms]" not in after.values
