@@ -33,6 +33,22 @@ def test_it_calls_again_and_again_in_another_thread() -> None:
     assert background.error is None
 
 
+def test_it_hurries_where_the_pause_is_long_and_knows_how_long_ago_that_was() -> None:
+    called, again = Event(), Event()
+
+    def sync() -> None:
+        (again if called.is_set() else called).set()
+
+    background = BackgroundSync(sync, period=3600.0)
+    assert not called.is_set()
+    background.hurry()
+    assert called.wait(LIMIT)
+    background.hurry()
+    assert again.wait(LIMIT)
+    background.stop()
+    assert 0.0 <= background.age < LIMIT
+
+
 def test_a_disk_that_fails_is_remembered() -> None:
     called = Event()
 
