@@ -76,6 +76,11 @@ class Process:
         fields = text.rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
+    def resident_kib(self) -> int:
+        """Return the memory that it keeps in RAM [KiB]."""
+        status = Path(f"/proc/{self._process.pid}/status").read_text(encoding="ascii")
+        return int(status.partition("VmRSS:")[2].split()[0])
+
     def stop(self) -> int:
         """End it as Ctrl-C does and return its exit code."""
         if self._process.poll() is None:
