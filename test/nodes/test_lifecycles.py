@@ -57,7 +57,7 @@ def test_fifty_lives_leave_nothing_behind(manager: Any, ros: Any) -> None:
     assert resident_mib() - before < GROWTH_LIMIT_MIB
 
 
-def test_what_the_state_does_not_allow_is_refused_and_harmless(manager: Any) -> None:
+def test_what_the_state_does_not_allow_is_refused_and_harmless(ros: Any, manager: Any) -> None:
     assert not manager.change("activate")
     assert manager.change("configure")
     assert not manager.change("configure")
@@ -67,4 +67,4 @@ def test_what_the_state_does_not_allow_is_refused_and_harmless(manager: Any) -> 
     assert not manager.change("cleanup")
     assert manager.state == "active"
     assert manager.change("shutdown")
-    assert manager.node.finished
+    ros.spin_until(lambda: manager.node.finished, what="the end")

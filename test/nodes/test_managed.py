@@ -190,14 +190,14 @@ def test_transitions_are_announced(probe: Any, ros: Any) -> None:
 
 
 @pytest.mark.parametrize("state", WAY_TO)
-def test_it_can_be_shut_down_in_every_state(probe: Any, state: str) -> None:
+def test_it_can_be_shut_down_in_every_state(ros: Any, probe: Any, state: str) -> None:
     manager = probe()
     manager.change(*WAY_TO[state])
     manager.node.calls.clear()
     assert not manager.node.finished
     assert manager.change("shutdown")
     assert manager.state == "finalized"
-    assert manager.node.finished
+    ros.spin_until(lambda: manager.node.finished, what="the end")
     released = [call for call in manager.node.calls if call != "tick"]
     assert released == ["deactivate", "cleanup", "release"][3 - len(released) :]
     assert len(released) == {"unconfigured": 0, "inactive": 2, "active": 3}[state]

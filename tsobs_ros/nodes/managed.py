@@ -33,6 +33,8 @@ Any other exception is a bug: it is logged with its traceback, and the node is c
 unconfigured.
 """
 
+import math
+import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -49,6 +51,8 @@ from tsobs_ros.errors import TsobsError
 from tsobs_ros.nodes.parameters import ParameterBinding, parameter
 from tsobs_ros.nodes.ticker import Ticking
 
+# How long the answer to a shutdown request may be on its way [s]; it is lost with the node.
+_FAREWELL = 0.5
 # What a user can mend; the second comes of a joint or a topic that ROS cannot name.
 _EXPECTED = (TsobsError, NameValidationException)
 
@@ -90,7 +94,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         super().__init__(name, **node_kwargs)
         self._acquired: ExitStack | None = None
         self._active = False
-        self._finalized = False
+        self._finalized_at = math.inf
         self._failure: Exception | None = None
         self._raises = False
         self._refuse_impossible_transitions()
@@ -133,7 +137,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
     @property
     def finished(self) -> bool:
         """Whether the process may end: a node that was shut down never works again."""
-        return self._finalized
+        return time.monotonic() > self._finalized_at + _FAREWELL
 
     def at_cleanup(self, callback: Callable[..., object], *args: Any) -> None:
         """Call back when the node is cleaned up, latest first, before its entities are destroyed.
@@ -207,7 +211,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer rclpy's lifecycle; the node is finalized whatever fails."""
-        self._finalized = True
+        self._finalized_at = time.monotonic()
         result = self._attempt("shut down", self.close)
         failed = result != TransitionCallbackReturn.SUCCESS
         return TransitionCallbackReturn.FAILURE if failed else result
