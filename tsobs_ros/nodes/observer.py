@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation import comparison
-from tsobs_ros.estimation.health import Phase, Status
+from tsobs_ros.estimation.health import Status
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
@@ -167,40 +167,40 @@ class Observer(ManagedNode[ObserverParameters]):
     def _take_all(self, now: int) -> bool:
         """Take what has arrived; return whether any of it was used."""
         used = False
-        for data, info in self._measurements.drain():
+        for data, info in self._measurements.take():
             if self._enabled and self._take(data, now):
-                self._unanswered.append(info.received_ns)
+                self._unanswered.append(info["received_timestamp"])
                 used = True
         return used
 
     def _take(self, data: bytes, now: int) -> bool:
         """Use the joints' samples in one message, or count and report why not."""
         self._fresh = False
-        samples = self._reader.read(data)
-        measurements: list[Measurement | None] = []
-        for joint, sample in zip(self._joints, samples, strict=True):
-            joint.received += sample is not None
-            if isinstance(sample, RejectReason):
-                joint.tracker.reject(sample)
-                self._warn_of_rejection(joint, sample, data, now)
-                sample = None
-            measurements.append(sample)
+        samples: list[Measurement | None] = []
+        for joint, read in zip(self._joints, self._reader.read(data), strict=True):
+            joint.received += read is not None
+            if isinstance(read, RejectReason):
+                joint.tracker.reject(read)
+                self._warn_of_rejection(joint, read, data, now)
+                read = None
+            samples.append(read)
         try:
-            outcomes = self._trackers.offer(measurements, now)
+            outcomes = self._trackers.offer(samples, now)
         except NUMERICAL_FAILURES as error:
             self._on_numerical_failure(error)
             return False
-        for joint, measurement, outcome in zip(self._joints, measurements, outcomes, strict=True):
-            if measurement is None or outcome is None:
+        stamp = None
+        for joint, sample, outcome in zip(self._joints, samples, outcomes, strict=True):
+            if sample is None or outcome is None:
                 continue
             if isinstance(outcome, Innovation):
-                joint.used(measurement, outcome)
-                stamp = measurement.stamp
+                stamp = sample.stamp
+                joint.used(sample, outcome)
                 continue
             if outcome is RejectReason.GATED:
-                joint.gated(measurement)
+                joint.gated(sample)
             self._warn_of_rejection(joint, outcome, data, now)
-        if not any(isinstance(outcome, Innovation) for outcome in outcomes):
+        if stamp is None:
             return False
         self._publisher.publish_innovations(stamp, outcomes)
         return True
@@ -209,23 +209,20 @@ class Observer(ManagedNode[ObserverParameters]):
         """Publish the estimates for the present; return whether there were any."""
         if not self._enabled or now <= self._last_output:
             return False
-        parameters = self.parameters
-        phases = [joint.phase(now, parameters) for joint in self._joints]
-        # Only these: to predict through a long silence would take long, and say nothing.
-        wanted = [phase in (Phase.TRACKING, Phase.COASTING) for phase in phases]
+        # Only of fresh joints: to predict through a long silence would take long, and say nothing.
+        fresh = [joint.fresh(now) for joint in self._joints]
         try:
-            estimates = self._trackers.estimate(now, wanted)
+            estimates = self._trackers.estimate(now, fresh)
         except NUMERICAL_FAILURES as error:
             self._on_numerical_failure(error)
             return False
         for place, (joint, estimate) in enumerate(zip(self._joints, estimates, strict=True)):
             if estimate is not None:
                 joint.estimated(estimate)
-            elif parameters.when_stale == "hold" and phases[place] is Phase.STALE:
+            elif not fresh[place] and self.parameters.when_stale == "hold":
                 estimates[place] = joint.held()
-        if all(estimate is None for estimate in estimates):
+        if not self._publisher.publish(now, estimates):
             return False
-        self._publisher.publish(now, estimates)
         self._last_output = now
         if self._unanswered:
             done = time.time_ns()

@@ -114,15 +114,16 @@ class _Output:
         velocity: Sequence[float] = (),
     ) -> None:
         """Send the positions, and the velocities where there are any, of joints by their index."""
-        if not self._publisher.get_subscription_count():
-            return  # nobody would ever get it, and to ask costs a quarter of sending it
+        handle = self._publisher.handle
+        if not handle.get_subscription_count():
+            return  # nobody would ever get it, and to ask costs a tenth of sending it
         encode = self._encoders.get(joints)
         if encode is None:
             if len(self._encoders) >= _KNOWN_SUBSETS:
                 self._encoders.clear()
             names = [name for joint in joints for name in self._names[joint]]
             encode = self._encoders[joints] = JointStateEncoder(names)
-        self._publisher.publish(encode(stamp, position, velocity))
+        handle.publish_raw(encode(stamp, position, velocity))
 
 
 class EstimatePublisher:
@@ -152,16 +153,19 @@ class EstimatePublisher:
             self._parameter_bounds = _Output(node, "~/parameters_bound", names)
         self._parameters_due = 0
 
-    def publish(self, stamp: int, estimates: Sequence[Estimate | None]) -> None:
+    def publish(self, stamp: int, estimates: Sequence[Estimate | None]) -> bool:
         """Publish the joints' estimates at a stamp [ns]; what they lack is left out.
 
         Args:
             stamp: Of the messages [ns].
             estimates: One entry a joint, None where there is nothing to say.
+
+        Returns:
+            Whether there was anything to say.
         """
         known = [(joint, each) for joint, each in enumerate(estimates) if each is not None]
         if not known:
-            return
+            return False
         positions: list[float] = []
         velocities: list[float] = []
         for _, each in known:
@@ -173,6 +177,7 @@ class EstimatePublisher:
         self._publish_disturbances(stamp, [item for item in known if item[1].disturbance.size])
         if self._parameters is not None and stamp >= self._parameters_due:
             self._publish_parameters(stamp, [item for item in known if item[1].parameters_valid])
+        return True
 
     def publish_innovations(self, stamp: int, outcomes: Sequence[object]) -> None:
         """Publish y − ŷ of the joints whose outcome is an innovation, stamped as measured."""

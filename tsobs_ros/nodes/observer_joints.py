@@ -110,6 +110,7 @@ class ObservedJoint:
             ),
         )
         self._limits = _limits(parameters)
+        self._stale_after = round(parameters.stale_after * NANOSECONDS)
         self.reset()
 
     def reset(self) -> None:
@@ -129,6 +130,11 @@ class ObservedJoint:
         """Return the age of the newest measurement in use [s], None before the first."""
         newest = self.tracker.newest
         return None if newest is None else max(0, now - newest) / NANOSECONDS
+
+    def fresh(self, now: int) -> bool:
+        """Return whether it is TRACKING or COASTING."""
+        newest = self.tracker.newest
+        return newest is not None and now - newest <= self._stale_after
 
     def phase(self, now: int, parameters: ObserverParameters) -> Phase:
         """Return how fresh its measurements are."""
