@@ -39,6 +39,10 @@ class BagWriteError(TsobsError, OSError):
     """A bag cannot be written: the folder exists, the disk is full, or a topic is inconsistent."""
 
 
+class LogError(TsobsError, ValueError):
+    """An arm's own log cannot be read: a column is missing, or a cell is not what it should be."""
+
+
 class MessageError(TsobsError, ValueError):
     """A message cannot be read or written: its bytes or its values do not fit its type."""
 

@@ -51,10 +51,20 @@ def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str
         help="when to estimate (default: when the recorded observer did, if there is one)",
     )
     command.add_argument("--rate", type=positive, metavar="HZ", help="estimate at a fixed rate")
-    command.add_argument(
+    as_log = command.add_argument_group("for CSV logs", "where the names of columns do not tell")
+    as_log.add_argument(
         "--columns",
-        metavar="NAME=COLUMN,...",
-        help="of a CSV log: time=t,angle=q,torque=tau (default: by their names)",
+        type=pairs,
+        default={},
+        metavar="WHAT=COLUMN,...",
+        help="time=t,angle=q,torque=tau; angle.JOINT=… and torque.JOINT=… for several joints",
+    )
+    as_log.add_argument(
+        "--units",
+        type=pairs,
+        default={},
+        metavar="WHAT=UNIT,...",
+        help="time=ms,angle=deg,torque=Nm, for columns that are not called such as 'q [deg]'",
     )
     as_run = command.add_argument_group("the observer's parameters, as those of the node")
     as_run.add_argument("--theta", type=positive, default=2.5, metavar="RAD/S")
@@ -67,8 +77,27 @@ def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str
     as_run.add_argument("--assume-zero-torque", action="store_true")
 
 
+def pairs(text: str) -> dict[str, str]:
+    """Return the pairs in an option's text, such as `time=t,angle=q`."""
+    items = [item.partition("=") for item in text.split(",")]
+    for name, sign, value in items:
+        if not (name.strip() and sign and value.strip()):
+            raise argparse.ArgumentTypeError(f"expected NAME=VALUE,…, got {text!r}")
+    return {name.strip(): value.strip() for name, _, value in items}
+
+
 def source_of(options: argparse.Namespace) -> "Source":
     """Open the bag or the log that the options name."""
+    if options.bag.is_file() and options.bag.suffix.lower() in (".csv", ".tsv", ".txt"):
+        from tsobs_ros.offline.csv_log import CsvSource
+
+        return CsvSource(
+            options.bag,
+            columns=options.columns,
+            units=options.units,
+            joints=options.joints,
+            assume_zero_torque=options.assume_zero_torque,
+        )
     from tsobs_ros.offline.source import BagSource
 
     return BagSource(
