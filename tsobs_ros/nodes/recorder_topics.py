@@ -151,7 +151,9 @@ class TopicFinder:
         self._queue_depth = queue_depth
         self._include_unpublished = include_unpublished
         self._warn = warn
-        self._warnings: dict[str, str] = {}
+        # With which types a topic was tried, and what has been said: neither is repeated.
+        self._tried: dict[str, Sequence[str]] = {}
+        self._warnings: set[str] = set()
         self._publisher_counts: dict[str, int] = {}
         self._polls = 0
 
@@ -179,7 +181,7 @@ class TopicFinder:
                 if (new := self._found(name, types)) is not None:
                     found.append(new)
             except (BagWriteError, NodeError) as error:
-                self._warn_once(name, f"not recording {name}: {error}")
+                self._warn(f"not recording {name}: {error}")
         self.recorded.update({topic.name: topic for topic in found})
         return found
 
@@ -200,8 +202,9 @@ class TopicFinder:
             types = sorted({info.topic_type for info in publishers})
         elif not (self._include_unpublished and types):
             return None
-        if not self._selection.wants(name, types):
+        if not self._selection.wants(name, types) or self._tried.get(name) == types:
             return None
+        self._tried[name] = types
         if len(types) > 1:
             raise BagWriteError(f"its publishers disagree about its type: {', '.join(types)}")
         definition = find_definition(types[0])
@@ -231,11 +234,13 @@ class TopicFinder:
                 fitting.append(info)
             else:
                 self._warn_once(
-                    f"{topic.name} {info.endpoint_gid}",
                     f"not recording the {topic.name} of node {info.node_name}: it is a "
-                    f"{info.topic_type}, not a {topic.definition.type}",
+                    f"{info.topic_type}, not a {topic.definition.type}"
                 )
-        topic.hear(fitting)
+        try:
+            topic.hear(fitting)
+        except NodeError as error:
+            self._warn_once(f"not recording all of {topic.name}: {error}")
 
     def _check_definition(
         self, definition: MessageDefinition, name: str, publishers: Iterable[TopicEndpointInfo]
@@ -246,7 +251,7 @@ class TopicFinder:
                 f"{name}: a publisher's definition of {definition.type} is not the installed one"
             )
 
-    def _warn_once(self, about: str, message: str) -> None:
-        if self._warnings.get(about) != message:
-            self._warnings[about] = message
+    def _warn_once(self, message: str) -> None:
+        if message not in self._warnings:
+            self._warnings.add(message)
             self._warn(message)

@@ -1,0 +1,44 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The shipped parameters are the node's, and senseless ones are refused."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tsobs_ros.errors import ParameterError
+from tsobs_ros.nodes.recorder_parameters import RecorderParameters
+
+CONFIG = Path(__file__).parents[3] / "config" / "recorder.yaml"
+
+
+def test_the_shipped_file_has_every_parameter_and_its_default_but_for_the_topics() -> None:
+    shipped = yaml.safe_load(CONFIG.read_text())["/**"]["recorder"]["ros__parameters"]
+    values = {k: tuple(v) if isinstance(v, list) else v for k, v in shipped.items()}
+    assert "joint_measurements" in values["topics"]
+    assert values | {"topics": ()} == asdict(RecorderParameters())
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"regex": "*joints"}, r"parameter 'regex': not a regular expression .*'\*joints'"),
+        ({"exclude_regex": "("}, "parameter 'exclude_regex': not a regular expression"),
+        ({"compression": "zip"}, "compression"),
+        ({"max_bag_size": -1}, "max_bag_size"),
+        ({"max_bag_duration": -1.0}, "max_bag_duration"),
+        ({"snapshot_size": 0}, "snapshot_size"),
+        ({"snapshot_duration": 0.0}, "snapshot_duration"),
+        ({"repeat_latched": -1}, "repeat_latched"),
+        ({"queue_depth": 5001}, "parameter 'queue_depth' must be at most 5000"),
+    ],
+)
+def test_senseless_parameters_are_refused(
+    recording, tmp_path: Path, parameters: dict[str, Any], reason: str
+) -> None:
+    with pytest.raises(ParameterError, match=reason):
+        recording.start(**parameters)
+    assert not (tmp_path / "bag").exists()

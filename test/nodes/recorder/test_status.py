@@ -1,0 +1,101 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnostics say the worst there is to say, and give all counts."""
+
+from typing import Any
+
+import pytest
+
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.nodes.recorder_status import (
+    RecorderState,
+    RecorderStatistics,
+    SnapshotFill,
+    TopicStatistics,
+    statuses,
+)
+
+GOOD = TopicStatistics(10, 0, True)
+LOSSY = TopicStatistics(90, 3, True, ("/plant", "/sensor"))
+UNKNOWN = TopicStatistics(5, 1, False)
+FILL = SnapshotFill(messages=7, size=3 * 2**20, duration=1.5, refused=0)
+
+
+def state(**changes: Any) -> RecorderState:
+    topics = changes.pop("topics", {"/a": GOOD})
+    lost = sum(topic.lost for topic in topics.values())
+    values: dict[str, Any] = {
+        "statistics": RecorderStatistics(100, lost, topics, 4, 2**20, 2),
+        "rate": 12.34,
+        "recording": True,
+        "clock_awaited": False,
+        "waiting_for": (),
+        "free_disk": 10_000.0,
+        "minimum_free_disk": 256,
+        "sync_age": 1.0,
+        "sync_period": 5.0,
+    }
+    return RecorderState(**values | changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "level", "message"),
+    [
+        ({}, Level.OK, "recording"),
+        ({"recording": False}, Level.OK, "paused"),
+        ({"snapshot": FILL}, Level.OK, "keeping the last seconds"),
+        ({"waiting_for": ("/b", "/c"), "recording": False}, Level.WARN, "waiting for /b"),
+        ({"clock_awaited": True, "waiting_for": ("/b",)}, Level.WARN, "waiting for /clock"),
+        ({"sync_age": 9.0}, Level.OK, "recording"),
+        ({"sync_age": 11.0}, Level.WARN, "the disk has not kept up for 11 s"),
+        ({"free_disk": 511.0, "sync_age": 11.0}, Level.WARN, "511 MiB of disk space are left"),
+        ({"snapshot": FILL._replace(refused=2), "free_disk": 511.0}, Level.WARN,
+         "2 messages too large for the snapshot buffer"),
+        ({"topics": {"/a": LOSSY}, "free_disk": 511.0}, Level.WARN, "3 messages lost"),
+    ],
+)  # fmt: skip
+def test_the_worst_comes_first(changes: dict[str, Any], level: Level, message: str) -> None:
+    recording, _ = statuses(state(**changes))
+    assert (recording.name, recording.level, recording.message) == ("recording", level, message)
+
+
+def test_all_counts_are_given() -> None:
+    recording, _ = statuses(state(snapshot=FILL, waiting_for=("/b", "/c")))
+    assert recording.values == {
+        "messages": "100",
+        "messages a second": "12.3",
+        "MiB": "1.0",
+        "lost": "0",
+        "discarded while paused": "4",
+        "topics": "1",
+        "waiting for": "/b, /c",
+        "paused": "false",
+        "files": "2",
+        "free disk space (MiB)": "10000",
+        "last sync (s ago)": "1.0",
+        "snapshot buffer": "7 messages, 1.5 s, 3.0 MiB",
+        "too large for the snapshot buffer": "0",
+    }
+
+
+@pytest.mark.parametrize(
+    ("topics", "level", "message"),
+    [
+        ({}, Level.OK, "nothing lost"),
+        ({"/a": GOOD, "/u": UNKNOWN._replace(lost=0)}, Level.OK, "losses unknown of /u"),
+        ({"/u": UNKNOWN, "/l": LOSSY, "/a": GOOD}, Level.WARN, "messages lost of /l, /u"),
+    ],
+)
+def test_topics_are_told_apart(
+    topics: dict[str, TopicStatistics], level: Level, message: str
+) -> None:
+    _, status = statuses(state(topics=topics))
+    assert (status.name, status.level, status.message) == ("topics", level, message)
+
+
+def test_a_topics_losses_are_given_with_whose_they_are() -> None:
+    _, status = statuses(state(topics={"/u": UNKNOWN, "/l": LOSSY}))
+    assert status.values == {
+        "/l": "90 messages, 3 lost of /plant, /sensor",
+        "/u": "5 messages, at least 1 lost",
+    }
