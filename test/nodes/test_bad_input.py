@@ -3,12 +3,13 @@
 """Every kind of bad input: what becomes of it, and that the observer comes back from it."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from faults.arm import Arm
 from faults.kinds import KINDS
-from faults.script import Kind, complaints
+from faults.script import Kind, complaints, table
 from faults.stage import Stage
 from faults.watcher import SIGMAS
 from rclpy.qos import (
@@ -23,6 +24,7 @@ from rclpy.qos import (
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.observer_io import MEASUREMENT_QOS
 
+ROOT = Path(__file__).resolve().parents[2]
 BEGIN = 100 * NANOSECONDS
 RATE = 25.0
 PERIOD = round(NANOSECONDS / RATE)
@@ -33,6 +35,12 @@ def stage(ros: Any) -> Iterator[Stage]:
     stage = Stage(ros)
     yield stage
     stage.close()
+
+
+def test_the_catalogue_is_documented() -> None:
+    page = (ROOT / "docs" / "robustness.md").read_text(encoding="utf-8")
+    assert len(KINDS) >= 25
+    assert table(Arm(BEGIN)) in page, "paste what `python -m faults --list` prints"
 
 
 def test_no_publisher_is_incompatible() -> None:

@@ -5,15 +5,18 @@
 import argparse
 import sys
 
+from faults.arm import Arm
 from faults.kinds import KINDS
 from faults.live import play_all
+from faults.script import table
+from tsobs_ros.estimation.records import NANOSECONDS
 
 
 def main() -> int:
     """Return 1 if anything was not as it must be."""
     parser = argparse.ArgumentParser(prog="python -m faults", description=__doc__)
     parser.add_argument("kinds", nargs="*", metavar="KIND", help="default: all short enough")
-    parser.add_argument("--list", action="store_true", help="print the kinds and end")
+    parser.add_argument("--list", action="store_true", help="print the kinds, in Markdown, and end")
     parser.add_argument("--observer", default="/observer", metavar="NAME")
     parser.add_argument("--topic", default="joint_measurements")
     parser.add_argument("--joint", default="elastic_joint")
@@ -22,8 +25,7 @@ def main() -> int:
     if unknown := set(options.kinds) - set(KINDS):
         parser.error(f"no such kind: {', '.join(sorted(unknown))}; see --list")
     if options.list:
-        for kind in KINDS.values():
-            print(f"{kind.family:8s} {kind.name:32s} {kind.about}")
+        print(table(Arm(100 * NANOSECONDS)), end="")
         return 0
     asked = [KINDS[name] for name in options.kinds or KINDS]
     kinds = [kind for kind in asked if options.kinds or kind.seconds <= options.longest]

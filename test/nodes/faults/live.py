@@ -19,7 +19,7 @@ from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 
 _PATIENCE = 10.0
 _LEAD = 200_000_000
-_TICK = 50_000_000
+_TICK = 20_000_000
 
 
 class Outcome(NamedTuple):
@@ -71,11 +71,10 @@ class Live:
         for event in events:
             self._spin_until_time(event.at)
             self._senders.send(event)
-        self._spin_until_time(events[-1].at + _TICK)
         sigmas = self._sigmas(arm, events[-1].at)
         self._wait_for_diagnosis()
         counts = self._counts()
-        said = [*complaints(events, counts), *self._watcher.broken]
+        said = [*complaints(events, counts, may_lose=True), *self._watcher.broken]
         if sigmas is None or sigmas > SIGMAS:
             said.append("no estimate at the end" if sigmas is None else "the error is too large")
         return Outcome(counts, sigmas, said)
@@ -88,9 +87,13 @@ class Live:
         self._watcher.broken.clear()
 
     def _sigmas(self, arm: Arm, last: int) -> float | None:
-        """Return the newest estimate's largest error in bounds, None if it is not of now."""
-        stamp = self._watcher.stamp()
-        return self._watcher.sigmas(arm) if stamp is not None and stamp >= last else None
+        """Wait for an estimate of now; return its largest error in bounds, None without one."""
+        until = last + NANOSECONDS
+        while (self._watcher.stamp() or 0) < last:
+            if time.time_ns() > until:
+                return None
+            self._spin_until_time(time.time_ns() + _TICK)
+        return self._watcher.sigmas(arm)
 
     def _counts(self) -> Counts:
         values = {item.key: item.value for item in self._diagnostics["measurements"].values}

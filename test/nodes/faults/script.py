@@ -88,6 +88,11 @@ class Kind:
         ]
         return sorted(events, key=lambda event: event.at)
 
+    def fates(self, arm: Arm) -> list[str]:
+        """Return what becomes of the messages of the stretch, each once."""
+        events = self.write(arm, arm.origin + round(self.warm_up * NANOSECONDS))
+        return list(dict.fromkeys(event.fate.value for event in events))
+
     @property
     def seconds(self) -> float:
         """Length of the whole script [s]."""
@@ -110,6 +115,18 @@ def kind(
         return write
 
     return enter
+
+
+def table(arm: Arm) -> str:
+    """Return the catalogue as a table in Markdown."""
+    lines = ["| kind | what happens | each message is |", "|---|---|---|"]
+    family = ""
+    for each in KINDS.values():
+        if each.family != family:
+            family = each.family
+            lines.append(f"| **{family}** | | |")
+        lines.append(f"| {each.name} | {each.about} | {'; '.join(each.fates(arm)) or 'absent'} |")
+    return "\n".join(lines) + "\n"
 
 
 def good(arm: Arm, begin: int, seconds: float) -> Iterator[Event]:
@@ -140,19 +157,26 @@ class Counts(NamedTuple):
     rejected: Mapping[RejectReason, int]
 
 
-def complaints(events: Iterable[Event], counts: Counts) -> list[str]:
-    """Return how the counts differ from what was to become of the events; nothing if not."""
+def complaints(events: Iterable[Event], counts: Counts, may_lose: bool = False) -> list[str]:
+    """Return how the counts differ from what was to become of the events; nothing if not.
+
+    Args:
+        events: What was sent.
+        counts: What the node says.
+        may_lose: Whether messages may be lost on the way, as between processes.
+    """
     wanted = Counter(event.fate for event in events)
     crowded, judged = wanted[Fate.CROWDED], wanted[Fate.JUDGED]
-    certain = sum(wanted.values()) - wanted[Fate.UNSEEN] - crowded
+    certain = wanted.total() - wanted[Fate.UNSEEN] - crowded
+    lost = max(0, certain - counts.received) if may_lose else 0
     said = []
-    if not certain <= counts.received <= certain + crowded:
+    if not certain <= counts.received + lost <= certain + crowded:
         said.append(f"{counts.received} received instead of {certain} (+ {crowded})")
     if counts.received != counts.used + sum(counts.rejected.values()):
         said.append(f"received is not used + rejected: {counts}")
     for reason in RejectReason:
         least, came = wanted[reason], counts.rejected.get(reason, 0)
         most = least + judged if reason is RejectReason.GATED else least
-        if not least <= came <= most:
+        if not least - lost <= came <= most:
             said.append(f"{came} {reason.value} instead of {least} to {most}")
     return said
