@@ -51,7 +51,7 @@ def data_files() -> list[tuple[str, list[str]]]:
     files = [
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.yaml")))),
+        (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.*ml")))),
     ]
     # colcon puts the console scripts themselves into lib/tsobs_ros.
     if {"bdist_wheel", "editable_wheel"} & set(sys.argv):
