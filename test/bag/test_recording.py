@@ -14,10 +14,14 @@ from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recording import Recording, RecordingOptions
 from tsobs_ros.bag.snapshot import BufferedMessage
+from tsobs_ros.bag.verification import verify
 from tsobs_ros.errors import BagWriteError
 
 TOPICS = ("/map", "/a")
-MAP = b"map"
+
+# std_msgs/String in CDR, with nothing and with a map in it.
+EMPTY = b"\0\1\0\0\1\0\0\0\0"
+MAP = b"\0\1\0\0\4\0\0\0map\0"
 
 
 def begin(path: Path, options: RecordingOptions) -> Recording:
@@ -28,7 +32,7 @@ def begin(path: Path, options: RecordingOptions) -> Recording:
     return recording
 
 
-def message(topic: str, time: int, data: bytes = b"x") -> BufferedMessage:
+def message(topic: str, time: int, data: bytes = EMPTY) -> BufferedMessage:
     return BufferedMessage(topic, data, time, time)
 
 
@@ -38,9 +42,11 @@ def stored(path: Path) -> list[tuple[str, int, int]]:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
-    """Give a path for a bag, and check that other readers find in it what ours does."""
+    """Give a path for a bag, and check that it is strictly one, for other readers too."""
     path = tmp_path / "bag"
     yield path
+    found = verify(path)
+    assert (found.errors, found.remarks) == ((), ())
     ours = [(m.topic, m.data) for m in BagReader(path).messages()]
     with RosbagsReader(path) as reader:
         assert [(c.topic, bytes(data)) for c, _, data in reader.messages()] == ours
@@ -87,7 +93,7 @@ def test_what_is_latched_during_a_pause_comes_after_it(folder: Path) -> None:
     recording.close()
     assert stored(folder) == [("/a", 1, 1), ("/map", 5, 2), ("/a", 5, 5), ("/a", 6, 6)]
     assert recording.discarded == 3
-    assert recording.bytes == 3 + len(MAP)
+    assert recording.bytes == 3 * len(EMPTY) + len(MAP)
 
 
 def test_snapshots_hold_the_last_seconds_and_what_is_latched(folder: Path) -> None:
@@ -112,7 +118,7 @@ def test_snapshots_hold_the_last_seconds_and_what_is_latched(folder: Path) -> No
 def test_a_large_snapshot_is_written_bit_by_bit_and_to_the_end(folder: Path) -> None:
     options = RecordingOptions(snapshot_duration_ns=10**9, snapshot_size=10**8)
     recording = begin(folder, options)
-    for time in range(12_000):
+    for time in range(1, 12_001):
         recording.record(message("/a", time))
     assert recording.take_snapshot() == 12_000
     assert recording.take_snapshot() == 0

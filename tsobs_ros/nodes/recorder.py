@@ -74,7 +74,7 @@ class Recorder(ManagedNode[RecorderParameters]):
             self.get_logger().warning,
         )
         self._recording = Recording(path, parameters.recording_options())
-        self.at_cleanup(self._recording.close)
+        self.at_cleanup(self._close_recording)
         self._paused = parameters.start_paused
         self._failed = self._free_disk_warned = False
         self._messages_at_diagnostics = 0
@@ -178,9 +178,18 @@ class Recorder(ManagedNode[RecorderParameters]):
             self._recording.write_pending()
             for chore in self._chores:
                 chore.run_if_due(now)
+        except BagWriteError as error:
+            self._failed = True
+            raise BagWriteError(
+                f"{error}; what was written before: tsobs bag recover {self.path}"
+            ) from error
+
+    def _close_recording(self) -> None:
+        try:
+            self._recording.close()
         except BagWriteError:
-            self._failed = True  # closing must not try again what cannot be done
-            raise
+            if not self._failed:  # otherwise this has been said, and is why it closes
+                raise
 
     def _look_for_topics(self) -> None:
         for topic in self._finder.poll():

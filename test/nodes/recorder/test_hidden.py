@@ -16,6 +16,7 @@ from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.definitions import find_definition
+from tsobs_ros.bag.verification import verify
 
 EVENTS = "/arm/enable/_service_event"
 
@@ -47,6 +48,8 @@ def test_the_events_of_services_are_recorded(ros, recording, parameters: dict[st
     recorder.close()
 
     path = recorder.path
+    found = verify(path)
+    assert (found.errors, found.remarks) == ((), ())
     messages = list(BagReader(path).messages())
     received, sent = (deserialize_message(m.data, SetBool.Event) for m in messages)
     assert received.info.event_type == ServiceEventInfo.REQUEST_RECEIVED

@@ -1,0 +1,66 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A disk that fails ends the recording with a reason, and what was written stays."""
+
+import os
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+
+from tsobs_ros.bag import BagReader
+from tsobs_ros.bag.recovery import recover
+from tsobs_ros.errors import BagWriteError
+
+SIZE = 100_000
+LIMIT_KIB = 1000
+
+
+def test_a_full_disk_ends_the_process_and_keeps_what_was_written(
+    ros, ros_process, tmp_path: Path
+) -> None:
+    bag = tmp_path / "bag"
+    recorder = [sys.executable, "-m", "tsobs_ros.executables", "recorder"]
+    arguments = ["--ros-args", "-p", f"output:={bag}", "-p", "topics:=[a]"]
+    arguments += ["-p", "compression:=none", "-p", "flush_period:=0.01"]
+    command = f"ulimit -f {LIMIT_KIB}; exec {shlex.join(recorder + arguments)}"
+    process = ros_process(
+        ["bash", "-c", command], environment={"PYTHONPATH": os.pathsep.join(sys.path)}
+    )
+    publisher = ros.node("source").create_publisher(String, "a", 100)
+    ros.spin_until(lambda: publisher.get_subscription_count() == 1, 20.0, what="the match")
+    fitting = LIMIT_KIB * 1024 // SIZE
+    texts = [f"{index}".ljust(SIZE) for index in range(fitting + 3)]
+    for text in texts:
+        publisher.publish(String(data=text))
+    finished = process.finish()
+
+    assert finished.exit_code == 1
+    (error,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
+    assert error == (
+        f"error: {bag / 'bag_0.mcap'}: cannot write it: [Errno 27] File too large; what was "
+        f"written before: tsobs bag recover {bag}"
+    )
+    assert "Traceback" not in finished.stderr
+    recover(bag, tmp_path / "recovered")
+    read = BagReader(tmp_path / "recovered").messages()
+    stored = [deserialize_message(message.data, String).data for message in read]
+    assert stored == texts[: len(stored)]
+    assert len(stored) >= 1
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
+def test_a_folder_that_must_not_be_written_is_refused(recording, tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(BagWriteError, match=r"bag: cannot create it: .*Permission denied"):
+        recording.start()
+    tmp_path.chmod(0o700)
+
+
+def test_a_file_in_the_place_of_a_folder_is_refused(recording, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(BagWriteError, match=r"file/bag: cannot create it: .*Not a directory"):
+        recording.start(output=str(tmp_path / "file" / "bag"))
