@@ -69,11 +69,6 @@ def play(stage: Stage, mix: Mix, count: int) -> None:
         assert stage.watchers[name].broken == []
 
 
-def reset(stage: Stage) -> None:
-    stage.watchers[""].time_began_anew()
-    assert stage.call(Trigger, "/observer/reset", Trigger.Request()).success
-
-
 @PROPERTY
 @given(mix=mixes(), other=mixes())
 def test_anything_may_come_and_a_reset_observer_is_a_new_one(
@@ -85,7 +80,7 @@ def test_anything_may_come_and_a_reset_observer_is_a_new_one(
             stage.step(stage.now - 400 * PERIOD)
             stage.step(stage.now + PERIOD)  # the first tick after that begins anew
             assert stage.counts().received == 0
-    reset(stage)
+    assert stage.call(Trigger, "/observer/reset", Trigger.Request()).success
     outputs: dict[str, list[Any]] = {"": [], "/fresh": []}
     stage.watchers[""].keep = keeper(outputs[""])
     stage.add("/fresh", keeper(outputs["/fresh"]), rate=RATE)

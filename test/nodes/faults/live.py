@@ -83,7 +83,6 @@ class Live:
         self._wait(self._reset.service_is_ready, f"an observer of the name {self._observer}")
         answer = self._reset.call_async(Trigger.Request())
         self._wait(answer.done, "the observer's reset")
-        self._watcher.time_began_anew()
         self._watcher.broken.clear()
 
     def _sigmas(self, arm: Arm, last: int) -> float | None:
