@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "tsobs_ros"
 
 # What each part of the package may import of the others; all may import COMMON.
 COMMON = {"checks", "errors", "resources", "safe_yaml", "stop"}
-MIDDLE = {"bag", "report", "design", "simulation", "offline"}
+MIDDLE = {"bag", "report", "design", "simulation", "offline", "export"}
 MAY_IMPORT: dict[str, set[str]] = {
     "model": set(),
     "estimation": {"model"},
@@ -24,6 +24,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     # Within the middle layer there is no circle: reports use what the others make, and running
     # a design over a bag needs both.
     "offline": {"bag", "design", "estimation", "model"},
+    "export": {"bag"},
     "report": {"bag", "design", "offline", "simulation", "estimation", "model"},
     "nodes": {*MIDDLE, "estimation", "model"},
     "executables": {"nodes"},
@@ -42,6 +43,7 @@ HOME = {
     "clarabel": "design",
     "matplotlib": "report",
     "plotly": "report",
+    "pyarrow": "export",
 }
 ROS_INTERFACES = {"rcl_interfaces", "builtin_interfaces", "std_srvs"}
 

@@ -39,6 +39,10 @@ class BagWriteError(TsobsError, OSError):
     """A bag cannot be written: the folder exists, the disk is full, or a topic is inconsistent."""
 
 
+class ExportError(TsobsError, OSError):
+    """A topic cannot be written to a file: it exists, or the disk is full."""
+
+
 class LogError(TsobsError, ValueError):
     """An arm's own log cannot be read: a column is missing, or a cell is not what it should be."""
 
