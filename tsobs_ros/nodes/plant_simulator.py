@@ -14,15 +14,12 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
-from rclpy.qos import QoSProfile
-from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
-from tsobs_ros.nodes.plant_topics import SamplePublisher
+from tsobs_ros.nodes.plant_topics import CommandLimits, SamplePublisher, TorqueCommands
 from tsobs_ros.nodes.sample_schedule import SampleSchedule, ScaledTime
 from tsobs_ros.simulation.plant import Plant
 
@@ -62,13 +59,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def configure(self) -> None:
         """Make the arm at t = 0, and what it is heard and commanded by."""
         self._settings = parameters = self.parameters
-        self.rejected_commands = 0
         self._publish_sample = SamplePublisher(
             self, parameters.joint, publish_clock=parameters.publish_clock
         )
-        self._commands = DrainedSubscription(
-            self, Float64MultiArray, "joint_torque_command", QoSProfile(depth=10)
-        )
+        self._commands = TorqueCommands(self, self._limits_of(parameters))
         self.create_service(Trigger, "~/reset", self._reset)
         self._schedule = SampleSchedule(parameters.rate)
         self._driven: ScaledTime | None = None
@@ -84,7 +78,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     def activate(self) -> None:
         """Start sampling, or go on, as soon as there is a time and somebody to measure for."""
-        self._commands.drain()  # meant for an arm that stood still
+        self._commands.discard()  # what arrived was meant for an arm that stood still
         self._activated = self._steady_ns()
         self._start_timer = self.create_timer(_START_POLL, self._start, clock=self._steady)
 
@@ -100,9 +94,21 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._publish_sample.wait_for_acknowledgement()
 
     @property
+    def rejected_commands(self) -> int:
+        """Torque commands that were not one finite number, since the node was configured."""
+        return self._commands.rejected
+
+    @property
     def finished(self) -> bool:
         """Whether the duration has been simulated; a process then ends."""
         return super().finished or (self.configured and self._is_over)
+
+    @staticmethod
+    def _limits_of(parameters: PlantSimulatorParameters) -> CommandLimits:
+        held = math.inf
+        if parameters.command_timeout > 0.0:
+            held = max(1, round(parameters.command_timeout * parameters.rate))
+        return CommandLimits(parameters.torque_limit, held)
 
     @property
     def _is_over(self) -> bool:
@@ -169,10 +175,11 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         if self._went_back(now):
             return
         self._latest = now
-        self._take_commands()
+        self._commands.take(self._plant.index)
         now = self._limit_lag(now)
         while not self._is_over and (stamp := self._schedule.take(now)) is not None:
-            self._publish_sample(stamp, self._plant.step(self._present_command()))
+            torque = self._commands.at(self._plant.index)
+            self._publish_sample(stamp, self._plant.step(torque))
         if self._is_over:
             self._timer.cancel()
             return
@@ -216,34 +223,15 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._schedule.start(now)
         return now
 
-    def _take_commands(self) -> None:
-        for message, _ in self._commands.drain():
-            values = message.data
-            if len(values) != 1 or not math.isfinite(values[0]):
-                self.rejected_commands += 1
-                self.get_logger().warning(
-                    f"rejected {self.rejected_commands} torque commands so far: expected one "
-                    f"finite number, got {list(values)[:4]}",
-                    throttle_duration_sec=_WARN_EVERY,
-                )
-                continue
-            limit, timeout = self._settings.torque_limit, self._settings.command_timeout
-            self._command = min(max(values[0], -limit), limit)
-            held = max(1, round(timeout * self._settings.rate))
-            self._command_end = self._plant.index + held if timeout > 0.0 else math.inf
-
-    def _present_command(self) -> float | None:
-        return self._command if self._plant.index < self._command_end else None
-
     def _new_plant(self) -> None:
         self._plant = Plant(self._settings.scenario(), self._settings.seed)
-        self._command = 0.0
-        self._command_end = 0.0
+        self._commands.forget()
 
     def retune(self, parameters: PlantSimulatorParameters) -> None:
         """Take changed parameters over from the next sample on."""
         old, new = self._settings.scenario(), parameters.scenario()
         self._settings = parameters
+        self._commands.limits = self._limits_of(parameters)
         if new.disturbance != old.disturbance:
             self._plant.exchange_disturbance(new.disturbance)
             self.get_logger().info(

@@ -1,8 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the plant simulator publishes: the measurement, the truth behind it, and the time."""
+"""The plant simulator's topics: torque commands in; the measurement, the truth and the time out."""
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
@@ -10,11 +11,74 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
+from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.stamps import set_stamp
 from tsobs_ros.simulation.plant import Sample
 
 _ACKNOWLEDGE_TIMEOUT = 1.0
+_WARN_EVERY = 5.0
+
+
+class CommandLimits(NamedTuple):
+    """What becomes of a torque command.
+
+    Attributes:
+        torque: It saturates at plus and minus this [N m].
+        samples: It holds for so many samples.
+    """
+
+    torque: float
+    samples: float
+
+
+class TorqueCommands:
+    """Takes torque commands, and tells for how long the last of them holds.
+
+    Args:
+        node: The node that subscribes.
+        limits: Of commands from the next one on; may be exchanged.
+
+    Attributes:
+        rejected: Commands that were not one finite number.
+    """
+
+    def __init__(self, node: Node, limits: CommandLimits) -> None:
+        self.limits = limits
+        self.rejected = 0
+        self._node = node
+        self._subscription = DrainedSubscription(
+            node, Float64MultiArray, "joint_torque_command", QoSProfile(depth=10)
+        )
+        self.forget()
+
+    def forget(self) -> None:
+        """Let no command hold."""
+        self._torque = self._end = 0.0
+
+    def discard(self) -> None:
+        """Throw away what has arrived."""
+        self._subscription.drain()
+
+    def take(self, sample: int) -> None:
+        """Take what has arrived, to hold from a sample on."""
+        for message, _ in self._subscription.drain():
+            values = message.data
+            if len(values) != 1 or not math.isfinite(values[0]):
+                self.rejected += 1
+                self._node.get_logger().warning(
+                    f"rejected {self.rejected} torque commands so far: expected one finite "
+                    f"number, got {list(values)[:4]}",
+                    throttle_duration_sec=_WARN_EVERY,
+                )
+                continue
+            self._torque = min(max(values[0], -self.limits.torque), self.limits.torque)
+            self._end = sample + self.limits.samples
+
+    def at(self, sample: int) -> float | None:
+        """Return the torque that is commanded at a sample [N m], if any is."""
+        return self._torque if sample < self._end else None
 
 
 class SamplePublisher:
