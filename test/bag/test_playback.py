@@ -172,6 +172,20 @@ def test_being_away_in_a_pause_holds_nothing_back() -> None:
     assert playback.held_back == 0
 
 
+def test_what_nobody_took_in_a_pause_is_due_at_its_end() -> None:
+    latched = message(0, "/latched")
+    playback = Bag([latched, message(S)]).playback(clock_rate=100.0)
+    playback.seek(START + 5 * MS, NOW)
+
+    playback.resume(NOW + 60 * S)
+
+    assert playback.take(NOW + 60 * S) == (NOW + 60 * S, START + 5 * MS, None)
+    assert playback.take(NOW + 60 * S) == (NOW + 60 * S, START + 5 * MS, latched)
+    assert playback.take(NOW + 60 * S) is None
+    assert playback.wait(NOW + 60 * S) == 10 * MS
+    assert playback.held_back == 0
+
+
 def test_pausing_late_passes_over_nothing() -> None:
     playback = Bag([message(0), message(10 * MS), message(20 * MS)]).playback()
     playback.resume(NOW)

@@ -168,8 +168,11 @@ class Playback:
         self._timeline.paused = True
 
     def resume(self, now: int) -> None:
-        """Let bag time run, from where it is."""
+        """Let bag time run, from where it is; what fell due in the pause is due now."""
         if self.paused:
+            self._began = max(self._began, now)
+            if self._ticks.due < now:
+                self._ticks.start(now)
             self._timeline.anchor(self.position(now), now)
             self._timeline.paused = False
 
