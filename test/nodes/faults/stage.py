@@ -7,6 +7,7 @@ Nothing waits and nothing races: what is published in one process is in every qu
 due are done.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -37,8 +38,9 @@ def start_observer(context: Any, namespace: str, **parameters: Any) -> Any:
 
 def counts_of(observer: Any) -> Counts:
     """Return what an observer counts, without the second's wait for its diagnostics."""
-    tracker = observer.tracker
-    return Counts(observer.received, tracker.used, tracker.rejected)
+    trackers = [joint.tracker for joint in observer.joints]
+    rejected = sum((tracker.rejected for tracker in trackers), Counter())
+    return Counts(observer.received, sum(tracker.used for tracker in trackers), rejected)
 
 
 class Stage:
