@@ -2,11 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `recorder` node: records topics to an MCAP bag as rosbag2 does, and counts what it misses."""
 
-import shutil
 import time
 from collections.abc import Callable
-from datetime import datetime
-from itertools import chain, count
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -18,6 +15,7 @@ from tsobs_ros.bag.snapshot import BufferedMessage
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.recorder_disk import free_disk, output_folder
 from tsobs_ros.nodes.recorder_parameters import RecorderParameters
 from tsobs_ros.nodes.recorder_services import offer_services
 from tsobs_ros.nodes.recorder_status import (
@@ -33,7 +31,6 @@ from tsobs_ros.nodes.ticker import Ticker
 
 _GRAPH_PERIOD = 0.1
 _DIAGNOSTICS_PERIOD = 1.0
-_MIB = 2**20
 
 
 class Recorder(ManagedNode[RecorderParameters]):
@@ -59,10 +56,10 @@ class Recorder(ManagedNode[RecorderParameters]):
     def configure(self) -> None:
         """Begin the bag and look for the topics."""
         parameters = self.parameters
-        path = _output(parameters.output)
-        if _free_disk(path) < parameters.minimum_free_disk:
+        path = output_folder(parameters.output)
+        if free_disk(path) < parameters.minimum_free_disk:
             raise NodeError(
-                f"{path}: {_free_disk(path):.0f} MiB of disk space are free, less than "
+                f"{path}: {free_disk(path):.0f} MiB of disk space are free, less than "
                 f"minimum_free_disk ({parameters.minimum_free_disk} MiB)"
             )
         self._finder = TopicFinder(
@@ -235,7 +232,7 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     def _flush(self) -> None:
         self._recording.flush()
-        free, minimum = _free_disk(self.path), self.parameters.minimum_free_disk
+        free, minimum = free_disk(self.path), self.parameters.minimum_free_disk
         if free < minimum:
             self.get_logger().error(f"disk almost full ({free:.0f} MiB free): recording ends here")
             self.close()
@@ -257,7 +254,7 @@ class Recorder(ManagedNode[RecorderParameters]):
             recording=self.active and not self._paused,
             clock_awaited=clock.ros_time_is_active and clock.now().nanoseconds == 0,
             waiting_for=self._finder.missing,
-            free_disk=_free_disk(self.path),
+            free_disk=free_disk(self.path),
             minimum_free_disk=self.parameters.minimum_free_disk,
             sync_age=self._recording.sync_age,
             sync_period=self.parameters.sync_period,
@@ -296,18 +293,3 @@ def _statistics(topic: RecordedTopic, messages: int) -> TopicStatistics:
         topic.publishers.get(p, "a node that left") for p, lost in by_publisher.items() if lost
     }
     return TopicStatistics(messages, losses.lost, losses.complete, tuple(sorted(losers)))
-
-
-def _output(output: str) -> Path:
-    """Return the bag's folder as an absolute path, a dated one in the current folder if unnamed."""
-    if output:
-        return Path(output).expanduser().absolute()
-    dated = Path(datetime.now().strftime("rosbag2_%Y_%m_%d-%H_%M_%S")).absolute()
-    others = (dated.with_name(f"{dated.name}_{number}") for number in count(2))
-    return next(path for path in chain([dated], others) if not path.exists())
-
-
-def _free_disk(path: Path) -> float:
-    """Return the free space, MiB, on the disk that holds a path or will hold it."""
-    existing = next(folder for folder in (path, *path.parents) if folder.exists())
-    return shutil.disk_usage(existing).free / _MIB

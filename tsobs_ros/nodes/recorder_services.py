@@ -44,17 +44,21 @@ def offer_services(recorder: Recorder, snapshot_mode: bool) -> None:
     def snapshot() -> str:
         return f"{recorder.take_snapshot()} messages"
 
+    def is_paused(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = recorder.paused, state()
+        return response
+
     answers = {
         "pause": pause,
         "resume": resume,
         "toggle_paused": toggle_paused,
-        "is_paused": state,
         "split_bagfile": split_bagfile,
     }
     if snapshot_mode:
         answers["snapshot"] = snapshot
     for name, answer in answers.items():
         recorder.create_service(Trigger, f"~/{name}", _trigger(answer))
+    recorder.create_service(Trigger, "~/is_paused", is_paused)
 
 
 def _trigger(
