@@ -53,7 +53,7 @@ def test_an_inactive_observer_discards_what_comes_and_an_active_one_begins_afres
     for index in range(60, 80):
         bench.send(index, 100 * SECOND + index * PERIOD)
         bench.set_clock(100 * SECOND + index * PERIOD)
-    assert manager.state == "inactive"
+    assert bench.status("state").message == "INACTIVE"
     assert len(bench.published) == published
 
     bench.published.clear()

@@ -202,3 +202,22 @@ def test_the_time_from_a_measurements_arrival_to_its_estimate_is_told(bench: Ben
     bench.feed(range(40))
     timing = values(bench.status("timing"))
     assert 0.0 < float(timing["latency p50 [ms]"]) <= float(timing["latency p99 [ms]"])
+
+
+def test_a_process_of_its_own_wakes_up_for_measurements(bench: Bench, ros_process: Any) -> None:
+    """There the runtime makes the ticks, here one a second, and waits for messages in between."""
+    process = ros_process("observer", parameters={"rate": 1.0, "publish_on": "measurement"})
+    process.wait_for_line("certificate holds")
+    bench.wait_for_matches()
+    clock = bench.node.get_clock()
+    for index in range(30):
+        bench.send(index, clock.now().nanoseconds)
+        bench.wait_until(lambda n=index: len(bench.innovations) > n, "the innovation")
+        bench.wait_until(
+            lambda: bench.estimates and bench.estimates[-1].stamp >= bench.innovations[-1].stamp,
+            "its estimate",
+        )
+    stamps = [each.stamp for each in bench.estimates]
+    assert stamps == sorted(set(stamps))
+    # A tick a second cannot have made them.
+    assert len(stamps) > (stamps[-1] - stamps[0]) / SECOND + 10

@@ -3,6 +3,7 @@
 """The `observer` node: measurements in, certified estimates out at a fixed rate."""
 
 import time
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation import comparison
-from tsobs_ros.estimation.health import Status
+from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
@@ -71,7 +72,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._fresh = True
         self._last_now = 0
         self._last_output = 0
-        self._unanswered: list[int] = []
+        self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
         self._next_warning: dict[object, float] = {}
         self._meter = TickMeter(parameters.rate)
 
@@ -283,6 +284,7 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _diagnose(self) -> None:
         if not self.active:
+            self._diagnostics.publish([Status("state", Level.WARN, "INACTIVE", {})])
             return
         now, parameters, joints = self._ticker.now(), self.parameters, self._joints
         values = {"resets": str(self._resets)}
