@@ -281,7 +281,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         except Exception as error:
             expected = isinstance(error, _EXPECTED)
             if self._raises:
-                self._failure = error
+                self._failure = self._failure or error
             else:
                 reason = str(error) if expected else traceback.format_exc()
                 self.get_logger().error(f"cannot {what}: {reason}")
