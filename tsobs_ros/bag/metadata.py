@@ -4,6 +4,7 @@
 
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -176,6 +177,8 @@ def write_metadata(folder: Path, metadata: BagMetadata) -> None:
         temporary.replace(path)
         fsync_folder(folder)
     except OSError as error:
+        with suppress(OSError):
+            temporary.unlink()
         raise BagWriteError(f"{path}: cannot write it: {error}") from error
 
 

@@ -171,10 +171,12 @@ class Recorder(ManagedNode[RecorderParameters]):
     def _tick(self) -> None:
         now = time.monotonic()
         try:
-            self._drain()
-            self._recording.write_pending()
+            if self.configured:  # a full disk ends that, and perhaps not yet the ticks
+                self._drain()
+                self._recording.write_pending()
             for chore in self._chores:
-                chore.run_if_due(now)
+                if self.configured:
+                    chore.run_if_due(now)
         except BagWriteError as error:
             self._failed = True
             raise BagWriteError(

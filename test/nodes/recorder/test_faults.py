@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
@@ -50,6 +52,27 @@ def test_a_full_disk_ends_the_process_and_keeps_what_was_written(
     stored = [deserialize_message(message.data, String).data for message in read]
     assert stored == texts[: len(stored)]
     assert len(stored) >= 1
+
+
+def test_a_disk_that_gets_too_full_ends_the_process_with_a_closed_bag(
+    ros, ros_process, tmp_path: Path
+) -> None:
+    bag = tmp_path / "bag"
+    process = ros_process("recorder", parameters={"output": str(bag), "topics": ["a"]})
+    node = ros.node("operator")
+    publisher = node.create_publisher(String, "a", 100)
+    ros.spin_until(lambda: publisher.get_subscription_count() == 1, 20.0, what="the match")
+    publisher.publish(String(data="in time"))
+    assert publisher.wait_for_all_acked()
+    client = AsyncParameterClient(node, "recorder")
+    ros.spin_until(client.services_are_ready, what="the parameter services")
+    future = client.set_parameters([Parameter("minimum_free_disk", value=10**9)])
+    ros.spin_until(future.done, what="the new limit")
+    finished = process.finish()
+    assert finished.exit_code == 0
+    assert "MiB free): recording ends here" in finished.stderr
+    assert "Traceback" not in finished.stderr
+    assert BagReader(bag).message_count == 1
 
 
 def test_where_nothing_can_be_written_is_refused(recording) -> None:
