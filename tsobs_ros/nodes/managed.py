@@ -264,10 +264,9 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def _destroy_all_but(self, lasting: set[tuple[Any, Callable[[Any], object]]]) -> None:
         for entity, destroy in set(self._entities()) - lasting:
+            served = getattr(getattr(entity, "callback", None), "__self__", None)
             # rclpy itself subscribes to /clock as soon as use_sim_time is set.
-            if not isinstance(
-                getattr(getattr(entity, "callback", None), "__self__", None), TimeSource
-            ):
+            if not isinstance(served, TimeSource):
                 destroy(entity)
 
     def _retune(self, parameters: P) -> None:
