@@ -210,14 +210,14 @@ def test_a_process_of_its_own_wakes_up_for_measurements(bench: Bench, ros_proces
     process.wait_for_line("certificate holds")
     bench.wait_for_matches()
     clock = bench.node.get_clock()
-    for index in range(30):
-        bench.send(index, clock.now().nanoseconds)
-        bench.wait_until(lambda n=index: len(bench.innovations) > n, "the innovation")
-        bench.wait_until(
-            lambda: bench.estimates and bench.estimates[-1].stamp >= bench.innovations[-1].stamp,
-            "its estimate",
-        )
+    # Here everything is matched; there it is once a measurement has an answer.
+    indices = iter(range(1000))
+    bench.node.create_timer(0.05, lambda: bench.send(next(indices), clock.now().nanoseconds))
+    bench.wait_until(lambda: len(bench.innovations) >= 30, "thirty innovations")
+    bench.wait_until(
+        lambda: bench.estimates[-1].stamp >= bench.innovations[29].stamp, "the last one's estimate"
+    )
     stamps = [each.stamp for each in bench.estimates]
     assert stamps == sorted(set(stamps))
     # A tick a second cannot have made them.
-    assert len(stamps) > (stamps[-1] - stamps[0]) / SECOND + 10
+    assert len(stamps) > 3 * (stamps[-1] - stamps[0]) / SECOND
