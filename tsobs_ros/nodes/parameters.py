@@ -31,6 +31,7 @@ give one; otherwise clients would read "Wrong parameter type" without a name.
 
 import difflib
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
@@ -149,6 +150,20 @@ def parameter_group(group: Callable[[], T]) -> T:
         A dataclass field holding an instance of the group.
     """
     return field(default_factory=group)
+
+
+def check_pattern(name: str, pattern: str) -> None:
+    """Refuse a parameter that must be a regular expression and is none; for a `__post_init__`.
+
+    Raises:
+        ParameterError: The pattern is malformed.
+    """
+    try:
+        re.compile(pattern)
+    except re.error as error:
+        raise ParameterError(
+            f"parameter '{name}': not a regular expression ({error}): '{pattern}'"
+        ) from error
 
 
 class ParameterBinding(Generic[P]):

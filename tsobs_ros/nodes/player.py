@@ -8,7 +8,7 @@ ways to interfere: services to pause and to step, the live parameters `rate`, `l
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
-from std_srvs.srv import Trigger
 
 from tsobs_ros.bag.playback import Event, Playback
 from tsobs_ros.bag.playback_source import BagSource
@@ -26,6 +25,7 @@ from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.player_pacing import Pacer, SubscriberGate
 from tsobs_ros.nodes.player_parameters import CLOCK, PlayerParameters
+from tsobs_ros.nodes.player_services import offer_services
 from tsobs_ros.nodes.player_status import LagMeter, PlayerState
 from tsobs_ros.nodes.player_topics import PlayedTopics
 from tsobs_ros.nodes.stamps import set_stamp
@@ -89,7 +89,7 @@ class Player(ManagedNode[PlayerParameters]):
             self._publish_diagnostics,
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
-        self._offer_services()
+        offer_services(self)
         self.ticker = self._pacer = Pacer(self, self._play)
         self.get_logger().info(
             f"opened {reader.path}: {sum(topic.count for topic in selected)} messages of "
@@ -161,10 +161,31 @@ class Player(ManagedNode[PlayerParameters]):
         """Where playing is, from the bag's start [s]."""
         return (self._playback.position(time.monotonic_ns()) - self._bag_start) * 1e-9
 
+    @property
+    def doing(self) -> str:
+        """What it is doing, for people."""
+        if not self.active:
+            return "inactive"
+        if self._paused:
+            return "paused"
+        if not self._gate.is_open:
+            return "waiting for subscribers"
+        return "ended" if self._playback.ended else "playing"
+
+    def pause(self) -> None:
+        """Stand still until `resume`."""
+        self._paused = True
+        self._playback.pause(time.monotonic_ns())
+
+    def resume(self) -> None:
+        """Play on."""
+        self._paused = False
+        self._pacer.wake()
+
     def step(self) -> tuple[bool, str]:
         """Publish the next message, in a pause; return whether there was one, and which or why."""
         if not (self.active and self._paused):
-            return False, f"only a paused player steps; it is {self._doing}"
+            return False, f"only a paused player steps; it is {self.doing}"
         self._play()  # what is latched here is no step
         events = self._playback.step(time.monotonic_ns())
         for event in events:
@@ -247,39 +268,9 @@ class Player(ManagedNode[PlayerParameters]):
                 self._seek(parameter.value)
                 self._pacer.wake()
 
-    def _offer_services(self) -> None:
-        for name, act in (
-            ("pause", lambda: self._set_paused(True)),
-            ("resume", lambda: self._set_paused(False)),
-            ("toggle_paused", lambda: self._set_paused(not self._paused)),
-            ("is_paused", self._say_paused),
-            ("play_next", self.step),
-        ):
-            self.create_service(Trigger, f"~/{name}", _answer(act))
-
-    def _set_paused(self, paused: bool) -> tuple[bool, str]:
-        self._paused = paused
-        if paused:
-            self._playback.pause(time.monotonic_ns())
-        self._pacer.wake()
-        return True, f"{self._doing} at {self.position:.3f} s"
-
-    def _say_paused(self) -> tuple[bool, str]:
-        return self._paused, f"{self._doing} at {self.position:.3f} s"
-
-    @property
-    def _doing(self) -> str:
-        if not self.active:
-            return "inactive"
-        if self._paused:
-            return "paused"
-        if not self._gate.is_open:
-            return "waiting for subscribers"
-        return "ended" if self._playback.ended else "playing"
-
     def _publish_diagnostics(self) -> None:
         state = PlayerState(
-            doing=self._doing,
+            doing=self.doing,
             position=self.position,
             length=self._length * 1e-9,
             rate=self.parameters.rate,
@@ -293,13 +284,3 @@ class Player(ManagedNode[PlayerParameters]):
 def create(**node_kwargs: Any) -> Player:
     """Return a player, ready to be spun; the arguments are those of `Player`."""
     return Player(**node_kwargs)
-
-
-def _answer(act: Callable[[], tuple[bool, str]]) -> Callable[[Any, Any], Any]:
-    """Make a Trigger service of something that tells its success and a message."""
-
-    def answer(_request: Any, response: Any) -> Any:
-        response.success, response.message = act()
-        return response
-
-    return answer

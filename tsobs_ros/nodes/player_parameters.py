@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import parameter
+from tsobs_ros.nodes.parameters import check_pattern, parameter
 
 CLOCK = "/clock"
 
@@ -70,14 +70,8 @@ class PlayerParameters(ManagedParameters):
         Raises:
             ParameterError: One of them is not a regular expression.
         """
-        for name in ("regex", "exclude_regex"):
-            try:
-                re.compile(getattr(self, name))
-            except re.error as error:
-                raise ParameterError(
-                    f"parameter '{name}': '{getattr(self, name)}' is not a regular expression: "
-                    f"{error}"
-                ) from error
+        check_pattern("regex", self.regex)
+        check_pattern("exclude_regex", self.exclude_regex)
 
     def select(self, names: Iterable[str]) -> list[str]:
         """Return which of a bag's topics to play.

@@ -2,14 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The recorder's parameters; `config/recorder.yaml` shows them with their reasons."""
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from tsobs_ros.bag.recording import RecordingOptions
-from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import parameter
+from tsobs_ros.nodes.parameters import check_pattern, parameter
 from tsobs_ros.nodes.recorder_selection import TopicSelection
 
 _MIB = 2**20
@@ -96,14 +94,8 @@ class RecorderParameters(ManagedParameters):
         Raises:
             ParameterError: A regular expression is malformed.
         """
-        for name in ("regex", "exclude_regex"):
-            try:
-                re.compile(getattr(self, name))
-            except re.error as error:
-                raise ParameterError(
-                    f"parameter '{name}': not a regular expression ({error}): "
-                    f"'{getattr(self, name)}'"
-                ) from error
+        check_pattern("regex", self.regex)
+        check_pattern("exclude_regex", self.exclude_regex)
 
     def recording_options(self) -> RecordingOptions:
         """Return how to record."""

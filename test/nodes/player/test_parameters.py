@@ -35,7 +35,7 @@ def test_the_shipped_file_has_every_parameter_at_its_default() -> None:
         ({"rate": 101}, "parameter 'rate' must be at most 100"),
         ({"topics": ["/c"]}, "parameter 'topics': no topic /c; the bag has /a, /b"),
         ({"exclude_regex": "."}, "the parameters leave no topic to play; the bag has /a, /b"),
-        ({"regex": "("}, r"parameter 'regex': '\(' is not a regular expression"),
+        ({"regex": "("}, "parameter 'regex': not a regular expression"),
         ({"start_offset": 0.05}, "'start_offset' must be at most 0.04 s, the bag's length"),
         ({"position": 0.05}, "'position' must be at most 0.04 s, the bag's length"),
     ],
