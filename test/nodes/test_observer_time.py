@@ -212,7 +212,7 @@ def test_a_process_of_its_own_wakes_up_for_measurements(bench: Bench, ros_proces
     clock = bench.node.get_clock()
     # Here everything is matched; there it is once a measurement has an answer.
     indices = iter(range(1000))
-    bench.node.create_timer(0.05, lambda: bench.send(next(indices), clock.now().nanoseconds))
+    bench.node.create_timer(0.02, lambda: bench.send(next(indices), clock.now().nanoseconds))
     bench.wait_until(lambda: len(bench.innovations) >= 30, "thirty innovations")
     bench.wait_until(
         lambda: bench.estimates[-1].stamp >= bench.innovations[29].stamp, "the last one's estimate"
