@@ -23,7 +23,7 @@ from typing import Any
 
 _START_TIMEOUT = 30.0
 _STOP_TIMEOUT = 15.0
-_OUTPUTS = ("joint_states", "error_bound", "disturbance", "disturbance_bound", "innovation")
+OUTPUTS = ("joint_states", "error_bound", "disturbance", "disturbance_bound", "innovation")
 _DRAIN_PERIOD = 0.05
 _DEPTH = 5000
 
@@ -157,7 +157,7 @@ def _listener() -> None:
     qos, decode = QoSProfile(depth=_DEPTH), JointStateDecoder()
     taken = {
         topic: DrainedSubscription(node, JointState, f"observer/{topic}", qos, raw=True)
-        for topic in _OUTPUTS
+        for topic in OUTPUTS
     }
     diagnostics = DrainedSubscription(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     while not all(each.publisher_count for each in taken.values()):
@@ -170,7 +170,7 @@ def _listener() -> None:
             time.sleep(_DRAIN_PERIOD)
             for topic, each in taken.items():
                 drained = each.drain()
-                if topic == _OUTPUTS[0]:
+                if topic == OUTPUTS[0]:
                     estimates += [(decode(data).stamp, info.received_ns) for data, info in drained]
             timing += [
                 {item.key: item.value for item in status.values}
