@@ -160,6 +160,21 @@ def test_what_a_full_queue_drops_is_counted(ros, recording) -> None:
     assert recorder.statistics.lost == 50
 
 
+def test_what_is_lost_of_several_publishers_is_counted_for_each(ros, recording) -> None:
+    recorder = recording.start(topics=["joints"], queue_depth=10)
+    nodes = [ros.node(name) for name in ("arm", "hand")]
+    publishers = [node.create_publisher(JointState, "joints", 100) for node in nodes]
+    for publisher in publishers:
+        ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, what="the matches")
+        publisher.publish(JointState())
+    ros.spin_until(lambda: recording.count(recorder, "/joints") == 2, what="the first ones")
+    for message in recording.joint_states(60):
+        for publisher in publishers:
+            publisher.publish(message)
+    ros.spin_until(lambda: recording.count(recorder, "/joints") == 12, what="the last ten")
+    assert recorder.statistics.topics["/joints"] == (12, 110, True, ("/arm", "/hand"))
+
+
 def test_statistics_count_every_message(ros, recording) -> None:
     recorder = recording.start(topics=["a", "b"])
     node = ros.node("source")
