@@ -6,12 +6,12 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from mcap.exceptions import UnsupportedCompressionError
-from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, Writer
+from mcap.writer import LIBRARY_IDENTIFIER
 
 from tsobs_ros import __version__
+from tsobs_ros.bag._mcap_writer import McapWriter
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.metadata import EMPTY_START_NS, BagMetadata, FileMetadata
 from tsobs_ros.bag.qos import QosProfile, profiles_to_yaml
@@ -19,11 +19,7 @@ from tsobs_ros.errors import BagWriteError
 
 LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
-COMPRESSIONS: Mapping[str, CompressionType] = {
-    "none": CompressionType.NONE,
-    "lz4": CompressionType.LZ4,
-    "zstd": CompressionType.ZSTD,
-}
+COMPRESSIONS: Mapping[str, str] = {"none": "", "lz4": "lz4", "zstd": "zstd"}
 
 
 class BagFile:
@@ -53,10 +49,7 @@ class BagFile:
         except OSError as error:
             raise BagWriteError(f"{path}: cannot create it: {error}") from error
         with self._errors():
-            # Any: mcap annotates its methods only in part.
-            self._writer: Any = Writer(
-                self._stream, chunk_size=CHUNK_SIZE, compression=COMPRESSIONS[compression]
-            )
+            self._writer = McapWriter(self._stream, CHUNK_SIZE, COMPRESSIONS[compression])
             self._writer.start(
                 profile="ros2", library=f"{LIBRARY} {__version__}; {LIBRARY_IDENTIFIER}"
             )
@@ -94,9 +87,7 @@ class BagFile:
             BagWriteError: The file cannot be written.
         """
         try:
-            self._writer.add_message(
-                self._channels[topic], log_time_ns, data, publish_time_ns, sequence=0
-            )
+            self._writer.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
         except OSError as error:
             raise BagWriteError(f"{self.path}: cannot write it: {error}") from error
         self.message_count += 1
