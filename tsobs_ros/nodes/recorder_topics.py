@@ -78,7 +78,7 @@ class RecordedTopic:
         self.publishers: dict[bytes, str] = {}
         self._subscribe = subscribe
         self._subscriptions: dict[QosKind, RawSubscription] = {}
-        self._latched_publishers: set[bytes] = set()
+        self._kinds: dict[bytes, QosKind] = {}
 
     @property
     def matched(self) -> bool:
@@ -89,13 +89,12 @@ class RecordedTopic:
         """Subscribe to those of all the publishers that are not heard yet, as they should be."""
         if len(self.publishers) > _MAX_PUBLISHERS:
             self.publishers.clear()
-            self._latched_publishers.clear()
+            self._kinds.clear()
         for info in publishers:
             kind = QosKind.of(info.qos_profile)
             publisher = bytes(info.endpoint_gid)
             self.publishers[publisher] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            if kind.latched:
-                self._latched_publishers.add(publisher)
+            self._kinds[publisher] = kind
             self.hear_kind(kind)
 
     def hear_kind(self, kind: QosKind) -> None:
@@ -107,17 +106,20 @@ class RecordedTopic:
 
     def drain(self, limit: int) -> list[Received]:
         """Take what has arrived for the first time, at most `limit` from each subscription."""
-        is_new = self.losses.is_new
+        is_new, kinds = self.losses.is_new, self._kinds
         return [
             message
-            for subscription in self._subscriptions.values()
+            for kind, subscription in self._subscriptions.items()
             for message in subscription.drain(limit)
-            if is_new(message.publisher, message.number)
+            # Without numbers, only what comes by the subscription that was made for its publisher.
+            if (message.number is not None or kinds.get(message.publisher, kind) == kind)
+            and is_new(message.publisher, message.number)
         ]
 
     def latched_by(self, message: Received) -> bytes | None:
         """Return a message's publisher if what it publishes is for those too who come later."""
-        return message.publisher if message.publisher in self._latched_publishers else None
+        kind = self._kinds.get(message.publisher)
+        return message.publisher if kind is not None and kind.latched else None
 
 
 class TopicFinder:

@@ -17,6 +17,9 @@ from std_msgs.msg import String
 from stereo_msgs.msg import DisparityImage
 
 from tsobs_ros.bag import BagReader
+from tsobs_ros.bag.definitions import find_definition
+from tsobs_ros.nodes.recorder_subscription import Received
+from tsobs_ros.nodes.recorder_topics import QosKind, RecordedTopic
 
 
 def test_a_latched_message_from_before_the_recording_is_recorded(ros, recording) -> None:
@@ -235,3 +238,36 @@ def test_a_late_publisher_that_offers_less_is_heard_and_takes_nothing_from_other
     )
     (offer,) = reader.topics["/chatter"].qos_profiles
     assert (offer.reliability, offer.durability) == ("reliable", "transient_local")
+
+
+class Queue:
+    """Stands in for a subscription of a middleware that does not number messages."""
+
+    publisher_count = 1
+
+    def __init__(self, kind: QosKind, *publishers: bytes) -> None:
+        self._messages = [Received(b"%d" % k, k, k, p, None) for k, p in enumerate(publishers)]
+
+    def drain(self, limit: int) -> list[Received]:
+        drained, self._messages = self._messages, []
+        return drained
+
+
+def test_without_numbers_a_publisher_is_heard_by_its_own_subscription(ros) -> None:
+    node = ros.node("source")
+    for qos in (QoSProfile(depth=10), qos_profile_sensor_data):
+        node.create_publisher(String, "chatter", qos)
+    ros.spin_until(lambda: node.count_publishers("/chatter") == 2, what="both publishers")
+    infos = node.get_publishers_info_by_topic("/chatter")
+    weak, strong = (
+        bytes(info.endpoint_gid) for info in sorted(infos, key=lambda i: -i.qos_profile.reliability)
+    )
+
+    def subscribe(kind: QosKind) -> Any:
+        heard = (strong, b"unknown") if kind.reliable else (weak, strong, weak, strong)
+        return Queue(kind, *heard)
+
+    topic = RecordedTopic("/chatter", find_definition("std_msgs/msg/String"), (), subscribe)
+    topic.hear(infos)
+    assert [message.publisher for message in topic.drain(10)] == [strong, b"unknown", weak, weak]
+    assert not topic.losses.complete
