@@ -22,8 +22,8 @@ from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.estimation.estimator import Correction, Readout
 from tsobs_ros.estimation.observer import ObserverState, TSObserver
 from tsobs_ros.estimation.output_model import OutputModel
-from tsobs_ros.estimation.regression import Explained, Regression, exceeds, spread_of
-from tsobs_ros.model.products import mapped, product, transposed
+from tsobs_ros.estimation.regression import Explained, Memory, Regression, exceeds, spread_of
+from tsobs_ros.model.products import product, transposed
 from tsobs_ros.model.sensitivity import Uncertainty, sensitivity
 
 
@@ -72,6 +72,17 @@ class AdaptiveState(NamedTuple):
     gram: Array
     age: float
 
+    @property
+    def memory(self) -> Memory:
+        """What is learnt, as arrays."""
+        return Memory(self.theta, self.gamma, self.upsilon.T, self.gram)
+
+    def corrected(self, observer: ObserverState, memory: Memory, x: Array) -> "AdaptiveState":
+        """Return the state after a sample: the observer's own with x̂ in it, and what is learnt."""
+        theta, gamma, rows, gram = memory
+        inner = ObserverState(x, *observer[1:])
+        return AdaptiveState(inner, theta, gamma, rows.T, gram, self.age)
+
 
 class AdaptiveObserver:
     """A `TSObserver` that learns the model's parameters; one system, no batch axis.
@@ -116,7 +127,7 @@ class AdaptiveObserver:
             self.observer.initial(),
             np.zeros(k),
             self._initial_gamma,
-            np.zeros((n, k)),
+            np.zeros((k, n)).T,
             np.zeros((k, k)),
             0.0,
         )
@@ -216,21 +227,12 @@ class AdaptiveObserver:
         self, state: AdaptiveState, observer: ObserverState, correction: Correction, adapt: bool
     ) -> AdaptiveState:
         """Do the same for one output, quicker: quotients stand for inverses."""
-        regression, explained = self.regression, correction.learning
-        assert regression is not None
-        known = correction.spread[0] - explained.variance
-        rows, gram = regression.filtered(
-            state.upsilon.T, state.gram, correction.gain, explained, known
+        assert self.regression is not None
+        doubt = self.doubt(state) if adapt else None
+        memory, x = self.regression.applied(
+            state.memory, observer.x, correction, correction.learning, doubt
         )
-        if not adapt:
-            return AdaptiveState(observer, state.theta, state.gamma, rows.T, gram, state.age)
-        spread = known * self.doubt(state) + explained.variance
-        theta, gamma = regression.learnt(
-            state.theta, state.gamma, correction.innovation, explained, spread
-        )
-        x = observer.x + mapped(rows.T, theta - state.theta)
-        observer = ObserverState(x, *observer[1:])
-        return AdaptiveState(observer, theta, gamma, rows.T, gram, state.age)
+        return state.corrected(observer, memory, x)
 
     def predict(self, state: AdaptiveState, u: Array, duration: float) -> AdaptiveState:
         """Predict over `duration` [s] with the inputs u, shape (m,), held."""

@@ -1,12 +1,26 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Several joints side by side, each with a tracker of its own."""
+"""Several joints side by side, each with a tracker of its own, stepped as one batch.
 
-from collections.abc import Sequence
+The batch is another way of evaluating the same steps, never another estimate: what is plain for
+several joints (the next measurement in order, after the same time) is computed at once, and a
+joint with anything more to it (late, first, after a gap) steps alone.
+"""
+
+from collections.abc import Hashable, Sequence
 from typing import Any
 
+from tsobs_ros.checks import Array
+from tsobs_ros.estimation.bank import Members, in_groups, of
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.supervised_bank import SupervisedBank, structure
 from tsobs_ros.estimation.tracker import Tracker
+
+_REMEMBERED = 32
+"""Banks to keep; which joints step together changes with what each one's messages bring."""
+
+_Plain = tuple[Any, Array, float]
+"""State, torque [N m] and duration [s] of a plain step."""
 
 
 class JointTrackers:
@@ -20,6 +34,8 @@ class JointTrackers:
 
     def __init__(self, trackers: Sequence[Tracker[Any]]) -> None:
         self.trackers = tuple(trackers)
+        self._structures: list[tuple[Any, Hashable]] = [(None, None)] * len(self.trackers)
+        self._banks: dict[tuple[Any, ...], SupervisedBank] = {}
 
     def reset(self) -> None:
         """Forget everything; afterwards every tracker is as a new one."""
@@ -41,25 +57,78 @@ class JointTrackers:
         Raises:
             ValueError: There are not as many entries as joints.
         """
-        return [
-            None if measurement is None else tracker.offer(measurement, now)
+        steps = [
+            None if measurement is None else tracker.plain_step(measurement, now)
             for tracker, measurement in zip(self.trackers, measurements, strict=True)
         ]
+
+        def step(members: Members) -> Sequence[Innovation | RejectReason | None]:
+            trackers = of(members, self.trackers)
+            offered = [m for m in of(members, measurements) if m is not None]
+            if len(members) == 1:
+                return [trackers[0].offer(m, now) for m in offered] or [None]
+            bank, states, torques, duration = self._gathered(members, steps)
+            predicted = bank.predict(states, torques, duration)
+            corrected = bank.correct(predicted, [measurement.y for measurement in offered])
+            return [
+                tracker.take(measurement, *outcome)
+                for tracker, measurement, outcome in zip(trackers, offered, corrected, strict=True)
+            ]
+
+        return in_groups(self._keys(steps), step)
 
     def estimate(self, stamp: int, wanted: Sequence[bool] | None = None) -> list[Estimate | None]:
         """Return the estimate of each joint at a stamp; see `Tracker.estimate`.
 
         Args:
             stamp: The instant [ns].
-            wanted: One entry a joint, False where no estimate is, as of a joint that has been
-                silent for so long that predicting up to the stamp would take long; None: of all.
+            wanted: One entry a joint, False where no estimate is; None: of all.
 
         Returns:
             One entry a joint; None where there is no estimate, or none was wanted.
         """
-        if wanted is None:
-            wanted = (True,) * len(self.trackers)
-        return [
-            tracker.estimate(stamp) if asked else None
-            for tracker, asked in zip(self.trackers, wanted, strict=True)
+        asked = [True] * len(self.trackers) if wanted is None else wanted
+        bases = [
+            tracker.basis(stamp) if one else None
+            for tracker, one in zip(self.trackers, asked, strict=True)
         ]
+
+        def read(members: Members) -> Sequence[Estimate | None]:
+            trackers = of(members, self.trackers)
+            if len(members) == 1:
+                return [trackers[0].estimate(stamp) if bases[members[0]] else None]
+            bank, states, torques, elapsed = self._gathered(members, bases)
+            readouts = bank.readout(bank.extrapolate(states, torques, elapsed))
+            return [
+                tracker.published(stamp, readout)
+                for tracker, readout in zip(trackers, readouts, strict=True)
+            ]
+
+        return in_groups(self._keys(bases), read)
+
+    def _keys(self, steps: Sequence[_Plain | None]) -> list[Hashable]:
+        """Return keys that are equal for the joints that can step at once."""
+        keys: list[Hashable] = []
+        for place, step in enumerate(steps):
+            shape = None if step is None else self._structure(place)
+            keys.append(place if step is None or shape is None else (shape, step[2]))
+        return keys
+
+    def _structure(self, place: int) -> Hashable:
+        estimator = self.trackers[place].estimator
+        if self._structures[place][0] is not estimator:
+            self._structures[place] = (estimator, structure(estimator))
+        return self._structures[place][1]
+
+    def _gathered(
+        self, members: Members, steps: Sequence[_Plain | None]
+    ) -> tuple[SupervisedBank, list[Any], list[Array], float]:
+        """Return the bank of some joints, and the states, torques and duration of their step."""
+        estimators: tuple[Any, ...] = tuple(self.trackers[place].estimator for place in members)
+        if estimators not in self._banks:
+            if len(self._banks) >= _REMEMBERED:
+                self._banks.clear()
+            self._banks[estimators] = SupervisedBank(estimators)
+        given = [step for step in of(members, steps) if step is not None]
+        states, torques = [step[0] for step in given], [step[1] for step in given]
+        return self._banks[estimators], states, torques, given[0][2]

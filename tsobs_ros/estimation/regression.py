@@ -5,12 +5,14 @@
 The filtered regressor is handled as rows, Υᵀ: one a parameter. A stack has a leading axis.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.model.products import mapped, product
+from tsobs_ros.estimation.estimator import Correction
+from tsobs_ros.model.products import mapped, product, transposed
 
 
 class Explained(NamedTuple):
@@ -25,6 +27,32 @@ class Explained(NamedTuple):
     omega: Array
     cross: Array
     variance: Array
+
+    @classmethod
+    def stack(cls, explained: Sequence["Explained"]) -> "Explained":
+        """Return those of several innovations as a stack."""
+        return cls(*map(np.array, zip(*explained, strict=True)))
+
+
+class Memory(NamedTuple):
+    """What is learnt.
+
+    Attributes:
+        theta: θ̂, shape (k,).
+        gamma: Its covariance Γ, shape (k, k).
+        rows: Υᵀ, shape (k, n).
+        gram: Exponentially forgotten sum of ΩᵀΩ/S, shape (k, k).
+    """
+
+    theta: Array
+    gamma: Array
+    rows: Array
+    gram: Array
+
+    @classmethod
+    def stack(cls, memories: Sequence["Memory"]) -> "Memory":
+        """Return memories of equal shapes as a stack."""
+        return cls(*map(np.array, zip(*memories, strict=True)))
 
 
 class Regression(NamedTuple):
@@ -44,43 +72,40 @@ class Regression(NamedTuple):
         cross = mapped(gamma, omega)
         return Explained(omega, cross, mapped(omega[..., np.newaxis, :], cross))
 
-    @staticmethod
-    def filtered(
-        rows: Array, gram: Array, gain: Array, explained: Explained, spread: Array
-    ) -> tuple[Array, Array]:
-        """Return Υᵀ and the Gram of Ω/√S after a sample.
+    @classmethod
+    def stack(cls, regressions: Sequence["Regression"]) -> "Regression":
+        """Return regressions of equal shapes as a stack."""
+        return cls(*map(np.array, zip(*regressions, strict=True)))
 
-        Args:
-            rows: Υᵀ, shape (k, n).
-            gram: Shape (k, k).
-            gain: The observer's, shape (n, 1).
-            explained: Of the sample.
-            spread: S, the innovation's variance for a known θ, shape (1,).
-        """
-        omega = explained.omega
-        rows = rows - omega[..., np.newaxis] * gain[..., np.newaxis, :, 0]
-        return rows, gram + _square(omega / np.sqrt(spread))
-
-    def learnt(
+    def applied(
         self,
-        theta: Array,
-        gamma: Array,
-        innovation: Array,
+        memory: Memory,
+        x: Array,
+        correction: Correction,
         explained: Explained,
-        spread: Array,
-    ) -> tuple[Array, Array]:
-        """Return θ̂ within its limits and Γ after a sample.
+        doubt: Array | float | None,
+    ) -> tuple[Memory, Array]:
+        """Return what is learnt after a sample, and the estimate.
 
         Args:
-            theta: θ̂, shape (k,).
-            gamma: Γ, shape (k, k).
-            innovation: e, shape (1,).
+            memory: Before it.
+            x: The estimate corrected for a known θ, shape (n,).
+            correction: Innovation, its variance and the observer's gain.
             explained: Of the sample.
-            spread: The variance that e is to be taken for, shape (1,).
+            doubt: κ ≥ 1 by which the innovation counts for less, shape (1,); None if nothing is
+                to be learnt from it.
         """
-        moved = theta + explained.cross * (innovation / spread)
-        within = np.minimum(np.maximum(moved, -self.limits), self.limits)
-        return within, gamma - _square(explained.cross / np.sqrt(spread))
+        omega, cross, variance = explained
+        known = correction.spread[..., 0] - variance
+        rows = memory.rows - omega[..., np.newaxis] * correction.gain[..., np.newaxis, :, 0]
+        gram = memory.gram + _square(omega / np.sqrt(known))
+        if doubt is None:
+            return Memory(memory.theta, memory.gamma, rows, gram), x
+        spread = known * doubt + variance
+        moved = memory.theta + cross * (correction.innovation / spread)
+        theta = np.minimum(np.maximum(moved, -self.limits), self.limits)
+        gamma = memory.gamma - _square(cross / np.sqrt(spread))
+        return Memory(theta, gamma, rows, gram), x + mapped(transposed(rows), theta - memory.theta)
 
 
 def spread_of(rows: Array, gamma: Array) -> Array:

@@ -131,13 +131,13 @@ def judge(
         options: When to react.
     """
     size = abs(normalised)
-    limit = options.gate * math.sqrt(max(1.0, watch.nis))
-    weight = min(1.0, limit / size) if size > 0.0 else 1.0
+    limit = options.gate * math.sqrt(watch.nis) if watch.nis > 1.0 else options.gate
+    weight = limit / size if size > limit else 1.0
     if size > options.reject:
         weight = 0.0
-    clipped = max(-_WINDOW_CLIP, min(_WINDOW_CLIP, normalised))
+    clipped = normalised if size < _WINDOW_CLIP else math.copysign(_WINDOW_CLIP, normalised)
     recent = (*watch.recent, clipped)[-_WINDOW:]
-    nis = watch.nis - math.expm1(-period) * (min(size, _WINDOW_CLIP) ** 2 - watch.nis)
+    nis = watch.nis - math.expm1(-period) * (clipped * clipped - watch.nis)
     # A lone value of any size must not give the estimate up.
     believable = min(size, _LOST_CLIP * options.lost)
     magnitude = watch.magnitude - math.expm1(-2.0 * period) * (believable - watch.magnitude)

@@ -231,7 +231,7 @@ class Tracker(Generic[S]):
     ) -> Correction:
         """Remember a step, begun afresh if it is not finite; return its correction."""
         failures = 0
-        if not _is_finite(correction.innovation, correction.spread):
+        if not _is_finite(correction.innovation, correction.spread.ravel()):
             state, correction = self.estimator.correct(self.estimator.initial(), measurement.y)
             restarts, failures = restarts + 1, 1
         gated, last = int(correction.weight == 0.0), self._history.last
@@ -272,5 +272,5 @@ class Tracker(Generic[S]):
 
 
 def _is_finite(*arrays: Array) -> bool:
-    """Return whether every number is finite, by one sum that any other spoils."""
-    return math.isfinite(sum([sum(array.ravel().tolist()) for array in arrays]))
+    """Return whether all numbers of some vectors are finite, by one sum that any other spoils."""
+    return math.isfinite(sum([sum(array.tolist()) for array in arrays]))

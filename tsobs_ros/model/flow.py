@@ -65,7 +65,8 @@ class ArmFlow:
         arm: The physical model.
         disturbance: The exosystem of the sensor's disturbance (one channel).
         process_noise: Densities of the arm's acceleration noise.
-        period: Nominal step [s]; longer steps are taken in nominal ones and a remainder.
+        period: Nominal step [s]; longer steps are taken in nominal ones and a last one.
+        linear: The flow without gravity.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class ArmFlow:
                 f"got {disturbance.channel_count}"
             )
         torque = np.vstack([arm.input_matrix, np.zeros((disturbance.state_count, 1))])
-        self._linear = LinearFlow(self.drift, torque, self._noise_density(), self.period)
+        self.linear = LinearFlow(self.drift, torque, self._noise_density(), self.period)
         self._transitions: dict[float, Transition] = {}
         self.nominal = self.transition(self.period)
 
@@ -113,7 +114,7 @@ class ArmFlow:
         """Return the linear flow over `duration` [s]."""
         known = self._transitions.get(duration)
         if known is None:
-            phi, gamma, noise = self._linear.over(duration)
+            phi, gamma, noise = self.linear.over(duration)
             half_kick = 0.5 * duration * self.arm.gravity_gain
             known = Transition(duration, phi, gamma, noise, half_kick)
             if len(self._transitions) >= _REMEMBERED:

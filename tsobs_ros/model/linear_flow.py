@@ -9,7 +9,8 @@ semidefinite terms, so the noise stays a covariance.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from copy import copy
 from typing import TypeVar
 
 import numpy as np
@@ -17,11 +18,13 @@ from scipy.linalg import matrix_balance
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.products import transposed
 
 Step = TypeVar("Step")
 
 _ROUNDING = float(np.finfo(np.float64).eps)
 _MOST_TERMS = 60
+_TERMS_STEP = 8
 _LARGEST_TURN = 2.0**16
 """Most a mode may turn or decay in one step [rad]; doubling loses a digit for every factor 10."""
 
@@ -54,6 +57,10 @@ class LinearFlow:
         # The series converges fast for |A|t up to 1; the common step needs no doubling.
         self._reach = _STRETCH * period / max(1.0, _STRETCH * turn)
         self._n, self._m = B.shape
+        rows, columns = np.indices((self._n, self._n))
+        # Where Q is in a row of the series: its upper triangle twice, so that it is symmetric.
+        entries = np.minimum(rows, columns) * self._n + np.maximum(rows, columns)
+        self._noise_entries = self._n * (self._n + self._m) + entries
         with np.errstate(over="ignore", invalid="ignore"):
             self._series = self._coefficients(A, B, W)
             self._orders = np.arange(len(self._series), dtype=np.float64)
@@ -64,6 +71,19 @@ class LinearFlow:
                 f"the model's numbers are too large"
             )
 
+    @classmethod
+    def stack(cls, flows: Sequence["LinearFlow"]) -> "LinearFlow | None":
+        """Return flows as one whose matrices have a leading axis; None if they differ in form."""
+        first, *others = flows
+        for other in others:
+            if (other._series.shape, other._m) != (first._series.shape, first._m):
+                return None
+            if other._reach != first._reach:
+                return None
+        stacked = copy(first)
+        stacked._series = np.array([flow._series for flow in flows])
+        return stacked
+
     def over(self, duration: float) -> tuple[Array, Array, Array]:
         """Return Φ, Γ and Q over `duration` [s] ≥ 0, shapes (n, n), (n, m) and (n, n)."""
         if duration <= self._reach:
@@ -72,19 +92,20 @@ class LinearFlow:
         phi, gamma, noise = self._evaluate(math.ldexp(duration, -doublings))
         for _ in range(doublings):
             gamma = phi @ gamma + gamma
-            noise = phi @ noise @ phi.T + noise
-            noise = 0.5 * (noise + noise.T)
+            noise = phi @ noise @ transposed(phi) + noise
+            noise = 0.5 * (noise + transposed(noise))
             phi = phi @ phi
         return phi, gamma, noise
 
     def _evaluate(self, duration: float) -> tuple[Array, Array, Array]:
         n, m, square = self._n, self._m, self._n * self._n
-        flat = (duration**self._orders).dot(self._series)
-        noise = flat[square + n * m :].reshape(n, n)
+        powers = duration**self._orders
+        flat = powers.dot(self._series) if self._series.ndim == 2 else powers @ self._series
+        stack = flat.shape[:-1]
         return (
-            flat[:square].reshape(n, n),
-            flat[square : square + n * m].reshape(n, m),
-            0.5 * (noise + noise.T),
+            flat[..., :square].reshape(*stack, n, n),
+            flat[..., square : square + n * m].reshape(*stack, n, m),
+            flat.take(self._noise_entries, axis=-1),
         )
 
     def _coefficients(self, A: Array, B: Array, W: Array) -> Array:
@@ -106,6 +127,8 @@ class LinearFlow:
                 (A @ gamma + (B if order == 1 else 0.0)) / order,
                 (A @ noise + noise @ A.T + (W if order == 1 else 0.0)) / order,
             )
+        # Alike arms are to have equally many terms, so that they can be stacked.
+        rows += [np.zeros_like(row)] * (-len(rows) % _TERMS_STEP)
         return np.array(rows)
 
 
