@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
 
-from tsobs_ros.estimation.health import Phase, phase_of
+import numpy as np
+
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
@@ -21,6 +22,10 @@ from tsobs_ros.offline.schedule import Schedule
 Estimates: TypeAlias = Sequence[Estimate | None]
 Agrees: TypeAlias = Callable[[int, Estimates], bool]
 """Whether the estimates at a tick are those that were recorded."""
+
+
+NUMERICAL_FAILURES = (ArithmeticError, np.linalg.LinAlgError)
+"""What may be raised where numbers leave what floats can hold, besides those that come out NaN."""
 
 
 class Used(NamedTuple):
@@ -83,7 +88,7 @@ class Replay:
         self._finished = Counter[str]()
         self._trackers = trackers
         self._samples, self._schedule = samples, schedule
-        self._stale_after = stale_after
+        self._stale_after = stale_after * NANOSECONDS
 
     @property
     def rewinds(self) -> int:
@@ -135,27 +140,41 @@ class Replay:
 
     def _offer(self, tick: int, message: int, sample: list[Sample], now: int) -> Used:
         """Use a message."""
+        given: list[Measurement | None] = []
         for joint, one in enumerate(sample):
             if isinstance(one, RejectReason):
                 self._trackers.trackers[joint].reject(one)
-        given = [one if isinstance(one, Measurement) else None for one in sample]
-        outcomes = self._trackers.offer(given, now)
-        for one, outcome in zip(sample, outcomes, strict=True):
+                self.rejected[one] += 1
+                one = None
+            given.append(one)
+        try:
+            outcomes = self._trackers.offer(given, now)
+        except NUMERICAL_FAILURES:
+            # As the node: whatever a number that bad has spoilt, the next ones begin afresh.
+            self._fail()
+            return Used(tick, message, [None] * len(given))
+        for outcome in outcomes:
             if isinstance(outcome, Innovation):
                 self.used += 1
-            elif reason := outcome or (one if isinstance(one, RejectReason) else None):
-                self.rejected[reason] += 1
+            elif outcome is not None:
+                self.rejected[outcome] += 1
         return Used(tick, message, outcomes)
 
     def _estimate(self, stamp: int) -> list[Estimate | None]:
-        estimates = self._trackers.estimate(stamp)
-        for joint, tracker in enumerate(self._trackers.trackers):
-            newest = tracker.newest
-            age = None if newest is None else max(0, stamp - newest) / NANOSECONDS
-            # As the node, which says nothing of a joint without news of it.
-            if phase_of(age, 0.0, self._stale_after) in (Phase.WAITING, Phase.STALE):
-                estimates[joint] = None
-        return estimates
+        # As the node, which says nothing of a joint without news of it.
+        fresh = [self._is_fresh(tracker.newest, stamp) for tracker in self._trackers.trackers]
+        try:
+            return self._trackers.estimate(stamp, fresh)
+        except NUMERICAL_FAILURES:
+            self._fail()
+            return [None] * len(fresh)
+
+    def _is_fresh(self, newest: int | None, stamp: int) -> bool:
+        return newest is not None and stamp - newest <= self._stale_after
+
+    def _fail(self) -> None:
+        self._finished["failures"] += 1
+        self._begin_afresh()
 
     def _is_newest(self, stamp: int) -> bool:
         return any(tracker.newest == stamp for tracker in self._trackers.trackers)
