@@ -2,17 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Making a whole bag of one whose recorder was killed, or that was damaged later."""
 
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Self
 
-from tsobs_ros.bag._destinations import Destinations, KnownTopics
+from tsobs_ros.bag._destinations import KnownTopics, Topic
 from tsobs_ros.bag._files import BagFiles, find_files
-from tsobs_ros.bag._messages import decode_messages
-from tsobs_ros.bag._scan import Content, Damage, MessageCount, Scan
+from tsobs_ros.bag._harvest import harvest
+from tsobs_ros.bag._messages import BagMessage
 from tsobs_ros.bag._survey import Survey, survey
-from tsobs_ros.bag.metadata import EMPTY_START_NS
-from tsobs_ros.bag.recovery_report import DamagedPart, FileRecovery, Recovery
+from tsobs_ros.bag.recovery_report import FileRecovery, Recovery
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.errors import BagReadError, BagWriteError
 
@@ -55,95 +54,56 @@ def recover(
     readable = [told for told in surveys if isinstance(told, Survey)]
     known = KnownTopics(readable, found.metadata)
     destinations = {told.path: known.destinations(told) for told in readable}
-    custom_data = found.metadata.custom_data if found.metadata else None
-    for told in readable:
-        custom_data = custom_data or (told.metadata.custom_data if told.metadata else None)
-
-    def open_output() -> BagWriter:
-        writer = BagWriter(target, compression=compression, custom_data=custom_data)
-        for topic in known.topics.values():
-            writer.add_topic(
-                topic.name, topic.definition.type, topic.qos, definition=topic.definition
-            )
-        return writer
-
-    copying = _Copying(open_output, keep_unchecked, progress, sum(t.size for t in readable))
-    with copying:
-        files = tuple(
-            copying.copy(told, destinations[told.path]) if isinstance(told, Survey) else told
-            for told in surveys
-        )
-    result = Recovery(source, target, files, _remarks(found))
+    metadata = [found.metadata, *(told.metadata for told in readable)]
+    custom_data = next((m.custom_data for m in metadata if m and m.custom_data), None)
+    files = []
+    total = sum(told.size for told in readable)
+    with _Output(
+        known.topics.values(),
+        lambda: BagWriter(target, compression=compression, custom_data=custom_data),
+    ) as writer:
+        for told in surveys:
+            if isinstance(told, Survey):
+                writer.split()
+                told = harvest(
+                    told, destinations[told.path], writer.write, keep_unchecked=keep_unchecked
+                )
+            files.append(told)
+            progress(sum(file.size for file in files) / total if total else 1.0)
+    result = Recovery(source, target, tuple(files), _remarks(found))
     if not result.message_count:
         raise BagReadError(f"{source}: no message can be recovered: {result.reasons()}")
     return result
 
 
-class _Copying:
-    """Copies the messages of one file after the other to a bag that is made for the first one."""
+class _Output:
+    """The bag that messages are copied to; it is made when the first one is there."""
 
-    def __init__(
-        self,
-        open_output: Callable[[], BagWriter],
-        keep_unchecked: bool,
-        progress: Callable[[float], None],
-        total: int,
-    ) -> None:
-        self._open_output = open_output
-        self._keep_unchecked = keep_unchecked
-        self._progress = progress
-        self._total = total
-        self._done = 0
+    def __init__(self, topics: Iterable[Topic], open_bag: Callable[[], BagWriter]) -> None:
+        self._topics = topics
+        self._open_bag = open_bag
         self._writer: BagWriter | None = None
 
-    def __enter__(self) -> "_Copying":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         if self._writer is not None:
             self._writer.close()
 
-    def copy(self, told: Survey, destinations: Destinations) -> FileRecovery:
-        """Copy a file's messages and return what became of them."""
-        file = FileRecovery(told.path.name, told.size, told.is_finished)
-        if told.statistics:
-            counts = told.statistics.channel_message_counts
-            file.stated = Counter()
-            for channel, count in counts.items():
-                file.stated[destinations[channel][0] or f"channel {channel}"] += count
+    def write(self, message: BagMessage) -> None:
+        """Append a message."""
+        if self._writer is None:
+            self._writer = self._open_bag()
+            for name, definition, qos in self._topics:
+                self._writer.add_topic(name, definition.type, qos, definition=definition)
+        topic, _, data, log_time, publish_time = message
+        self._writer.write(topic, data, log_time, publish_time)
+
+    def split(self) -> None:
+        """Begin another file."""
         if self._writer is not None:
             self._writer.split()
-        damage: DamagedPart | None = None
-        with told.path.open("rb") as stream:
-            for piece in Scan(stream, told.size).pieces():
-                if isinstance(piece, MessageCount):
-                    # The index of a chunk follows it, also where the chunk is damaged.
-                    if damage is not None:
-                        damage.messages = (damage.messages or 0) + piece.messages
-                    continue
-                damage = None
-                if isinstance(piece, Content):
-                    self._write(piece.records, destinations, file)
-                    self._progress((self._done + piece.offset) / self._total)
-                elif isinstance(piece, Damage):
-                    damage = DamagedPart(piece.offset, piece.size, piece.reason)
-                    file.damage.append(damage)
-                    if self._keep_unchecked:
-                        self._write(piece.unchecked, destinations, file)
-        self._done += told.size
-        return file
-
-    def _write(self, records: bytes, destinations: Destinations, file: FileRecovery) -> None:
-        for topic, reason, data, log_time, publish_time in decode_messages(records, destinations):
-            if not topic:
-                file.dropped[reason] += 1
-            elif max(log_time, publish_time) >= EMPTY_START_NS:
-                file.dropped[f"of {topic}, stamped after the year 2262"] += 1
-            else:
-                if self._writer is None:
-                    self._writer = self._open_output()
-                self._writer.write(topic, data, log_time, publish_time)
-                file.keep(topic, log_time)
 
 
 def _survey(path: Path) -> Survey | FileRecovery:

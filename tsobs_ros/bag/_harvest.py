@@ -1,0 +1,68 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Taking the messages out of a file that may be damaged, with an account of it."""
+
+from collections import Counter
+from collections.abc import Callable
+
+from tsobs_ros.bag._destinations import Destinations
+from tsobs_ros.bag._messages import BagMessage, decode_messages
+from tsobs_ros.bag._scan import Content, Damage, MessageCount, Scan
+from tsobs_ros.bag._survey import Survey
+from tsobs_ros.bag.metadata import EMPTY_START_NS
+from tsobs_ros.bag.recovery_report import DamagedPart, FileRecovery
+
+
+def harvest(
+    told: Survey,
+    destinations: Destinations,
+    keep: Callable[[BagMessage], None],
+    *,
+    keep_unchecked: bool = False,
+) -> FileRecovery:
+    """Take the messages out of a file, in the order of recording.
+
+    Args:
+        told: What the file tells.
+        destinations: Where the messages of its channels belong.
+        keep: Called with each message.
+        keep_unchecked: Also take what can be read of chunks whose checksum fails.
+
+    Returns:
+        What was kept and what was lost.
+    """
+    file = FileRecovery(told.path.name, told.size, told.is_finished)
+    if told.statistics:
+        file.stated = Counter()
+        for channel, count in told.statistics.channel_message_counts.items():
+            file.stated[destinations[channel][0] or f"channel {channel}"] += count
+
+    def take(records: bytes) -> None:
+        for message in decode_messages(records, destinations):
+            topic, reason, _, log_time, publish_time = message
+            if not topic:
+                file.dropped[reason] += 1
+            elif max(log_time, publish_time) >= EMPTY_START_NS:
+                file.dropped[f"of {topic}, whose times do not fit 63 bits"] += 1
+            else:
+                keep(message)
+                file.keep(topic, log_time)
+
+    damaged: DamagedPart | None = None
+    with told.path.open("rb") as stream:
+        for piece in Scan(stream, told.size).pieces():
+            match piece:
+                case MessageCount():
+                    # The indexes of a chunk follow it, also where the chunk is damaged.
+                    if damaged is not None:
+                        damaged.messages = (damaged.messages or 0) + piece.messages
+                    continue
+                case Content():
+                    take(piece.records)
+                case Damage() if keep_unchecked:
+                    take(piece.unchecked)
+            damaged = None
+            if isinstance(piece, Damage):
+                damaged = DamagedPart(piece.offset, piece.size, piece.reason)
+                file.damage.append(damaged)
+    return file
