@@ -191,10 +191,10 @@ def trouble(
         yield row
 
 
-@settings(derandomize=True, deadline=None, max_examples=25)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(
     seed=st.integers(0, 2**32 - 1),
-    kinds=st.lists(st.sampled_from([*OBSERVERS, "high gain"]), min_size=1, max_size=7),
+    kinds=st.lists(st.sampled_from([*OBSERVERS, "high gain"]), min_size=1, max_size=3),
     rate=st.sampled_from([1e-9, 0.02, 0.2]),
     jitter=st.sampled_from([0, 100_000, 1_500_000]),
 )
@@ -202,32 +202,32 @@ def test_whatever_the_messages_bring_each_joint_is_its_tracker_alone(
     seed: int, kinds: list[str], rate: float, jitter: int
 ) -> None:
     # A design often has company: that is what makes a batch.
-    joints, alone = pair([*kinds, kinds[0], "shipped", "adaptive"], history=0.1, most_steps=15)
+    joints, alone = pair(4 * kinds, history=0.1, most_steps=15)
     rows = trouble(np.random.default_rng(seed), len(alone), 120, rate, jitter)
     with np.errstate(all="ignore"):
         compared(joints, alone, rows)
 
 
 def test_a_gap_of_all_joints_is_bridged_and_a_long_one_begins_afresh() -> None:
-    joints, alone = pair(["shipped", "shipped", "adaptive", "adaptive"], restart_after=0.5)
+    joints, alone = pair(["shipped", "adaptive"] * 4, restart_after=0.5)
     gaps = {60: 7, 90: 99, 100: 102}
 
     def rows() -> Iterator[list[Measurement]]:
         late = 0
         for k in range(130):
             late += gaps.get(k, 0)
-            yield [sample(j, k, BEGIN + (k + late) * PERIOD) for j in range(4)]
+            yield [sample(j, k, BEGIN + (k + late) * PERIOD) for j in range(8)]
 
     compared(joints, alone, rows(), after=5 * PERIOD)
-    assert [t.restarts for t in joints.trackers] == [1] * 4
+    assert [t.restarts for t in joints.trackers] == [1] * 8
 
 
 def test_an_exchanged_estimator_steps_with_its_own_numbers() -> None:
-    joints, alone = pair(["shipped"] * 3)
-    compared(joints, alone, ([sample(j, k) for j in range(3)] for k in range(5)))
+    joints, alone = pair(["shipped"] * 5)
+    compared(joints, alone, ([sample(j, k) for j in range(5)] for k in range(5)))
     for tracker in (joints.trackers[1], alone[1]):
         tracker.estimator = estimator("stiff")
-    compared(joints, alone, ([sample(j, k) for j in range(3)] for k in range(5, 10)))
+    compared(joints, alone, ([sample(j, k) for j in range(5)] for k in range(5, 10)))
 
 
 def test_reset_forgets_every_joint() -> None:

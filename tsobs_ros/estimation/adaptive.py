@@ -110,7 +110,11 @@ class AdaptiveObserver:
         self._C = observer.flow.output_matrix
         self._initial_gamma = np.eye(k) * self.options.initial_std**2
         # None for several outputs, which take a general and slower way.
-        self.regression = Regression(self._C[0], uncertainty.limits) if len(self._C) == 1 else None
+        self.regression = (
+            Regression(self._C[0], -uncertainty.limits, uncertainty.limits)
+            if len(self._C) == 1
+            else None
+        )
         self._limits: list[float] = uncertainty.limits.tolist()
         self._wander = np.eye(k) * self.options.wander_density
         self._sensitivity = sensitivity(observer.flow, uncertainty)
@@ -138,7 +142,8 @@ class AdaptiveObserver:
 
     def limited(self, state: AdaptiveState, limit: float) -> AdaptiveState:
         """Return the state with the disturbance kept within ±limit; see `TSObserver.limited`."""
-        return state._replace(observer=self.observer.limited(state.observer, limit))
+        observer = self.observer.limited(state.observer, limit)
+        return state if observer is state.observer else state._replace(observer=observer)
 
     def relearning(self, state: AdaptiveState) -> AdaptiveState:
         """Return the state with the adaptation begun again from the present θ."""

@@ -16,6 +16,9 @@ from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, Reje
 from tsobs_ros.estimation.supervised_bank import SupervisedBank, structure
 from tsobs_ros.estimation.tracker import Tracker
 
+_LEAST = 4
+"""Fewer joints are quicker one by one."""
+
 _REMEMBERED = 32
 """Banks to keep; which joints step together changes with what each one's messages bring."""
 
@@ -64,9 +67,10 @@ class JointTrackers:
 
         def step(members: Members) -> Sequence[Innovation | RejectReason | None]:
             trackers = of(members, self.trackers)
+            if len(members) < _LEAST:
+                alone = zip(trackers, of(members, measurements), strict=True)
+                return [m and tracker.offer(m, now) for tracker, m in alone]
             offered = [m for m in of(members, measurements) if m is not None]
-            if len(members) == 1:
-                return [trackers[0].offer(m, now) for m in offered] or [None]
             bank, states, torques, duration = self._gathered(members, steps)
             predicted = bank.predict(states, torques, duration)
             corrected = bank.correct(predicted, [measurement.y for measurement in offered])
@@ -95,8 +99,9 @@ class JointTrackers:
 
         def read(members: Members) -> Sequence[Estimate | None]:
             trackers = of(members, self.trackers)
-            if len(members) == 1:
-                return [trackers[0].estimate(stamp) if bases[members[0]] else None]
+            if len(members) < _LEAST:
+                alone = zip(trackers, of(members, bases), strict=True)
+                return [tracker.estimate(stamp) if basis else None for tracker, basis in alone]
             bank, states, torques, elapsed = self._gathered(members, bases)
             readouts = bank.readout(bank.extrapolate(states, torques, elapsed))
             return [

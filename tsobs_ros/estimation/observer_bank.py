@@ -62,7 +62,7 @@ class ObserverBank(Bank[TSObserver]):
         innovations = np.array(
             [c.innovation if c.weight == 1.0 else c.weight * c.innovation for c in corrections]
         )
-        settled = all([state.certified for state in states])
+        settled = all(state.certified for state in states)
         gains = self._K if settled else np.array([correction.gain for correction in corrections])
         x = _estimates(states) + mapped(gains, innovations)
         return [

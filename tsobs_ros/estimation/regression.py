@@ -60,11 +60,13 @@ class Regression(NamedTuple):
 
     Attributes:
         C: Augmented state to measurement, shape (n,).
-        limits: Bound of each |θ|, shape (k,).
+        least: Smallest value of each θ, shape (k,).
+        most: Largest value of each θ, shape (k,).
     """
 
     C: Array
-    limits: Array
+    least: Array
+    most: Array
 
     def explained(self, rows: Array, gamma: Array) -> Explained:
         """Return what the regressor Υᵀ, shape (k, n), and the covariance Γ make of θ."""
@@ -103,7 +105,7 @@ class Regression(NamedTuple):
             return Memory(memory.theta, memory.gamma, rows, gram), x
         spread = known * doubt + variance
         moved = memory.theta + cross * (correction.innovation / spread)
-        theta = np.minimum(np.maximum(moved, -self.limits), self.limits)
+        theta = np.minimum(np.maximum(moved, self.least), self.most)
         gamma = memory.gamma - _square(cross / np.sqrt(spread))
         return Memory(theta, gamma, rows, gram), x + mapped(transposed(rows), theta - memory.theta)
 
