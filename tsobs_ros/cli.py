@@ -13,10 +13,10 @@ import threading
 from collections.abc import Callable, Sequence
 
 from tsobs_ros import __version__
-from tsobs_ros.commands import compare, demo, design, estimate, export, paper, report, verify
+from tsobs_ros.commands import bag, compare, demo, design, estimate, export, paper, report, verify
 from tsobs_ros.errors import TsobsError
 
-_WORDS = (demo, design, verify, estimate, compare, export, report, paper)
+_WORDS = (demo, design, verify, estimate, compare, export, report, bag, paper)
 """The modules of the words, in the order in which the help lists them."""
 
 _EXTRAS = {

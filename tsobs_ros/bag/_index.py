@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is where in a finished MCAP file: its topics, its counts, and its spans of messages."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, NamedTuple
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
+from numpy.typing import NDArray
 
 from tsobs_ros.bag._chunk import chunk_records, parse_chunk
 from tsobs_ros.bag._records import (
@@ -26,6 +28,7 @@ from tsobs_ros.errors import BagReadError
 RECOVER_HINT = "'tsobs bag recover' makes a whole bag of what it holds"
 _FOOTER_SIZE = FRAME.size + 20 + len(MAGIC)
 _BARE_SPAN_SIZE = 1_000_000
+_INDEX_HEAD_SIZE = 6
 
 
 class Span(NamedTuple):
@@ -37,6 +40,7 @@ class Span(NamedTuple):
         rank: Its file's place in the bag.
         frame: Where it is; the opcode is CHUNK for a chunk, MESSAGE for bare messages.
         channels: The channels it has messages of; None if that is not known.
+        indexes: Where the message indexes of its channels are, as far as it has any.
     """
 
     start: int
@@ -44,6 +48,7 @@ class Span(NamedTuple):
     rank: int
     frame: Frame
     channels: frozenset[int] | None
+    indexes: Mapping[int, int]
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,24 @@ def read_span(stream: IO[bytes], frame: Frame) -> bytes:
         return chunk_records(parse_chunk(read_body(stream, frame)))
     except RecordError as error:
         raise RecordError(f"at byte {frame.start}: {error}") from error
+
+
+def read_times(stream: IO[bytes], offset: int, size: int) -> NDArray[np.uint64]:
+    """Return the log times in a message index, ascending.
+
+    Args:
+        stream: The file.
+        offset: Where the index is.
+        size: The size of the file.
+
+    Raises:
+        RecordError: There is no message index.
+    """
+    frame = read_frame(stream, offset, size)
+    body = read_body(stream, frame)
+    if frame.opcode != Opcode.MESSAGE_INDEX or (len(body) - _INDEX_HEAD_SIZE) % 16:
+        raise RecordError(f"the index states a message index at byte {offset}, but there is none")
+    return np.sort(np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2])
 
 
 class _Reading:
@@ -176,7 +199,9 @@ class _Reading:
         # Without message indexes nothing is said about the channels.
         channels = frozenset(chunk.message_index_offsets) or None
         frame = Frame(Opcode.CHUNK, start, start + FRAME.size, end)
-        return Span(chunk.message_start_time, chunk.message_end_time, self._rank, frame, channels)
+        indexes = chunk.message_index_offsets
+        start_time, end_time = chunk.message_start_time, chunk.message_end_time
+        return Span(start_time, end_time, self._rank, frame, channels, indexes)
 
     def _bare_spans(self, start: int, end: int) -> Iterator[Span]:
         """Yield runs of messages outside of chunks, whose times nobody has noted."""
@@ -193,5 +218,5 @@ class _Reading:
                 channels.add(channel)
             if times and (frame.end - first > _BARE_SPAN_SIZE or frame.end == end):
                 bare = Frame(Opcode.MESSAGE, first, first, frame.end)
-                yield Span(min(times), max(times), self._rank, bare, frozenset(channels))
+                yield Span(min(times), max(times), self._rank, bare, frozenset(channels), {})
                 times, channels, first = [], set(), frame.end

@@ -63,6 +63,7 @@ class BagReader:
     Attributes:
         path: The same, as a path.
         files: The MCAP files, in order of recording.
+        indexes: What the summary of each file tells.
         topics: The topics by name, in order of registration.
         metadata: What the folder says about itself; None for a single file.
         start_time: The smallest log time, ns since the epoch; None without messages.
@@ -89,8 +90,8 @@ class BagReader:
         self.topics: dict[str, TopicInfo] = {}
         self.start_time: int | None = None
         self.end_time: int | None = None
-        self._indexes = tuple(read_index(file, rank) for rank, file in enumerate(self.files))
-        for index in self._indexes:
+        self.indexes = tuple(read_index(file, rank) for rank, file in enumerate(self.files))
+        for index in self.indexes:
             self._add_topics(index)
 
     @property
@@ -179,13 +180,13 @@ class BagReader:
         return selected
 
     def _spans_with(self, selected: frozenset[str]) -> Iterator[Span]:
-        for index in self._indexes:
+        for index in self.indexes:
             for span in index.spans:
                 if self._topics_of(span) & selected:
                     yield span
 
     def _topics_of(self, span: Span) -> set[str]:
-        channels = self._indexes[span.rank].channels
+        channels = self.indexes[span.rank].channels
         ids = channels.keys() if span.channels is None else span.channels & channels.keys()
         return {channels[id_].topic for id_ in ids}
 
@@ -197,7 +198,7 @@ class BagReader:
                 else None
                 for channel in index.channels.values()
             }
-            for index in self._indexes
+            for index in self.indexes
         ]
 
         def load(span: Span) -> list[BagMessage]:
