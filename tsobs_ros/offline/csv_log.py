@@ -233,7 +233,12 @@ def _moved(stamps: Times) -> tuple[int, Times]:
 
 def _samples(stamps: Times, table: _Table) -> Samples:
     there = np.ones(table.angles.shape, np.bool_)
-    # A late line keeps its place: it is recorded when it comes, not when it was sampled.
-    spans = passes(stamps.tolist())
-    times = np.concatenate([np.maximum.accumulate(stamps[a:b]) for a, b in spans])
+    # A late line keeps its place: it is recorded when it comes, a moment after the one before it.
+    times = np.concatenate([_increasing(stamps[a:b]) for a, b in passes(stamps.tolist())])
     return Samples(stamps, times, times, table.angles, table.torques, there, there)
+
+
+def _increasing(stamps: Times) -> Times:
+    """Return the stamps where each is later than all before it, else the next nanosecond."""
+    place = np.arange(len(stamps))
+    return np.asarray(np.maximum.accumulate(stamps - place) + place)

@@ -51,20 +51,23 @@ class Schedule:
 
 
 def at_samples(samples: Samples) -> Schedule:
-    """Return a tick at every message, as soon as it has arrived."""
-    n = samples.count
-    afresh = np.full(n, -1)
+    """Return a tick at every message, as soon as it has arrived.
+
+    Messages in a row with the same stamp, of one joint each, have one tick together.
+    """
+    last = np.append(samples.stamps[1:] != samples.stamps[:-1], samples.count > 0)
+    messages = np.flatnonzero(last)
+    afresh = np.full(len(messages), -1)
     for begin, _ in passes(samples.stamps.tolist())[1:]:
-        afresh[begin] = begin
-    known = np.arange(1, n + 1)
+        afresh[np.searchsorted(messages, begin)] = begin
     return Schedule(
-        stamps=samples.stamps,
-        now=samples.arrivals,
-        least=known,
-        most=known,
+        stamps=samples.stamps[messages],
+        now=samples.arrivals[messages],
+        least=messages + 1,
+        most=messages + 1,
         afresh=afresh,
-        log_times=samples.log_times,
-        publish_times=samples.publish_times,
+        log_times=samples.log_times[messages],
+        publish_times=samples.publish_times[messages],
         at_samples=True,
     )
 

@@ -176,7 +176,9 @@ class BagSource:
                 name,
                 info.type,
                 info.qos_profiles,
-                MessageDefinition(info.type, info.definition, info.type_hash),
+                MessageDefinition(
+                    info.type, info.definition, info.type_hash, info.definition_encoding
+                ),
             )
             for name, info in self._reader.topics.items()
             if name in names
@@ -220,7 +222,8 @@ class BagSource:
         return Wanted(self.joints, ("position", "velocity"))
 
     def _first_joints(self) -> tuple[str, ...]:
-        first = list(islice(self._reader.messages([self.topic]), _FIRST_MESSAGES))
+        messages = until_damage(self._reader.messages([self.topic]), self._damaged)
+        first = list(islice(messages, _FIRST_MESSAGES))
         groups, malformed = JointStateDecoder().decode_all([message.data for message in first])
         if malformed and not groups:
             raise BagReadError(f"{self.path}: {self.topic}: {next(iter(malformed.values()))}")
