@@ -60,17 +60,13 @@ class JointTrackers:
         Raises:
             ValueError: There are not as many entries as joints.
         """
-        steps = [
-            None if measurement is None else tracker.plain_step(measurement, now)
-            for tracker, measurement in zip(self.trackers, measurements, strict=True)
-        ]
+        each = list(zip(self.trackers, measurements, strict=True))
 
-        def step(members: Members) -> Sequence[Innovation | RejectReason | None]:
-            trackers = of(members, self.trackers)
+        def step(members: Members) -> list[Innovation | RejectReason | None]:
             if len(members) < _LEAST:
-                alone = zip(trackers, of(members, measurements), strict=True)
-                return [m and tracker.offer(m, now) for tracker, m in alone]
-            offered = [m for m in of(members, measurements) if m is not None]
+                return [one and tracker.offer(one, now) for tracker, one in of(members, each)]
+            trackers = of(members, self.trackers)
+            offered = [one for one in of(members, measurements) if one is not None]
             bank, states, torques, duration = self._gathered(members, steps)
             predicted = bank.predict(states, torques, duration)
             corrected = bank.correct(predicted, [measurement.y for measurement in offered])
@@ -79,6 +75,9 @@ class JointTrackers:
                 for tracker, measurement, outcome in zip(trackers, offered, corrected, strict=True)
             ]
 
+        if len(each) < _LEAST:
+            return step(tuple(range(len(each))))
+        steps = [one and tracker.plain_step(one, now) for tracker, one in each]
         return in_groups(self._keys(steps), step)
 
     def estimate(self, stamp: int, wanted: Sequence[bool] | None = None) -> list[Estimate | None]:
@@ -92,16 +91,13 @@ class JointTrackers:
             One entry a joint; None where there is no estimate, or none was wanted.
         """
         asked = [True] * len(self.trackers) if wanted is None else wanted
-        bases = [
-            tracker.basis(stamp) if one else None
-            for tracker, one in zip(self.trackers, asked, strict=True)
-        ]
+        each = list(zip(self.trackers, asked, strict=True))
 
-        def read(members: Members) -> Sequence[Estimate | None]:
-            trackers = of(members, self.trackers)
+        def read(members: Members) -> list[Estimate | None]:
             if len(members) < _LEAST:
-                alone = zip(trackers, of(members, bases), strict=True)
-                return [tracker.estimate(stamp) if basis else None for tracker, basis in alone]
+                chosen = of(members, each)
+                return [tracker.estimate(stamp) if one else None for tracker, one in chosen]
+            trackers = of(members, self.trackers)
             bank, states, torques, elapsed = self._gathered(members, bases)
             readouts = bank.readout(bank.extrapolate(states, torques, elapsed))
             return [
@@ -109,6 +105,9 @@ class JointTrackers:
                 for tracker, readout in zip(trackers, readouts, strict=True)
             ]
 
+        if len(each) < _LEAST:
+            return read(tuple(range(len(each))))
+        bases = [tracker.basis(stamp) if one else None for tracker, one in each]
         return in_groups(self._keys(bases), read)
 
     def _keys(self, steps: Sequence[_Plain | None]) -> list[Hashable]:
