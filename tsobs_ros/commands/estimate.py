@@ -38,8 +38,9 @@ def add_parser(words: Words) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run observers over a recording."""
-    bag = Path(str(options.bag.absolute()))
-    output = options.output or bag.with_name(f"{bag.name.removesuffix('.mcap')}_estimates")
+    bag = options.bag.absolute()
+    stem = bag.stem if bag.is_file() else bag.name
+    output = options.output or bag.with_name(f"{stem}_estimates")
     if output.exists():
         raise BagWriteError(f"{output}: exists already, bags are not overwritten")
     return estimate(options, output, estimates_only=options.estimates_only)
@@ -115,6 +116,7 @@ class _Result:
                 f"{run.observer.name:<{width}}  {run.table.done.sum():,} estimates from "
                 f"{run.replay.used:,} measurements; rejected: {rejected or 'none'}"
             )
+        lines += source.remarks
         if self._agreement is not None:
             lines.append(self._agreement.text())
         if self._errors:
@@ -148,5 +150,6 @@ class _Result:
             ],
             "live": None if self._agreement is None else self._agreement._asdict(),
             "errors": [one.as_mapping() for one in self._errors],
+            "remarks": list(source.remarks),
             "damage": None if source.damage is None else str(source.damage),
         }

@@ -104,6 +104,13 @@ class CsvSource:
         self.samples = _samples(stamps, table)
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """Return that the times were moved, if they were."""
+        if not self.moved_by:
+            return ()
+        return (f"note: {self.moved_by * 1e-9:g} s was added to all times: 0 means no time",)
+
+    @property
     def topics(self) -> tuple[TopicToCopy, ...]:
         """The measurements."""
         qos = (QosProfile(reliability="best_effort"),)

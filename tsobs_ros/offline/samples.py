@@ -52,11 +52,16 @@ class Samples:
         return len(self.stamps)
 
     @cached_property
+    def same_clock(self) -> bool:
+        """Whether stamps and log times seem to be of the same clock."""
+        if not self.count:
+            return True
+        return abs(float(np.median(self.log_times - self.stamps))) < _SAME_CLOCK
+
+    @cached_property
     def arrivals(self) -> Times:
         """When the messages arrived on the clock of their stamps, as well as that is known [ns]."""
-        if not self.count:
-            return self.log_times
-        if abs(float(np.median(self.log_times - self.stamps))) < _SAME_CLOCK:
+        if self.same_clock:
             return self.log_times
         # Another clock says nothing: each is taken to come when it is sampled, in this order.
         spans = passes(self.stamps.tolist())

@@ -103,6 +103,11 @@ class Source(Protocol):
         """Where reading ended early, if it did."""
         ...
 
+    @property
+    def remarks(self) -> Sequence[str]:
+        """What its user should know about it."""
+        ...
+
     def messages(self) -> Iterator[BagMessage]:
         """Yield the messages of those topics in order of log time."""
         ...
@@ -182,6 +187,16 @@ class BagSource:
             )
             for name, info in self._reader.topics.items()
             if name in names
+        )
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Return that stamps and log times are of different clocks, if they are."""
+        if self.samples.same_clock:
+            return ()
+        return (
+            "note: the bag's stamps and log times are of different clocks, so each measurement is "
+            "taken to have come when it was sampled",
         )
 
     def messages(self) -> Iterator[BagMessage]:

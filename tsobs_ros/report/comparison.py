@@ -101,6 +101,8 @@ def _notes(rows: Sequence[ObserverErrors]) -> list[str]:
     first = next((row.metrics for row in rows if row.metrics is not None), None)
     if first is None:
         return ["no estimates"]
+    if not first.windows:
+        return ["the recording is too short to have a settled part, so there are no errors"]
     if not _is_judged(first):
         return ["the recording has no ground truth, so there are innovations but no errors"]
     return [f"errors over the {first.settled_time:.1f} s that count as settled"]
