@@ -148,6 +148,7 @@ def test_rows_of_a_batch_do_not_depend_on_its_size(kind: str, count: int) -> Non
     estimates = compared(joints, alone, rows)
     certified = [estimate is not None and estimate.certified for estimate in estimates]
     assert certified == [kind == "shipped"] * count
+    assert bool(joints._banks) == (count >= 4)
 
 
 @pytest.mark.parametrize("count", [2, 7])
