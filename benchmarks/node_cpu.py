@@ -5,7 +5,8 @@
 Each case has a sensor in a process of its own, at the observer's rate; with a listener, yet
 another process takes all that the observer publishes, without one nobody does. The reference, in
 the same run, is a node with nothing but an empty timer of that rate, spun by rclpy. User and system
-time come from /proc/<pid>/stat, so all threads of the middleware are in.
+time come from /proc/<pid>/stat, so all threads of the middleware are in. The design is made for the
+rate, and its gain is the certified one before the first turn.
 """
 
 import os
@@ -15,10 +16,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
-from common import parser, show
-from node_processes import Process, executable, helper, joint_names
+from common import design_of, parser, show
+from node_processes import Process, design_for, executable, helper, joint_names
 
-_WARM_UP = 8.0
+_WARM_UP = 12.0
 
 
 class _Case(NamedTuple):
@@ -56,9 +57,8 @@ def _measure(case: _Case, options: Any) -> dict[str, list[float]]:
             "rate": case.rate,
             "joints": joint_names(case.joints),
             "publish_on": case.publish_on,
+            "design": str(design_for(design_of(options), case.rate, folder)),
         }
-        if options.design:
-            parameters["design"] = str(options.design.resolve())
         try:
             processes.append(executable("observer", parameters, folder, domain))
             processes[0].wait_for("certificate holds")

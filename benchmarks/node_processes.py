@@ -18,8 +18,12 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from tsobs_ros.design.file import save_design
+from tsobs_ros.design.record import Design
 
 _START_TIMEOUT = 30.0
 _STOP_TIMEOUT = 15.0
@@ -108,6 +112,20 @@ def executable(name: str, parameters: Mapping[str, Any], folder: Path, domain: i
 def helper(role: str, folder: Path, domain: int, *arguments: object) -> Process:
     """Start this script in one of its roles."""
     return Process(role, [__file__, role, *map(str, arguments)], folder, domain)
+
+
+def design_for(design: Design, rate: float, folder: Path) -> Path:
+    """Return the file of a design like another one, but made for the sensor's rate.
+
+    Away from its rate a design's gain has no proof, and the observer uses Riccati gains for good.
+    """
+    path = folder / "made.design.yaml"
+    if design.request.rate != rate:
+        from tsobs_ros.design.synthesis import synthesise
+
+        design = synthesise(replace(design.request, rate=rate))
+    save_design(design, path)
+    return path
 
 
 def joint_names(count: int) -> list[str]:

@@ -21,17 +21,23 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from common import parser, show
-from node_processes import Process, executable, helper, joint_names
+from common import design_of, parser, show
+from node_processes import Process, design_for, executable, helper, joint_names
 
-_WARM_UP = 5.0
+_WARM_UP = 10.0
 
 
-def _run(rate: float, publish_on: str, seconds: float, domain: int) -> dict[str, Any]:
+def _run(rate: float, publish_on: str, seconds: float, options: Any) -> dict[str, Any]:
     """Return what the listener has taken."""
+    domain = options.domain_id
     with tempfile.TemporaryDirectory() as name:
         folder, processes = Path(name), list[Process]()
-        parameters = {"rate": rate, "joints": joint_names(1), "publish_on": publish_on}
+        parameters = {
+            "rate": rate,
+            "joints": joint_names(1),
+            "publish_on": publish_on,
+            "design": str(design_for(design_of(options), rate, folder)),
+        }
         try:
             processes.append(executable("observer", parameters, folder, domain))
             processes[0].wait_for("certificate holds")
@@ -80,7 +86,7 @@ def main() -> None:
     made.add_argument("--latency-seconds", type=float, default=20.0, help="of each run at 500 Hz")
     made.add_argument("--domain-id", type=int, default=1 + os.getpid() % 101)
     options = made.parse_args()
-    taken = _run(1000.0, "tick", options.seconds, options.domain_id)
+    taken = _run(1000.0, "tick", options.seconds, options)
     punctuality = _punctuality(taken["estimates"], 1000.0)
     lines = [
         f"1 kHz for {punctuality['seconds']:.0f} s: {punctuality['on_time_percent']:.2f} % of "
@@ -91,7 +97,7 @@ def main() -> None:
     ]
     latencies: dict[str, dict[str, list[float]]] = {}
     for publish_on in ("tick", "measurement"):
-        timing = _run(500.0, publish_on, options.latency_seconds, options.domain_id)["timing"]
+        timing = _run(500.0, publish_on, options.latency_seconds, options)["timing"]
         found = {
             name: [float(each[f"{name} [ms]"]) for each in timing if f"{name} [ms]" in each]
             for name in ("latency p50", "latency p99", "tick time p50", "tick time p99")

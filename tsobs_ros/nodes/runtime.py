@@ -38,7 +38,7 @@ from tsobs_ros.stop import StopFlag
 # A signal wakes nobody: the longest an idle process takes to notice one.
 _SPIN_TIMEOUT = 0.2
 # How often services, parameters and slow timers get their turn where a node's ticks are made here.
-_LOOK_AFTER_PERIOD = 0.05
+_LOOK_AFTER_PERIOD = 0.1
 # Destroying two nodes and shutting the context down takes some 20 ms, .5 s on a loaded machine.
 _TEARDOWN_TIMEOUT = 5.0
 
