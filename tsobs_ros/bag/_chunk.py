@@ -100,14 +100,15 @@ def _decompress(compression: str, data: memoryview, size: int) -> bytes:
 def chunk_front(chunk: Chunk) -> bytes:
     """Return as much of a chunk's records as its damaged or cut-off data yields."""
     front = bytearray()
-    limit = min(chunk.size, MAX_RECORD_SIZE)
+    limit = chunk.size if chunk.size <= MAX_RECORD_SIZE else 0
     # Decompressors raise errors of their own kinds; what came before them is kept.
     with suppress(Exception):
         for piece in _pieces(chunk.compression, chunk.data):
-            front += piece
             if len(front) >= limit:
                 break
-    return bytes(front[:limit])
+            front += piece
+    del front[limit:]
+    return bytes(front)
 
 
 def _pieces(compression: str, data: memoryview) -> Iterator[bytes]:

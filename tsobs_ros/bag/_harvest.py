@@ -19,6 +19,7 @@ def harvest(
     keep: Callable[[BagMessage], None],
     *,
     keep_unchecked: bool = False,
+    progress: Callable[[int], object] = lambda _: None,
 ) -> FileRecovery:
     """Take the messages out of a file, in the order of recording.
 
@@ -27,6 +28,7 @@ def harvest(
         destinations: Where the messages of its channels belong.
         keep: Called with each message.
         keep_unchecked: Also take what can be read of chunks whose checksum fails.
+        progress: Called with the number of bytes that were got through since the last call.
 
     Returns:
         What was kept and what was lost.
@@ -50,7 +52,7 @@ def harvest(
 
     damaged: DamagedPart | None = None
     with told.path.open("rb") as stream:
-        for piece in Scan(stream, told.size).pieces():
+        for piece in Scan(stream, told.size, progress, with_unchecked=keep_unchecked).pieces():
             match piece:
                 case MessageCount():
                     # The indexes of a chunk follow it, also where the chunk is damaged.
@@ -59,7 +61,7 @@ def harvest(
                     continue
                 case Content():
                     take(piece.records)
-                case Damage() if keep_unchecked:
+                case Damage():
                     take(piece.unchecked)
             damaged = None
             if isinstance(piece, Damage):

@@ -95,8 +95,13 @@ def read_body(stream: IO[bytes], frame: Frame) -> bytes:
     return body
 
 
-def parse(opcode: int, body: bytes) -> Any:
+def parse(opcode: int, body: bytes, *, exact: bool = False) -> Any:
     """Return the record of a body, of any kind but chunk, message and attachment; else None.
+
+    Args:
+        opcode: The kind.
+        body: The body.
+        exact: Whether to refuse a body with more fields, which later versions may append.
 
     Raises:
         RecordError: The body is not such a record, or is shorter than the lengths in it.
@@ -110,7 +115,8 @@ def parse(opcode: int, body: bytes) -> Any:
         record.write(written)
     except (McapError, struct.error, ValueError) as error:
         raise RecordError(f"not a record of the kind {Opcode(opcode).name}: {error}") from error
-    # The library takes a string that ends early as it is. Later versions may append fields.
-    if not body.startswith(written.end()[FRAME.size :]):
+    # The library takes a string that ends early as it is.
+    content = written.end()[FRAME.size :]
+    if body != content if exact else not body.startswith(content):
         raise RecordError(f"not a record of the kind {Opcode(opcode).name}")
     return record

@@ -10,7 +10,8 @@ which of its messages are damaged. After bytes that are no record, the next reco
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import IO, Any, NamedTuple, TypeAlias
 
 from mcap.opcode import Opcode
@@ -29,6 +30,7 @@ from tsobs_ros.bag._records import (
     read_frame,
 )
 
+_OPCODES = frozenset(map(int, Opcode))
 _BLOCK_SIZE = 2**20
 _CHUNK_HEAD_SIZE = 64
 _CANDIDATE = re.compile(
@@ -71,7 +73,8 @@ class Damage(NamedTuple):
         offset: Where they begin.
         size: How many they are.
         reason: Why.
-        unchecked: What a chunk whose checksum fails yields all the same; some of it is wrong.
+        unchecked: What a chunk whose checksum fails yields all the same, if that was asked for;
+            some of it is wrong.
     """
 
     offset: int
@@ -89,9 +92,20 @@ class Scan:
     Args:
         stream: The file.
         size: How much of it to read, bytes: it may still be growing.
+        progress: Called with the number of bytes that were got through since the last call.
+        with_unchecked: Whether to give what can be read of chunks whose checksum fails.
     """
 
-    def __init__(self, stream: IO[bytes], size: int) -> None:
+    def __init__(
+        self,
+        stream: IO[bytes],
+        size: int,
+        progress: Callable[[int], object] = lambda _: None,
+        *,
+        with_unchecked: bool = False,
+    ) -> None:
+        self._progress = progress
+        self._with_unchecked = with_unchecked
         self._stream = stream
         self._size = size
         self._end = size
@@ -110,6 +124,7 @@ class Scan:
                 following = self._find_record(at + 1)
                 pieces = [Damage(at, following - at, str(error))]
             yield from pieces
+            self._progress(following - at)
             at = following
 
     def _read(self, at: int) -> tuple[list[Piece], int]:
@@ -147,7 +162,9 @@ class Scan:
                 # A chunk that has lost bytes reaches into the next one: search inside for that.
                 if not self._begins_record(frame.end):
                     raise
-                front = _whole(chunk_front(chunk), chunk.start, chunk.end)
+                front = b""
+                if self._with_unchecked:
+                    front = _whole(chunk_front(chunk), chunk.start, chunk.end)
                 size = frame.end - frame.start
                 return [Damage(frame.start, size, str(error), front)], frame.end
         else:
@@ -201,9 +218,14 @@ class Scan:
                     return False
 
     def _is_sound(self, frame: Frame) -> bool:
-        """Whether a record without an inner check is written to its end and followed by another."""
-        weak = frame.opcode in (Opcode.MESSAGE, Opcode.ATTACHMENT)
-        return not weak or (frame.end <= self._written_end and self._begins_record(frame.end))
+        """Whether a record with no inner check of its length is followed by another one."""
+        if frame.opcode not in (Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.MESSAGE_INDEX):
+            with suppress(RecordError):
+                parse(frame.opcode, read_body(self._stream, frame), exact=True)
+                return True
+        elif frame.opcode == Opcode.MESSAGE_INDEX:
+            return True
+        return frame.end <= self._written_end and self._begins_record(frame.end)
 
     def _begins_record(self, at: int) -> bool:
         """Whether there is a record, even one that is cut off, or the end."""
@@ -212,7 +234,8 @@ class Scan:
         try:
             return self._is_record(read_frame(self._stream, at, self._end))
         except RecordError:
-            return self._is_cut(at)
+            head = self._bytes(at, FRAME.size)
+            return len(head) < FRAME.size or (head[0] in _OPCODES and head[5:] == bytes(4))
 
     def _find_record(self, at: int) -> int:
         """Return where the next record is; the end if there is none."""
@@ -235,16 +258,14 @@ class Scan:
                 return True
             return self._is_record(frame) and self._begins_record(frame.end)
         except RecordError:
-            return self._is_cut(at)
+            return self._is_cut_chunk(at)
 
-    def _is_cut(self, at: int) -> bool:
-        """Whether there is a record that the end of the file cuts off."""
-        if self._end - at < FRAME.size:
-            return True
+    def _is_cut_chunk(self, at: int) -> bool:
+        """Whether there is a chunk that the end of the file cuts off."""
         try:
             self._cut_chunk(at)
         except RecordError:
-            return self._has_bare_messages and self._bytes(at, 1)[0] == Opcode.MESSAGE
+            return False
         return True
 
     def _bytes(self, at: int, size: int) -> bytes:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a damaged MCAP file still tells about its topics and itself."""
 
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -76,17 +77,18 @@ class Survey:
                     self.metadata = BagMetadata.from_yaml(text)
 
 
-def survey(path: Path) -> Survey:
+def survey(path: Path, progress: Callable[[int], object] = lambda _: None) -> Survey:
     """Return what a file tells; it is read once, from its beginning to its end.
 
     Args:
         path: The file.
+        progress: Called with the number of bytes that were got through since the last call.
 
     Raises:
         OSError: It cannot be read.
     """
     with path.open("rb") as stream:
         found = Survey(path, stream.seek(0, 2))
-        for piece in Scan(stream, found.size).pieces():
+        for piece in Scan(stream, found.size, progress).pieces():
             found.take(piece)
     return found

@@ -4,6 +4,7 @@
 
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -45,19 +46,22 @@ class FileFacts(NamedTuple):
     stated: BagMetadata | None
 
 
-def verify_file(path: Path, findings: Findings) -> FileFacts | None:
+def verify_file(
+    path: Path, findings: Findings, progress: Callable[[int], object]
+) -> FileFacts | None:
     """Check a file.
 
     Args:
         path: The file.
         findings: Where to add what is wrong.
+        progress: Called with the number of bytes that were checked since the last call.
 
     Returns:
         What it holds; None if it cannot be read to its end.
     """
     try:
         with path.open("rb") as stream:
-            return _FileCheck(path.name, stream, findings).run()
+            return _FileCheck(path.name, stream, findings).run(progress)
     except RecordError as error:
         findings.error(path.name, f"the file is damaged: {error}; {RECOVER_HINT}")
     except OSError as error:
@@ -75,7 +79,7 @@ class _FileCheck:
         self._facts = DataFacts(self._content)
         self._stated: BagMetadata | None = None
 
-    def run(self) -> FileFacts | None:
+    def run(self, progress: Callable[[int], object]) -> FileFacts | None:
         """Check the file from its beginning to its end."""
         end = self._size - len(MAGIC)
         self._stream.seek(0)
@@ -87,17 +91,18 @@ class _FileCheck:
             text = f"has no end, it is unfinished or was truncated; {RECOVER_HINT}"
             self._findings.error(self._name, text)
             return None
-        self._check_data(end)
+        self._check_data(end, progress)
         verify_summary(self._name, self._stream, self._facts, end, self._findings)
         return FileFacts(self._content, self._stated)
 
-    def _check_data(self, end: int) -> None:
+    def _check_data(self, end: int, progress: Callable[[int], object]) -> None:
         place = len(MAGIC)
         while self._facts.end is None:
             frame = read_frame(self._stream, place, end)
             if (place == len(MAGIC)) != (frame.opcode == Opcode.HEADER):
                 raise RecordError(f"expected a header at byte {len(MAGIC)}, and only there")
             self._check_record(frame)
+            progress(frame.end - place)
             place = frame.end
         metadata = sum(name == "rosbag2" for _, _, name in self._facts.metadata)
         if metadata != 2:

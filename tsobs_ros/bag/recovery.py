@@ -22,7 +22,7 @@ def recover(
     *,
     compression: str = "zstd",
     keep_unchecked: bool = False,
-    progress: Callable[[float], None] = lambda _: None,
+    progress: Callable[[int], object] = lambda _: None,
 ) -> Recovery:
     """Make a complete bag of what a damaged one still holds; the damaged one is not touched.
 
@@ -35,13 +35,14 @@ def recover(
         compression: Of the new bag's chunks: `none`, `lz4` or `zstd`.
         keep_unchecked: Also keep what can be read of chunks whose checksum fails, although some of
             it is wrong.
-        progress: Called now and then with the part that is done, from 0 to 1.
+        progress: Called with the number of bytes that were got through since the last call; all of
+            the bag is got through twice.
 
     Returns:
         What was kept and what was lost.
 
     Raises:
-        BagReadError: There is no bag of ROS 2, or no message can be recovered.
+        BagReadError: There is no bag, or no message of ROS 2 can be recovered.
         BagWriteError: The output exists or cannot be written.
     """
     source, target = Path(bag), Path(output).absolute()
@@ -50,14 +51,13 @@ def recover(
         raise BagWriteError(f"{target}: exists already, bags are not overwritten")
     if source.resolve() in target.resolve().parents:
         raise BagWriteError(f"{target}: is inside of the bag {source}, which is not touched")
-    surveys = [_survey(path) for path in found.paths]
+    surveys = [_survey(path, progress) for path in found.paths]
     readable = [told for told in surveys if isinstance(told, Survey)]
     known = KnownTopics(readable, found.metadata)
     destinations = {told.path: known.destinations(told) for told in readable}
     metadata = [found.metadata, *(told.metadata for told in readable)]
     custom_data = next((m.custom_data for m in metadata if m and m.custom_data), None)
     files = []
-    total = sum(told.size for told in readable)
     with _Output(
         known.topics.values(),
         lambda: BagWriter(target, compression=compression, custom_data=custom_data),
@@ -66,11 +66,14 @@ def recover(
             if isinstance(told, Survey):
                 writer.split()
                 told = harvest(
-                    told, destinations[told.path], writer.write, keep_unchecked=keep_unchecked
+                    told,
+                    destinations[told.path],
+                    writer.write,
+                    keep_unchecked=keep_unchecked,
+                    progress=progress,
                 )
             files.append(told)
-            progress(sum(file.size for file in files) / total if total else 1.0)
-    result = Recovery(source, target, tuple(files), _remarks(found))
+    result = Recovery(source, target, tuple(files), _remarks(found, readable))
     if not result.message_count:
         raise BagReadError(f"{source}: no message can be recovered: {result.reasons()}")
     return result
@@ -106,20 +109,20 @@ class _Output:
             self._writer.split()
 
 
-def _survey(path: Path) -> Survey | FileRecovery:
+def _survey(path: Path, progress: Callable[[int], object]) -> Survey | FileRecovery:
     try:
-        told = survey(path)
+        told = survey(path, progress)
     except OSError as error:
         return FileRecovery(path.name, error=error.strerror or str(error))
-    if told.profile not in (None, "ros2"):
-        raise BagReadError(
-            f"{path}: not a bag of ROS 2: its profile is '{told.profile}', expected 'ros2'"
-        )
     return told
 
 
-def _remarks(found: BagFiles) -> tuple[str, ...]:
+def _remarks(found: BagFiles, surveys: Iterable[Survey]) -> tuple[str, ...]:
     remarks = [found.metadata_error] if found.metadata_error else []
     if found.metadata:
         remarks += [f"{path.name}: not named by metadata.yaml" for path in found.unlisted]
+    for told in surveys:
+        # The header may be what is damaged: what counts is whether messages are in CDR.
+        if told.profile not in (None, "ros2"):
+            remarks.append(f"{told.path.name}: its profile is '{told.profile}', expected 'ros2'")
     return tuple(remarks)

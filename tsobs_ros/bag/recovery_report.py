@@ -107,7 +107,7 @@ class FileRecovery:
         """Return lines for people."""
         if self.error:
             return [f"{self.name}: not read: {self.error}"]
-        state = "finished" if self.is_finished else "not finished by its recorder"
+        state = "finished" if self.is_finished else "without what its recorder had not flushed"
         lines = [f"{self.name}: {self.size} bytes, {state}: {self.kept.total()} messages kept"]
         lines += [f"  kept {count} of {topic}" for topic, count in sorted(self.kept.items())]
         if self.start_ns is not None and self.end_ns is not None:

@@ -6,7 +6,7 @@ An error is what makes a reader of such bags fail or lose something; a remark is
 have written differently. All of them are told, not only the first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,16 +58,17 @@ class Verification:
         """Return the same for people to read."""
         lines = [f"error: {finding}" for finding in self.errors]
         lines += [f"remark: {finding}" for finding in self.remarks]
-        verdict = "OK" if self.holds else f"NOT a sound bag, {len(self.errors)} errors"
-        count = f"{self.messages} messages in {self.files} file{'s' * (self.files != 1)}"
+        verdict = "OK" if self.holds else f"NOT sound, {_number(len(self.errors), 'error')}"
+        count = f"{_number(self.messages, 'message')} in {_number(self.files, 'file')}"
         return "\n".join([*lines, f"{self.path}: {verdict}, {count}"])
 
 
-def verify(bag: str | Path) -> Verification:
+def verify(bag: str | Path, progress: Callable[[int], object] = lambda _: None) -> Verification:
     """Check a bag: its folder, the structure of its files, and each message.
 
     Args:
         bag: A bag folder, or one MCAP file.
+        progress: Called with the number of bytes that were checked since the last call.
 
     Raises:
         BagReadError: There is no such folder or file.
@@ -82,7 +83,7 @@ def verify(bag: str | Path) -> Verification:
         metadata, paths = None, [path]
     else:
         raise BagReadError(f"{path}: there is no such bag")
-    facts = {file.name: verify_file(file, findings) for file in paths}
+    facts = {file.name: verify_file(file, findings, progress) for file in paths}
     if metadata:
         _compare(metadata, facts, findings)
     messages = sum(found.content.message_count for found in facts.values() if found)
@@ -143,3 +144,7 @@ def _compare_topics(
 def _count(content: ContentCheck, topic: str) -> int:
     ids: Sequence[int] = [id_ for id_, c in content.channels.items() if c.topic == topic]
     return sum(content.counts.get(id_, 0) for id_ in ids)
+
+
+def _number(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

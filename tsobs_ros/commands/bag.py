@@ -3,6 +3,9 @@
 """`tsobs bag`: look at a bag, check it, and recover a damaged one."""
 
 import argparse
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from tsobs_ros.commands.options import Words, add_json
@@ -69,7 +72,8 @@ def _info(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from tsobs_ros.bag.verification import verify
 
-    verification = verify(options.bag)
+    with _progress(options, passes=1) as progress:
+        verification = verify(options.bag, progress)
     show(verification.as_mapping(), verification.text(), options.json)
     return 0 if verification.holds else 1
 
@@ -79,11 +83,27 @@ def _recover(options: argparse.Namespace) -> int:
 
     bag = options.bag.absolute()
     default = bag.with_name(f"{bag.name.removesuffix('.mcap')}_recovered")
-    recovery = recover(
-        options.bag,
-        options.output or default,
-        compression=options.compression,
-        keep_unchecked=options.keep_unchecked,
-    )
+    with _progress(options, passes=2) as progress:
+        recovery = recover(
+            options.bag,
+            options.output or default,
+            compression=options.compression,
+            keep_unchecked=options.keep_unchecked,
+            progress=progress,
+        )
     show(recovery.as_mapping(), recovery.text(), options.json)
     return 0
+
+
+@contextmanager
+def _progress(options: argparse.Namespace, passes: int) -> Iterator[Callable[[int], object]]:
+    """Show how far it is, if somebody looks."""
+    if options.json or not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from tqdm import tqdm
+
+    files = options.bag.glob("*.mcap") if options.bag.is_dir() else [options.bag]
+    total = passes * sum(file.stat().st_size for file in files if file.is_file())
+    with tqdm(total=total, unit="B", unit_scale=True, leave=False) as bar:
+        yield bar.update
