@@ -30,6 +30,7 @@ def test_pivots_tell_what_the_smallest_eigenvalue_tells(
         (np.diag([1.0, 0.0]), True),
         (np.array([[0.0, 1.0], [1.0, 5.0]]), False),
         (np.array([[1.0, 2.0], [2.0, 1.0]]), False),
+        (np.full((2, 2), np.nan), False),
     ],
 )
 def test_a_level_of_zero_asks_for_no_negative_eigenvalue(matrix: np.ndarray, enough: bool) -> None:

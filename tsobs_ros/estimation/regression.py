@@ -123,7 +123,7 @@ def exceeds(matrix: list[list[float]], level: float) -> bool:
     ]
     for first, pivot_row in enumerate(rows):
         pivot = pivot_row[first]
-        if pivot <= 0.0:
+        if not pivot > 0.0:  # which NaN is not either
             return pivot == 0.0 and not any(any(row[first:]) for row in rows[first:])
         for row in rows[first + 1 :]:
             share = row[first] / pivot
