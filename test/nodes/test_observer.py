@@ -27,6 +27,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.observer import create
@@ -410,3 +411,35 @@ def test_learnt_parameters_are_published_once_they_can_be_believed(bench: Bench)
     assert status.message == "not yet: the motion is too poor"
     assert set(values(status)) == {"stiffness", "gravity"}
     assert observer.count_publishers("/observer/parameters_estimate") == 1
+
+
+class FailsOnce(JointTrackers):
+    """Trackers whose third sample is one too many for the numbers."""
+
+    def offer(self, measurements: Any, now: int) -> Any:
+        if self.trackers[0].used == 2 and not self.failed:
+            self.failed = True
+            raise FloatingPointError("overflow")
+        return super().offer(measurements, now)
+
+    failed = False
+
+
+def test_a_numerical_failure_is_an_error_and_a_fresh_start(
+    bench: Bench, capfd: pytest.CaptureFixture[str]
+) -> None:
+    observer = bench.start_simulated()
+    observer._trackers = FailsOnce([observer.tracker])
+    for index in range(3):
+        bench.send(index, bench.now)
+        bench.set_clock(bench.now + PERIOD)
+    bench.wait_until(lambda: observer._trackers.failed, "the failure")
+    status = bench.status("state")
+    assert status.level == DiagnosticStatus.ERROR
+    assert "after a numerical failure" in status.message
+    assert values(status)["resets"] == "1"
+    assert "starting afresh: numerical failure: overflow" in capfd.readouterr().err
+    bench.feed(range(10, 40), 100 * SECOND)
+    bench.wait_for_quiet()
+    assert observer.tracker.used == 30
+    assert bench.status("state").level == DiagnosticStatus.OK
