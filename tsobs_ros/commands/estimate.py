@@ -88,8 +88,8 @@ class _Result:
     ) -> None:
         self._source, self._runs, self._output = source, runs, output
         self._seconds = seconds
-        stamps = source.samples.stamps[source.samples.stamps > 0]
-        self._duration = float(stamps.max() - stamps.min()) * 1e-9 if len(stamps) else 0.0
+        times = source.samples.log_times
+        self._duration = float(times.max() - times.min()) * 1e-9
         agreements = [run.agreement() for run in runs]
         # Of several observers at most one was the live one.
         self._agreement = max(
