@@ -5,12 +5,13 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from mcap.records import Channel, Schema
+from mcap.records import Channel
 
 from tsobs_ros.bag._file import LIBRARY
+from tsobs_ros.bag._layout import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag._survey import Survey
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.metadata import BagMetadata, TopicMetadata
+from tsobs_ros.bag.metadata import TYPE_HASH, BagMetadata, TopicMetadata
 from tsobs_ros.bag.qos import QosProfile, profiles_from_yaml
 from tsobs_ros.errors import BagWriteError
 
@@ -50,9 +51,9 @@ class KnownTopics:
             if survey.metadata and len(survey.metadata.topics) > len(self._listed):
                 self._listed = survey.metadata.topics
             for channel in survey.channels.values():
-                if schema := survey.schemas.get(channel.schema_id):
-                    definition = _stored_definition(channel, schema)
-                    self._definitions.setdefault((schema.name, definition.type_hash), definition)
+                if definition := _stored_definition(survey, channel):
+                    key = (definition.type, definition.type_hash)
+                    self._definitions.setdefault(key, definition)
 
     def destinations(self, survey: Survey) -> Destinations:
         """Return where the messages of a file's channels belong."""
@@ -70,11 +71,10 @@ class KnownTopics:
     def _destination(self, survey: Survey, channel: Channel) -> tuple[str, str]:
         if channel.message_encoding != "cdr":
             return "", f"of {channel.topic}, which is encoded in '{channel.message_encoding}'"
-        definition = None
-        if schema := survey.schemas.get(channel.schema_id):
-            definition = _stored_definition(channel, schema)
-        elif listed := next((t for t in self._listed if t.name == channel.topic), None):
-            definition = self._definition_of(listed)
+        definition = _stored_definition(survey, channel)
+        if definition is None:
+            named = (listed for listed in self._listed if listed.name == channel.topic)
+            definition = next(filter(None, map(self._definition_of, named)), None)
         if definition is None:
             return "", f"of {channel.topic}, whose type is lost"
         try:
@@ -102,7 +102,20 @@ class KnownTopics:
         return installed if installed.type_hash == hash_ else None
 
 
-def _stored_definition(channel: Channel, schema: Schema) -> MessageDefinition:
+def _stored_definition(survey: Survey, channel: Channel) -> MessageDefinition | None:
+    """Return the definition a file has of a channel's type, if that is not damaged itself."""
+    schema = survey.schemas.get(channel.schema_id)
+    if schema is None:
+        return None
     text = schema.data.decode(errors="replace")
+    if schema.encoding == "ros2msg":
+        try:
+            MessageLayout(schema.name, text)
+        except UnknownLayoutError:
+            pass
+        except ValueError:
+            return None
     hash_ = channel.metadata.get("topic_type_hash", "")
+    if not TYPE_HASH.fullmatch(hash_):
+        hash_ = ""
     return MessageDefinition(schema.name, text, hash_, schema.encoding)

@@ -15,6 +15,7 @@ from contextlib import suppress
 from typing import IO, Any, NamedTuple, TypeAlias
 
 from mcap.opcode import Opcode
+from mcap.records import Channel, DataEnd
 
 from tsobs_ros.bag._chunk import Chunk, chunk_front, chunk_records, parse_chunk
 from tsobs_ros.bag._records import (
@@ -110,7 +111,8 @@ class Scan:
         self._size = size
         self._end = size
         self._written_end = _end_without_zeros(stream, size)
-        self._has_bare_messages = False
+        self._bare_channels: set[int] = set()
+        self._data_ended = False
 
     def pieces(self) -> Iterator[Piece]:
         """Yield what the file holds, in order, with nothing left out."""
@@ -144,13 +146,17 @@ class Scan:
         if not self._is_record(frame) or not self._is_sound(frame):
             raise RecordError("not a record")
         if frame.opcode == Opcode.MESSAGE:
-            self._has_bare_messages = True
             return [Content(at, self._bytes(at, frame.end - at))], frame.end
         if frame.opcode == Opcode.MESSAGE_INDEX:
             return [MessageCount((frame.end - frame.body) // 16)], frame.end
         if frame.opcode == Opcode.ATTACHMENT:
             return [Found(frame.opcode, None)], frame.end
-        return [Found(frame.opcode, parse(frame.opcode, read_body(self._stream, frame)))], frame.end
+        record = parse(frame.opcode, read_body(self._stream, frame))
+        if isinstance(record, Channel):
+            self._bare_channels.add(record.id)
+        elif isinstance(record, DataEnd):
+            self._data_ended = True
+        return [Found(frame.opcode, record)], frame.end
 
     def _read_chunk(self, frame: Frame) -> tuple[list[Piece], int]:
         chunk = parse_chunk(read_body(self._stream, frame))
@@ -205,7 +211,10 @@ class Scan:
                     return False
                 return True
             case Opcode.MESSAGE:
-                return MESSAGE_HEAD_SIZE <= size <= MAX_RECORD_SIZE
+                # A file without chunks describes its channels on their own, before the messages.
+                channel = int.from_bytes(self._bytes(frame.body, 2), "little")
+                known = channel in self._bare_channels and not self._data_ended
+                return known and MESSAGE_HEAD_SIZE <= size <= MAX_RECORD_SIZE
             case Opcode.MESSAGE_INDEX:
                 stated = int.from_bytes(self._bytes(frame.body + 2, 4), "little")
                 return stated == size - 6 and stated % 16 == 0
@@ -251,8 +260,6 @@ class Scan:
         """Whether reading can go on at an offset that nothing leads to."""
         try:
             frame = read_frame(self._stream, at, self._end)
-            if frame.opcode == Opcode.MESSAGE and not self._has_bare_messages:
-                return False
             if frame.opcode == Opcode.CHUNK and frame.end <= self._written_end:
                 chunk_records(parse_chunk(read_body(self._stream, frame)))
                 return True

@@ -6,8 +6,8 @@ from mcap.records import Channel, Metadata, Schema
 
 from tsobs_ros.bag._findings import Findings
 from tsobs_ros.bag._layout import MessageLayout, UnknownLayoutError
-from tsobs_ros.bag._verify_folder import TYPE_HASH, TYPE_NAME
-from tsobs_ros.bag.metadata import EMPTY_START_NS, BagMetadata
+from tsobs_ros.bag._verify_folder import TYPE_NAME
+from tsobs_ros.bag.metadata import EMPTY_START_NS, TYPE_HASH, BagMetadata
 from tsobs_ros.bag.qos import profiles_from_yaml
 from tsobs_ros.errors import MessageError
 

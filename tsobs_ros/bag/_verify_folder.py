@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from tsobs_ros.bag._findings import Findings
-from tsobs_ros.bag.metadata import FILE_NAME, ROOT_KEY, VERSION, BagMetadata
+from tsobs_ros.bag.metadata import FILE_NAME, ROOT_KEY, TYPE_HASH, VERSION, BagMetadata
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.safe_yaml import load_yaml
 
 TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
-TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 _TOPIC_NAME = re.compile(r"(/[A-Za-z_]\w*)+", re.ASCII)
 _NUMBERED = re.compile(r".+_\d+\.[^.]+")
 _KEYS = tuple(BagMetadata((), ()).to_map())

@@ -248,7 +248,7 @@ class _SummaryCheck:
             if offset.group_length and stated != (
                 (group[0].start, group[-1].end) if group else None
             ):
-                kind = Opcode(offset.group_opcode).name
+                kind = f"{offset.group_opcode:#04x}"
                 self._error(f"the summary's records of kind {kind} are not at bytes {stated}")
 
     def _expect(self, what: str, stated: object, actual: object) -> None:

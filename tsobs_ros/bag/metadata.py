@@ -3,6 +3,7 @@
 """The `metadata.yaml` of a bag folder, version 9: the one Jazzy writes."""
 
 import os
+import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ VERSION = 9
 FILE_NAME = "metadata.yaml"
 ROOT_KEY = "rosbag2_bagfile_information"
 EMPTY_START_NS = 2**63 - 1
+TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 # libyaml's is ten times faster, and metadata is written while messages arrive.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
