@@ -88,8 +88,15 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]
             return comparison.paper(request.arm, *common)
 
 
-def make_tracker(design: Design, settings: ObserverSettings) -> Tracker[Any]:
+def make_tracker(
+    design: Design, settings: ObserverSettings, estimator: Estimator[Any] | None = None
+) -> Tracker[Any]:
     """Return a tracker that runs the observer that the settings name.
+
+    Args:
+        design: The design.
+        settings: How it is run.
+        estimator: The observer, if it is made already: joints with the same design share it.
 
     Raises:
         ModelError: The method cannot observe this arm, or a time is negative.
@@ -100,4 +107,4 @@ def make_tracker(design: Design, settings: ObserverSettings) -> Tracker[Any]:
         future_tolerance=settings.future_tolerance,
         restart_after=settings.stale_after,
     )
-    return Tracker(make_estimator(design, settings), options)
+    return Tracker(estimator or make_estimator(design, settings), options)

@@ -24,7 +24,7 @@ from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.checks import Array
-from tsobs_ros.design.observers import ObserverSettings, make_tracker
+from tsobs_ros.design.observers import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.offline.publishing import Publishing, Record, Stamped, by_log_time
@@ -82,7 +82,11 @@ class Run:
     ) -> None:
         self.observer, self.schedule = observer, schedule
         self._samples = source.samples
-        trackers = [make_tracker(design, observer.settings) for design in observer.designs]
+        estimators = {id(one): make_estimator(one, observer.settings) for one in observer.designs}
+        trackers = [
+            make_tracker(design, observer.settings, estimators[id(design)])
+            for design in observer.designs
+        ]
         stale_after = observer.settings.stale_after
         self.replay = Replay(JointTrackers(trackers), source.samples, schedule, stale_after)
         self.table = EstimateTable(schedule.count, source.samples.count, len(source.joints))

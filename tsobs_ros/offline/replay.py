@@ -131,7 +131,7 @@ class Replay:
                 offered += 1
                 if agrees or offered == most:
                     estimates = self._estimate(stamp)
-            if any(one is not None for one in estimates):
+            if estimates.count(None) < len(estimates):
                 last = stamp
                 yield Estimated(tick, estimates)
         for message, sample in waiting:
@@ -177,7 +177,7 @@ class Replay:
         self._begin_afresh()
 
     def _is_newest(self, stamp: int) -> bool:
-        return any(tracker.newest == stamp for tracker in self._trackers.trackers)
+        return stamp in [tracker.newest for tracker in self._trackers.trackers]
 
     def _begin_afresh(self) -> None:
         for tracker in self._trackers.trackers:
