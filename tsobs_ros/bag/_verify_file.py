@@ -40,10 +40,12 @@ class FileFacts(NamedTuple):
     Attributes:
         content: Its topics and messages.
         stated: What its last metadata record says of the bag; None if there is none.
+        is_damaged: Whether some of its content is unknown.
     """
 
     content: ContentCheck
     stated: BagMetadata | None
+    is_damaged: bool
 
 
 def verify_file(
@@ -93,7 +95,8 @@ class _FileCheck:
             return None
         self._check_data(end, progress)
         verify_summary(self._name, self._stream, self._facts, end, self._findings)
-        return FileFacts(self._content, self._stated)
+        is_damaged = any(chunk.is_damaged for chunk in self._facts.chunks)
+        return FileFacts(self._content, self._stated, is_damaged)
 
     def _check_data(self, end: int, progress: Callable[[int], object]) -> None:
         place = len(MAGIC)

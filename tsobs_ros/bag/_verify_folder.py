@@ -109,7 +109,9 @@ class _MapCheck:
         self, values: Mapping[str, Any], topics: list[dict[str, Any]], files: list[dict[str, Any]]
     ) -> None:
         try:
-            metadata = BagMetadata.from_map({**values, "topics_with_message_count": []})
+            metadata = BagMetadata.from_map(
+                {**values, "version": VERSION, "topics_with_message_count": []}
+            )
             start = values["starting_time"]["nanoseconds_since_epoch"]
             duration = values["duration"]["nanoseconds"]
             of_topics = sum(topic["message_count"] for topic in topics)

@@ -94,9 +94,10 @@ def _compare(metadata: BagMetadata, facts: dict[str, FileFacts | None], findings
     """Compare what metadata.yaml says with what the files hold."""
     for file in metadata.files:
         if found := facts.get(file.path):
-            _compare_file(file, found.content, findings)
+            if not found.is_damaged:
+                _compare_file(file, found.content, findings)
             _compare_topics(metadata, file.path, found.content, findings)
-    contents = [found.content for found in facts.values() if found]
+    contents = [found.content for found in facts.values() if found and not found.is_damaged]
     if len(contents) < len(metadata.files):
         return
     for topic in metadata.topics:
