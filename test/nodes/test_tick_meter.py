@@ -37,6 +37,14 @@ def test_ticks_that_come_in_time_are_not_missed() -> None:
     assert status.values["achieved rate [Hz]"] == "200.0"
 
 
+def test_a_late_tick_that_the_next_makes_good_is_not_missed() -> None:
+    meter = TickMeter(1000.0)
+    tick(meter, 0.0, 1.7, 2.0, 3.9, 4.0, 5.0)
+    assert meter.missed == 0
+    tick(meter, 7.2, 8.0)
+    assert meter.missed == 1
+
+
 def test_periods_without_a_tick_are_missed() -> None:
     meter = TickMeter(1000.0)
     tick(meter, 0.0, 20.0)

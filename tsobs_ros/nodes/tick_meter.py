@@ -11,6 +11,7 @@ _WORTH_A_WARNING = 0.05
 # The clock has jumped when it went on by more than this [ns], so much faster than time passes.
 _JUMP = 1_000_000_000
 _FASTEST = 100
+_ROUNDING = 1e-3
 
 
 class TickMeter:
@@ -28,6 +29,7 @@ class TickMeter:
         self.jumps = 0
         self._latest: int | None = None
         self._latest_was_tick = True
+        self._late = 0.0
         self._began = 0
         self._work_began: int | None = None
         self._periods: list[int] = []
@@ -50,9 +52,16 @@ class TickMeter:
             else:
                 self._periods.append(period)
                 if tick and self._latest_was_tick:
-                    self.missed += max(0, round(period / self._period_ns) - 1)
+                    self._note_lateness(period)
         self._latest, self._latest_was_tick = now, tick
         self._began = self._work_began = steady
+
+    def _note_lateness(self, period: int) -> None:
+        """Count whole periods that fell out; what a late tick lacks, the next one may make good."""
+        self._late = max(0.0, self._late + period / self._period_ns - 1.0)
+        missed = int(self._late + _ROUNDING)
+        self.missed += missed
+        self._late -= missed
 
     def end(self) -> None:
         """Note that the work is done."""
@@ -67,6 +76,7 @@ class TickMeter:
     def restart(self) -> None:
         """Forget when the last tick was: the clock jumped, or a pause was wanted."""
         self._latest = None
+        self._late = 0.0
 
     def status(self) -> Status:
         """Return achieved rate, missed ticks, tick time and latency since the last call."""
