@@ -42,5 +42,5 @@ def test_trackers_may_share_an_observer() -> None:
 
 
 def test_an_unknown_method_is_refused_with_those_there_are() -> None:
-    with pytest.raises(ModelError, match="expected one of certified, ekf, .*, got 'kalman'"):
+    with pytest.raises(ModelError, match=r"expected one of certified, ekf, .*, got 'kalman'"):
         ObserverSettings(method="kalman")

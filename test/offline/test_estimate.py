@@ -131,7 +131,7 @@ def test_a_lost_measurement_is_named(arms, write_bag, estimate, tmp_path) -> Non
     assert agreement.reproduced >= 40
     assert agreement.first_difference == START + 40 * PERIOD
     assert (agreement.not_recorded, agreement.not_received) == (1, 0)
-    assert "used 1 measurements that the bag lacks" in agreement.text()
+    assert "used 1 measurement that the bag lacks" in agreement.text()
 
 
 def test_a_measurement_that_did_not_reach_the_live_observer_is_named(

@@ -121,13 +121,11 @@ class Agreement(NamedTuple):
             return line
         reasons = []
         if self.not_recorded:
-            reasons.append(
-                f"the live observer used {self.not_recorded:,} measurements that the bag lacks"
-            )
+            lost = _measurements(self.not_recorded)
+            reasons.append(f"the live observer used {lost} that the bag lacks")
         if self.not_received:
-            reasons.append(
-                f"{self.not_received:,} measurements of the bag did not reach it or were not used"
-            )
+            unused = _measurements(self.not_received)
+            reasons.append(f"the live observer did not receive or use {unused} of the bag")
         if not reasons:
             reasons.append(
                 "it had another design, other parameters or another version, was reset, or ran "
@@ -193,6 +191,10 @@ class Recorded:
         last = innovations.publish_times.max()
         unreceived = used_here & (places < 0) & (samples.publish_times < last)
         return innovations.count - int((places >= 0).sum()), int(unreceived.sum())
+
+
+def _measurements(count: int) -> str:
+    return f"{count:,} measurement{'s' if count != 1 else ''}"
 
 
 def _by_tick(series: JointSeries, stamps: Times) -> Array:
