@@ -214,8 +214,17 @@ def test_an_unknown_topic_is_refused_with_those_there_are(bag: Path) -> None:
 def test_what_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(BagReadError, match=r"none\.mcap: cannot read it"):
         BagReader(tmp_path / "none.mcap")
-    with pytest.raises(BagReadError, match="not a bag folder"):
+    with pytest.raises(BagReadError, match=r"not a bag folder, it has no metadata\.yaml$"):
         BagReader(tmp_path)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"rosbag2_bagfile_information:\n  version: 9\n"])
+def test_files_without_their_metadata_can_be_recovered(bag: Path, content: bytes | None) -> None:
+    (bag / "metadata.yaml").unlink()
+    if content is not None:
+        (bag / "metadata.yaml").write_bytes(content)
+    with pytest.raises(BagReadError, match=r"metadata\.yaml.*; 'tsobs bag recover' makes"):
+        BagReader(bag)
 
 
 def test_a_missing_file_of_a_folder_is_named(bag: Path) -> None:

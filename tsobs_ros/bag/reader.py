@@ -78,7 +78,7 @@ class BagReader:
         self.path = Path(path)
         self.metadata: BagMetadata | None = None
         if self.path.is_dir():
-            self.metadata = read_metadata(self.path)
+            self.metadata = self._read_metadata()
             if self.metadata.storage_identifier != "mcap":
                 raise BagReadError(
                     f"{self.path}: storage '{self.metadata.storage_identifier}' is not supported, "
@@ -93,6 +93,14 @@ class BagReader:
         self.indexes = tuple(read_index(file, rank) for rank, file in enumerate(self.files))
         for index in self.indexes:
             self._add_topics(index)
+
+    def _read_metadata(self) -> BagMetadata:
+        try:
+            return read_metadata(self.path)
+        except BagReadError as error:
+            if any(self.path.glob("*.mcap")):
+                raise BagReadError(f"{error}; {RECOVER_HINT}") from error
+            raise
 
     @property
     def message_count(self) -> int:

@@ -243,10 +243,7 @@ def _time(stamp: int | None) -> str:
     if stamp is None:
         return "none"
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
-    try:
-        date = datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S")
-    except (OverflowError, ValueError):  # after the year 9999
-        return f"{seconds}.{nanoseconds:09d}"
+    date = datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%d %H:%M:%S")
     return f"{date}.{nanoseconds:09d} UTC ({seconds}.{nanoseconds:09d})"
 
 

@@ -1,0 +1,74 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The largest gap is that of all messages, however chunks and files overlap."""
+
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import IndexType, Writer
+
+from tsobs_ros.bag import BagWriter
+from tsobs_ros.bag.summary import summarise
+from tsobs_ros.errors import BagReadError
+
+STRING = "std_msgs/msg/String"
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 60)), max_size=30),
+    st.integers(1, 6),
+)
+def test_gaps_are_those_of_all_messages(written: list[tuple[str, int]], chunk: int) -> None:
+    with TemporaryDirectory() as folder:
+        with BagWriter(Path(folder) / "bag", max_duration_ns=40) as writer:
+            for topic in ("/a", "/b"):
+                writer.add_topic(topic, STRING)
+            for number, (topic, time) in enumerate(written):
+                writer.write(topic, b"", time, 0)
+                if number % chunk == 0:
+                    writer.flush()
+        summary = summarise(Path(folder) / "bag")
+    for topic in summary.topics:
+        times = sorted(time for name, time in written if name == topic.name)
+        gaps = [later - earlier for earlier, later in pairwise(times)]
+        assert topic.messages == len(times)
+        assert topic.largest_gap_ns == (max(gaps) if gaps else None)
+
+
+def test_without_message_indexes_the_gap_is_unknown(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, index_types=IndexType.CHUNK)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for time in (1, 2, 5):
+            writer.add_message(channel, time, b"", 0)
+        writer.finish()
+    (topic,) = summarise(path).topics
+    assert (topic.messages, topic.largest_gap_ns) == (3, None)
+
+
+def test_the_last_time_there_is_and_an_empty_bag_are_told(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "far") as writer:
+        writer.add_topic("/a", STRING)
+        writer.write("/a", b"", 2**63 - 2, 0)
+    assert "Start:        2262-04-11" in summarise(tmp_path / "far").text()
+    BagWriter(tmp_path / "empty").close()
+    summary = summarise(tmp_path / "empty")
+    assert (summary.messages, summary.start_ns, summary.duration_ns) == (0, None, 0)
+    assert "Start:        none" in summary.text()
+
+
+def test_another_profile_stays_refused(tmp_path: Path) -> None:
+    with (tmp_path / "x.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros1")
+        writer.finish()
+    with pytest.raises(BagReadError, match="its profile is 'ros1', expected 'ros2'"):
+        summarise(tmp_path / "x.mcap")
