@@ -27,7 +27,12 @@ from typing import Protocol, runtime_checkable
 
 import rclpy
 from rclpy.exceptions import NameValidationException
-from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.executors import (
+    ExternalShutdownException,
+    ShutdownException,
+    SingleThreadedExecutor,
+    TimeoutException,
+)
 from rclpy.signals import SignalHandlerOptions
 
 from tsobs_ros.errors import TsobsError
@@ -107,7 +112,7 @@ def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
             tickers = [t for node in nodes if (t := getattr(node, "ticker", None)) is not None]
             if tickers and all(ticker.may_be_taken_over for ticker in tickers):
                 _tick_for_a_while(tickers, stop)
-                executor.spin_once(timeout_sec=0.0)
+                _run_what_is_ready(executor)
             else:
                 for ticker in tickers:
                     ticker.give_back()
@@ -116,6 +121,18 @@ def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
         for node in nodes:
             executor.remove_node(node)
         executor.shutdown()
+
+
+def _run_what_is_ready(executor: SingleThreadedExecutor) -> None:
+    """Run all callbacks that are ready now; `spin_once` would run one in every second call."""
+    try:
+        while True:
+            callback, _, _ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
+            callback()
+            if (error := callback.exception()) is not None:
+                raise error
+    except TimeoutException:
+        pass  # all have run
 
 
 def _tick_for_a_while(tickers: Sequence[Ticking], stop: Callable[[], bool]) -> None:
