@@ -78,6 +78,53 @@ def test_joints_may_have_designs_of_their_own(arms, write_bag, capsys) -> None:
     assert "no such joint; joints: elbow, wrist" in capsys.readouterr().err
 
 
+def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
+    main(
+        ["estimate", str(bag), "--output", f"{bag}_1", "--param", "gain_mode=riccati,settle_time=1"]
+    )
+    file = tmp_path / "observer.yaml"
+    file.write_text(
+        "observer:\n  ros__parameters:\n    gain_mode: riccati\n    settle_time: 1.0\n"
+        "    rate: 50.0\n    supervision: {gate: 5.0}\n    joints: [elbow]\n",
+        encoding="utf-8",
+    )
+    again = ["estimate", f"{bag}_1", "--json", "--params-file"]
+    capsys.readouterr()
+
+    assert main([*again, str(file), "--output", f"{bag}_2"]) == 0
+    live = json.loads(capsys.readouterr().out)["live"]
+    assert live["reproduced"] == live["recorded"] == 600
+    other = ["--param", "supervision.gate=1", "--param", "supervision.reject=2"]
+    assert main([*again, str(file), *other, "--output", f"{bag}_3"]) == 0
+    live = json.loads(capsys.readouterr().out)["live"]
+    assert live["reproduced"] < live["recorded"]
+
+
+@pytest.mark.parametrize(
+    ("parameter", "said"),
+    [
+        ("rate=3", "parameter 'rate' decides no estimate; method, theta"),
+        ("adapt=maybe", "parameter 'adapt': expected a value such as True, got 'maybe'"),
+        ("settle_time=long", "parameter 'settle_time': expected a value such as 5.0"),
+        ("gain_mode=best", "parameter 'gain_mode': expected a value such as 'certified'"),
+        ("supervision.jump_budget=1.5", "parameter 'supervision.jump_budget'"),
+        ("supervision.gate=-1", "gate"),
+    ],
+)
+def test_a_wrong_parameter_is_named(bag: Path, capsys, parameter, said) -> None:
+    assert main(["compare", str(bag), "--param", parameter]) == 1
+    assert said in capsys.readouterr().err
+
+
+def test_a_parameter_file_for_others_is_refused(bag: Path, tmp_path, capsys) -> None:
+    (tmp_path / "other.yaml").write_text("player:\n  ros__parameters: {rate: 2.0}\n")
+
+    assert main(["compare", str(bag), "--params-file", str(tmp_path / "other.yaml")]) == 1
+    assert "no ros__parameters of observer; sections: player" in capsys.readouterr().err
+    shipped = str(config_path("observer.yaml"))
+    assert main(["compare", str(bag), "--joints", "elbow", "--params-file", shipped]) == 0
+
+
 def test_compare_prints_all_observers_and_writes_nothing(bag: Path, capsys) -> None:
     assert main(["compare", str(bag)]) == 0
 
@@ -122,6 +169,7 @@ def test_export_writes_files_and_says_which(bag: Path, tmp_path, capsys) -> None
         ["--method", "magic"],
         ["--rate", "0"],
         ["--columns", "time"],
+        ["--param", "adapt"],
         ["--at", "noon"],
     ],
 )

@@ -129,7 +129,7 @@ def test_what_was_exported_can_be_estimated(arms, write_bag, estimate, tmp_path)
         ((), {}, "no column looks like the time"),
         (("t,q,tau",), {}, "no lines below the header"),
         (("t,x,tau", "1,2,3"), {}, "no column looks like an angle.*'t', 'x', 'tau'"),
-        (("t,q", "1,2"), {}, "torque of elastic_joint.*--assume-zero-torque"),
+        (("t,q", "1,2"), {}, "torque of elastic_joint.*assume_zero_torque=true"),
         (("t,q,tau", "1,2,3", "2,abc,3"), {}, "line 3, column 'q': expected a number, got 'abc'"),
         (("t,q [deg],tau", "1,1;2,3"), {}, "line 2, column 'q .deg.': expected a number in deg"),
         (("t,q,tau", "1,2,3", "", "now,2,3"), {}, "line 4, column 't': expected a time, got 'now'"),

@@ -25,7 +25,7 @@ def add_parser(words: Words) -> None:
     estimate = words.add_parser(
         "estimate", help="run observers over a bag or a log, and write a bag of their estimates"
     )
-    add_observer_options(estimate, ("certified",))
+    add_observer_options(estimate, ())
     estimate.add_argument(
         "--output", type=Path, metavar="NEWBAG", help="folder to make (default: BAG_estimates)"
     )

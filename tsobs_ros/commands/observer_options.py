@@ -4,6 +4,7 @@
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from tsobs_ros.errors import DesignFileError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 if TYPE_CHECKING:
+    from tsobs_ros.design.observers import ObserverSettings
     from tsobs_ros.design.record import Design
     from tsobs_ros.offline.estimate import Observer
     from tsobs_ros.offline.source import Source
@@ -24,7 +26,7 @@ def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str
 
     Args:
         command: The command.
-        methods: What it runs unless told otherwise.
+        methods: What it runs unless told otherwise; empty for what the parameters say.
     """
     command.add_argument("bag", type=Path, metavar="BAG", help="bag folder, MCAP file or CSV log")
     command.add_argument(
@@ -35,14 +37,15 @@ def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str
         help="design files, each run; JOINT=FILE for joints with designs of their own "
         "(default: the shipped design)",
     )
+    said = " ".join(methods) or "certified"
     command.add_argument(
         "--method",
         nargs="+",
         choices=METHODS,
-        default=methods,
         metavar="METHOD",
-        help=f"observers to run, of {', '.join(METHODS)} (default: {' '.join(methods)})",
+        help=f"observers to run, of {', '.join(METHODS)} (default: {said})",
     )
+    command.set_defaults(default_methods=methods)
     command.add_argument("--joints", nargs="+", default=[], metavar="NAME", help="default: all")
     command.add_argument("--topic", help="the measurements (default: …/joint_measurements)")
     command.add_argument(
@@ -66,15 +69,16 @@ def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str
         metavar="WHAT=UNIT,...",
         help="time=ms,angle=deg,torque=Nm, for columns that are not called such as 'q [deg]'",
     )
-    as_run = command.add_argument_group("the observer's parameters, as those of the node")
-    as_run.add_argument("--theta", type=positive, default=2.5, metavar="RAD/S")
-    as_run.add_argument("--gain-mode", choices=("certified", "riccati"), default="certified")
-    as_run.add_argument("--settle-time", type=float, default=5.0, metavar="S")
-    as_run.add_argument("--no-adapt", action="store_true", help="learn no parameters")
-    as_run.add_argument("--history", type=float, default=0.5, metavar="S")
-    as_run.add_argument("--future-tolerance", type=float, default=0.1, metavar="S")
-    as_run.add_argument("--stale-after", type=positive, default=5.0, metavar="S")
-    as_run.add_argument("--assume-zero-torque", action="store_true")
+    as_run = command.add_argument_group("parameters", "named as those of the observer node")
+    as_run.add_argument("--params-file", type=Path, metavar="FILE", help="YAML as for the node")
+    as_run.add_argument(
+        "--param",
+        type=pairs,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE,...",
+        help="such as settle_time=2.0,adapt=false,supervision.gate=6",
+    )
 
 
 def pairs(text: str) -> dict[str, str]:
@@ -88,6 +92,8 @@ def pairs(text: str) -> dict[str, str]:
 
 def source_of(options: argparse.Namespace) -> "Source":
     """Open the bag or the log that the options name."""
+    _read_params_file(options)
+    assume_zero_torque = _settings(options).assume_zero_torque
     if options.bag.is_file() and options.bag.suffix.lower() in (".csv", ".tsv", ".txt"):
         from tsobs_ros.offline.csv_log import CsvSource
 
@@ -96,7 +102,7 @@ def source_of(options: argparse.Namespace) -> "Source":
             columns=options.columns,
             units=options.units,
             joints=options.joints,
-            assume_zero_torque=options.assume_zero_torque,
+            assume_zero_torque=assume_zero_torque,
         )
     from tsobs_ros.offline.source import BagSource
 
@@ -104,34 +110,51 @@ def source_of(options: argparse.Namespace) -> "Source":
         options.bag,
         topic=options.topic,
         joints=options.joints,
-        assume_zero_torque=options.assume_zero_torque,
+        assume_zero_torque=assume_zero_torque,
     )
 
 
 def observers_of(options: argparse.Namespace, joints: Sequence[str]) -> "list[Observer]":
     """Return the observers that the options name, one for each design and method."""
-    from tsobs_ros.design.observers import ObserverSettings
-    from tsobs_ros.estimation.observer import GainMode
     from tsobs_ros.offline.estimate import Observer
 
-    designs = _designs(options.design, joints)
+    settings, designs = _settings(options), _designs(options.design, joints)
+    methods = options.method or options.default_methods or (settings.method,)
     observers = []
     for stem, own in designs.items():
-        for method in options.method:
-            parts = [stem] * (len(designs) > 1) + [method] * (len(options.method) > 1)
-            settings = ObserverSettings(
-                method=method,
-                theta=options.theta,
-                gain_mode=GainMode(options.gain_mode),
-                settle_time=options.settle_time,
-                adapt=not options.no_adapt,
-                history=options.history,
-                future_tolerance=options.future_tolerance,
-                stale_after=options.stale_after,
-                assume_zero_torque=options.assume_zero_torque,
-            )
-            observers.append(Observer("_".join(parts) or "observer", settings, own))
+        for method in methods:
+            parts = [stem] * (len(designs) > 1) + [method] * (len(methods) > 1)
+            name = "_".join(parts) or "observer"
+            observers.append(Observer(name, replace(settings, method=method), own))
     return observers
+
+
+def _read_params_file(options: argparse.Namespace) -> None:
+    """Let a parameter file say what the options leave open: parameters, joints and designs."""
+    options.from_file = {}
+    if options.params_file is None:
+        return
+    from tsobs_ros.offline.parameters import NAMES, read_parameters
+
+    found = read_parameters(options.params_file)
+    # Whatever else there is does not decide what is estimated, but when and where it is published.
+    options.from_file = {name: value for name, value in found.items() if name in NAMES}
+    options.joints = options.joints or list(found.get("joints") or [])
+    own = zip(options.joints, found.get("joint_designs") or [], strict=False)
+    shared = found.get("design")
+    options.design = options.design or [
+        *([shared] if shared else []),
+        *(f"{joint}={path}" for joint, path in own if path),
+    ]
+
+
+def _settings(options: argparse.Namespace) -> "ObserverSettings":
+    """Return the settings that the parameters give, those of the command line above the file's."""
+    from tsobs_ros.design.observers import ObserverSettings
+    from tsobs_ros.offline.parameters import with_parameters
+
+    given = {name: value for one in options.param for name, value in one.items()}
+    return with_parameters(ObserverSettings(), {**options.from_file, **given})
 
 
 def _designs(arguments: Sequence[str], joints: Sequence[str]) -> "dict[str, tuple[Design, ...]]":

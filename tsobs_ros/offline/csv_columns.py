@@ -103,7 +103,7 @@ def find_columns(
     if missing := [name for name in angles if name not in torques]:
         raise LogError(
             f"no column looks like the torque of {', '.join(missing)}; name it: --columns "
-            f"torque=…, or take it for 0: --assume-zero-torque; columns: {has}"
+            f"torque=…, or take it for 0: --param assume_zero_torque=true; columns: {has}"
         )
     return Columns(time, angles, {name: torques[name] for name in angles})
 
