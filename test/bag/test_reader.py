@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reader gives messages in log order, and says clearly why it cannot."""
 
+import tracemalloc
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -168,6 +169,19 @@ def test_chunks_out_of_reach_are_not_read(tmp_path: Path) -> None:
     assert [m.data for m in reader.last_before(9, ["/a"])] == [b"whole"]
     with pytest.raises(BagReadError, match="the file is damaged"):
         list(reader.messages(["/b"]))
+
+
+def test_memory_is_that_of_a_chunk(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/a", STRING)
+        for number in range(12_000):
+            writer.write("/a", bytes(1_000), number, number)
+    tracemalloc.start()
+    try:
+        assert sum(1 for _ in BagReader(tmp_path / "bag").messages()) == 12_000
+        assert tracemalloc.get_traced_memory()[1] < 4_000_000
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("chunked", [True, False])
