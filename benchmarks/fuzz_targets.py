@@ -3,6 +3,7 @@
 """What is fuzzed: everything that reads a file, with good files to start from."""
 
 import random
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +13,15 @@ import numpy as np
 from fuzz_mutations import mutated_bytes, mutated_text
 from mcap.writer import CompressionType, Writer
 
+from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.recovery import recover
+from tsobs_ros.bag.verification import verify
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import load_request, parse_design
 from tsobs_ros.design.ts_file import load_ts_request, parse_ts_design, save_ts_design
 from tsobs_ros.design.ts_synthesis import synthesise_ts
+from tsobs_ros.offline.csv_log import CsvSource
 from tsobs_ros.resources import config_path
 
 Mutate = Callable[[bytes, Sequence[bytes], random.Random], bytes]
@@ -97,6 +102,40 @@ def bag_target(folder: Path) -> Target:
     return Target(tuple(seeds), mutated_bytes, read, "bag.mcap")
 
 
+def recovery_target(folder: Path) -> Target:
+    """Return the same files, to make a whole bag of and to check."""
+
+    def read(path: Path) -> None:
+        output = path.parent / "recovered"
+        try:
+            verify(path)
+            recover(path, output)
+            for _ in BagReader(output).messages():
+                pass
+        finally:
+            shutil.rmtree(output, ignore_errors=True)
+
+    return Target(bag_target(folder).seeds, mutated_bytes, read, "bag.mcap")
+
+
+def message_target() -> Target:
+    """Return measurements as they come off the wire."""
+    decode = JointStateDecoder()
+    seeds = tuple(
+        JointStateEncoder(names)(10**9, values, (), values)
+        for names, values in ((["joint"], [0.1]), (["a", "bc", "def"], [0.1, 0.2, 0.3]))
+    )
+    return Target(seeds, mutated_bytes, lambda path: decode(path.read_bytes()), "message")
+
+
+def log_target() -> Target:
+    """Return an arm's own log."""
+    log = (
+        b"time [s],angle [deg],torque [N m]\n0.0,1.5,0.1\n0.005,1.6,0.2\n0.01,nan,\n0.015,1.7,0.1\n"
+    )
+    return Target((log,), mutated_text, CsvSource, "log.csv")
+
+
 def targets(folder: Path) -> dict[str, Target]:
     """Return everything that is fuzzed, by name.
 
@@ -107,8 +146,11 @@ def targets(folder: Path) -> dict[str, Target]:
         "design": design_target(),
         "request": request_target(),
         "ts": ts_target(folder),
-        "metadata": metadata_target(folder),
-        "bag": bag_target(folder),
+        "metadata": metadata_target(folder / "metadata"),
+        "bag": bag_target(folder / "bag"),
+        "recovery": recovery_target(folder / "recovery"),
+        "message": message_target(),
+        "log": log_target(),
     }
 
 

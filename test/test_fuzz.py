@@ -28,7 +28,9 @@ def targets(bench: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> dict
     return bench.targets(tmp_path_factory.mktemp("good"))
 
 
-@pytest.mark.parametrize("name", ["design", "request", "ts", "metadata", "bag"])
+@pytest.mark.parametrize(
+    "name", ["design", "request", "ts", "metadata", "bag", "recovery", "message", "log"]
+)
 def test_hostile_files_are_read_or_refused(
     name: str, bench: ModuleType, targets: dict, tmp_path: Path
 ) -> None:

@@ -233,4 +233,5 @@ class DesignRequest:
     def initial_covariance(self) -> Array:
         """Error covariance before any measurement in design coordinates, shape (n, n)."""
         arm = self.arm.from_physical(self.initial_std)
-        return np.diag(np.concatenate([arm, self.disturbance_model.initial_std]) ** 2)
+        with np.errstate(over="ignore"):  # what is not finite is refused by the observer
+            return np.diag(np.concatenate([arm, self.disturbance_model.initial_std]) ** 2)
