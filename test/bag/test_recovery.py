@@ -27,8 +27,9 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag._destinations import Destinations
 from tsobs_ros.bag._messages import decode_messages
+from tsobs_ros.bag._pieces import Content
 from tsobs_ros.bag._records import FRAME, MAGIC
-from tsobs_ros.bag._scan import Content, Scan
+from tsobs_ros.bag._scan import Scan
 from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recovery import recover
 from tsobs_ros.bag.recovery_report import Recovery

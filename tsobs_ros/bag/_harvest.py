@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 from tsobs_ros.bag._destinations import Destinations
 from tsobs_ros.bag._messages import BagMessage, decode_messages
-from tsobs_ros.bag._scan import Content, Damage, MessageCount, Scan
+from tsobs_ros.bag._pieces import Content, Damage, MessageCount
+from tsobs_ros.bag._scan import Scan
 from tsobs_ros.bag._survey import Survey
 from tsobs_ros.bag.metadata import EMPTY_START_NS
 from tsobs_ros.bag.recovery_report import DamagedPart, FileRecovery

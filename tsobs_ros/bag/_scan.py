@@ -12,12 +12,13 @@ which of its messages are damaged. After bytes that are no record, the next reco
 import re
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import IO, Any, NamedTuple, TypeAlias
+from typing import IO
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd
 
 from tsobs_ros.bag._chunk import Chunk, chunk_front, chunk_records, parse_chunk
+from tsobs_ros.bag._pieces import Content, Damage, Found, MessageCount, Piece
 from tsobs_ros.bag._records import (
     FRAME,
     MAGIC,
@@ -34,57 +35,14 @@ from tsobs_ros.bag._records import (
 _OPCODES = frozenset(map(int, Opcode))
 _BLOCK_SIZE = 2**20
 _CHUNK_HEAD_SIZE = 64
+_ZERO_TAIL = 16
+"""Fewer zeros at the end of a chunk whose checksum fails do not explain that."""
 _CANDIDATE = re.compile(
     # The opcodes of header, schema, channel, message, chunk, metadata and data end, with a length
     # that is not too large. Looking ahead finds those that overlap, too.
     rb"(?=[\x01\x03\x04\x05\x06\x0c\x0f].{3}[\x00-\x0f]\x00{4})",
     re.DOTALL,
 )
-
-
-class Content(NamedTuple):
-    """Records that hold messages: those of a chunk, or one message outside of any.
-
-    Attributes:
-        offset: Where in the file they were found.
-        records: Whole records.
-    """
-
-    offset: int
-    records: bytes
-
-
-class Found(NamedTuple):
-    """A record of another kind: as `mcap` reads it; None for kinds of no interest."""
-
-    opcode: int
-    record: Any
-
-
-class MessageCount(NamedTuple):
-    """How many messages of one channel the chunk before has, as its index states."""
-
-    messages: int
-
-
-class Damage(NamedTuple):
-    """Bytes that are lost.
-
-    Attributes:
-        offset: Where they begin.
-        size: How many they are.
-        reason: Why.
-        unchecked: What a chunk whose checksum fails yields all the same, if that was asked for;
-            some of it is wrong.
-    """
-
-    offset: int
-    size: int
-    reason: str
-    unchecked: bytes = b""
-
-
-Piece: TypeAlias = Content | Found | MessageCount | Damage
 
 
 class Scan:
@@ -150,17 +108,17 @@ class Scan:
         if frame.opcode == Opcode.MESSAGE_INDEX:
             return [MessageCount((frame.end - frame.body) // 16)], frame.end
         if frame.opcode == Opcode.ATTACHMENT:
-            return [Found(frame.opcode, None)], frame.end
+            return [Found(None)], frame.end
         record = parse(frame.opcode, read_body(self._stream, frame))
         if isinstance(record, Channel):
             self._bare_channels.add(record.id)
         elif isinstance(record, DataEnd):
             self._data_ended = True
-        return [Found(frame.opcode, record)], frame.end
+        return [Found(record)], frame.end
 
     def _read_chunk(self, frame: Frame) -> tuple[list[Piece], int]:
         chunk = parse_chunk(read_body(self._stream, frame))
-        cut = frame.end > self._written_end
+        cut = self._written_end < min(frame.end, self._size - _ZERO_TAIL)
         try:
             records = chunk_records(chunk)
         except RecordError as error:

@@ -9,8 +9,9 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 
+from tsobs_ros.bag._pieces import Content, Found, Piece
 from tsobs_ros.bag._records import FRAME, RecordError, parse
-from tsobs_ros.bag._scan import Content, Found, Piece, Scan
+from tsobs_ros.bag._scan import Scan
 from tsobs_ros.bag.metadata import BagMetadata
 
 

@@ -4,44 +4,21 @@
 
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mcap.records import Channel, Schema
+from mcap.records import Schema
 
 from tsobs_ros.bag._index import RECOVER_HINT, FileIndex, Span, read_index, read_span
 from tsobs_ros.bag._messages import LOG_TIME, BagMessage, decode_messages
 from tsobs_ros.bag._order import Load, in_log_order, last_of_each
 from tsobs_ros.bag._records import RecordError
 from tsobs_ros.bag.metadata import BagMetadata, read_metadata
-from tsobs_ros.bag.qos import QosProfile, profiles_from_yaml
+from tsobs_ros.bag.topic_info import TopicInfo, describe_topic
 from tsobs_ros.errors import BagReadError
 
 __all__ = ["BagMessage", "BagReader", "DecodedMessage", "TopicInfo"]
-
-
-@dataclass(frozen=True)
-class TopicInfo:
-    """One topic of a bag.
-
-    Attributes:
-        name: The full topic name.
-        type: The message type, `package/msg/Type`.
-        count: How many messages of it the bag holds.
-        qos_profiles: What its publishers offered when it was registered.
-        type_hash: The RIHS01 hash of its type, or an empty string.
-        definition: The text that defines its type.
-        definition_encoding: The language of that text: `ros2msg` in most bags.
-    """
-
-    name: str
-    type: str
-    count: int
-    qos_profiles: tuple[QosProfile, ...]
-    type_hash: str
-    definition: str
-    definition_encoding: str
 
 
 class DecodedMessage(NamedTuple):
@@ -216,7 +193,9 @@ class BagReader:
                     records = read_span(stream, span.frame)
                 messages = decode_messages(records, known[span.rank])
                 messages.sort(key=LOG_TIME)
-                if messages and not span.start <= messages[0].log_time <= span.end:
+                if messages and not (
+                    span.start <= messages[0].log_time and messages[-1].log_time <= span.end
+                ):
                     raise RecordError(f"the index states other times at byte {span.frame.start}")
             except (OSError, RecordError) as error:
                 raise BagReadError(
@@ -277,7 +256,7 @@ class BagReader:
             )
         for channel in index.channels.values():
             count = statistics.channel_message_counts.get(channel.id, 0)
-            topic = _topic_info(file, channel, index.schemas.get(channel.schema_id), count)
+            topic = describe_topic(file, channel, index.schemas.get(channel.schema_id), count)
             known = self.topics.setdefault(topic.name, replace(topic, count=0))
             if known.type != topic.type:
                 raise BagReadError(
@@ -288,25 +267,3 @@ class BagReader:
             start, end = statistics.message_start_time, statistics.message_end_time
             self.start_time = start if self.start_time is None else min(start, self.start_time)
             self.end_time = end if self.end_time is None else max(end, self.end_time)
-
-
-def _topic_info(file: Path, channel: Channel, schema: Schema | None, count: int) -> TopicInfo:
-    if channel.message_encoding != "cdr":
-        raise BagReadError(
-            f"{file}: {channel.topic} is encoded in '{channel.message_encoding}', not in cdr"
-        )
-    if schema is None:
-        raise BagReadError(f"{file}: {channel.topic} has no type")
-    try:
-        qos_profiles = profiles_from_yaml(channel.metadata.get("offered_qos_profiles", ""))
-    except ValueError as error:
-        raise BagReadError(f"{file}: {channel.topic}: {error}") from error
-    return TopicInfo(
-        name=channel.topic,
-        type=schema.name,
-        count=count,
-        qos_profiles=qos_profiles,
-        type_hash=channel.metadata.get("topic_type_hash", ""),
-        definition=schema.data.decode(errors="replace"),
-        definition_encoding=schema.encoding,
-    )
