@@ -108,6 +108,29 @@ def test_measurements_without_innovations_are_placed_by_what_they_did(
     assert agreement.complete, agreement.text()
 
 
+def test_publishers_that_overtake_each_other_are_told_by_what_was_used_first(
+    arms, write_bag, estimate, tmp_path
+) -> None:
+    single = []
+    for topic, data, time in arms.messages(100, joints=2):
+        stamp, names, position, _, effort, _ = DECODE(data)
+        for joint in (0, 1):
+            encode = JointStateEncoder(names[joint : joint + 1])
+            own = encode(stamp + joint, [position[joint]], (), [effort[joint]])
+            single.append((topic, own, time + joint))
+    estimate(write_bag(single), output="live")
+    # Each second joint's message was sent before the first's, and only arrived later.
+    sent = [
+        (topic, data, time - (2 if topic == "/joint_measurements" and time % 2 else 0))
+        for topic, data, time in [*single, *observed(tmp_path / "live")]
+    ]
+    assert sent != sorted(sent, key=lambda message: message[2])
+
+    agreement = estimate(write_bag(sorted(sent, key=lambda m: m[2]), "sent")).agreement()
+
+    assert agreement.complete, agreement.text()
+
+
 def test_time_that_begins_anew_begins_afresh(arms, write_bag, estimate, tmp_path) -> None:
     once = arms.messages(250)
     again = [(topic, data, time + 10**10) for topic, data, time in once]

@@ -8,6 +8,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
 from tsobs_ros.checks import Array
@@ -92,10 +93,13 @@ class Samples:
             for j in range(len(named))
         ]
 
+    def take(self, places: NDArray[np.intp]) -> "Samples":
+        """Return some of the messages, or all of them in another order."""
+        return Samples(**{field.name: getattr(self, field.name)[places] for field in fields(self)})
+
     def in_order_of_publishing(self) -> "Samples":
         """Return them as a subscriber receives them: each publisher's come in its own order."""
-        order = np.argsort(self.publish_times, kind="stable")
-        return Samples(**{field.name: getattr(self, field.name)[order] for field in fields(self)})
+        return self.take(np.argsort(self.publish_times, kind="stable"))
 
 
 def samples_of(series: JointSeries, assume_zero_torque: bool) -> Samples:

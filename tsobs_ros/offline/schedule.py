@@ -18,6 +18,8 @@ from tsobs_ros.offline.samples import Samples, passes
 
 Counts = NDArray[np.intp]
 
+_UNKNOWN = np.iinfo(np.int64).max
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -102,7 +104,7 @@ def as_recorded(
     ones it came; and that it had been published before the estimate.
 
     Args:
-        samples: In the order of publishing.
+        samples: In the order of use.
         estimates: The recorded ones.
         innovations: The recorded ones, if there are any.
     """
@@ -117,7 +119,8 @@ def as_recorded(
     least = np.maximum.accumulate(least)
     # What is used at a later tick did not come before an earlier one.
     bound = np.minimum.accumulate(beyond[::-1])[::-1][1:]
-    most = np.searchsorted(samples.publish_times, published, side="right")
+    sent = np.maximum.accumulate(samples.publish_times)
+    most = np.searchsorted(sent, published, side="right")
     afresh = np.full(m, -1)
     afresh[1:][np.diff(stamps) <= 0] = 0
     return Schedule(
@@ -131,17 +134,57 @@ def as_recorded(
     )
 
 
+def in_order_of_use(samples: Samples, innovations: JointSeries) -> Samples:
+    """Return the messages in the order in which a recorded observer used them.
+
+    Those of one publisher come in its order. Between publishers the innovations tell: what was sent
+    first need not have arrived first. A message without innovation is taken to have been as long on
+    its way as the others of the same joints are, which is the best that can be known.
+
+    Args:
+        samples: In the order of publishing.
+        innovations: The recorded ones.
+    """
+    used_at = _times_of_use(samples, innovations)
+    keys = np.zeros(samples.count, np.int64)
+    for joints in np.unique(samples.named, axis=0):
+        own = np.flatnonzero((samples.named == joints).all(axis=1))
+        keys[own] = _expected(used_at[own], samples.publish_times[own])
+    return samples.take(np.argsort(keys, kind="stable"))
+
+
+def _expected(used_at: Times, published: Times) -> Times:
+    """Return the times of use of one publisher's messages, with the unknown ones filled in."""
+    known = used_at != _UNKNOWN
+    if not known.any():
+        return published
+    usual = published + int(np.median(used_at[known] - published[known]))
+    after = np.maximum.accumulate(np.where(known, used_at, 0))
+    before = np.minimum.accumulate(used_at[::-1])[::-1]
+    return np.asarray(np.maximum.accumulate(np.clip(usual, after, before)))
+
+
 def _ticks_of_use(
     samples: Samples, published: Times, innovations: JointSeries | None
 ) -> NDArray[np.intp]:
     """Return the first tick after each measurement's innovation; past the last one if unknown."""
-    used_at = np.full(samples.count, np.iinfo(np.int64).max)
-    if innovations is not None:
-        order = np.argsort(innovations.publish_times, kind="stable")
-        places = match(samples.stamps, innovations.stamps[order])
+    if innovations is None:
+        return np.full(samples.count, len(published))
+    return np.searchsorted(published, _times_of_use(samples, innovations), side="left")
+
+
+def _times_of_use(samples: Samples, innovations: JointSeries) -> Times:
+    """Return when each measurement's innovation was published, ns since the epoch."""
+    used_at = np.full(samples.count, _UNKNOWN)
+    order = np.argsort(innovations.publish_times, kind="stable")
+    # Of messages with the same stamp, each of another joint, every one has its own innovation.
+    for joints in np.unique(samples.named, axis=0):
+        own = np.flatnonzero((samples.named == joints).all(axis=1))
+        theirs = order[innovations.named[order][:, joints].any(axis=1)]
+        places = match(samples.stamps[own], innovations.stamps[theirs])
         found = places >= 0
-        used_at[found] = innovations.publish_times[order][places[found]]
-    return np.searchsorted(published, used_at, side="left")
+        used_at[own[found]] = innovations.publish_times[theirs[places[found]]]
+    return used_at
 
 
 def match(wanted: Times, there: Times) -> NDArray[np.intp]:

@@ -24,6 +24,7 @@ from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.offline.samples import Samples, samples_of
+from tsobs_ros.offline.schedule import in_order_of_use
 
 MEASUREMENTS = "joint_measurements"
 TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
@@ -164,8 +165,10 @@ class BagSource:
         series = read_joint_series(self._reader, wanted, on_damage=self._damaged)
         measured = series[self.topic]
         self._check_joints(measured)
-        self.samples = samples_of(measured, assume_zero_torque).in_order_of_publishing()
+        samples = samples_of(measured, assume_zero_torque).in_order_of_publishing()
         others = {name: series[full] for name, full in there.items()}
+        innovations = others.get(topics.INNOVATION)
+        self.samples = samples if innovations is None else in_order_of_use(samples, innovations)
         states = others.pop(topics.STATES, None)
         self.live = None if states is None or not states.count else Live(states, others)
 
