@@ -116,7 +116,7 @@ def test_publishers_that_overtake_each_other_are_told_by_what_was_used_first(
         stamp, names, position, _, effort, _ = DECODE(data)
         for joint in (0, 1):
             encode = JointStateEncoder(names[joint : joint + 1])
-            own = encode(stamp + joint, [position[joint]], (), [effort[joint]])
+            own = encode(stamp - joint, [position[joint]], (), [effort[joint]])
             single.append((topic, own, time + joint))
     estimate(write_bag(single), output="live")
     # Each second joint's message was sent before the first's, and only arrived later.
