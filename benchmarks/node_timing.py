@@ -90,7 +90,8 @@ def main() -> None:
     punctuality = _punctuality(taken["estimates"], 1000.0)
     lines = [
         f"1 kHz for {punctuality['seconds']:.0f} s: {punctuality['on_time_percent']:.2f} % of "
-        f"{punctuality['ticks_due']} ticks on time, longest gap {punctuality['longest_gap_ms']:.1f} ms",
+        f"{punctuality['ticks_due']} ticks on time, "
+        f"longest gap {punctuality['longest_gap_ms']:.1f} ms",
         f"  lag p99 {punctuality['lag_p99_first_ms']:.2f} ms in the first fifth, "
         f"{punctuality['lag_p99_last_ms']:.2f} ms in the last",
         "latency at 500 Hz, medians over seconds [ms]:",
