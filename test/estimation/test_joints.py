@@ -54,14 +54,17 @@ def observer_of(
         )
     bound = 2.0 * X
     certified = CertifiedGain(output.gain(bound)[1], bound)
-    return TSObserver(flow, R, X, certified, settle_time=0.05, gain_mode=gain_mode)
+    rate = 0.0 if gain_mode is GainMode.RICCATI else 1.0
+    return TSObserver(flow, R, X, certified, 0.05, gain_mode, torque_rate=rate)
 
 
 def settled(design: Design) -> TSObserver:
     """Return a design's observer in which the certified gain takes over soon."""
     request, certified = design.request, design.observer().certified
     start = design.covariance_bound
-    return TSObserver(request.flow, request.measurement_covariance, start, certified, 0.05)
+    return TSObserver(
+        request.flow, request.measurement_covariance, start, certified, 0.05, torque_rate=1.0
+    )
 
 
 def learning(stiffness: float, disturbance: DisturbanceModel) -> AdaptiveObserver:

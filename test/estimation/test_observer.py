@@ -255,7 +255,7 @@ def test_a_missed_sample_leaves_the_certified_mode_and_returns(design: Design, r
 
 
 def test_the_bound_grows_with_every_sample_missed(design: Design) -> None:
-    observer, u = design.observer(), np.array([0.5])
+    observer, u = design.observer(torque_rate=0.0), np.array([0.5])
     root = np.linalg.cholesky(design.P)
     state = settled(observer, np.zeros(5))
     sizes = [1.0]
@@ -310,7 +310,7 @@ def test_the_bound_covers_the_time_between_samples_too(design: Design, fraction:
 
 
 def test_extrapolation_beyond_the_next_sample_is_not_certified(design: Design) -> None:
-    observer, u = design.observer(), np.array([0.5])
+    observer, u = design.observer(torque_rate=0.0), np.array([0.5])
     corrected, _ = observer.correct(settled(observer, np.full(5, 0.1)), np.array([0.1]))
     late = observer.extrapolate(corrected, u, 3 * T)
     x, covariance = design.request.flow.predict_with_covariance(

@@ -9,7 +9,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation import comparison
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.observer import GainMode
+from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
 from tsobs_ros.estimation.supervision import SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 
@@ -32,6 +32,7 @@ class ObserverSettings:
         theta: Speed of high_gain and proportional_integral [rad/s].
         gain_mode: Gain of the certified observer once it has settled.
         settle_time: Least time with Riccati gains after a start [s].
+        torque_rate: 1σ of the rate at which the torque may move in a gap [N m/s]; 0: it is held.
         adapt: Whether to learn the parameters that the design calls uncertain.
         history: How late a measurement may come [s].
         future_tolerance: How far ahead of the clock a stamp may lie [s].
@@ -48,6 +49,7 @@ class ObserverSettings:
     theta: float = 2.5
     gain_mode: GainMode = GainMode.CERTIFIED
     settle_time: float = 5.0
+    torque_rate: float = TORQUE_RATE
     adapt: bool = True
     history: float = 0.5
     future_tolerance: float = 0.1
@@ -75,11 +77,13 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]
     common = (request.period, request.measurement_std)
     match settings.method:
         case "certified":
-            supervised = design.supervised(settings.settle_time, settings.gain_mode, settings.adapt)
+            supervised = design.supervised(
+                settings.settle_time, settings.gain_mode, settings.adapt, settings.torque_rate
+            )
             supervised.options = settings.supervision
             return supervised
         case "ekf":
-            return design.observer(gain_mode=GainMode.RICCATI)
+            return design.observer(gain_mode=GainMode.RICCATI, torque_rate=settings.torque_rate)
         case "high_gain":
             return comparison.high_gain(request.arm, settings.theta, *common)
         case "proportional_integral":

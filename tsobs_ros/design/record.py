@@ -12,7 +12,7 @@ from tsobs_ros.design.certificate import CertificateReport, check_certificate
 from tsobs_ros.design.request import DesignRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.adaptive import AdaptiveObserver
-from tsobs_ros.estimation.observer import CertifiedGain, GainMode, TSObserver
+from tsobs_ros.estimation.observer import TORQUE_RATE, CertifiedGain, GainMode, TSObserver
 from tsobs_ros.estimation.supervised import SupervisedObserver
 
 
@@ -91,13 +91,17 @@ class Design:
         return std
 
     def observer(
-        self, settle_time: float = 5.0, gain_mode: GainMode = GainMode.CERTIFIED
+        self,
+        settle_time: float = 5.0,
+        gain_mode: GainMode = GainMode.CERTIFIED,
+        torque_rate: float = TORQUE_RATE,
     ) -> TSObserver:
         """Return the observer this design is for.
 
         Args:
             settle_time: Riccati gains are used for this long after a (re)start [s].
             gain_mode: Whether the certified gain takes over afterwards.
+            torque_rate: 1σ of the rate at which the torque may move in a gap [N m/s].
         """
         return TSObserver(
             flow=self.request.flow,
@@ -106,6 +110,7 @@ class Design:
             certified=CertifiedGain(self.K, self.covariance_bound),
             settle_time=settle_time,
             gain_mode=gain_mode,
+            torque_rate=torque_rate,
         )
 
     def supervised(
@@ -113,6 +118,7 @@ class Design:
         settle_time: float = 5.0,
         gain_mode: GainMode = GainMode.CERTIFIED,
         adapt: bool = True,
+        torque_rate: float = TORQUE_RATE,
     ) -> SupervisedObserver:
         """Return the observer for a real arm: supervised, and learning what is uncertain.
 
@@ -120,8 +126,9 @@ class Design:
             settle_time: Riccati gains are used for this long after a (re)start [s].
             gain_mode: Whether the certified gain takes over afterwards.
             adapt: Whether to learn the parameters that the request calls uncertain.
+            torque_rate: 1σ of the rate at which the torque may move in a gap [N m/s].
         """
-        observer = self.observer(settle_time, gain_mode)
+        observer = self.observer(settle_time, gain_mode, torque_rate)
         if not (adapt and self.request.uncertainty):
             return SupervisedObserver(observer)
         covered = self.request.certify_uncertainty

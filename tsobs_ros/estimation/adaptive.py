@@ -23,6 +23,7 @@ from tsobs_ros.estimation.estimator import Correction, Readout
 from tsobs_ros.estimation.observer import ObserverState, TSObserver
 from tsobs_ros.estimation.output_model import OutputModel
 from tsobs_ros.estimation.regression import Explained, Memory, Regression, exceeds, spread_of
+from tsobs_ros.model.gap_flow import UNHEARD, narrowed, widened
 from tsobs_ros.model.products import product, transposed
 from tsobs_ros.model.sensitivity import Uncertainty, sensitivity
 
@@ -118,6 +119,8 @@ class AdaptiveObserver:
         self._limits: list[float] = uncertainty.limits.tolist()
         self._wander = np.eye(k) * self.options.wander_density
         self._sensitivity = sensitivity(observer.flow, uncertainty)
+        gap_flow = observer.gap_flow
+        self._in_gap = None if gap_flow is None else sensitivity(gap_flow, uncertainty)
 
     @property
     def period(self) -> float:
@@ -143,6 +146,11 @@ class AdaptiveObserver:
     def limited(self, state: AdaptiveState, limit: float) -> AdaptiveState:
         """Return the state with the disturbance kept within ±limit; see `TSObserver.limited`."""
         observer = self.observer.limited(state.observer, limit)
+        return state if observer is state.observer else state._replace(observer=observer)
+
+    def heard(self, state: AdaptiveState) -> AdaptiveState:
+        """Return the state after a sample without its angle; see `TSObserver.heard`."""
+        observer = self.observer.heard(state.observer)
         return state if observer is state.observer else state._replace(observer=observer)
 
     def relearning(self, state: AdaptiveState) -> AdaptiveState:
@@ -312,6 +320,17 @@ class AdaptiveObserver:
         """Return observer state and Υ after the flow with θ̂ in its kicks."""
         observer, inner = state.observer, self.observer
         certified = inner.stays_certified(observer, duration, between_samples=not stay_certified)
+        gap = None if certified else inner.gap(observer, duration)
+        covariance: Array | None
+        if gap is not None and self._in_gap is not None:
+            upsilon = widened(state.upsilon.T).T
+            x, upsilon, gap = self._in_gap.carry(
+                widened(observer.x), upsilon, gap, state.theta, u, duration
+            )
+            assert gap is not None
+            covariance, x, upsilon = narrowed(gap), x[:-UNHEARD], upsilon[:-UNHEARD]
+            moved = inner.moved(observer, x, covariance, duration, False, stay_certified, gap)
+            return moved, upsilon
         covariance = None if certified else observer.covariance
         x, upsilon, covariance = self._sensitivity.carry(
             observer.x, state.upsilon, covariance, state.theta, u, duration

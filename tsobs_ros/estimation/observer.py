@@ -18,8 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix, non_negative
+from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Correction, Readout
 from tsobs_ros.estimation.output_model import OutputModel
+from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.model.gap_flow import GapFlow, narrowed, widened
 from tsobs_ros.model.prediction import PredictionModel
 from tsobs_ros.model.products import mapped
 
@@ -28,6 +31,10 @@ PERIOD_TOLERANCE = 0.1
 
 For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes the bound 2 % small.
 """
+
+
+TORQUE_RATE = 1.0
+"""1σ of an arm's torque rate that is assumed where nothing else is known [N m/s]."""
 
 
 class GainMode(enum.Enum):
@@ -59,6 +66,8 @@ class ObserverState(NamedTuple):
             measurement schedule.
         certified: Whether the certificate's bound covers the covariance and its gain is in use.
         corrected: Whether a measurement was used since the last prediction.
+        gap: In a gap, the covariance with that of the torque, of which nothing has been heard
+            since, shape (..., n + 2, n + 2); see `GapFlow`. None in regular steps.
     """
 
     x: Array
@@ -66,6 +75,7 @@ class ObserverState(NamedTuple):
     settling: float
     certified: bool
     corrected: bool
+    gap: Array | None = None
 
 
 class TSObserver:
@@ -77,6 +87,13 @@ class TSObserver:
         output: What a measurement says of the state.
         settle_time: Least duration of the Riccati phase [s].
         gain_mode: Whether the certified gain ever takes over.
+        torque_rate: 1σ of the rate at which the torque may have moved since its last sample, where
+            that is longer ago than a regular step [N m/s]; 0: it is held.
+        gap_flow: Prediction model of such a step, None where the torque is held.
+
+    Raises:
+        ModelError: A matrix has the wrong shape, a number is negative, or there is a torque rate
+            for a system that is no arm.
     """
 
     def __init__(
@@ -87,11 +104,21 @@ class TSObserver:
         certified: CertifiedGain,
         settle_time: float = 5.0,
         gain_mode: GainMode = GainMode.CERTIFIED,
+        torque_rate: float = 0.0,
     ) -> None:
         n, p = flow.state_count, flow.output_matrix.shape[0]
         self.flow = flow
         self.settle_time = non_negative("settle_time", settle_time)
         self.gain_mode = gain_mode
+        self.torque_rate = non_negative("torque_rate", torque_rate)
+        self.gap_flow: GapFlow | None = None
+        if self.torque_rate:
+            if not isinstance(flow, ArmFlow):
+                raise ModelError(
+                    f"torque_rate: expected 0 for any system but an arm, got {torque_rate!r}"
+                )
+            self.gap_flow = GapFlow(flow, self.torque_rate)
+        self._longest = (1.0 + PERIOD_TOLERANCE) * flow.period
         self.certified = CertifiedGain(
             as_matrix("K", certified.K, (n, p)), as_matrix("X", certified.X, (n, n))
         )
@@ -176,8 +203,35 @@ class TSObserver:
         if self.stays_certified(state, duration):
             x = self.flow.predict(state.x, u, duration)
             return ObserverState(x, self.certified.X, 0.0, True, False)
-        x, covariance = self.flow.predict_with_covariance(state.x, state.covariance, u, duration)
-        return self.moved(state, x, covariance, duration, certified=False)
+        return self._flowed(state, u, duration, hand_over=True)
+
+    def _flowed(
+        self, state: ObserverState, u: Array, duration: float, hand_over: bool
+    ) -> ObserverState:
+        """Return the state after a step that the certified bound does not cover."""
+        gap = self.gap(state, duration)
+        if gap is None or self.gap_flow is None:
+            x, covariance = self.flow.predict_with_covariance(
+                state.x, state.covariance, u, duration
+            )
+        else:
+            wide, gap = self.gap_flow.predict_with_covariance(widened(state.x), gap, u, duration)
+            x, covariance = wide[..., : self.flow.state_count], narrowed(gap)
+        return self.moved(state, x, covariance, duration, False, hand_over, gap)
+
+    def gap(self, state: ObserverState, duration: float) -> Array | None:
+        """Return the covariance with the torque's before a step of `duration` [s] that is in a gap.
+
+        That is, the step is longer than a regular one, or goes on from such a step without a
+        sample. For any other: None.
+        """
+        if self.gap_flow is None or (state.gap is None and duration <= self._longest):
+            return None
+        return self.gap_flow.begun(state.covariance) if state.gap is None else state.gap
+
+    def heard(self, state: ObserverState) -> ObserverState:
+        """Return the state after a sample of which only the torque is to be used."""
+        return state if state.gap is None else state._replace(gap=None)
 
     def stays_certified(
         self, state: ObserverState, duration: float, *, between_samples: bool = False
@@ -191,9 +245,8 @@ class TSObserver:
         """
         if not (state.certified and state.corrected):
             return False
-        latest = (1.0 + PERIOD_TOLERANCE) * self.flow.period
         earliest = 0.0 if between_samples else (1.0 - PERIOD_TOLERANCE) * self.flow.period
-        return earliest <= duration <= latest
+        return earliest <= duration <= self._longest
 
     def moved(
         self,
@@ -203,6 +256,7 @@ class TSObserver:
         duration: float,
         certified: bool,
         hand_over: bool = True,
+        gap: Array | None = None,
     ) -> ObserverState:
         """Return the state after a flow that was computed elsewhere.
 
@@ -213,13 +267,14 @@ class TSObserver:
             duration: Length of the step [s].
             certified: Answer of `stays_certified` for the step.
             hand_over: Whether the certified gain may take over here.
+            gap: In a gap, the covariance with that of the torque.
         """
         if certified:
             return ObserverState(x, self.certified.X, 0.0, True, False)
         settling = max(0.0, state.settling - duration)
         if hand_over and self._covers(covariance, settling):
-            return ObserverState(x, self.certified.X, 0.0, True, False)
-        return ObserverState(x, covariance, settling, False, False)
+            return ObserverState(x, self.certified.X, 0.0, True, False, gap)
+        return ObserverState(x, covariance, settling, False, False, gap)
 
     def extrapolate(self, state: ObserverState, u: Array, duration: float) -> ObserverState:
         """Predict to a time between samples, for an estimate that is asked for there.
@@ -230,8 +285,7 @@ class TSObserver:
         if self.stays_certified(state, duration, between_samples=True):
             x = self.flow.predict(state.x, u, duration)
             return ObserverState(x, self.certified.X, 0.0, True, False)
-        x, covariance = self.flow.predict_with_covariance(state.x, state.covariance, u, duration)
-        return self.moved(state, x, covariance, duration, certified=False, hand_over=False)
+        return self._flowed(state, u, duration, hand_over=False)
 
     def reopened(self, state: ObserverState, variance: Array, duration: float) -> ObserverState:
         """Return the state with more uncertainty, for a change that the model does not foresee.

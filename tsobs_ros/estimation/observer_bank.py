@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Certified observers of several joints, each with its own design, as one set of operations."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from tsobs_ros.estimation.observer import ObserverState, TSObserver
 from tsobs_ros.estimation.output_model import OutputModel
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.flow_bank import FlowBank
+from tsobs_ros.model.gap_flow import UNHEARD, narrowed, widened
 from tsobs_ros.model.products import mapped
 
 
@@ -21,6 +22,7 @@ class ObserverBank(Bank[TSObserver]):
 
     Attributes:
         flow: Prediction models, stacked.
+        gap_flow: Those of gaps, stacked, if every member has one.
         output: Output models, stacked.
     """
 
@@ -29,6 +31,8 @@ class ObserverBank(Bank[TSObserver]):
         self.flow = FlowBank(
             [observer.flow for observer in observers if isinstance(observer.flow, ArmFlow)]
         )
+        gap_flows = [observer.gap_flow for observer in observers if observer.gap_flow is not None]
+        self.gap_flow = FlowBank(gap_flows) if len(gap_flows) == len(observers) else None
         self.output = OutputModel.stack([observer.output for observer in observers])
         self._K = np.array([observer.certified.K for observer in observers])
 
@@ -92,21 +96,28 @@ class ObserverBank(Bank[TSObserver]):
         *,
         between_samples: bool,
     ) -> list[ObserverState]:
+        hand_over = not between_samples
+
         def move(members: Members) -> list[ObserverState]:
             part, before, certified = self.only(members), of(members, states), covered[members[0]]
             x, torque = _estimates(before), np.array(of(members, u))
-            covariances = [state.covariance for state in before]
+            covariances: Iterable[Array] = [state.covariance for state in before]
+            after: Iterable[Array | None] = [None] * len(before)
             if certified:
                 x = part.flow.predict(x, torque, duration)
+            elif gaps[members[0]] is None or part.gap_flow is None:
+                spreads = np.array(covariances)
+                x, covariances = part.flow.predict_with_covariance(x, spreads, torque, duration)
             else:
-                x, spreads = part.flow.predict_with_covariance(
-                    x, np.array(covariances), torque, duration
+                spreads = np.array(of(members, gaps))
+                x, after = part.gap_flow.predict_with_covariance(
+                    widened(x), spreads, torque, duration
                 )
-                covariances = list(spreads)
+                x, covariances = x[..., :-UNHEARD], narrowed(after)
             return [
-                observer.moved(state, after, covariance, duration, certified, not between_samples)
-                for observer, state, after, covariance in zip(
-                    part.observers, before, x, covariances, strict=True
+                observer.moved(state, own, covariance, duration, certified, hand_over, gap)
+                for observer, state, own, covariance, gap in zip(
+                    part.observers, before, x, covariances, after, strict=True
                 )
             ]
 
@@ -114,7 +125,14 @@ class ObserverBank(Bank[TSObserver]):
             observer.stays_certified(state, duration, between_samples=between_samples)
             for observer, state in zip(self.observers, states, strict=True)
         ]
-        return in_groups(covered, move)
+        if all(covered):
+            return move(tuple(range(len(covered))))
+        gaps = [
+            None if settled else observer.gap(state, duration)
+            for observer, state, settled in zip(self.observers, states, covered, strict=True)
+        ]
+        keys = [(settled, gap is None) for settled, gap in zip(covered, gaps, strict=True)]
+        return in_groups(keys, move)
 
 
 def _estimates(states: Sequence[ObserverState]) -> Array:

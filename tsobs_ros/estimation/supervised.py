@@ -114,7 +114,9 @@ class SupervisedObserver:
         sample = float(y[0])
         repeats = state.repeats + 1 if sample == state.y else 0
         if 0 < self._options.stuck_samples <= repeats:
-            return state._replace(y=sample, repeats=repeats), correction._replace(weight=0.0), None
+            inner = self.observer.heard(state.inner)
+            state = state._replace(inner=inner, y=sample, repeats=repeats)
+            return state, correction._replace(weight=0.0), None
         normalised = float(correction.innovation[0]) / float(correction.spread[0, 0]) ** 0.5
         watch, verdict = judge(state.watch, normalised, self._period, self._options)
         # Made whole: replacing single fields of so many takes several times as long.
@@ -131,7 +133,9 @@ class SupervisedObserver:
         if verdict.weight < 1.0:
             state = state._replace(outliers=state.outliers + 1)
             correction = correction._replace(weight=verdict.weight)
-        return state, correction, verdict if verdict.weight > 0.0 else None
+        if verdict.weight > 0.0:
+            return state, correction, verdict
+        return state._replace(inner=self.observer.heard(state.inner)), correction, None
 
     def learns(self, state: SupervisedState) -> bool:
         """Return whether parameters may be learnt from the next correction."""

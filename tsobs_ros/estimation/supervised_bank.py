@@ -26,7 +26,8 @@ def structure(estimator: Any) -> Hashable | None:
     if type(observer) is not TSObserver or type(observer.flow) is not ArmFlow:
         return None
     flow = observer.flow
-    return flow.period, flow.state_count, type(learner), parameters
+    in_gaps = observer.gap_flow is None
+    return flow.period, flow.state_count, type(learner), parameters, in_gaps
 
 
 class SupervisedBank(Bank[SupervisedObserver]):

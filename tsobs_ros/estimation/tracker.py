@@ -265,6 +265,9 @@ class Tracker(Generic[S]):
         taken, state = 0, step.state
         if self._coasted is not None and self._coasted[0] is step and self._coasted[1] <= whole:
             _, taken, state = self._coasted
+        if taken == 0:
+            # At once, which tells the estimator that this is no regular step.
+            taken, state = 2, self.estimator.predict(state, step.measurement.u, 2.0 * period)
         for _ in range(whole - taken):
             state = self.estimator.predict(state, step.measurement.u, period)
         self._coasted = (step, whole, state)

@@ -85,7 +85,8 @@ class ArmFlow:
                 f"disturbance: expected one channel, the measured angle's, "
                 f"got {disturbance.channel_count}"
             )
-        torque = np.vstack([arm.input_matrix, np.zeros((disturbance.state_count, 1))])
+        torque = np.zeros((self.state_count, 1))
+        torque[:4] = arm.input_matrix
         self.linear = LinearFlow(self.drift, torque, self._noise_density(), self.period)
         self._transitions: dict[float, Transition] = {}
         self.nominal = self.transition(self.period)

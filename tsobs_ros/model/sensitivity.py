@@ -14,6 +14,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.model.gap_flow import UNHEARD, GapFlow
 from tsobs_ros.model.matrix_uncertainty import MatrixUncertainty
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.uncertainty import ArmUncertainty
@@ -91,6 +92,7 @@ class ArmSensitivity:
     def __init__(self, flow: ArmFlow, uncertainty: ArmUncertainty) -> None:
         self._flow = flow
         self._identity = np.eye(flow.state_count)
+        self._unheard = flow.state_count - UNHEARD if isinstance(flow, GapFlow) else None
         # What θ = 1 adds to both accelerations, by x, by sin x₁ and by u: one row a parameter.
         parts = (uncertainty.linear.reshape(-1, 8), uncertainty.sine, uncertainty.torque)
         self._effects = np.hstack(parts)
@@ -118,21 +120,26 @@ class ArmSensitivity:
             half_kick = float(step.half_kick)
             slopes = _kick(columns, total, rows, torque, half_kick)
             if covariance is not None:
-                onward = step.phi @ self._jacobian(slopes)
+                onward = step.phi @ self._jacobian(slopes, total)
                 covariance = onward @ covariance @ onward.T + step.noise
             moved = np.array(columns).dot(step.phi.T)
             moved[0] += step.gamma[:, 0] * torque
             columns = moved.tolist()
             slopes = _kick(columns, total, rows, torque, half_kick)
             if covariance is not None:
-                after = self._jacobian(slopes)
+                after = self._jacobian(slopes, total)
                 covariance = after @ covariance @ after.T
         joined = np.array(columns)
         return joined[0], joined[1:].T, covariance
 
-    def _jacobian(self, slopes: tuple[tuple[float, ...], tuple[float, ...]]) -> Array:
+    def _jacobian(
+        self, slopes: tuple[tuple[float, ...], tuple[float, ...]], total: list[float]
+    ) -> Array:
         jacobian = self._identity.copy()
         jacobian[_VELOCITIES, :4] += slopes
+        if self._unheard is not None:
+            # What θ̂ does to the torque, it does to what is not heard of it.
+            jacobian[_VELOCITIES, self._unheard] = total[-2:]
         return jacobian
 
 

@@ -62,7 +62,9 @@ def make_estimator(design: Design, parameters: ObserverParameters) -> Estimator[
     request = design.request
     if parameters.method == "certified":
         mode = GainMode(parameters.gain_mode)
-        supervised = design.supervised(parameters.settle_time, mode, parameters.adapt)
+        supervised = design.supervised(
+            parameters.settle_time, mode, parameters.adapt, parameters.torque_rate
+        )
         supervised.options = parameters.supervision.options()
         return supervised
     common = (request.period, request.measurement_std)

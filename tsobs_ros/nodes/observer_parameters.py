@@ -5,6 +5,7 @@
 from dataclasses import asdict, dataclass
 
 from tsobs_ros.errors import ParameterError
+from tsobs_ros.estimation.observer import TORQUE_RATE
 from tsobs_ros.estimation.supervision import SupervisionOptions
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import parameter, parameter_group
@@ -134,6 +135,15 @@ class ObserverParameters(ManagedParameters):
         unit="s",
         minimum=0.0,
         maximum=600.0,
+        read_only=True,
+    )
+    torque_rate: float = parameter(
+        TORQUE_RATE,
+        "1 sigma of the rate at which the torque may move while nothing is heard of it; 0: the "
+        "last one is taken to hold",
+        unit="N m/s",
+        minimum=0.0,
+        maximum=1e6,
         read_only=True,
     )
     adapt: bool = parameter(

@@ -1,0 +1,156 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Gaps in the measurements, during which the torque goes on changing as u = sin t."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tsobs_ros.checks import Array
+from tsobs_ros.design.file import load_design
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.ts_file import load_ts_request
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.observer import CertifiedGain, TSObserver
+from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Measurement, RejectReason
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.model.gap_flow import narrowed
+from tsobs_ros.resources import config_path
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+
+DESIGN = load_design(config_path("elastic_joint.design.yaml"))
+ADAPTIVE = load_design(config_path("elastic_joint_adaptive.design.yaml"))
+SCENARIO = SCENARIOS["noise"]
+STARTS = [1800, 1920, 2040, 2160]
+"""Samples at which the gap begins in each run: at four parts of the torque's turn."""
+RUN = simulate(SCENARIO, list(range(len(STARTS))), 16.0)
+TRUTH = SCENARIO.arm.to_physical(RUN.states)
+T = DESIGN.request.period
+PERIOD, BEGIN = round(T * NANOSECONDS), 10**12
+
+
+def stamp_of(index: int) -> int:
+    return BEGIN + index * PERIOD
+
+
+def sample(run: int, index: int) -> Measurement:
+    return Measurement(stamp_of(index), RUN.measurements[run, index], RUN.torques[run, index])
+
+
+def tracker_of(design: Design, torque_rate: float = 1.0) -> Tracker[Any]:
+    return Tracker(design.supervised(torque_rate=torque_rate), TrackerOptions(design.request.x_max))
+
+
+def feed(tracker: Tracker[Any], run: int, begin: int, end: int) -> None:
+    for index in range(begin, end):
+        tracker.offer(sample(run, index), stamp_of(index))
+
+
+def estimate(tracker: Tracker[Any], index: int) -> Estimate:
+    found = tracker.estimate(stamp_of(index))
+    assert found is not None
+    return found
+
+
+def sigmas(found: Estimate, run: int, index: int) -> Array:
+    return np.abs(found.state - TRUTH[run, index]) / found.state_bound
+
+
+@pytest.mark.parametrize("design", [DESIGN, ADAPTIVE], ids=["shipped", "adaptive"])
+def test_the_bound_covers_the_error_in_gaps_and_after_them(design: Design) -> None:
+    """Of 0.02 to 3 s; and it is not called certified before the covariance is covered."""
+    settled = {}
+    for run, begin in enumerate(STARTS):
+        tracker = tracker_of(design)
+        feed(tracker, run, 0, begin)
+        settled[run] = estimate(tracker, begin - 1).certified, tracker._history.last
+    for gap in (4, 40, 100, 200, 400, 600):
+        errors = []
+        for run, begin in enumerate(STARTS):
+            tracker = tracker_of(design)
+            certified, last = settled[run]
+            assert certified == (design is DESIGN)
+            assert last is not None
+            tracker._history.append(last)
+            again = begin + gap
+            for index in range(begin + 1, again, max(1, gap // 10)):
+                found = estimate(tracker, index)
+                assert not found.certified
+                errors.append(sigmas(found, run, index))
+            for index in range(again, again + 200):
+                feed(tracker, run, index, index + 1)
+                if (index - again) % 10 == 0:
+                    found = estimate(tracker, index)
+                    state = tracker._history.last.state.inner
+                    covered = getattr(state, "observer", state).certified
+                    assert found.certified == (covered and design is DESIGN)
+                    errors.append(sigmas(found, run, index))
+        assert np.median(np.max(errors, axis=1)) < 2.0
+        assert np.quantile(errors, 0.95) < 3.0
+
+
+def test_a_torque_that_is_taken_to_hold_leaves_the_bound_as_it_was() -> None:
+    held, moving = tracker_of(DESIGN, 0.0), tracker_of(DESIGN)
+    for tracker in (held, moving):
+        feed(tracker, 0, 0, 1800)
+    for index in (1800, 1900, 2000):
+        one, other = estimate(held, index), estimate(moving, index)
+        np.testing.assert_allclose(one.state, other.state, rtol=1e-9, atol=1e-12)
+        assert (one.state_bound <= other.state_bound).all()
+    assert (estimate(held, 2000).state_bound < 0.3 * estimate(moving, 2000).state_bound).all()
+
+
+def test_without_gaps_nothing_of_it_is_computed() -> None:
+    held, moving = tracker_of(DESIGN, 0.0), tracker_of(DESIGN)
+    for index in range(600):
+        one = held.offer(sample(0, index), stamp_of(index))
+        other = moving.offer(sample(0, index), stamp_of(index))
+        assert str(one) == str(other)
+        ends = estimate(held, index + 1), estimate(moving, index + 1)
+        assert ends[0].state.tobytes() == ends[1].state.tobytes()
+        assert ends[0].state_bound.tobytes() == ends[1].state_bound.tobytes()
+    assert moving._history.last is not None
+    assert moving._history.last.state.inner.gap is None
+
+
+def test_a_torque_is_known_even_where_its_angle_is_not_believed() -> None:
+    """A sensor that is stuck after a gap: no gap any more, only no angle."""
+    tracker = tracker_of(DESIGN)
+    feed(tracker, 0, 0, 1000)
+    stuck = RUN.measurements[0, 999]
+    outcomes = []
+    for index in (*range(1000, 1030), *range(1060, 1090)):
+        given = Measurement(stamp_of(index), stuck, RUN.torques[0, index])
+        outcomes.append(tracker.offer(given, stamp_of(index)))
+        assert tracker._history.last is not None
+        assert tracker._history.last.state.inner.gap is None
+    assert outcomes[-30:] == [RejectReason.GATED] * 30
+    assert not estimate(tracker, 1090).certified
+
+
+def test_a_batch_goes_through_a_gap_as_each_of_it() -> None:
+    observer = DESIGN.observer()
+    x = np.linspace(-0.3, 0.3, 10).reshape(2, 5)
+    together = observer.initial((2,))._replace(x=x)
+    u = np.array([[0.5], [-1.0]])
+    together = observer.predict(observer.predict(together, u, 0.3), u, T)
+    assert together.gap is not None
+    assert (together.covariance == narrowed(together.gap)).all()
+    for place in range(2):
+        alone = observer.initial()._replace(x=x[place])
+        alone = observer.predict(observer.predict(alone, u[place], 0.3), u[place], T)
+        np.testing.assert_allclose(together.x[place], alone.x, rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(together.covariance[place], alone.covariance, rtol=1e-9)
+
+
+def test_a_torque_rate_must_make_sense() -> None:
+    with pytest.raises(ModelError, match=r"torque_rate: expected a finite number .* got -1"):
+        DESIGN.observer(torque_rate=-1.0)
+    request = load_ts_request(config_path("ts_example.request.yaml"))
+    n, p = request.flow.state_count, len(request.flow.output_matrix)
+    gain = CertifiedGain(np.zeros((n, p)), np.eye(n))
+    known = TSObserver(request.flow, np.eye(p), np.eye(n), gain)
+    assert known.gap_flow is None
+    with pytest.raises(ModelError, match=r"torque_rate: expected 0 for any system but an arm"):
+        TSObserver(request.flow, np.eye(p), np.eye(n), gain, torque_rate=1.0)
