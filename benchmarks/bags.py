@@ -24,9 +24,9 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagReader, BagWriter
-from tsobs_ros.bag._file import CHUNK_SIZE
+from tsobs_ros.bag.bag_file import CHUNK_SIZE
 from tsobs_ros.bag.definitions import find_definition
-from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.recovery import recover
 from tsobs_ros.bag.verification import verify
 

@@ -138,7 +138,7 @@ def _sensor(rate: float, joints: int) -> None:
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import JointState
 
-    from tsobs_ros.bag.joint_states import JointStateEncoder
+    from tsobs_ros.bag.messages.joint_states import JointStateEncoder
     from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
     encode = JointStateEncoder(joint_names(joints))
@@ -167,7 +167,7 @@ def _listener() -> None:
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
-    from tsobs_ros.bag.joint_states import JointStateDecoder
+    from tsobs_ros.bag.messages.joint_states import JointStateDecoder
     from tsobs_ros.nodes.draining import DrainedSubscription
 
     rclpy.init()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.bag.joint_states import JointStateEncoder
+from tsobs_ros.bag.messages.joint_states import JointStateEncoder
 from tsobs_ros.cli import main
 from tsobs_ros.resources import config_path
 

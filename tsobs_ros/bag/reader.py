@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 from mcap.records import Schema
 
-from tsobs_ros.bag._index import RECOVER_HINT, FileIndex, Span, read_index, read_span
-from tsobs_ros.bag._messages import LOG_TIME, BagMessage, decode_messages
-from tsobs_ros.bag._order import Load, in_log_order, last_of_each
-from tsobs_ros.bag._records import RecordError
+from tsobs_ros.bag.mcap.index import RECOVER_HINT, FileIndex, Span, read_index, read_span
+from tsobs_ros.bag.mcap.messages import LOG_TIME, BagMessage, decode_messages
+from tsobs_ros.bag.mcap.order import Load, in_log_order, last_of_each
+from tsobs_ros.bag.mcap.records import RecordError
 from tsobs_ros.bag.metadata import BagMetadata, read_metadata
 from tsobs_ros.bag.topic_info import TopicInfo, describe_topic
 from tsobs_ros.errors import BagReadError

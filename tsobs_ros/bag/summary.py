@@ -9,14 +9,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.bag._destinations import KnownTopics
-from tsobs_ros.bag._files import find_files
-from tsobs_ros.bag._gaps import largest_gaps
-from tsobs_ros.bag._harvest import harvest
-from tsobs_ros.bag._survey import survey
+from tsobs_ros.bag.folder import find_files
+from tsobs_ros.bag.mcap.gaps import largest_gaps
 from tsobs_ros.bag.metadata import BagMetadata
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.recovery.destinations import KnownTopics
+from tsobs_ros.bag.recovery.harvest import harvest
+from tsobs_ros.bag.recovery.survey import survey
 from tsobs_ros.errors import BagReadError
 
 

@@ -9,7 +9,7 @@ from threading import Lock
 from types import TracebackType
 from typing import Self
 
-from tsobs_ros.bag._file import COMPRESSIONS, BagFile
+from tsobs_ros.bag.bag_file import COMPRESSIONS, BagFile
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,

@@ -5,7 +5,7 @@
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from tsobs_ros.bag.joint_states import JointState
+from tsobs_ros.bag.messages.joint_states import JointState
 from tsobs_ros.export.units import NONE, unit_of
 
 LONGEST_ROW = 64

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
+from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import BagReadError, MessageError
 from tsobs_ros.export.flatten import Cell, flatten, flatten_joint_state

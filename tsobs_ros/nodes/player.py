@@ -17,8 +17,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from tsobs_ros.bag.playback import Event, Playback
-from tsobs_ros.bag.playback_source import BagSource
+from tsobs_ros.bag.playback import BagSource, Event, Playback
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher

@@ -10,8 +10,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 
-from tsobs_ros.bag.recording import Recording
-from tsobs_ros.bag.snapshot import BufferedMessage
+from tsobs_ros.bag.recording import BufferedMessage, Recording
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.managed import ManagedNode

@@ -10,8 +10,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.losses import LossCounter
 from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.recording import LossCounter
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.message_types import message_class
 from tsobs_ros.nodes.recorder_selection import TopicSelection

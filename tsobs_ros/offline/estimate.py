@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.estimate_topics import (
+from tsobs_ros.bag.messages.estimate_topics import (
     DISTURBANCE,
     DISTURBANCE_BOUND,
     INNOVATION,
     STATE_BOUNDS,
     STATES,
 )
-from tsobs_ros.bag.joint_states import JOINT_STATE
+from tsobs_ros.bag.messages.joint_states import JOINT_STATE
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.checks import Array

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
+from tsobs_ros.bag.messages.joint_series import Flags, JointSeries, Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement, RejectReason
 

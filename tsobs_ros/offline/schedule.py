@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.joint_series import JointSeries, Times
+from tsobs_ros.bag.messages.joint_series import JointSeries, Times
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.offline.samples import Samples, passes
 

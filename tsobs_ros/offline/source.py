@@ -10,16 +10,16 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.definitions import MessageDefinition
-from tsobs_ros.bag.joint_series import (
+from tsobs_ros.bag.messages import estimate_topics as topics
+from tsobs_ros.bag.messages.joint_series import (
     JointSeries,
     Wanted,
     read_joint_series,
     require_joint_states,
     until_damage,
 )
-from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
+from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.errors import BagReadError

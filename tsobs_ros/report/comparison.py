@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tsobs_ros.bag.joint_series import JointSeries
+from tsobs_ros.bag.messages.joint_series import JointSeries
 from tsobs_ros.offline.estimate import Run
 from tsobs_ros.offline.samples import passes
 from tsobs_ros.offline.source import Source, Truth

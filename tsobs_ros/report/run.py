@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.bag.joint_series import Wanted, read_joint_series
-from tsobs_ros.bag.joint_states import JOINT_STATE
+from tsobs_ros.bag.messages.joint_series import Wanted, read_joint_series
+from tsobs_ros.bag.messages.joint_states import JOINT_STATE
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError

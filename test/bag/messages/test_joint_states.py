@@ -1,0 +1,190 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""JointStates in CDR: what rosbags and rclpy make of them, and what is refused."""
+
+import contextlib
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import JointState as RosJointState
+
+from tsobs_ros.bag.messages.joint_states import JointState, JointStateDecoder, JointStateEncoder
+from tsobs_ros.errors import MessageError
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+NUMBERS = st.lists(st.floats(width=64, allow_nan=False), max_size=8)
+NAMES = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
+MESSAGES = st.builds(
+    JointState,
+    stamp=st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1),
+    names=st.lists(NAMES, max_size=8).map(tuple),
+    position=NUMBERS.map(tuple),
+    velocity=NUMBERS.map(tuple),
+    effort=NUMBERS.map(tuple),
+    frame_id=NAMES,
+)
+EXAMPLE = JointState(5_000_000_007, ("elastic_joint",), (1.5,), (), (-2.0,), "base")
+
+
+def encoded(message: JointState) -> bytes:
+    encode = JointStateEncoder(message.names, message.frame_id)
+    return encode(message.stamp, message.position, message.velocity, message.effort)
+
+
+def by_rosbags(message: JointState, little_endian: bool = True) -> bytes:
+    sec, nanosec = divmod(message.stamp, 10**9)
+    stamp = TYPES.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+    made = TYPES.types["sensor_msgs/msg/JointState"](
+        header=TYPES.types["std_msgs/msg/Header"](stamp=stamp, frame_id=message.frame_id),
+        name=list(message.names),
+        position=np.array(message.position, dtype=np.float64),
+        velocity=np.array(message.velocity, dtype=np.float64),
+        effort=np.array(message.effort, dtype=np.float64),
+    )
+    return bytes(
+        TYPES.serialize_cdr(made, "sensor_msgs/msg/JointState", little_endian=little_endian)
+    )
+
+
+def by_rclpy(message: JointState) -> bytes:
+    ros = RosJointState(name=list(message.names))
+    ros.header.frame_id = message.frame_id
+    ros.header.stamp.sec, ros.header.stamp.nanosec = divmod(message.stamp, 10**9)
+    ros.position, ros.velocity, ros.effort = map(list, message[2:5])
+    return bytes(serialize_message(ros))
+
+
+@given(MESSAGES)
+def test_a_message_has_the_bytes_that_rosbags_writes(message: JointState) -> None:
+    assert encoded(message) == by_rosbags(message)
+
+
+@given(MESSAGES)
+def test_a_message_has_the_bytes_that_rclpy_writes_without_what_lies_behind(
+    message: JointState,
+) -> None:
+    data, theirs = encoded(message), by_rclpy(message)
+
+    # Also padding, where rclpy leaves whatever its buffer held before.
+    assert len(data) <= len(theirs) <= len(data) + 16
+    back = deserialize_message(data, RosJointState)
+    assert by_rosbags(JointStateDecoder()(theirs)) == data
+    assert (back.name, list(back.position)) == (list(message.names), list(message.position))
+
+
+@given(MESSAGES, st.booleans())
+def test_a_message_comes_back_in_either_byte_order(message: JointState, little: bool) -> None:
+    decode = JointStateDecoder()
+    data = by_rosbags(message, little)
+
+    assert decode(data) == message
+    assert decode(data) == message
+
+
+@given(st.lists(st.tuples(MESSAGES, st.booleans()), max_size=12), st.integers(1, 3))
+def test_many_messages_decoded_at_once_are_those_decoded_one_by_one(items, copies: int) -> None:
+    messages = [message for message, _ in items] * copies
+    data = [by_rosbags(message, little) for message, little in items] * copies
+    data.insert(len(data) // 2, b"\0\1\0\0 no message")
+
+    groups, malformed = JointStateDecoder().decode_all(data)
+
+    assert list(malformed) == [len(messages) // 2]
+    back: dict[int, JointState] = {}
+    for group in groups:
+        assert np.all(np.diff(group.places) > 0)
+        for place, stamp, *arrays in zip(
+            group.places, group.stamps, group.position, group.velocity, group.effort, strict=True
+        ):
+            numbers = [tuple(array.tolist()) for array in arrays]
+            back[int(place)] = JointState(int(stamp), group.names, *numbers)
+    assert [back[place]._replace(frame_id="") for place in sorted(back)] == [
+        message._replace(frame_id="") for message in messages
+    ]
+
+
+def test_messages_of_the_same_joints_are_one_group() -> None:
+    encode = JointStateEncoder(["a", "b"])
+    data = [encode(stamp, [1.0, 2.0], (), [stamp, 0.0]) for stamp in range(5)]
+
+    (group,), malformed = JointStateDecoder().decode_all(data)
+
+    assert not malformed
+    assert group.names == ("a", "b")
+    assert group.stamps.tolist() == [0, 1, 2, 3, 4]
+    assert group.velocity.shape == (5, 0)
+    assert group.effort[:, 0].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+
+
+@given(MESSAGES, st.lists(st.integers(-(2**61), 2**60), min_size=1, max_size=4))
+def test_many_messages_encoded_at_once_are_those_encoded_one_by_one(message, stamps) -> None:
+    encode = JointStateEncoder(message.names, message.frame_id)
+    arrays = [np.array([numbers] * len(stamps)) for numbers in message[2:5]]
+
+    assert encode.encode_all(np.array(stamps), *arrays) == [
+        encode(stamp, *message[2:5]) for stamp in stamps
+    ]
+
+
+def test_not_a_number_and_infinity_keep_their_bits() -> None:
+    payload = struct.unpack("<d", bytes.fromhex("010000000000f87f"))[0]
+    message = EXAMPLE._replace(position=(payload,), effort=(-np.inf,))
+
+    back = JointStateDecoder()(encoded(message))
+
+    assert struct.pack("<2d", *back.position, *back.effort) == struct.pack("<2d", payload, -np.inf)
+
+
+def test_padding_and_options_of_other_writers_are_not_looked_at() -> None:
+    plain = JointState(7, ("ab",), (1.0,), (), (2.0,))
+    data = bytearray(encoded(plain))
+    data[3] = 1
+    data[31] = 0xAA  # behind "ab"
+    decode = JointStateDecoder()
+
+    assert decode(bytes(data)) == plain
+    (group,), _ = decode.decode_all([bytes(data)])
+    assert group.position.tolist() == [[1.0]]
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        (lambda d: b"", "0 bytes are too few"),
+        (lambda d: b"\x00\x03" + d[2:], "encoding 0x0003 is not plain CDR"),
+        (lambda d: d[:8], "header.stamp: expected 8 bytes at 4"),
+        (lambda d: d[:12] + b"\xff\xff\xff\x7f" + d[16:], "header.frame_id: 2147483647 elements"),
+        (lambda d: d.replace(b"base\0", b"base!"), "header.frame_id: .* does not end in a zero"),
+        (lambda d: d.replace(b"elastic", b"\xff\xfeastic"), "name: .* not UTF-8"),
+        (lambda d: d[:-8], r"effort: expected 8 bytes at \d+, but the message ends after 0"),
+        (lambda d: d[:-13], "velocity: expected 4 bytes"),
+        (lambda d: d + bytes(17), r"17 bytes are left at \d+, after the effort"),
+    ],
+)
+def test_what_is_no_message_is_refused_with_its_place(change, match: str) -> None:
+    data = encoded(EXAMPLE)
+    decode = JointStateDecoder()
+    assert decode(data) == EXAMPLE
+
+    with pytest.raises(MessageError, match=match):
+        decode(change(data))
+    assert decode(data) == EXAMPLE
+
+
+@given(st.binary(max_size=120))
+def test_any_bytes_are_a_message_or_refused(data: bytes) -> None:
+    with contextlib.suppress(MessageError):
+        JointStateDecoder()(b"\0\1\0\0" + data)
+
+
+@pytest.mark.parametrize("stamp", [2**31 * 10**9, -(2**31) * 10**9 - 1])
+def test_a_stamp_that_no_message_can_hold_is_refused(stamp: int) -> None:
+    with pytest.raises(MessageError, match=f"stamp {stamp} ns"):
+        JointStateEncoder(["a"])(stamp)
+    with pytest.raises(MessageError, match=f"stamp {stamp} ns"):
+        JointStateEncoder(["a"]).encode_all(np.array([0, stamp]))

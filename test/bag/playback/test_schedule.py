@@ -1,0 +1,371 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What is played when: in order, complete, without drift, whenever the caller comes."""
+
+from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tsobs_ros.bag.playback.schedule import (
+    LONGEST_LAG,
+    NEVER,
+    SHORTEST_PASS,
+    Event,
+    Playback,
+    Timeline,
+)
+from tsobs_ros.bag.reader import BagMessage
+
+MS = 1_000_000
+S = 1_000 * MS
+# Bag time is far from zero and from steady time, as it is in life.
+START = 1_700_000_000 * S
+NOW = 5_000 * S
+
+rates = st.floats(0.01, 100.0)
+times = st.integers(0, 10**15)
+
+
+def message(offset: int, topic: str = "/a") -> BagMessage:
+    return BagMessage(topic, "std_msgs/msg/String", b"", START + offset, START + offset)
+
+
+class Bag:
+    """Messages in memory; those of /latched before where reading begins come first."""
+
+    def __init__(self, messages: Sequence[BagMessage]) -> None:
+        self.messages = sorted(messages, key=lambda m: m.log_time)
+        self.reads: list[tuple[int, bool]] = []
+
+    def read(self, time: int, again: bool) -> Iterator[BagMessage | None]:
+        self.reads.append((time - START, again))
+        return self._read(time, again)
+
+    def _read(self, time: int, again: bool) -> Iterator[BagMessage | None]:
+        while True:
+            before = [m for m in self.messages if m.log_time < time]
+            yield from [m for m in before if m.topic == "/latched"][-1:]
+            yield from (m for m in self.messages if m.log_time >= time)
+            yield None
+            if not again:
+                return
+            time = START
+
+    def playback(self, **options: float) -> Playback:
+        end = max((m.log_time for m in self.messages), default=START)
+        playback = Playback(self.read, START, end, **options)  # type: ignore[arg-type]
+        playback.seek(START, NOW)
+        return playback
+
+
+def play(playback: Playback, until: int, step: Callable[[int], int] = lambda _: 0) -> list[Event]:
+    """Take what is due, waking up when told to plus something, until a time or the end."""
+    events, now = [], NOW
+    playback.resume(now)
+    while not playback.ended:
+        while (event := playback.take(now)) is not None:
+            events.append(event)
+        wait = playback.wait(now)
+        if now + wait > until:
+            break
+        now += wait + step(now)
+    return events
+
+
+def played(events: Sequence[Event]) -> list[int]:
+    return [e.message.log_time - START for e in events if e.message is not None]
+
+
+def ticks(events: Sequence[Event]) -> list[int]:
+    return [e.time - START for e in events if e.message is None]
+
+
+@given(rates, times, times, st.integers(0, 10**14))
+def test_a_bag_time_is_due_when_it_is_reached_and_not_before(rate, time, steady, ahead) -> None:
+    timeline = Timeline(time, rate)
+    timeline.anchor(time, steady)
+    timeline.paused = False
+
+    due = timeline.due(time + ahead)
+
+    assert timeline.at(due) >= time + ahead
+    assert ahead == 0 or timeline.at(due - 1) < time + ahead
+    exact = steady + Fraction(ahead) / Fraction(rate)
+    assert 0 <= due - exact < 1
+
+
+def test_a_paused_timeline_stands_still() -> None:
+    timeline = Timeline(7)
+
+    assert timeline.at(10**18) == 7
+    assert timeline.due(7) == NEVER
+
+
+@given(
+    st.lists(st.integers(0, 3 * S), min_size=1, max_size=40),
+    rates,
+    st.sampled_from([0.0, 40.0, 997.0]),
+    st.lists(st.integers(0, 50 * MS), min_size=1),
+)
+def test_all_is_played_once_in_order_and_on_time_whenever_the_caller_comes(
+    offsets, rate, clock_rate, delays
+) -> None:
+    bag = Bag([message(offset) for offset in offsets])
+    playback = bag.playback(rate=rate, clock_rate=clock_rate if rate > 0.5 else 0.0)
+    late = iter(delays * 100_000)
+
+    events = play(playback, NEVER, lambda _: next(late))
+
+    assert played(events) == sorted(offsets)
+    assert all(first.due <= second.due for first, second in pairwise(events))
+    assert all(first.time <= second.time for first, second in pairwise(events))
+    for event in events:
+        if event.message is not None:
+            exact = NOW + Fraction(event.message.log_time - START) / Fraction(rate)
+            assert 0 <= event.due - exact < 1
+    assert playback.held_back == 0
+    assert playback.position(NOW) == START + max(offsets)
+
+
+def test_the_clock_ticks_on_a_grid_of_its_own_and_never_ahead_of_a_message() -> None:
+    events = play(Bag([message(0), message(95 * MS)]).playback(clock_rate=100.0), NEVER)
+
+    assert ticks(events) == [10 * k * MS for k in range(10)]
+    assert [e.message is None for e in events[:2]] == [True, False]
+
+
+def test_at_a_rate_the_clock_ticks_as_often_and_farther() -> None:
+    events = play(Bag([message(0), message(95 * MS)]).playback(clock_rate=100.0, rate=2.0), NEVER)
+
+    assert ticks(events) == [0, 20 * MS, 40 * MS, 60 * MS, 80 * MS]
+    assert [e.due - NOW for e in events if e.message is None] == [10 * k * MS for k in range(5)]
+
+
+def test_a_clock_at_a_third_of_a_hertz_does_not_drift() -> None:
+    events = play(Bag([message(0), message(3000 * S)]).playback(clock_rate=1 / 3), NEVER)
+
+    assert len(ticks(events)) == 1001
+    assert ticks(events)[-1] == pytest.approx(3000 * S, abs=1)
+
+
+def test_a_pause_stops_messages_and_the_clock_goes_on_to_say_the_same() -> None:
+    playback = Bag([message(0), message(30 * MS)]).playback(clock_rate=100.0)
+    playback.resume(NOW)
+    while playback.take(NOW + 15 * MS):
+        pass
+    playback.pause(NOW + 15 * MS)
+
+    paused = [playback.take(NOW + S) for _ in range(98)]
+    assert {event.time - START for event in paused if event} == {15 * MS}
+    assert playback.position(NOW + S) == START + 15 * MS
+
+    now = NOW + S + 500 * MS
+    playback.resume(now)
+    while (event := playback.take(now + 15 * MS)) and event.message is None:
+        pass
+    assert event is not None
+    assert event.due == now + 15 * MS
+
+
+def test_being_away_in_a_pause_holds_nothing_back() -> None:
+    playback = Bag([message(0), message(S)]).playback(clock_rate=100.0)
+
+    assert playback.take(NOW + 60 * S) == (NOW + 60 * S, START, None)
+    assert playback.take(NOW + 60 * S) is None
+    assert playback.held_back == 0
+
+
+def test_what_nobody_took_in_a_pause_is_due_at_its_end() -> None:
+    latched = message(0, "/latched")
+    playback = Bag([latched, message(S)]).playback(clock_rate=100.0)
+    playback.seek(START + 5 * MS, NOW)
+
+    playback.resume(NOW + 60 * S)
+
+    assert playback.take(NOW + 60 * S) == (NOW + 60 * S, START + 5 * MS, None)
+    assert playback.take(NOW + 60 * S) == (NOW + 60 * S, START + 5 * MS, latched)
+    assert playback.take(NOW + 60 * S) is None
+    assert playback.wait(NOW + 60 * S) == 10 * MS
+    assert playback.held_back == 0
+
+
+def test_pausing_late_passes_over_nothing() -> None:
+    playback = Bag([message(0), message(10 * MS), message(20 * MS)]).playback()
+    playback.resume(NOW)
+    assert played([playback.take(NOW)]) == [0]  # type: ignore[list-item]
+
+    playback.pause(NOW + 25 * MS)
+
+    assert playback.position(NOW + 25 * MS) == START + 10 * MS
+    playback.resume(NOW + S)
+    event = playback.take(NOW + S)
+    assert event is not None
+    assert (event.due, event.time) == (NOW + S, START + 10 * MS)
+
+
+@given(st.lists(st.tuples(rates, st.integers(0, 10 * MS)), max_size=50))
+def test_changing_the_rate_neither_jumps_nor_drifts(changes) -> None:
+    playback = Bag([message(0), message(10**6 * S)]).playback()
+    playback.resume(NOW)
+    assert playback.take(NOW)
+    now, expected, rate = NOW, Fraction(START), 1.0
+
+    for new_rate, after in changes:
+        now += after
+        expected += after * Fraction(rate)
+        assert abs(playback.position(now) - expected) <= len(changes) + 1
+        playback.set_rate(new_rate, now)
+        rate = new_rate
+
+
+def test_steps_play_one_message_each_with_the_clock_before_it() -> None:
+    playback = Bag([message(0), message(5 * MS), message(5 * MS)]).playback(clock_rate=1.0)
+    assert playback.take(NOW) == (NOW, START, None)
+
+    assert playback.step(NOW + 1)[0] == (NOW + 1, START, None)
+    assert [e.time - START for e in playback.step(NOW + 2)] == [5 * MS, 5 * MS]
+    assert playback.position(NOW + 3) == START + 5 * MS
+    assert played(playback.step(NOW + 3)) == [5 * MS]
+    assert playback.step(NOW + 4) == []
+    assert not playback.ended
+
+    playback.resume(NOW + 5)
+    assert playback.step(NOW + 6) == []
+    assert playback.take(NOW + 5) is None
+    assert playback.ended
+
+
+def test_stepping_round_a_loop() -> None:
+    playback = Bag([message(0), message(5 * MS)]).playback(loop=True)
+
+    assert [played(playback.step(NOW)) for _ in range(5)] == [[0], [5 * MS], [0], [5 * MS], [0]]
+
+
+@pytest.mark.parametrize("target", [0, 3, 10, 15, 20, -1, 1000])
+def test_seeking_goes_to_the_messages_from_there_on(target: int) -> None:
+    bag = Bag([message(k * MS) for k in range(21)])
+    playback = bag.playback()
+    play(playback, NOW + 10 * MS)
+
+    playback.seek(START + target * MS, NOW + S)
+
+    there = min(max(target, 0), 20)
+    assert playback.paused
+    assert playback.position(NOW + 2 * S) == START + there * MS
+    assert played(play(playback, NEVER)) == [k * MS for k in range(there, 21)]
+
+
+def test_what_is_latched_comes_at_once_after_the_clock_even_in_a_pause() -> None:
+    latched = [message(k * MS, "/latched") for k in (1, 2, 8)]
+    playback = Bag([*latched, message(0), message(5 * MS)]).playback(clock_rate=1.0)
+
+    playback.seek(START + 4 * MS, NOW)
+
+    clock, first = playback.take(NOW), playback.take(NOW)
+    assert clock == (NOW, START + 4 * MS, None)
+    assert first == (NOW, START + 4 * MS, latched[1])
+    assert playback.take(NOW) is None
+    playback.resume(NOW + S)
+    assert playback.take(NOW + S - 1) is None
+    assert playback.wait(NOW + S) == 0  # the clock's second tick
+    assert playback.take(NOW + S) == (NOW + S, START + 4 * MS, None)
+    assert playback.wait(NOW + S) == MS
+
+
+@given(st.integers(1, 50), rates)
+def test_loops_do_not_drift(loops: int, rate: float) -> None:
+    length = 20 * S
+    playback = Bag([message(0), message(length)]).playback(rate=rate, loop=True)
+    playback.resume(NOW)
+    now = NOW
+    firsts = []
+
+    while len(firsts) <= loops:
+        if (event := playback.take(now)) is None:
+            now += playback.wait(now) + 70 * MS
+        elif event.time == START:
+            firsts.append(event.due)
+
+    for k, due in enumerate(firsts):
+        assert 0 <= due - (NOW + k * length / Fraction(rate)) <= k + 1
+
+
+def test_a_loop_reads_ahead_and_the_clock_jumps_back() -> None:
+    bag = Bag([message(0), message(25 * MS)])
+    events = play(bag.playback(clock_rate=100.0, loop=True), NOW + 40 * MS)
+
+    assert played(events) == [0, 25 * MS, 0]
+    assert ticks(events) == [0, 10 * MS, 20 * MS, 0, 10 * MS]
+    assert bag.reads == [(0, True)]
+
+
+def test_a_loop_may_be_wanted_or_not_until_the_last_moment() -> None:
+    bag = Bag([message(0), message(25 * MS)])
+    playback = bag.playback()
+    play(playback, NOW + 20 * MS)
+    playback.loop = True
+    assert played(play(playback, NOW + 60 * MS)) == [25 * MS, 0, 25 * MS, 0]
+    assert bag.reads == [(0, False), (0, True)]
+
+    playback.loop = False
+    assert played(play(playback, NEVER)) == [25 * MS]
+    assert playback.ended
+
+
+@pytest.mark.parametrize("messages", [[], [message(0)]])
+def test_a_loop_of_no_length_takes_its_time(messages: list[BagMessage]) -> None:
+    events = play(Bag(messages).playback(loop=True, rate=100.0), NOW + 10 * SHORTEST_PASS)
+
+    assert [e.due - NOW for e in events] == [k * SHORTEST_PASS for k in range(11)][: len(events)]
+    assert len(events) == 11 * len(messages)
+
+
+def test_a_short_stop_is_caught_up() -> None:
+    playback = Bag([message(k * 100 * MS) for k in range(20)]).playback()
+    playback.resume(NOW)
+
+    events = [playback.take(NOW + LONGEST_LAG) for _ in range(12)]
+
+    assert played([e for e in events if e]) == [k * 100 * MS for k in range(11)]
+    assert playback.held_back == 0
+
+
+def test_after_a_long_stop_playing_goes_on_from_there() -> None:
+    playback = Bag([message(k * 100 * MS) for k in range(20)]).playback(clock_rate=10.0)
+    playback.resume(NOW)
+    while playback.take(NOW):
+        pass
+
+    events = [playback.take(NOW + 60 * S) for _ in range(3)]
+
+    assert playback.held_back == 60 * S - 100 * MS
+    assert [(e.due, e.time) for e in events if e] == [(NOW + 60 * S, START + 100 * MS)] * 2
+    assert events[2] is None
+    assert playback.wait(NOW + 60 * S) == 100 * MS
+
+
+def test_the_end_may_be_after_the_last_message() -> None:
+    playback = Playback(Bag([message(0)]).read, START, START + 50 * MS, clock_rate=100.0)
+    playback.seek(START, NOW)
+
+    assert ticks(play(playback, NEVER)) == [10 * k * MS for k in range(6)]
+    assert playback.ended
+
+
+def test_what_reading_raises_comes_after_all_that_was_read() -> None:
+    def read(_time: int, _again: bool) -> Iterator[BagMessage | None]:
+        yield message(0)
+        yield message(MS)
+        raise OSError("the disk is gone")
+
+    playback = Playback(read, START, START + S)
+    playback.seek(START, NOW)
+    playback.resume(NOW)
+
+    assert played([e for e in [playback.take(NOW + MS) for _ in range(2)] if e]) == [0, MS]
+    with pytest.raises(OSError, match="gone"):
+        playback.take(NOW + MS)

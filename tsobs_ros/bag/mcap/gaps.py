@@ -1,0 +1,67 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The longest time between two messages of a topic, from the indexes of a bag's files alone."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsobs_ros.bag.mcap.index import FileIndex, read_times
+from tsobs_ros.bag.mcap.records import RecordError
+from tsobs_ros.errors import BagReadError
+
+
+class _Gap:
+    """The largest gap so far; the times that later chunks may still fall between are kept."""
+
+    def __init__(self) -> None:
+        self.largest = 0
+        self._open: NDArray[np.uint64] = np.empty(0, np.uint64)
+
+    def add(self, times: NDArray[np.uint64], start: int) -> None:
+        """Take the times of a chunk; no later chunk begins before this one's start."""
+        self._open = np.sort(np.concatenate((self._open, times)))
+        settled = int(np.searchsorted(self._open, np.uint64(start), side="right"))
+        self._measure(max(1, settled))
+
+    def finish(self) -> int:
+        """Return the largest gap of all."""
+        self._measure(self._open.size)
+        return self.largest
+
+    def _measure(self, end: int) -> None:
+        if end > 1:
+            self.largest = max(self.largest, int(np.diff(self._open[:end]).max()))
+        self._open = self._open[end - 1 :]
+
+
+def largest_gaps(indexes: Sequence[FileIndex]) -> dict[str, int]:
+    """Return the longest time between two messages of each topic, ns; 0 where there is only one.
+
+    Topics of files without message indexes are left out.
+
+    Args:
+        indexes: The indexes of the bag's files.
+
+    Raises:
+        BagReadError: An index is damaged.
+    """
+    gaps: dict[str, _Gap] = {}
+    spans = sorted((span for index in indexes for span in index.spans), key=lambda s: s.start)
+    unknown: set[str] = set()
+    for span in spans:
+        index = indexes[span.rank]
+        topics = {id_: channel.topic for id_, channel in index.channels.items()}
+        if not span.indexes:
+            unknown.update(topics.values())
+        try:
+            with index.path.open("rb") as stream:
+                size = index.path.stat().st_size
+                for channel, offset in span.indexes.items():
+                    times = read_times(stream, offset, size)
+                    if channel in topics and times.size:
+                        gaps.setdefault(topics[channel], _Gap()).add(times, span.start)
+        except (OSError, RecordError) as error:
+            raise BagReadError(f"{index.path}: {error}") from error
+    return {topic: gap.finish() for topic, gap in gaps.items() if topic not in unknown}

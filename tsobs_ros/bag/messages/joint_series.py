@@ -1,0 +1,171 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""JointState topics of a bag as arrays: one row a message, in the order of recording."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateDecoder, JointStates
+from tsobs_ros.bag.reader import BagMessage, BagReader
+from tsobs_ros.checks import Array
+from tsobs_ros.errors import BagReadError
+
+_BLOCK = 8192
+
+Times = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+class Wanted(NamedTuple):
+    """What to read off a topic's messages.
+
+    Attributes:
+        names: The joints.
+        fields: Of `position`, `velocity` and `effort`.
+    """
+
+    names: Sequence[str]
+    fields: Sequence[str]
+
+
+@dataclass(frozen=True)
+class JointSeries:
+    """A topic's messages, n of them.
+
+    Attributes:
+        stamps: Of their headers, ns since the epoch, shape (n,).
+        log_times: When they were received, ns since the epoch, shape (n,).
+        publish_times: When they were published, ns since the epoch, shape (n,).
+        values: NaN where a message has none, shape (n, names, fields).
+        named: Whether a message names the joint, shape (n, names).
+        given: Whether it has a value, NaN or not, shape (n, names, fields).
+        other_names: Joints that were named but not wanted, a few of them at most.
+    """
+
+    stamps: Times
+    log_times: Times
+    publish_times: Times
+    values: Array
+    named: Flags
+    given: Flags
+    other_names: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """The number of messages."""
+        return len(self.stamps)
+
+
+class _Builder:
+    """Gathers one topic's messages and turns them into arrays, a block at a time."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self._wanted = wanted
+        self._decoder = JointStateDecoder()
+        self._waiting: list[BagMessage] = []
+        self._blocks = [_empty(0, wanted)]
+        self._others: dict[str, None] = {}
+
+    def add(self, message: BagMessage) -> None:
+        self._waiting.append(message)
+        if len(self._waiting) >= _BLOCK:
+            self._decode()
+
+    def finish(self) -> JointSeries:
+        self._decode()
+        joined = {
+            field.name: np.concatenate([getattr(block, field.name) for block in self._blocks])
+            for field in fields(JointSeries)
+            if field.name != "other_names"
+        }
+        return JointSeries(**joined, other_names=tuple(self._others))
+
+    def _decode(self) -> None:
+        messages, self._waiting = self._waiting, []
+        block = _empty(len(messages), self._wanted)
+        block.log_times[:] = [message.log_time for message in messages]
+        block.publish_times[:] = [message.publish_time for message in messages]
+        # What is malformed names nobody, and so is no sample of anybody.
+        groups, _ = self._decoder.decode_all([message.data for message in messages])
+        for group in groups:
+            self._place(group, block)
+        self._blocks.append(block)
+
+    def _place(self, group: JointStates, block: JointSeries) -> None:
+        rows = group.places
+        block.stamps[rows] = group.stamps
+        for name in group.names:
+            if name not in self._wanted.names and len(self._others) < 32:
+                self._others[name] = None
+        for column, name in enumerate(self._wanted.names):
+            if name not in group.names:
+                continue
+            place = group.names.index(name)
+            block.named[rows, column] = True
+            for row, field in enumerate(self._wanted.fields):
+                numbers: Array = getattr(group, field)
+                if place < numbers.shape[1]:
+                    block.values[rows, column, row] = numbers[:, place]
+                    block.given[rows, column, row] = True
+
+
+def read_joint_series(
+    reader: BagReader,
+    wanted: Mapping[str, Wanted],
+    *,
+    on_damage: Callable[[BagReadError], None] | None = None,
+) -> dict[str, JointSeries]:
+    """Read some topics of a bag.
+
+    Args:
+        reader: The bag.
+        wanted: What to read of which topic.
+        on_damage: Told of damage to the bag, up to which everything is returned; else it is raised.
+
+    Raises:
+        BagReadError: The bag has no such topic, a topic is of another type, or it is damaged.
+    """
+    for name in wanted:
+        require_joint_states(reader, name)
+    builders = {name: _Builder(each) for name, each in wanted.items()}
+    for message in until_damage(reader.messages(list(wanted)), on_damage):
+        builders[message.topic].add(message)
+    return {name: builder.finish() for name, builder in builders.items()}
+
+
+def require_joint_states(reader: BagReader, topic: str) -> None:
+    """Raise `BagReadError` unless the bag has the topic, with JointStates on it."""
+    if topic not in reader.topics:
+        has = ", ".join(reader.topics) or "none"
+        raise BagReadError(f"{reader.path}: no topic {topic}; topics: {has}")
+    if (type_ := reader.topics[topic].type) != JOINT_STATE:
+        raise BagReadError(f"{reader.path}: {topic} is {type_}, expected {JOINT_STATE}")
+
+
+def until_damage(
+    messages: Iterable[BagMessage], on_damage: Callable[[BagReadError], None] | None
+) -> Iterator[BagMessage]:
+    """Yield messages until the bag turns out to be damaged, and tell of that."""
+    try:
+        yield from messages
+    except BagReadError as error:
+        if on_damage is None:
+            raise
+        on_damage(error)
+
+
+def _empty(count: int, wanted: Wanted) -> JointSeries:
+    shape = (count, len(wanted.names), len(wanted.fields))
+    return JointSeries(
+        stamps=np.zeros(count, np.int64),
+        log_times=np.zeros(count, np.int64),
+        publish_times=np.zeros(count, np.int64),
+        values=np.full(shape, np.nan),
+        named=np.zeros(shape[:2], np.bool_),
+        given=np.zeros(shape, np.bool_),
+        other_names=(),
+    )

@@ -1,0 +1,176 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""How long a message is by its definition: whether its bytes fit its type, without decoding it."""
+
+import re
+from collections.abc import Callable, Mapping
+from typing import NamedTuple, TypeAlias
+
+from tsobs_ros.bag.messages.cdr import HEADER, ORDERS
+from tsobs_ros.errors import MessageError
+
+_SEPARATOR = re.compile(r"^={80}\n", re.MULTILINE)
+_FIELD = re.compile(
+    r"(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?(?P<array>\[(?:<=)?(?P<size>\d*)\])?\s+"
+    r"[A-Za-z]\w*\s*(?P<constant>=)?",
+    re.ASCII,
+)
+_SIZES: Mapping[str, int] = {"bool": 1, "byte": 1, "char": 1, "float32": 4, "float64": 8} | {
+    f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+
+_Walk: TypeAlias = Callable[[bytes, int, str], int]
+"""Returns where a value ends that begins at a place; the text is the byte order."""
+
+
+class UnknownLayoutError(ValueError):
+    """A definition that is well formed, but whose messages cannot be measured."""
+
+
+class _Field(NamedTuple):
+    type: str
+    is_array: bool
+    size: int
+    """The number of elements of a fixed array; 0 for a sequence."""
+
+
+class MessageLayout:
+    """The layout of a type's messages.
+
+    Args:
+        type: The type, `package/msg/Type`.
+        text: Its definition with all it depends on, in `ros2msg`.
+
+    Raises:
+        UnknownLayoutError: The type has wide strings, which middlewares encode differently.
+        ValueError: The definition is malformed, or a type it uses is missing.
+    """
+
+    def __init__(self, type: str, text: str) -> None:
+        root, *others = _SEPARATOR.split(text)
+        self._texts = {_short(type): root}
+        for other in others:
+            head, _, body = other.partition("\n")
+            if not head.startswith("MSG: "):
+                raise ValueError(f"'{head[:60]}' is not 'MSG: package/Type'")
+            self._texts.setdefault(_short(head[5:].strip()), body)
+        self._walks: dict[str, _Walk] = {}
+        self._walk = self._struct(_short(type), ())
+
+    def check(self, data: bytes) -> None:
+        """Check that a message has the length its values give it, but for padding to 4 bytes.
+
+        Raises:
+            MessageError: It is too short or too long, or not plain CDR.
+        """
+        order = ORDERS.get(data[:2])
+        if order is None or len(data) < HEADER:
+            raise MessageError(f"{len(data)} bytes that do not begin with the header of plain CDR")
+        try:
+            end = self._walk(data, HEADER, "big" if order == ">" else "little")
+        except RecursionError as error:
+            raise MessageError("nested too deep") from error
+        if end > len(data):
+            raise MessageError(f"its values need {end} bytes, but it has {len(data)}")
+        if len(data) - end >= 4:
+            raise MessageError(f"{len(data) - end} bytes follow its last value")
+
+    def _struct(self, name: str, within: tuple[str, ...]) -> _Walk:
+        if known := self._walks.get(name):
+            return known
+        if name in within:
+            raise ValueError(f"{name} contains itself")
+        if name not in self._texts:
+            raise ValueError(f"{name} is used, but not defined")
+        package = name.partition("/")[0]
+        walks = []
+        for field in _fields(name, self._texts[name]):
+            if field.type in ("wstring", "wchar"):
+                raise UnknownLayoutError(f"{name} has a {field.type}")
+            if element := _SIZES.get(field.type):
+                walks.append(_primitive(field, element))
+            elif field.type == "string":
+                walks.append(_many(field, _string))
+            else:
+                full = field.type if "/" in field.type else f"{package}/{field.type}"
+                walks.append(_many(field, self._struct(_short(full), (*within, name))))
+        # A struct without fields has one byte, as C has no empty ones.
+        parts = tuple(walks) or (_primitive(_Field("uint8", False, 1), 1),)
+
+        def walk(data: bytes, place: int, order: str) -> int:
+            for part in parts:
+                place = part(data, place, order)
+            return place
+
+        self._walks[name] = walk
+        return walk
+
+
+def _short(name: str) -> str:
+    """Return `package/Type`, as definitions write it."""
+    parts = name.split("/")
+    return f"{parts[0]}/{parts[-1]}"
+
+
+def _fields(name: str, text: str) -> list[_Field]:
+    fields = []
+    for line in map(str.strip, text.splitlines()):
+        if not line or line.startswith("#"):
+            continue
+        match = _FIELD.match(line)
+        if match is None or match["size"] == "0":
+            raise ValueError(f"{name}: '{line[:60]}' is not a field")
+        if not match["constant"]:
+            size = int(match["size"]) if match["size"] and "<=" not in match["array"] else 0
+            fields.append(_Field(match["type"], bool(match["array"]), size))
+    return fields
+
+
+def _primitive(field: _Field, element: int) -> _Walk:
+    if field.is_array and not field.size:
+
+        def walk_sequence(data: bytes, place: int, order: str) -> int:
+            count, place = _count(data, place, order)
+            if count:
+                place += -(place - HEADER) % element + count * element
+            return place
+
+        return walk_sequence
+
+    size = element * (field.size or 1)
+
+    def walk(_data: bytes, place: int, _order: str) -> int:
+        return place + -(place - HEADER) % element + size
+
+    return walk
+
+
+def _many(field: _Field, walk: _Walk) -> _Walk:
+    if not field.is_array:
+        return walk
+
+    def walk_all(data: bytes, place: int, order: str) -> int:
+        count = field.size
+        if not count:
+            count, place = _count(data, place, order)
+        for _ in range(count):
+            place = walk(data, place, order)
+            if place > len(data):  # a hostile count must not keep us busy
+                break
+        return place
+
+    return walk_all
+
+
+def _string(data: bytes, place: int, order: str) -> int:
+    size, place = _count(data, place, order)
+    if size and place + size <= len(data) and data[place + size - 1]:
+        raise MessageError(f"the text at byte {place} does not end in a zero byte")
+    return place + size
+
+
+def _count(data: bytes, place: int, order: str) -> tuple[int, int]:
+    start = place + -(place - HEADER) % 4
+    if start + 4 > len(data):
+        return 0, start + 4
+    return int.from_bytes(data[start : start + 4], order), start + 4  # type: ignore[arg-type]
