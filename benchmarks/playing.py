@@ -44,7 +44,7 @@ def _write_bag(path: Path, seconds: float) -> int:
 def _player(lags: Path) -> int:
     """Run the player and keep all lags [ns]; the arguments that are left are the node's."""
     from tsobs_ros.executables import player
-    from tsobs_ros.nodes.player_status import LagMeter
+    from tsobs_ros.nodes.player.status import LagMeter
 
     kept: list[int] = []
     add = LagMeter.add

@@ -7,7 +7,7 @@ from typing import Any
 
 from rclpy.parameter import Parameter
 
-from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
+from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 
 PERIOD = 5_000_000
 SECOND = 1_000_000_000

@@ -11,8 +11,8 @@ import yaml
 from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator import create
+from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 
 CONFIG = Path(__file__).parents[3] / "config" / "plant_simulator.yaml"
 

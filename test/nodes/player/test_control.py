@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.nodes.player_status import LagMeter, PlayerState
+from tsobs_ros.nodes.player.status import LagMeter, PlayerState
 
 Play = Callable[..., Any]
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tsobs_ros.nodes.player_pacing import Pacer, SubscriberGate
+from tsobs_ros.nodes.player.pacing import Pacer, SubscriberGate
 
 S = 10**9
 

@@ -13,7 +13,7 @@ import yaml
 from player.bags import Entry, regular, write_bag
 
 from tsobs_ros.errors import BagReadError, ParameterError
-from tsobs_ros.nodes.player_parameters import PlayerParameters
+from tsobs_ros.nodes.player.parameters import PlayerParameters
 
 CONFIG = Path(__file__).parents[3] / "config" / "player.yaml"
 Play = Callable[..., Any]

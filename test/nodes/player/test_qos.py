@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from tsobs_ros.bag.qos import INFINITE, QosProfile, QosTime
-from tsobs_ros.nodes.player_topics import offered_qos
+from tsobs_ros.nodes.player.topics import offered_qos
 
 Play = Callable[..., Any]
 BEST_EFFORT = QosProfile(reliability="best_effort")

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.nodes.recorder_parameters import RecorderParameters
+from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
 CONFIG = Path(__file__).parents[3] / "config" / "recorder.yaml"
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tsobs_ros.nodes.recorder_parameters import RecorderParameters
+from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
 # A robot's topics, with hidden ones and the events of two services and an action.
 GRAPH: Mapping[str, str] = {

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.nodes.recorder_status import (
+from tsobs_ros.nodes.recorder.status import (
     RecorderState,
     RecorderStatistics,
     SnapshotFill,

@@ -12,7 +12,7 @@ from std_msgs.msg import String
 
 from tsobs_ros.errors import NodeError
 from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.recorder_subscription import RawSubscription, Received
+from tsobs_ros.nodes.recorder.subscription import RawSubscription, Received
 
 QOS = QoSProfile(depth=1000)
 

@@ -18,8 +18,8 @@ from stereo_msgs.msg import DisparityImage
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.definitions import find_definition
-from tsobs_ros.nodes.recorder_subscription import Received
-from tsobs_ros.nodes.recorder_topics import QosKind, RecordedTopic
+from tsobs_ros.nodes.recorder.subscription import Received
+from tsobs_ros.nodes.recorder.topics import QosKind, RecordedTopic
 
 
 def test_a_latched_message_from_before_the_recording_is_recorded(ros, recording) -> None:

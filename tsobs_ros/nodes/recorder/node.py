@@ -14,10 +14,10 @@ from tsobs_ros.bag.recording import BufferedMessage, Recording
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.recorder_disk import free_disk, output_folder
-from tsobs_ros.nodes.recorder_parameters import RecorderParameters
-from tsobs_ros.nodes.recorder_services import offer_services
-from tsobs_ros.nodes.recorder_status import (
+from tsobs_ros.nodes.recorder.disk import free_disk, output_folder
+from tsobs_ros.nodes.recorder.parameters import RecorderParameters
+from tsobs_ros.nodes.recorder.services import offer_services
+from tsobs_ros.nodes.recorder.status import (
     RecorderState,
     RecorderStatistics,
     SnapshotFill,
@@ -25,7 +25,7 @@ from tsobs_ros.nodes.recorder_status import (
     disk_is_filling,
     statuses,
 )
-from tsobs_ros.nodes.recorder_topics import RecordedTopic, TopicFinder
+from tsobs_ros.nodes.recorder.topics import RecordedTopic, TopicFinder
 from tsobs_ros.nodes.ticker import Ticker
 
 _GRAPH_PERIOD = 0.1

@@ -22,11 +22,11 @@ from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.player_pacing import Pacer, SubscriberGate
-from tsobs_ros.nodes.player_parameters import CLOCK, PlayerParameters
-from tsobs_ros.nodes.player_services import offer_services
-from tsobs_ros.nodes.player_status import LagMeter, PlayerState
-from tsobs_ros.nodes.player_topics import PlayedTopics
+from tsobs_ros.nodes.player.pacing import Pacer, SubscriberGate
+from tsobs_ros.nodes.player.parameters import CLOCK, PlayerParameters
+from tsobs_ros.nodes.player.services import offer_services
+from tsobs_ros.nodes.player.status import LagMeter, PlayerState
+from tsobs_ros.nodes.player.topics import PlayedTopics
 from tsobs_ros.nodes.stamps import set_stamp
 
 _MIB = 2**20

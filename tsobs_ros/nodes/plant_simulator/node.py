@@ -18,9 +18,9 @@ from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.plant_parameters import PlantSimulatorParameters
-from tsobs_ros.nodes.plant_topics import CommandLimits, SamplePublisher, TorqueCommands
-from tsobs_ros.nodes.sample_schedule import SampleSchedule, ScaledTime
+from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
+from tsobs_ros.nodes.plant_simulator.schedule import SampleSchedule, ScaledTime
+from tsobs_ros.nodes.plant_simulator.topics import CommandLimits, SamplePublisher, TorqueCommands
 from tsobs_ros.simulation.plant import Plant
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.

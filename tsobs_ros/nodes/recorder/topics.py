@@ -14,9 +14,9 @@ from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.recording import LossCounter
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.message_types import message_class
-from tsobs_ros.nodes.recorder_selection import TopicSelection
-from tsobs_ros.nodes.recorder_subscription import RawSubscription, Received
-from tsobs_ros.nodes.recorder_types import to_bag_qos
+from tsobs_ros.nodes.recorder.selection import TopicSelection
+from tsobs_ros.nodes.recorder.subscription import RawSubscription, Received
+from tsobs_ros.nodes.recorder.types import to_bag_qos
 
 # Counting the publishers of a topic tells that one came, but not that one took another's place.
 _POLLS_PER_FULL_LOOK = 10

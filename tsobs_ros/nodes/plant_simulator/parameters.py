@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.nodes.disturbance_parameters import DisturbanceParameters
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import parameter, parameter_group
+from tsobs_ros.nodes.plant_simulator.disturbance import DisturbanceParameters
 from tsobs_ros.simulation.excitation import Chirp, Excitation, Multisine, NoTorque, Sine, Square
 from tsobs_ros.simulation.scenario import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor

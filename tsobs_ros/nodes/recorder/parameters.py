@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from tsobs_ros.bag.recording import RecordingOptions
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import check_pattern, parameter
-from tsobs_ros.nodes.recorder_selection import TopicSelection
+from tsobs_ros.nodes.recorder.selection import TopicSelection
 
 _MIB = 2**20
 
