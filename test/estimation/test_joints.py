@@ -252,3 +252,25 @@ def test_as_many_measurements_as_joints_are_expected() -> None:
     joints, _ = pair(["shipped"] * 3)
     with pytest.raises(ValueError, match="shorter"):
         joints.offer([sample(0, 0)], END)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["shipped", "starting", "riccati", "adaptive", "soft adaptive"])
+@pytest.mark.parametrize("torque", [1.7e308, -1e300, 1e160])
+def test_numbers_beyond_all_bounds_are_their_own_joint_s_business(kind: str, torque: float) -> None:
+    """Of six, the third: it begins afresh, in silence, and the others hear nothing of it."""
+    together, alone = pair([kind] * 6, restart_after=1.0)
+    for index in (*range(60), *range(80, 120)):
+        samples = [sample(joint, index) for joint in range(6)]
+        if index % 30 == 20:
+            samples[2] = samples[2]._replace(u=np.array([torque]))
+        outcomes = together.offer(samples, END)
+        expected = [one.offer(each, END) for one, each in zip(alone, samples, strict=True)]
+        assert list(map(bits, outcomes)) == list(map(bits, expected))
+        for later in (2_000_000, 7_000_000, 40_000_000):
+            stamp = samples[0].stamp + later
+            estimates = together.estimate(stamp)
+            assert list(map(bits, estimates)) == [bits(one.estimate(stamp)) for one in alone]
+    assert list(map(books, together.trackers)) == list(map(books, alone))
+    assert [one.failures for one in alone if one is not alone[2]] == [0] * 5
+    assert (alone[2].failures > 0) == ("adaptive" in kind)

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Edges of the tracker: enormous numbers, gaps bridged late, no history at all."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -127,3 +129,49 @@ def test_an_estimate_far_from_any_measurement_is_none_and_costs_nothing(ahead):
     assert t.estimate(BEGIN + 5 * 10**9) is not None
     assert t.estimate(BEGIN + ahead) is None
     assert t.failures == 0
+
+
+class Fails:
+    """An estimator that raises what numbers raise, in one of its steps and after so many calls."""
+
+    def __init__(self, step: str, after: int, error: Exception) -> None:
+        self._inner: Any = DESIGN.supervised()
+        self._step, self._left, self._error = step, after, error
+
+    def __getattr__(self, name: str) -> Any:
+        if name == self._step:
+            self._left -= 1
+            if self._left < 0:
+                raise self._error
+        return getattr(self._inner, name)
+
+
+@pytest.mark.parametrize("error", [OverflowError("too large"), np.linalg.LinAlgError("singular")])
+@pytest.mark.parametrize("step", ["predict", "correct", "extrapolate", "readout"])
+def test_what_numbers_raise_is_a_failure_like_those_that_are_not_finite(
+    step: str, error: Exception
+) -> None:
+    tracker = Tracker(Fails(step, 20, error), TrackerOptions(x_max=1.0))
+    outcomes, estimates = [], []
+    for index in range(1, 31):
+        given = Measurement(index * 5_000_000, np.array([0.01 * index]), np.array([0.1]))
+        outcomes.append(tracker.offer(given, END))
+        estimates.append(tracker.estimate(index * 5_000_000 + 1_000_000))
+    assert tracker.failures > 0
+    if step in ("extrapolate", "readout"):
+        assert None not in estimates[:20]
+        assert estimates[20:] == [None] * 10
+        assert tracker.restarts == 0
+    else:
+        assert tracker.restarts == tracker.failures
+        assert None not in estimates
+    # Where not even a fresh start can take the sample, it is not used.
+    assert outcomes[20:].count(RejectReason.GATED) == (10 if step == "correct" else 0)
+    assert tracker.used == 30 - tracker.rejected.total()
+
+
+def test_a_coasting_estimate_that_fails_is_none_and_a_failure() -> None:
+    tracker = Tracker(Fails("predict", 0, OverflowError()), TrackerOptions(x_max=1.0))
+    tracker.offer(Measurement(10**9, np.array([0.1]), np.array([0.1])), END)
+    assert tracker.estimate(2 * 10**9) is None
+    assert tracker.failures == 1

@@ -14,7 +14,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.estimation.bank import Members, in_groups, of
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.supervised_bank import SupervisedBank, structure
-from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.estimation.tracker import NUMERICAL_FAILURES, Tracker, quiet
 
 _LEAST = 4
 """Fewer joints are quicker one by one."""
@@ -45,6 +45,7 @@ class JointTrackers:
         for tracker in self.trackers:
             tracker.reset()
 
+    @quiet()
     def offer(
         self, measurements: Sequence[Measurement | None], now: int
     ) -> list[Innovation | RejectReason | None]:
@@ -62,14 +63,20 @@ class JointTrackers:
         """
         each = list(zip(self.trackers, measurements, strict=True))
 
+        def one_by_one(members: Members) -> list[Innovation | RejectReason | None]:
+            return [one and tracker.offer(one, now) for tracker, one in of(members, each)]
+
         def step(members: Members) -> list[Innovation | RejectReason | None]:
             if len(members) < _LEAST:
-                return [one and tracker.offer(one, now) for tracker, one in of(members, each)]
+                return one_by_one(members)
             trackers = of(members, self.trackers)
             offered = [one for one in of(members, measurements) if one is not None]
             bank, states, torques, duration = self._gathered(members, steps)
-            predicted = bank.predict(states, torques, duration)
-            corrected = bank.correct(predicted, [measurement.y for measurement in offered])
+            try:
+                predicted = bank.predict(states, torques, duration)
+                corrected = bank.correct(predicted, [measurement.y for measurement in offered])
+            except NUMERICAL_FAILURES:
+                return one_by_one(members)
             return [
                 tracker.take(measurement, *outcome)
                 for tracker, measurement, outcome in zip(trackers, offered, corrected, strict=True)
@@ -80,6 +87,7 @@ class JointTrackers:
         steps = [one and tracker.plain_step(one, now) for tracker, one in each]
         return in_groups(self._keys(steps), step)
 
+    @quiet()
     def estimate(self, stamp: int, wanted: Sequence[bool] | None = None) -> list[Estimate | None]:
         """Return the estimate of each joint at a stamp; see `Tracker.estimate`.
 
@@ -93,13 +101,19 @@ class JointTrackers:
         asked = [True] * len(self.trackers) if wanted is None else wanted
         each = list(zip(self.trackers, asked, strict=True))
 
+        def one_by_one(members: Members) -> list[Estimate | None]:
+            chosen = of(members, each)
+            return [tracker.estimate(stamp) if one else None for tracker, one in chosen]
+
         def read(members: Members) -> list[Estimate | None]:
             if len(members) < _LEAST:
-                chosen = of(members, each)
-                return [tracker.estimate(stamp) if one else None for tracker, one in chosen]
+                return one_by_one(members)
             trackers = of(members, self.trackers)
             bank, states, torques, elapsed = self._gathered(members, bases)
-            readouts = bank.readout(bank.extrapolate(states, torques, elapsed))
+            try:
+                readouts = bank.readout(bank.extrapolate(states, torques, elapsed))
+            except NUMERICAL_FAILURES:
+                return one_by_one(members)
             return [
                 tracker.published(stamp, readout)
                 for tracker, readout in zip(trackers, readouts, strict=True)

@@ -3,7 +3,8 @@
 """What goes into an estimator and what comes out of it, as plain records."""
 
 import enum
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
 
 from tsobs_ros.checks import Array
 
@@ -35,6 +36,15 @@ class RejectReason(enum.Enum):
     FROM_FUTURE = "from the future"
     GATED = "gated"
     ZERO_STAMP = "zero stamp"
+
+
+Sample: TypeAlias = Measurement | RejectReason | None
+"""What a message has of a joint: its measurement, why that is none, or nothing at all."""
+
+
+def stamp_of(message: Sequence[Sample]) -> int:
+    """Return the stamp [ns] of what a message has of each joint, 0 where nothing can be read."""
+    return next((sample.stamp for sample in message if isinstance(sample, Measurement)), 0)
 
 
 class Innovation(NamedTuple):

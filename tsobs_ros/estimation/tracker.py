@@ -26,6 +26,14 @@ from tsobs_ros.estimation.records import (
     RejectReason,
 )
 
+NUMERICAL_FAILURES = (ArithmeticError, np.linalg.LinAlgError)
+"""What may be raised where numbers leave what floats can hold, besides those that come out NaN."""
+
+
+def quiet() -> np.errstate:
+    """Return a decorator for where numbers may do so: what comes of it is counted as a failure."""
+    return np.errstate(over="ignore", invalid="ignore", divide="ignore")
+
 
 @dataclass(frozen=True)
 class TrackerOptions:
@@ -120,6 +128,7 @@ class Tracker(Generic[S]):
         """Count a measurement that the caller could not even read."""
         self._refused[reason] += 1
 
+    @quiet()
     def offer(self, measurement: Measurement, now: int) -> Innovation | RejectReason:
         """Use a measurement, or say why not.
 
@@ -163,6 +172,7 @@ class Tracker(Generic[S]):
         """Go on with a plain step that was computed elsewhere; see `offer` for what is returned."""
         return self._used(measurement, self._keep(measurement, state, correction, 0))
 
+    @quiet()
     def estimate(self, stamp: int) -> Estimate | None:
         """Return the estimate at a stamp [ns].
 
@@ -173,15 +183,28 @@ class Tracker(Generic[S]):
         basis = self.basis(stamp)
         if basis is None:
             return None
-        state = self.estimator.extrapolate(*basis)
-        return self.published(stamp, self.estimator.readout(state))
+        try:
+            readout = self.estimator.readout(self.estimator.extrapolate(*basis))
+        except NUMERICAL_FAILURES:
+            self._bad_outputs += 1
+            return None
+        return self.published(stamp, readout)
 
+    @quiet()
     def basis(self, stamp: int) -> tuple[S, Array, float] | None:
-        """Return the state, the torque [N m] and the time [s] to extrapolate to a stamp from."""
+        """Return the state, the torque [N m] and the time [s] to extrapolate to a stamp from.
+
+        Returns:
+            None where there is no estimate; see `estimate`.
+        """
         step = self._history.until(stamp)
         if step is None or stamp - step.measurement.stamp > self._restart_after:
             return None
-        state, elapsed = self._coast(step, stamp)
+        try:
+            state, elapsed = self._coast(step, stamp)
+        except NUMERICAL_FAILURES:
+            self._bad_outputs += 1
+            return None
         return state, step.measurement.u, elapsed
 
     def published(self, stamp: int, readout: Readout) -> Estimate | None:
@@ -217,30 +240,52 @@ class Tracker(Generic[S]):
         """Predict to the measurement from the step before it, correct, and remember."""
         previous = self._history.last
         gap = 0 if previous is None else measurement.stamp - previous.measurement.stamp
-        if previous is None or gap > self._restart_after:
-            predicted = self.estimator.initial()
-            restarts = int(previous is not None)
-        else:
-            u = previous.measurement.u
-            predicted = self.estimator.predict(previous.state, u, gap / NANOSECONDS)
-            restarts = 0
-        return self._keep(measurement, *self.estimator.correct(predicted, measurement.y), restarts)
+        restarts = int(previous is not None and gap > self._restart_after)
+        try:
+            if previous is None or restarts:
+                predicted = self.estimator.initial()
+            else:
+                u = previous.measurement.u
+                predicted = self.estimator.predict(previous.state, u, gap / NANOSECONDS)
+            state, correction = self.estimator.correct(predicted, measurement.y)
+        except NUMERICAL_FAILURES:
+            return self._keep_afresh(measurement, restarts)
+        return self._keep(measurement, state, correction, restarts)
 
     def _keep(
         self, measurement: Measurement, state: S, correction: Correction, restarts: int
     ) -> Correction:
         """Remember a step, begun afresh if it is not finite; return its correction."""
-        failures = 0
         if not _is_finite(correction.innovation, correction.spread.ravel()):
-            state, correction = self.estimator.correct(self.estimator.initial(), measurement.y)
-            restarts, failures = restarts + 1, 1
+            return self._keep_afresh(measurement, restarts)
+        self._remember(measurement, state, correction, restarts, 0)
+        return correction
+
+    def _keep_afresh(self, measurement: Measurement, restarts: int) -> Correction:
+        """Begin afresh with a measurement, or where it is to blame itself, without it."""
+        initial = self.estimator.initial()
+        try:
+            state, correction = self.estimator.correct(initial, measurement.y)
+        except NUMERICAL_FAILURES:
+            nothing = np.zeros(0)
+            state, correction = initial, Correction(nothing, nothing, nothing, weight=0.0)
+        self._remember(measurement, state, correction, restarts + 1, 1)
+        return correction
+
+    def _remember(
+        self,
+        measurement: Measurement,
+        state: S,
+        correction: Correction,
+        restarts: int,
+        failures: int,
+    ) -> None:
         gated, last = int(correction.weight == 0.0), self._history.last
         if last is not None:
             gated += last.gated
             restarts += last.restarts
             failures += last.failures
         self._history.append(Step(measurement, state, gated, restarts, failures))
-        return correction
 
     def _used(self, measurement: Measurement, correction: Correction) -> Innovation | RejectReason:
         """Count an accepted measurement and return what `offer` does."""

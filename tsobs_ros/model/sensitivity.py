@@ -161,7 +161,10 @@ def _kick(
     """
     x = columns[0]
     x0, x1, x2, x3 = x[:4]
-    sine, cosine = math.sin(x0), math.cos(x0)
+    try:
+        sine, cosine = math.sin(x0), math.cos(x0)
+    except ValueError as error:
+        raise FloatingPointError(f"angle: expected a finite number, got {x0}") from error
     a0, a1, a2, a3, b0, b1, b2, b3, a_sine, b_sine, a_u, b_u = total
     a_sine -= half_kick
     x[LINK_VELOCITY] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3 + a_sine * sine + a_u * torque
