@@ -179,6 +179,30 @@ def test_a_failing_close_is_reported_and_the_node_destroyed(script) -> None:
     assert process.finish() == (1, "destroyed worker\n", "error: the bag cannot be closed\n")
 
 
+def test_a_bug_in_a_close_keeps_its_traceback_and_costs_no_other_step(script) -> None:
+    process = script(
+        """
+        class Buggy(Worker):
+            finished = True
+
+            def close(self):
+                raise KeyError("bug")
+
+            def destroy_node(self):
+                super().destroy_node()
+                raise ValueError("another")
+
+        sys.exit(runtime.run(lambda: [Buggy("first"), Buggy("second")]))
+        """
+    )
+
+    finished = process.finish()
+
+    assert (finished.exit_code, finished.stdout) == (1, "destroyed first\ndestroyed second\n")
+    assert finished.stderr.count("KeyError: 'bug'") == 2
+    assert finished.stderr.count("ValueError: another") == 2
+
+
 def test_a_bug_keeps_its_traceback_and_still_closes(script) -> None:
     process = script(
         """

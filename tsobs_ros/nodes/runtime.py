@@ -22,6 +22,7 @@ import gc
 import re
 import sys
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
@@ -156,16 +157,24 @@ def _finished(node: RunnableNode) -> bool:
 def _tear_down(nodes: Sequence[RunnableNode], exit_code: int) -> int:
     """Close all nodes, then destroy them, whatever fails on the way."""
     for node in nodes:
-        close: Callable[[], None] | None = getattr(node, "close", None)
-        try:
-            if close is not None:
-                close()
-        except TsobsError as error:
-            exit_code = _report(str(error))
+        if (close := getattr(node, "close", None)) is not None:
+            exit_code = _attempt(close, exit_code)
     with exit_guard(_TEARDOWN_TIMEOUT, exit_code):
         for node in nodes:
-            node.destroy_node()
+            exit_code = _attempt(node.destroy_node, exit_code)
         rclpy.try_shutdown()
+    return exit_code
+
+
+def _attempt(step: Callable[[], None], exit_code: int) -> int:
+    """Take a step of the teardown, and return the exit code with it: no later step may be lost."""
+    try:
+        step()
+    except TsobsError as error:
+        return _report(str(error))
+    except Exception:  # a bug
+        traceback.print_exc()
+        return 1
     return exit_code
 
 
