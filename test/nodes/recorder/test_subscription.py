@@ -12,7 +12,7 @@ from std_msgs.msg import String
 
 from tsobs_ros.errors import NodeError
 from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.recorder.subscription import RawSubscription, Received
+from tsobs_ros.nodes.recorder.subscription import RawSubscription, Rcl, Received
 
 QOS = QoSProfile(depth=1000)
 
@@ -82,3 +82,9 @@ def test_what_the_middleware_refuses_is_an_error(ros) -> None:
     node.create_publisher(String, "chatter", 10)
     with pytest.raises(NodeError, match="chatter: cannot subscribe: Failed to create"):
         RawSubscription(node, JointState, "chatter", QOS)
+
+
+@pytest.mark.parametrize("library", ["libno_such_rcl.so", "libc.so.6"])
+def test_a_library_that_is_not_there_or_another_is_one_error(library: str) -> None:
+    with pytest.raises(NodeError, match=f"recording needs {library} and librcutils.so"):
+        Rcl(library)

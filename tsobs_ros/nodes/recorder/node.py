@@ -25,6 +25,7 @@ from tsobs_ros.nodes.recorder.status import (
     disk_is_filling,
     statuses,
 )
+from tsobs_ros.nodes.recorder.subscription import loaded_rcl
 from tsobs_ros.nodes.recorder.topics import RecordedTopic, TopicFinder
 from tsobs_ros.nodes.ticker import Ticker
 
@@ -44,7 +45,7 @@ class Recorder(ManagedNode[RecorderParameters]):
     Raises:
         ParameterError: A parameter has a wrong type or value.
         BagWriteError: The bag exists already or cannot be created.
-        NodeError: The disk is too full to begin.
+        NodeError: The disk is too full to begin, or rcl cannot be called.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -55,6 +56,7 @@ class Recorder(ManagedNode[RecorderParameters]):
     def configure(self) -> None:
         """Begin the bag and look for the topics."""
         parameters = self.parameters
+        loaded_rcl()  # before there is a bag: without it no topic could be recorded
         path = output_folder(parameters.output)
         if free_disk(path) < parameters.minimum_free_disk:
             raise NodeError(

@@ -10,6 +10,7 @@ the way rclpy does and at the same cost.
 """
 
 import ctypes
+from functools import cache
 from typing import Any, NamedTuple
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -79,18 +80,43 @@ class Received(NamedTuple):
     number: int | None
 
 
-class _Rcl:
-    """The functions of rcl that are needed, and the memory they work on."""
+class Rcl:
+    """The functions of rcl that are needed, and the memory they work on.
 
-    def __init__(self) -> None:
+    Args:
+        rcl: The library's file.
+        rcutils: The file of the library below it.
+
+    Raises:
+        NodeError: A library cannot be loaded, or is not the one of Jazzy.
+    """
+
+    def __init__(self, rcl: str = "librcl.so", rcutils: str = "librcutils.so") -> None:
         # Not CDLL: rcl does not wait here, and giving up the GIL would cost more than the call.
-        rcl, rcutils = ctypes.PyDLL("librcl.so"), ctypes.PyDLL("librcutils.so")
-        self.take = rcl.rcl_take_serialized_message
+        try:
+            upper, lower = ctypes.PyDLL(rcl), ctypes.PyDLL(rcutils)
+            self.take = upper.rcl_take_serialized_message
+            self.reset_error = lower.rcutils_reset_error
+            default_allocator = lower.rcutils_get_default_allocator
+        except (OSError, AttributeError) as error:
+            raise NodeError(
+                f"recording needs {rcl} and {rcutils}, which rclpy loads in ROS 2 Jazzy on Linux: "
+                f"{error}"
+            ) from error
         self.take.argtypes = [ctypes.c_void_p] * 4
-        self.reset_error = rcutils.rcutils_reset_error
-        rcutils.rcutils_get_default_allocator.restype = _Allocator
-        self.bytes = _Bytes(allocator=rcutils.rcutils_get_default_allocator())
+        default_allocator.restype = _Allocator
+        self.bytes = _Bytes(allocator=default_allocator())
         self.info = _Info()
+
+
+@cache
+def loaded_rcl() -> Rcl:
+    """Return what all subscriptions share: one buffer, as large as the largest message.
+
+    Raises:
+        NodeError: It cannot be loaded.
+    """
+    return Rcl()
 
 
 class RawSubscription:
@@ -103,14 +129,12 @@ class RawSubscription:
         qos: The requested QoS profile, whose depth covers the longest time between drains.
 
     Raises:
-        NodeError: The middleware refuses the subscription.
+        NodeError: The middleware refuses the subscription, or rcl cannot be loaded.
     """
-
-    _rcl: _Rcl | None = None
 
     def __init__(self, node: Node, msg_type: type[Any], topic: str, qos: QoSProfile) -> None:
         self._node = node
-        self.qos = qos
+        self._rcl = loaded_rcl()
         # No QoS events: see DrainedSubscription, which does the same for messages.
         try:
             self._subscription = node.create_subscription(
@@ -138,7 +162,7 @@ class RawSubscription:
             NodeError: The middleware failed.
             InvalidHandle: The subscription or its node has been destroyed.
         """
-        rcl = self._loaded()
+        rcl = self._rcl
         take, message, info = rcl.take, rcl.bytes, rcl.info
         message_at, info_at = ctypes.addressof(message), ctypes.addressof(info)
         publisher_at = info_at + _Info.publisher.offset
@@ -171,13 +195,6 @@ class RawSubscription:
     def destroy(self) -> None:
         """Destroy the subscription with what is left in its queue; safe to call twice."""
         self._node.destroy_subscription(self._subscription)
-
-    @classmethod
-    def _loaded(cls) -> _Rcl:
-        # One for all subscriptions, so that there is one buffer, as large as the largest message.
-        if RawSubscription._rcl is None:
-            RawSubscription._rcl = _Rcl()
-        return RawSubscription._rcl
 
 
 def _never_called(message: object) -> None:
