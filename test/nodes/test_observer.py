@@ -27,7 +27,6 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.observer import create
@@ -413,33 +412,38 @@ def test_learnt_parameters_are_published_once_they_can_be_believed(bench: Bench)
     assert observer.count_publishers("/observer/parameters_estimate") == 1
 
 
-class FailsOnce(JointTrackers):
-    """Trackers whose third sample is one too many for the numbers."""
+class FailsOnce:
+    """An estimator whose third sample is one too many for the numbers."""
 
-    def offer(self, measurements: Any, now: int) -> Any:
-        if self.trackers[0].used == 2 and not self.failed:
-            self.failed = True
+    def __init__(self, estimator: Any) -> None:
+        self._estimator, self.corrections = estimator, 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._estimator, name)
+
+    def correct(self, state: Any, y: Any) -> Any:
+        self.corrections += 1
+        if self.corrections == 3:
             raise FloatingPointError("overflow")
-        return super().offer(measurements, now)
-
-    failed = False
+        return self._estimator.correct(state, y)
 
 
-def test_a_numerical_failure_is_an_error_and_a_fresh_start(
+def test_a_numerical_failure_is_an_error_and_a_fresh_start_of_its_joint(
     bench: Bench, capfd: pytest.CaptureFixture[str]
 ) -> None:
     observer = bench.start_simulated()
-    observer._trackers = FailsOnce([observer.tracker])
+    observer.tracker.estimator = estimator = FailsOnce(observer.tracker.estimator)
     for index in range(3):
         bench.send(index, bench.now)
         bench.set_clock(bench.now + PERIOD)
-    bench.wait_until(lambda: observer._trackers.failed, "the failure")
+    bench.wait_until(lambda: estimator.corrections >= 3, "the failure")
     status = bench.status("state")
     assert status.level == DiagnosticStatus.ERROR
     assert "after a numerical failure" in status.message
-    assert values(status)["resets"] == "1"
-    assert "starting afresh: numerical failure: overflow" in capfd.readouterr().err
+    assert values(status)["resets"] == "0"
+    assert "numerical failure: an estimate was not finite" in capfd.readouterr().err
+    assert (observer.tracker.failures, observer.tracker.restarts) == (1, 1)
     bench.feed(range(10, 40), 100 * SECOND)
     bench.wait_for_quiet()
-    assert observer.tracker.used == 30
+    assert observer.tracker.used == 33
     assert bench.status("state").level == DiagnosticStatus.OK

@@ -88,6 +88,35 @@ def test_a_recorded_run_is_reproduced(arms, write_bag, estimate, tmp_path, joint
     assert again.replay.rewinds == joints
 
 
+def test_what_comes_together_is_used_by_its_stamps_and_reproduced(
+    arms, write_bag, estimate, tmp_path
+) -> None:
+    """Blocks in reverse order, an unreadable message in each; every tick finds a whole one."""
+    messages = arms.messages(310)
+    backwards = messages[:50]
+    for first in range(50, 300, 50):
+        block = messages[first : first + 50]
+        unreadable = (block[0][0], JointStateEncoder(["elbow"])(START, [0.0], (), ()), 0)
+        arrival = block[-1][2]
+        for k, one in enumerate([*block[:0:-1], unreadable, block[0]]):
+            backwards.append((*one[:2], arrival + k))
+    backwards += messages[300:]
+
+    live = estimate(write_bag(backwards), output="live", rate=100.0)
+    again = estimate(tmp_path / "live", output="again")
+
+    for run in (live, again):
+        assert run.replay.used == 310
+        assert run.replay.rewinds == 0
+        assert run.replay.rejected == {RejectReason.WRONG_JOINT: 5}
+    assert again.agreement().complete, again.agreement().text()
+    data = [sorted(one[:2] for one in observed(tmp_path / name)) for name in ("live", "again")]
+    assert data[0] == data[1]
+    used = live.table.innovations[:, 0]
+    in_order = estimate(write_bag(messages, "in_order"), rate=100.0).table.innovations[:, 0]
+    assert sorted(used[~np.isnan(used)]) == sorted(in_order)
+
+
 def test_measurements_without_innovations_are_placed_by_what_they_did(
     arms, write_bag, estimate, tmp_path
 ) -> None:

@@ -4,9 +4,9 @@
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -14,7 +14,13 @@ from std_srvs.srv import SetBool, Trigger
 from tsobs_ros.estimation import comparison
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.joints import JointTrackers
-from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.records import (
+    Innovation,
+    Measurement,
+    RejectReason,
+    Sample,
+    stamp_of,
+)
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -36,9 +42,6 @@ from tsobs_ros.nodes.ticker import Ticker
 
 _DIAGNOSTICS_PERIOD = 1.0
 _WARNING_PERIOD = 5.0
-
-NUMERICAL_FAILURES = (ArithmeticError, np.linalg.LinAlgError)
-"""What may be raised where numbers leave what floats can hold, besides those that come out NaN."""
 
 
 class Observer(ManagedNode[ObserverParameters]):
@@ -67,7 +70,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._joints = observed_joints(parameters)
         self._trackers = JointTrackers([joint.tracker for joint in self._joints])
         self._resets = 0
-        self._failures = self._told_failures = 0
+        self._told_failures = 0
         self._enabled = True
         self._fresh = True
         self._last_now = 0
@@ -168,28 +171,30 @@ class Observer(ManagedNode[ObserverParameters]):
     def _take_all(self, now: int) -> bool:
         """Take what has arrived; return whether any of it was used."""
         used = False
-        for data, info in self._measurements.take():
-            if self._enabled and self._take(data, now):
+        taken = self._measurements.take()
+        if not self._enabled:
+            return False
+        arrived = [(self._reader.read(data), data, info) for data, info in taken]
+        # A late one in its place costs as many steps as there are newer ones.
+        arrived.sort(key=lambda message: stamp_of(message[0]))
+        for read, data, info in arrived:
+            if self._take(read, data, now):
                 self._unanswered.append(info["received_timestamp"])
                 used = True
         return used
 
-    def _take(self, data: bytes, now: int) -> bool:
+    def _take(self, message: Sequence[Sample], data: bytes, now: int) -> bool:
         """Use the joints' samples in one message, or count and report why not."""
         self._fresh = False
         samples: list[Measurement | None] = []
-        for joint, read in zip(self._joints, self._reader.read(data), strict=True):
+        for joint, read in zip(self._joints, message, strict=True):
             joint.received += read is not None
             if isinstance(read, RejectReason):
                 joint.tracker.reject(read)
                 self._warn_of_rejection(joint, read, data, now)
                 read = None
             samples.append(read)
-        try:
-            outcomes = self._trackers.offer(samples, now)
-        except NUMERICAL_FAILURES as error:
-            self._on_numerical_failure(error)
-            return False
+        outcomes = self._trackers.offer(samples, now)
         stamp = None
         for joint, sample, outcome in zip(self._joints, samples, outcomes, strict=True):
             if sample is None or outcome is None:
@@ -212,11 +217,7 @@ class Observer(ManagedNode[ObserverParameters]):
             return False
         # Only of fresh joints: to predict through a long silence would take long, and say nothing.
         fresh = [joint.fresh(now) for joint in self._joints]
-        try:
-            estimates = self._trackers.estimate(now, fresh)
-        except NUMERICAL_FAILURES as error:
-            self._on_numerical_failure(error)
-            return False
+        estimates = self._trackers.estimate(now, fresh)
         for place, (joint, estimate) in enumerate(zip(self._joints, estimates, strict=True)):
             if estimate is not None:
                 joint.estimated(estimate)
@@ -250,10 +251,6 @@ class Observer(ManagedNode[ObserverParameters]):
             return False
         self._next_warning[subject] = now + _WARNING_PERIOD
         return True
-
-    def _on_numerical_failure(self, error: Exception) -> None:
-        self._failures += 1
-        self._begin_afresh(f"numerical failure: {error}")
 
     def _begin_afresh(self, why: str) -> None:
         """Reset everything an instance computes from data; counts of a new instance are zero."""
@@ -310,7 +307,7 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _has_failed(self) -> bool:
         """Return, and say, whether there was a numerical failure since the last time."""
-        failures = self._failures + sum(joint.tracker.failures for joint in self._joints)
+        failures = sum(joint.tracker.failures for joint in self._joints)
         failed = failures > self._told_failures
         self._told_failures = failures
         if failed and self._may_warn("failure"):

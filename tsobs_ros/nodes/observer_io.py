@@ -17,7 +17,13 @@ from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag.messages.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.errors import MessageError
-from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.records import (
+    Estimate,
+    Innovation,
+    Measurement,
+    RejectReason,
+    Sample,
+)
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
@@ -46,7 +52,7 @@ class MeasurementReader:
         # Where the joints are, by the names in a message, which hardly ever change.
         self._places: dict[tuple[str, ...], list[int | None]] = {}
 
-    def read(self, data: bytes) -> list[Measurement | RejectReason | None]:
+    def read(self, data: bytes) -> list[Sample]:
         """Return for each joint its sample, why that is none, or None if it is not in there.
 
         Bytes that are no JointState, and messages with none of the joints, are wrong for all.

@@ -4,9 +4,8 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from typing import NamedTuple, TypeAlias
-
-import numpy as np
 
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import (
@@ -15,17 +14,15 @@ from tsobs_ros.estimation.records import (
     Innovation,
     Measurement,
     RejectReason,
+    Sample,
+    stamp_of,
 )
-from tsobs_ros.offline.samples import Sample, Samples
+from tsobs_ros.offline.samples import Samples
 from tsobs_ros.offline.schedule import Schedule
 
 Estimates: TypeAlias = Sequence[Estimate | None]
 Agrees: TypeAlias = Callable[[int, Estimates], bool]
 """Whether the estimates at a tick are those that were recorded."""
-
-
-NUMERICAL_FAILURES = (ArithmeticError, np.linalg.LinAlgError)
-"""What may be raised where numbers leave what floats can hold, besides those that come out NaN."""
 
 
 class Used(NamedTuple):
@@ -114,15 +111,13 @@ class Replay:
         ticks = zip(*(column.tolist() for column in columns), strict=True)
         for tick, (stamp, now, least, most, afresh) in enumerate(ticks):
             if afresh >= 0:
-                while offered < afresh:
-                    yield self._offer(tick, *next(waiting), now)
-                    offered += 1
+                yield from self._offer_next(tick, waiting, afresh - offered, now)
+                offered = max(offered, afresh)
                 self._begin_afresh()
                 last = 0
                 yield Afresh(tick)
-            while offered < least:
-                yield self._offer(tick, *next(waiting), now)
-                offered += 1
+            yield from self._offer_next(tick, waiting, least - offered, now)
+            offered = max(offered, least)
             if stamp <= last or (schedule.at_samples and not self._is_newest(stamp)):
                 continue
             estimates = self._estimate(stamp)
@@ -138,6 +133,14 @@ class Replay:
             now = int(self._samples.arrivals[message])
             yield self._offer(schedule.count, message, sample, now)
 
+    def _offer_next(
+        self, tick: int, waiting: Iterator[tuple[int, list[Sample]]], count: int, now: int
+    ) -> Iterator[Used]:
+        """Use the next `count` messages, as the node uses what a tick finds: by their stamps."""
+        found = sorted(islice(waiting, max(0, count)), key=lambda message: stamp_of(message[1]))
+        for message, sample in found:
+            yield self._offer(tick, message, sample, now)
+
     def _offer(self, tick: int, message: int, sample: list[Sample], now: int) -> Used:
         """Use a message."""
         given: list[Measurement | None] = []
@@ -147,12 +150,7 @@ class Replay:
                 self.rejected[one] += 1
                 one = None
             given.append(one)
-        try:
-            outcomes = self._trackers.offer(given, now)
-        except NUMERICAL_FAILURES:
-            # As the node: whatever a number that bad has spoilt, the next ones begin afresh.
-            self._fail()
-            return Used(tick, message, [None] * len(given))
+        outcomes = self._trackers.offer(given, now)
         for outcome in outcomes:
             if isinstance(outcome, Innovation):
                 self.used += 1
@@ -163,18 +161,10 @@ class Replay:
     def _estimate(self, stamp: int) -> list[Estimate | None]:
         # As the node, which says nothing of a joint without news of it.
         fresh = [self._is_fresh(tracker.newest, stamp) for tracker in self._trackers.trackers]
-        try:
-            return self._trackers.estimate(stamp, fresh)
-        except NUMERICAL_FAILURES:
-            self._fail()
-            return [None] * len(fresh)
+        return self._trackers.estimate(stamp, fresh)
 
     def _is_fresh(self, newest: int | None, stamp: int) -> bool:
         return newest is not None and stamp - newest <= self._stale_after
-
-    def _fail(self) -> None:
-        self._finished["failures"] += 1
-        self._begin_afresh()
 
     def _is_newest(self, stamp: int) -> bool:
         return stamp in [tracker.newest for tracker in self._trackers.trackers]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag.messages.joint_series import Flags, JointSeries, Times
 from tsobs_ros.checks import Array
-from tsobs_ros.estimation.records import NANOSECONDS, Measurement, RejectReason
+from tsobs_ros.estimation.records import NANOSECONDS, Measurement, RejectReason, Sample
 
 # Stamps this far back are not late any more: time began anew (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
@@ -20,9 +20,6 @@ _RESTART = NANOSECONDS
 _RESTART_MESSAGES = 10
 # Clocks that differ by more than this are not the same clock.
 _SAME_CLOCK = NANOSECONDS
-
-Sample = Measurement | RejectReason | None
-"""What a message has of a joint: its measurement, why that is none, or nothing at all."""
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ def older_than_the_history(arm: Arm, begin: int) -> Iterator[Event]:
     """Between the good ones come samples from before the history: rejected."""
     for stamp in arm.stamps(begin, 0.5):
         yield Event(stamp, arm.message(stamp))
-        yield Event(stamp, arm.message(stamp - _HISTORY - 20 * _MS), RejectReason.TOO_OLD)
+        yield Event(stamp, arm.message(stamp - 2 * _HISTORY), RejectReason.TOO_OLD)
 
 
 @kind(_FAMILY)
