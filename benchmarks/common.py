@@ -1,20 +1,25 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the benchmarks share: one thread, a line on the machine, text or JSON."""
+"""What the benchmarks share: one thread, a ROS domain, a line on the machine, text or JSON."""
 
 import argparse
+import fcntl
 import json
 import os
 import platform
 import sys
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.resources import config_path
 
+# 102 and above may collide with the ports Linux hands out for outgoing connections.
+_DOMAINS = range(1, 102)
+_claims: list[IO[str]] = []
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -36,6 +41,26 @@ def parser(description: str | None) -> argparse.ArgumentParser:
     made.add_argument("--json", action="store_true", help="print JSON instead of text")
     made.add_argument("--design", type=Path, metavar="FILE", help="default: the shipped design")
     return made
+
+
+def claim_domain() -> int:
+    """Return a ROS domain that is this process's until it ends.
+
+    Nobody else on this machine has it who claims domains by the same locks, as the tests do.
+    """
+    folder = Path(tempfile.gettempdir()) / f"tsobs_ros_test_domains_{os.getuid()}"
+    folder.mkdir(exist_ok=True)
+    for offset in range(len(_DOMAINS)):
+        domain = _DOMAINS[(os.getpid() + offset) % len(_DOMAINS)]
+        lock = (folder / str(domain)).open("w")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            continue
+        _claims.append(lock)
+        return domain
+    sys.exit(f"all ROS domains are taken, see {folder}")
 
 
 def design_of(options: argparse.Namespace) -> Design:

@@ -9,14 +9,13 @@ time come from /proc/<pid>/stat, so all threads of the middleware are in. The de
 rate, and its gain is the certified one before the first turn.
 """
 
-import os
 import tempfile
 import time
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
-from common import design_of, parser, show
+from common import claim_domain, design_of, parser, show
 from node_processes import Process, design_for, executable, helper, joint_names
 
 _WARM_UP = 12.0
@@ -50,7 +49,7 @@ CASES = (
 
 def _measure(case: _Case, options: Any) -> dict[str, list[float]]:
     """Return the shares of one core [%] of each process in each turn."""
-    domain = options.domain_id
+    domain = claim_domain()
     with tempfile.TemporaryDirectory() as name:
         folder, processes = Path(name), list[Process]()
         parameters: dict[str, Any] = {
@@ -92,7 +91,6 @@ def main() -> None:
     made.add_argument("--seconds", type=float, default=6.0, help="length of a turn")
     made.add_argument("--turns", type=int, default=5)
     made.add_argument("--only", type=float, metavar="RATE", help="only cases of this rate [Hz]")
-    made.add_argument("--domain-id", type=int, default=1 + os.getpid() % 101)
     options = made.parse_args()
     lines = [
         f"share of one core [%]: median (range) of {options.turns} turns of {options.seconds:g} s",

@@ -13,7 +13,6 @@ all topics. With `publish_on: tick` that includes the wait for the tick, up to a
 """
 
 import json
-import os
 import tempfile
 import time
 from itertools import pairwise
@@ -21,7 +20,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from common import design_of, parser, show
+from common import claim_domain, design_of, parser, show
 from node_processes import Process, design_for, executable, helper, joint_names
 
 _WARM_UP = 10.0
@@ -29,7 +28,7 @@ _WARM_UP = 10.0
 
 def _run(rate: float, publish_on: str, seconds: float, options: Any) -> dict[str, Any]:
     """Return what the listener has taken."""
-    domain = options.domain_id
+    domain = claim_domain()
     with tempfile.TemporaryDirectory() as name:
         folder, processes = Path(name), list[Process]()
         parameters = {
@@ -84,7 +83,6 @@ def main() -> None:
     made = parser(__doc__)
     made.add_argument("--seconds", type=float, default=60.0, help="of the run at 1 kHz")
     made.add_argument("--latency-seconds", type=float, default=20.0, help="of each run at 500 Hz")
-    made.add_argument("--domain-id", type=int, default=1 + os.getpid() % 101)
     options = made.parse_args()
     taken = _run(1000.0, "tick", options.seconds, options)
     punctuality = _punctuality(taken["estimates"], 1000.0)

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from common import parser, show
+from common import claim_domain, parser, show
 
 _SENSOR_RATE = 1000
 _START = 1_700_000_000 * 10**9
@@ -145,16 +145,14 @@ def main() -> None:
     made = parser(__doc__)
     made.add_argument("--seconds", type=float, default=60.0, help="of playing at each rate")
     made.add_argument("--rates", type=float, nargs="+", default=[0.5, 1.0, 2.0])
-    made.add_argument("--domain-id", type=int, default=1 + os.getpid() % 101)
     options = made.parse_args()
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     import rclpy
 
-    rclpy.init(args=[], domain_id=options.domain_id)
+    domain = claim_domain()
+    rclpy.init(args=[], domain_id=domain)
     with tempfile.TemporaryDirectory() as name:
-        rows = [
-            _measure(rate, options.seconds, Path(name), options.domain_id) for rate in options.rates
-        ]
+        rows = [_measure(rate, options.seconds, Path(name), domain) for rate in options.rates]
     rclpy.shutdown()
     show({"seconds": options.seconds, "rates": rows}, _table(rows), options.json)
 

@@ -10,7 +10,6 @@ is killed, and what is in its file is compared in the same way.
 
 import argparse
 import contextlib
-import os
 import re
 import sys
 import tempfile
@@ -20,7 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from common import parser, show
+from common import claim_domain, parser, show
 
 _NAMES = [f"joint_{k}" for k in range(3)]
 _SIZE = 156
@@ -191,7 +190,6 @@ def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
     made.add_argument("--seconds", type=float, default=60.0, help="of recording each load")
-    made.add_argument("--domain-id", type=int, default=1 + os.getpid() % 101)
     made.add_argument("--publish", action="store_true", help=argparse.SUPPRESS)
     made.add_argument("--first", type=int, help=argparse.SUPPRESS)
     made.add_argument("--topics", type=int, help=argparse.SUPPRESS)
@@ -201,7 +199,7 @@ def main() -> None:
         _publish(options)
         return
     with tempfile.TemporaryDirectory() as name:
-        folder, domain = Path(name), options.domain_id
+        folder, domain = Path(name), claim_domain()
         rows = [_measure(load, options.seconds, folder, domain) for load in _LOADS]
         killed = _killed(min(options.seconds, 5.0), folder, domain)
     show({"loads": rows, "killed": killed}, _table(rows, killed), options.json)

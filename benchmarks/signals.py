@@ -31,7 +31,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from common import parser, show
+from common import claim_domain, parser, show
 from tqdm import tqdm
 
 from tsobs_ros.bag.writer import BagWriter
@@ -39,7 +39,6 @@ from tsobs_ros.bag.writer import BagWriter
 EXECUTABLES = ("plant_simulator", "observer", "recorder", "player")
 # A hang in Fast DDS is ended after 5 s; this is for one that is not.
 STOP_TIMEOUT = 30.0
-FIRST_DOMAIN = 60
 BAD_OUTPUT = ("Traceback", "\nerror", "[ERROR]", "[FATAL]")
 
 
@@ -284,11 +283,12 @@ def main() -> int:
         # Each is in two pairs, once as the first to be signalled and once as the second.
         kinds += [(pair, options.pairs) for pair in pairwise([*names, names[0]])]
     free_domains: SimpleQueue[int] = SimpleQueue()
-    for domain in range(FIRST_DOMAIN, FIRST_DOMAIN + options.jobs):
-        free_domains.put(domain)
+    for _ in range(options.jobs):
+        free_domains.put(claim_domain())
     with tempfile.TemporaryDirectory(prefix="tsobs_signals_") as folder:
         bag = make_bag(Path(folder) / "bag")
-        windows = {name: [window(name, bag, FIRST_DOMAIN) for _ in range(5)] for name in names}
+        domain = claim_domain()
+        windows = {name: [window(name, bag, domain) for _ in range(5)] for name in names}
 
         def stop(case: tuple[Sequence[str], int]) -> list[Stop]:
             domain = free_domains.get()

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from common import parser, show
+from common import claim_domain, parser, show
 from node_processes import OUTPUTS, Process, executable
 
 _JOINT = "elastic_joint"
@@ -209,7 +209,7 @@ def _sensor(rate: float, share: float) -> None:
 
 def _soak(options: Any, folder: Path) -> list[list[float]]:
     """Run everything, and return the table."""
-    processes, rows, domain = list[Process](), list[list[float]](), options.domain_id
+    processes, rows, domain = list[Process](), list[list[float]](), claim_domain()
     try:
         observer = executable("observer", {"rate": options.rate}, folder, domain)
         processes.append(observer)
@@ -243,7 +243,6 @@ def main() -> int:
     made.add_argument("--rate", type=float, default=1000.0, help="of sensor and observer [Hz]")
     made.add_argument("--share", type=float, default=0.02, help="of bad input")
     made.add_argument("--output", type=Path, default=Path("soak"), help="folder to write to")
-    made.add_argument("--domain-id", type=int, default=1 + os.getpid() % 101)
     made.add_argument("--sensor", action="store_true", help="be the sensor; for the script itself")
     options = made.parse_args()
     if options.sensor:
