@@ -4,7 +4,9 @@
 
 from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterator
+from contextlib import redirect_stderr
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -236,7 +238,9 @@ class BagReader:
             data=topic.definition.encode(),
         )
         try:
-            decoder = DecoderFactory().decoder_for("cdr", schema)
+            # The parser also prints what it raises, and with it the hostile text of a bag.
+            with redirect_stderr(StringIO()):
+                decoder = DecoderFactory().decoder_for("cdr", schema)
         except Exception as error:  # a parser's errors on a wrong definition are of any kind
             raise BagReadError(
                 f"{self.path}: the definition of {topic.type} is malformed: {error}"
