@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags hold what was written, in rosbag2's layout, whoever reads them."""
 
+import resource
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,7 +21,8 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import EMPTY_START_NS, read_metadata
-from tsobs_ros.errors import BagWriteError
+from tsobs_ros.bag.recovery import recover
+from tsobs_ros.errors import BagReadError, BagWriteError
 
 STRING = "std_msgs/msg/String"
 TOPICS = {"/a": STRING, "/b": "sensor_msgs/msg/JointState", "/c": STRING}
@@ -353,3 +355,30 @@ def test_an_error_in_the_block_keeps_what_was_written(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match="elsewhere"):
         write_and_fail(tmp_path / "bag")
     assert BagReader(tmp_path / "bag").message_count == 1
+
+
+def test_a_bag_on_a_full_disk_takes_no_more_and_gives_back_what_was_flushed(
+    tmp_path: Path,
+) -> None:
+    data, refusal = bytes(100_000), r"bag_0\.mcap: cannot write it: .* too large"
+    writer = BagWriter(tmp_path / "bag", compression="none")
+    writer.add_topic("/a", STRING)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
+    try:
+        with pytest.raises(BagWriteError, match=refusal):
+            any(writer.write("/a", data, time, time) for time in range(20))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+    # Even now that there is room again: half a chunk is in the file.
+    for step in (lambda: writer.write("/a", data, 99, 99), writer.flush, writer.split):
+        with pytest.raises(BagWriteError, match=refusal):
+            step()
+    with pytest.raises(BagWriteError, match=refusal):
+        writer.close()
+    writer.close()
+    with pytest.raises(BagReadError, match=r"has no end: .* 'tsobs bag recover'"):
+        BagReader(tmp_path / "bag")
+    recover(tmp_path / "bag", tmp_path / "recovered")
+    assert [m.log_time for m in BagReader(tmp_path / "recovered").messages()] == list(range(9))

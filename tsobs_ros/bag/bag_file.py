@@ -4,7 +4,7 @@
 
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from mcap.exceptions import UnsupportedCompressionError
@@ -25,6 +25,9 @@ COMPRESSIONS: Mapping[str, str] = {"none": "", "lz4": "lz4", "zstd": "zstd"}
 class BagFile:
     """Writes one file: header, chunks of messages, index.
 
+    Once writing has failed, all further writing does: there may be half a chunk in the file, and
+    an index that states the whole would hide what can be recovered.
+
     Args:
         path: The file, which must not exist.
         compression: A name of `COMPRESSIONS`.
@@ -39,6 +42,7 @@ class BagFile:
         self.path = path
         self.message_count = 0
         self._finished = False
+        self._failure: OSError | None = None
         self._start_ns = EMPTY_START_NS
         self._end_ns = 0
         self._channels: dict[str, int] = {}
@@ -48,13 +52,15 @@ class BagFile:
             self._stream = path.open("xb")
         except OSError as error:
             raise BagWriteError(f"{path}: cannot create it: {error}") from error
-        with self._errors():
+        with ExitStack() as undo, self._writing():
+            undo.callback(self._stream.close)
             self._writer = McapWriter(self._stream, CHUNK_SIZE, COMPRESSIONS[compression])
             self._writer.start(
                 profile="ros2", library=f"{LIBRARY} {__version__}; {LIBRARY_IDENTIFIER}"
             )
             self._add_metadata(metadata)
             self._stream.flush()
+            undo.pop_all()
 
     def add_topic(
         self, topic: str, definition: MessageDefinition, qos: tuple[QosProfile, ...]
@@ -64,7 +70,7 @@ class BagFile:
         Raises:
             BagWriteError: The file cannot be written.
         """
-        with self._errors():
+        with self._writing():
             if (schema := self._schemas.get(definition.type)) is None:
                 schema = self._writer.register_schema(
                     definition.type, definition.encoding, definition.text.encode()
@@ -86,10 +92,14 @@ class BagFile:
         Raises:
             BagWriteError: The file cannot be written.
         """
+        # As `_writing` does it, at a tenth of its cost.
+        if self._failure is not None:
+            raise self._cannot_write(self._failure)
         try:
             self._writer.add_message(self._channels[topic], log_time_ns, data, publish_time_ns)
         except OSError as error:
-            raise BagWriteError(f"{self.path}: cannot write it: {error}") from error
+            self._failure = error
+            raise self._cannot_write(error) from error
         self.message_count += 1
         if log_time_ns < self._start_ns:
             self._start_ns = log_time_ns
@@ -117,7 +127,7 @@ class BagFile:
         Raises:
             BagWriteError: The file cannot be written.
         """
-        with self._errors():
+        with self._writing():
             self._writer.flush()
 
     def sync(self) -> None:
@@ -140,11 +150,11 @@ class BagFile:
         """
         if self._finished:
             return
-        self._finished = True
-        with self._errors():
+        with self._writing():
             self._add_metadata(metadata)
             self._writer.finish()
             self._stream.flush()
+        self._finished = True
 
     def close(self) -> None:
         """Force everything to the disk and release the file.
@@ -161,10 +171,24 @@ class BagFile:
         self._writer.add_metadata("rosbag2", {"serialized_metadata": metadata.to_yaml()})
 
     @contextmanager
+    def _writing(self) -> Iterator[None]:
+        if self._failure is not None:
+            raise self._cannot_write(self._failure)
+        with self._errors():
+            try:
+                yield
+            except OSError as error:
+                self._failure = error
+                raise
+
+    @contextmanager
     def _errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            raise BagWriteError(f"{self.path}: cannot write it: {error}") from error
+            raise self._cannot_write(error) from error
         except UnsupportedCompressionError as error:
             raise BagWriteError(f"{self.path}: {error}: its library is not installed") from error
+
+    def _cannot_write(self, reason: OSError) -> BagWriteError:
+        return BagWriteError(f"{self.path}: cannot write it: {reason}")
