@@ -7,7 +7,7 @@ import pytest
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.observers import METHODS, ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.errors import ModelError
-from tsobs_ros.nodes.observer_parameters import ObserverParameters
+from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 
 

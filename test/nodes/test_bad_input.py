@@ -25,7 +25,7 @@ from rclpy.qos import (
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.nodes.observer_io import MEASUREMENT_QOS
+from tsobs_ros.nodes.observer.io import MEASUREMENT_QOS
 
 ROOT = Path(__file__).resolve().parents[2]
 BEGIN = 100 * NANOSECONDS

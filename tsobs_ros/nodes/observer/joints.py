@@ -20,7 +20,7 @@ from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Innovation, Measurement
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.nodes.observer_parameters import ObserverParameters
+from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 _IDENTITY_LENGTH = 12

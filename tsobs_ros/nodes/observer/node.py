@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `observer` node: measurements in, certified estimates out at a fixed rate."""
+"""What the `observer` node does: its entities, its tick, its lifecycle."""
 
 import time
 from collections import deque
@@ -25,10 +25,10 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.observer_io import MEASUREMENT_QOS, EstimatePublisher, MeasurementReader
-from tsobs_ros.nodes.observer_joints import ObservedJoint, observed_joints
-from tsobs_ros.nodes.observer_parameters import ObserverParameters
-from tsobs_ros.nodes.observer_statuses import (
+from tsobs_ros.nodes.observer.io import MEASUREMENT_QOS, EstimatePublisher, MeasurementReader
+from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.parameters import ObserverParameters
+from tsobs_ros.nodes.observer.statuses import (
     estimate_statuses,
     joint_statuses,
     measurement_status,
@@ -37,7 +37,7 @@ from tsobs_ros.nodes.observer_statuses import (
     tracking_values,
     worst_phase,
 )
-from tsobs_ros.nodes.tick_meter import TickMeter
+from tsobs_ros.nodes.observer.tick_meter import TickMeter
 from tsobs_ros.nodes.ticker import Ticker
 
 _DIAGNOSTICS_PERIOD = 1.0

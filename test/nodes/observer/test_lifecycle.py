@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from observer_bench import OUTPUTS, PERIOD, RUN, SECOND, SHIPPED, Bench, replayed
+from observer.bench import OUTPUTS, PERIOD, RUN, SECOND, SHIPPED, Bench, replayed
 from rclpy.parameter import Parameter
 
 from tsobs_ros.nodes.observer import Observer, create

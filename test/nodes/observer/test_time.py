@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from observer_bench import PERIOD, RUN, SECOND, Bench, replayed, truth, values
+from observer.bench import PERIOD, RUN, SECOND, Bench, replayed, truth, values
 from std_srvs.srv import Trigger
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
-from observer_bench import SHIPPED
+from observer.bench import SHIPPED
 from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import CertificateError, DesignFileError, ParameterError, TsobsError

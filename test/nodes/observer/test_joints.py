@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from observer_bench import END_OF_TIME, PERIOD, SECOND, SHIPPED, Bench, values
+from observer.bench import END_OF_TIME, PERIOD, SECOND, SHIPPED, Bench, values
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.estimation.records import Innovation, Measurement

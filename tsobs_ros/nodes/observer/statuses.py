@@ -9,8 +9,8 @@ from typing import Any
 from tsobs_ros.estimation.health import Level, Phase, Status
 from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.nodes.observer_joints import LoadedDesign, ObservedJoint
-from tsobs_ros.nodes.observer_parameters import ObserverParameters
+from tsobs_ros.nodes.observer.joints import LoadedDesign, ObservedJoint
+from tsobs_ros.nodes.observer.parameters import ObserverParameters
 
 _LEVEL_OF_PHASE = {
     Phase.TRACKING: Level.OK,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from observer_bench import (
+from observer.bench import (
     BEST_EFFORT,
     END_OF_TIME,
     JOINT,
