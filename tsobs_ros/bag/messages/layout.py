@@ -55,7 +55,10 @@ class MessageLayout:
                 raise ValueError(f"'{head[:60]}' is not 'MSG: package/Type'")
             self._texts.setdefault(_short(head[5:].strip()), body)
         self._walks: dict[str, _Walk] = {}
-        self._walk = self._struct(_short(type), ())
+        try:
+            self._walk = self._struct(_short(type), ())
+        except RecursionError as error:
+            raise ValueError(f"{type} is nested too deep") from error
 
     def check(self, data: bytes) -> None:
         """Check that a message has the length its values give it, but for padding to 4 bytes.
@@ -100,6 +103,8 @@ class MessageLayout:
         def walk(data: bytes, place: int, order: str) -> int:
             for part in parts:
                 place = part(data, place, order)
+                if place > len(data):  # a definition can ask for 2^60 parts in 60 lines
+                    break
             return place
 
         self._walks[name] = walk
