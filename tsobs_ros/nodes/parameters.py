@@ -34,7 +34,7 @@ import math
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import field, fields, is_dataclass
 from typing import Any, Generic, TypeVar, get_type_hints
 
 from rcl_interfaces.msg import (
@@ -47,6 +47,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import ParameterError
+from tsobs_ros.nodes.parameter_values import TYPES, Entry, Spec, convert, shown
 
 T = TypeVar("T")
 P = TypeVar("P")
@@ -60,53 +61,10 @@ _FOREIGN_PREFIXES = ("qos_overrides.",)
 _FOREIGN_NAMES = ("use_sim_time", "start_type_description_service")
 
 
-@dataclass(frozen=True)
-class _Type:
-    """How one Python annotation maps to ROS: its parameter type, element and wording."""
-
-    ros: Parameter.Type
-    element: type
-    is_array: bool
-    wording: str
-
-
-_TYPES: dict[Any, _Type] = {
-    bool: _Type(Parameter.Type.BOOL, bool, False, "true or false"),
-    int: _Type(Parameter.Type.INTEGER, int, False, "an integer"),
-    float: _Type(Parameter.Type.DOUBLE, float, False, "a number"),
-    str: _Type(Parameter.Type.STRING, str, False, "a string"),
-    tuple[int, ...]: _Type(Parameter.Type.INTEGER_ARRAY, int, True, "a list of integers"),
-    tuple[float, ...]: _Type(Parameter.Type.DOUBLE_ARRAY, float, True, "a list of numbers"),
-    tuple[str, ...]: _Type(Parameter.Type.STRING_ARRAY, str, True, "a list of strings"),
-}
-
-
-@dataclass(frozen=True)
-class _Spec:
-    """What `parameter` was told, kept in the dataclass field's metadata."""
-
-    description: str
-    unit: str
-    minimum: float | None
-    maximum: float | None
-    choices: tuple[Any, ...]
-    read_only: bool
-
-
-@dataclass(frozen=True)
-class _Entry:
-    """One ROS parameter: its full name, type, rules and default."""
-
-    name: str
-    type: _Type
-    spec: _Spec
-    default: Any
-
-
 class _RefusedParameter(Parameter):
     """Stands in for a set that cannot be converted until the on-set callback refuses it."""
 
-    def __init__(self, entry: _Entry, value: Any, reason: str) -> None:
+    def __init__(self, entry: Entry, value: Any, reason: str) -> None:
         super().__init__(entry.name, entry.type.ros, _to_ros(value))
         self.reason = reason
 
@@ -135,7 +93,7 @@ def parameter(
     Returns:
         A dataclass field, typed as the default so that annotations check.
     """
-    spec = _Spec(description, unit, minimum, maximum, tuple(choices), read_only)
+    spec = Spec(description, unit, minimum, maximum, tuple(choices), read_only)
     return field(default=default, metadata={_METADATA_KEY: spec})
 
 
@@ -196,7 +154,7 @@ class ParameterBinding(Generic[P]):
         self._entries = {entry.name: entry for entry in _entries(schema, "")}
         overrides: Mapping[str, Parameter] = node._parameter_overrides
         self._values = {
-            name: _convert(entry, overrides[name].value) if name in overrides else entry.default
+            name: convert(entry, overrides[name].value) if name in overrides else entry.default
             for name, entry in self._entries.items()
         }
         self._value: P = _build(schema, "", self._values)
@@ -221,7 +179,7 @@ class ParameterBinding(Generic[P]):
         if entry is None:
             return proposed
         try:
-            value = _convert(entry, proposed.value)
+            value = convert(entry, proposed.value)
         except ParameterError as error:
             return _RefusedParameter(entry, self._values[entry.name], str(error))
         return Parameter(entry.name, entry.type.ros, _to_ros(value))
@@ -247,7 +205,7 @@ class ParameterBinding(Generic[P]):
 
     def _merged(self, proposal: Iterable[Parameter]) -> dict[str, Any]:
         changes = {
-            p.name: _convert(self._entries[p.name], p.value)
+            p.name: convert(self._entries[p.name], p.value)
             for p in proposal
             if p.name in self._entries
         }
@@ -267,12 +225,12 @@ class ParameterBinding(Generic[P]):
 
     def _summary(self) -> str:
         return ", ".join(
-            f"{name}={_shown(self._values[name])}{' ' * bool(entry.spec.unit)}{entry.spec.unit}"
+            f"{name}={shown(self._values[name])}{' ' * bool(entry.spec.unit)}{entry.spec.unit}"
             for name, entry in self._entries.items()
         )
 
 
-def _entries(schema: Any, prefix: str) -> Iterable[_Entry]:
+def _entries(schema: Any, prefix: str) -> Iterable[Entry]:
     """Flatten a dataclass of parameters and groups, in the order of its fields."""
     if not (isinstance(schema, type) and is_dataclass(schema)):
         raise TypeError(f"{schema!r} is not a dataclass of parameters")
@@ -283,13 +241,13 @@ def _entries(schema: Any, prefix: str) -> Iterable[_Entry]:
             yield from _entries(annotation, f"{name}{_SEPARATOR}")
             continue
         spec = item.metadata.get(_METADATA_KEY)
-        if spec is None or annotation not in _TYPES:
+        if spec is None or annotation not in TYPES:
             raise TypeError(
                 f"{schema.__name__}.{item.name}: {annotation} is not a parameter; use parameter() "
-                f"or parameter_group() with one of {', '.join(map(str, _TYPES))}"
+                f"or parameter_group() with one of {', '.join(map(str, TYPES))}"
             )
-        entry = _Entry(name, _TYPES[annotation], spec, item.default)
-        yield _Entry(name, entry.type, spec, _convert(entry, item.default))
+        entry = Entry(name, TYPES[annotation], spec, item.default)
+        yield Entry(name, entry.type, spec, convert(entry, item.default))
 
 
 def _build(schema: Any, prefix: str, values: Mapping[str, Any]) -> Any:
@@ -305,73 +263,7 @@ def _build(schema: Any, prefix: str, values: Mapping[str, Any]) -> Any:
     return schema(**arguments)
 
 
-def _convert(entry: _Entry, value: Any) -> Any:
-    """Turn what came from YAML, a message or a default into the field's type, or refuse it."""
-    if entry.type.is_array:
-        converted: Any = tuple(_convert_element(entry, item) for item in _sequence(entry, value))
-        elements = converted
-    else:
-        converted = _convert_element(entry, value)
-        elements = (converted,)
-    for element in elements:
-        _check_rules(entry, element)
-    return converted
-
-
-def _sequence(entry: _Entry, value: Any) -> Sequence[Any]:
-    if value is None:  # how rcl hands over `name: []`
-        return ()
-    if isinstance(value, str | bytes) or not hasattr(value, "__len__"):
-        raise _wrong_type(entry, value)
-    return list(value)
-
-
-def _convert_element(entry: _Entry, value: Any) -> Any:
-    expected = entry.type.element
-    if expected is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
-        raise _wrong_type(entry, value)
-    return value
-
-
-def _wrong_type(entry: _Entry, value: Any) -> ParameterError:
-    hint = ""
-    if entry.type.is_array and isinstance(value, str) and value.lstrip().startswith("["):
-        # ros2cli sends a list of mixed types as a string, and rcl refuses it in YAML.
-        hint = "; lists must not mix types: write every number with a decimal point"
-    came = "nothing" if value is None else f"{_came(value)} {_shown(value)}"
-    return ParameterError(
-        f"parameter '{entry.name}': expected {entry.type.wording}, got {came}{hint}"
-    )
-
-
-def _came(value: Any) -> str:
-    """Name a value's type in the words users meet in YAML."""
-    if isinstance(value, bool):
-        return "the boolean"
-    for kind, word in ((int, "the integer"), (float, "the number"), (str, "the string")):
-        if isinstance(value, kind):
-            return word
-    return "the list" if hasattr(value, "__len__") else f"the {type(value).__name__}"
-
-
-def _check_rules(entry: _Entry, element: Any) -> None:
-    spec, each = entry.spec, "each element of " if entry.type.is_array else ""
-    subject = f"{each}parameter '{entry.name}'"
-    unit = f" {spec.unit}" if spec.unit else ""
-    if isinstance(element, float) and not math.isfinite(element):
-        raise ParameterError(f"{subject} must be finite, got {element}")
-    if spec.minimum is not None and element < spec.minimum:
-        raise ParameterError(f"{subject} must be at least {spec.minimum}{unit}, got {element}")
-    if spec.maximum is not None and element > spec.maximum:
-        raise ParameterError(f"{subject} must be at most {spec.maximum}{unit}, got {element}")
-    if spec.choices and element not in spec.choices:
-        listed = ", ".join(map(str, spec.choices))
-        raise ParameterError(f"{subject} must be one of {listed}; got {_shown(element)}")
-
-
-def _declare(node: Node, entry: _Entry, value: Any) -> None:
+def _declare(node: Node, entry: Entry, value: Any) -> None:
     descriptor = _descriptor(entry)
     if value != ():
         node.declare_parameter(entry.name, _to_ros(value), descriptor, ignore_override=True)
@@ -387,7 +279,7 @@ def _declare(node: Node, entry: _Entry, value: Any) -> None:
     node.set_descriptor(entry.name, descriptor)
 
 
-def _descriptor(entry: _Entry) -> ParameterDescriptor:
+def _descriptor(entry: Entry) -> ParameterDescriptor:
     spec = entry.spec
     descriptor = ParameterDescriptor(
         description=f"{spec.description} [{spec.unit}]" if spec.unit else spec.description,
@@ -418,17 +310,6 @@ def _descriptor(entry: _Entry) -> ParameterDescriptor:
 
 def _to_ros(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
-
-
-def _shown(value: Any) -> str:
-    """Show a value the way YAML would take it back."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str):
-        return f"'{value}'"
-    if hasattr(value, "__len__"):
-        return f"[{', '.join(_shown(item) for item in value)}]"
-    return repr(value)
 
 
 def _with_suggestion(name: str, known: Iterable[str]) -> str:
