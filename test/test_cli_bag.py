@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.cli import main
@@ -142,3 +143,25 @@ def test_wrong_usage_is_told(arguments: list[str], capsys: Captured) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
     assert "usage: tsobs bag" in capsys.readouterr().err
+
+
+def test_names_in_a_bag_do_not_command_the_terminal(tmp_path: Path, capfd) -> None:
+    path = tmp_path / "hostile.mcap"
+    clear = "\x1b[2J"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="")
+        schema = writer.register_schema(f"p/msg/{clear}", "ros2msg", f"string {clear}".encode())
+        metadata = {"offered_qos_profiles": "", "topic_type_hash": clear}
+        channel = writer.register_channel(f"/{clear}", "cdr", schema, metadata)
+        writer.add_message(channel, 1, HELLO, 1)
+        writer.finish()
+
+    assert main(["bag", "info", str(path)]) == 0
+    assert main(["bag", "verify", str(path)]) == 1
+    assert main(["export", str(path), "--output", str(tmp_path / "tables")]) == 1
+
+    told = capfd.readouterr()
+    assert r"/\x1b[2J" in told.out
+    assert r"\x1b[2J" in told.err
+    assert "\x1b" not in told.out + told.err

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 
 from tsobs_ros import __version__
 from tsobs_ros.commands import bag, compare, demo, design, estimate, export, paper, report, verify
+from tsobs_ros.commands.output import complain
 from tsobs_ros.errors import TsobsError
 
 _WORDS = (demo, design, verify, estimate, compare, export, report, bag, paper)
@@ -41,13 +42,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return command(options)
     except TsobsError as error:
-        print(f"error: {error}", file=sys.stderr)
+        complain(error)
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         if missing not in _EXTRAS:
             raise
         hint = f"pip install 'tsobs_ros[{_EXTRAS[missing]}]'"
-        print(f"error: {missing} is not installed; {hint}", file=sys.stderr)
+        complain(f"{missing} is not installed; {hint}")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
     except BrokenPipeError:

@@ -1,6 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Every error this package raises: one root, subclasses that are also the expected builtin."""
+"""Every error this package raises: one root, subclasses that are also the expected builtin.
+
+And how their texts are shown.
+"""
 
 
 class TsobsError(Exception):
@@ -53,3 +56,13 @@ class MessageError(TsobsError, ValueError):
 
 class NodeError(TsobsError, RuntimeError):
     """A node cannot start or go on, for a reason its user can act on."""
+
+
+def printable(text: str) -> str:
+    """Return a text with everything escaped that a terminal would obey instead of showing it.
+
+    What is said of bags and files repeats names that are in them, and those may be anything.
+    """
+    return "".join(
+        c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in text
+    )

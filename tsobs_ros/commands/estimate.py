@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tsobs_ros.commands.observer_options import add_observer_options, observers_of, source_of
 from tsobs_ros.commands.options import Words, add_json
-from tsobs_ros.commands.output import show
+from tsobs_ros.commands.output import complain, show
 from tsobs_ros.errors import BagWriteError
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def estimate(
     result = _Result(source, runs, output, time.monotonic() - begun)
     show(result.as_mapping(), result.text(), options.json)
     if source.damage is not None:
-        print(f"error: {source.damage}; estimated up to there", file=sys.stderr)
+        complain(f"{source.damage}; estimated up to there")
     return 0 if source.damage is None else 1
 
 

@@ -3,11 +3,10 @@
 """`tsobs export`: topics of a bag as CSV or Parquet files."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from tsobs_ros.commands.options import Words, add_json
-from tsobs_ros.commands.output import show
+from tsobs_ros.commands.output import complain, show
 
 
 def add_parser(words: Words) -> None:
@@ -40,5 +39,5 @@ def run(options: argparse.Namespace) -> int:
     }
     show(mapping, "\n".join(lines) or f"{options.bag}: no messages", options.json)
     for damage in sorted(damages):
-        print(f"error: {damage}; exported up to there", file=sys.stderr)
+        complain(f"{damage}; exported up to there")
     return 1 if damages else 0

@@ -4,12 +4,20 @@
 
 import json
 import math
+import sys
 from typing import Any
+
+from tsobs_ros.errors import printable
 
 
 def show(mapping: dict[str, Any], text: str, as_json: bool) -> None:
     """Print a result, as JSON or as text."""
-    print(json.dumps(_plain(mapping), indent=2, allow_nan=False) if as_json else text)
+    print(json.dumps(_plain(mapping), indent=2, allow_nan=False) if as_json else printable(text))
+
+
+def complain(problem: object) -> None:
+    """Print what is wrong, to stderr."""
+    print(f"error: {printable(str(problem))}", file=sys.stderr)
 
 
 def _plain(value: Any) -> Any:

@@ -3,12 +3,11 @@
 """`tsobs verify`: re-check the certificate of a design file."""
 
 import argparse
-import sys
 from pathlib import Path
 
 from tsobs_ros.commands.design_summary import summary, summary_text
 from tsobs_ros.commands.options import Words, add_json
-from tsobs_ros.commands.output import show
+from tsobs_ros.commands.output import complain, show
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
@@ -55,5 +54,5 @@ def run(options: argparse.Namespace) -> int:
 
 def _verdict(path: Path, holds: bool) -> int:
     if not holds:
-        print(f"error: {path}: the certificate does not hold", file=sys.stderr)
+        complain(f"{path}: the certificate does not hold")
     return 0 if holds else 1

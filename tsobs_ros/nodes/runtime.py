@@ -36,7 +36,7 @@ from rclpy.executors import (
 )
 from rclpy.signals import SignalHandlerOptions
 
-from tsobs_ros.errors import TsobsError
+from tsobs_ros.errors import TsobsError, printable
 from tsobs_ros.nodes.exit_guard import exit_guard
 from tsobs_ros.nodes.ticker import Ticking
 from tsobs_ros.stop import StopFlag
@@ -187,5 +187,5 @@ def _without_source_lines(message: str) -> str:
 
 
 def _report(message: str) -> int:
-    print(f"error: {' '.join(message.split())}", file=sys.stderr, flush=True)
+    print(f"error: {printable(' '.join(message.split()))}", file=sys.stderr, flush=True)
     return 1
