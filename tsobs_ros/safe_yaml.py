@@ -7,6 +7,9 @@ refer to merge keys), overflow the stack (a million brackets) or return a struct
 memory and endless to walk through (aliases of aliases). None of our files needs any of this.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import yaml
 
 _DEEPEST = 50
@@ -33,6 +36,20 @@ def load_yaml(text: str) -> object:
     except (ValueError, OverflowError, RecursionError) as error:
         # A date that does not exist, a number of five thousand digits.
         raise ValueError(str(error).splitlines()[0]) from error
+
+
+def whole_number(values: Mapping[str, Any], key: str) -> int:
+    """Return a value of a map that was loaded.
+
+    Raises:
+        KeyError: There is no such key.
+        TypeError: There is no map.
+        ValueError: The value is not a whole number, or negative.
+    """
+    value = values[key]
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise ValueError(f"{key} is {value!r}, but must be a whole number >= 0")
+    return value
 
 
 class PlainDumper(yaml.SafeDumper):

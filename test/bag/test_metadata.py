@@ -149,11 +149,14 @@ def _set(*path: Any, to: Any) -> Callable[[Any], None]:
         (lambda information: information.pop("files"), "the key 'files' is missing"),
         (lambda information: information.pop("custom_data"), "the key 'custom_data' is missing"),
         (_set("version", to=8), "version is 8, only 9 is supported"),
-        (_set("files", 0, "message_count", to=-1), "-1 is not a whole number >= 0"),
-        (_set("files", 0, "duration", "nanoseconds", to=0.5), "0.5 is not a whole number"),
+        (
+            _set("files", 0, "message_count", to=-1),
+            "message_count is -1, but must be a whole number",
+        ),
+        (_set("files", 0, "duration", "nanoseconds", to=0.5), "nanoseconds is 0.5, but must be"),
         (_set("files", 0, "path", to="other.mcap"), "but relative_file_paths"),
         (_set("files", to=None), "not the metadata of a bag"),
-        (_set("topics_with_message_count", 0, "message_count", to="3"), "not a whole number"),
+        (_set("topics_with_message_count", 0, "message_count", to="3"), "must be a whole number"),
         (
             _set("topics_with_message_count", 0, "topic_metadata", "offered_qos_profiles", to="x"),
             "not the metadata of a bag",

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """QoS profiles survive the YAML form rosbag2 gives them."""
 
+import math
+
 import pytest
 import yaml
 from hypothesis import given
@@ -71,8 +73,12 @@ def test_policies_by_number_are_those_of_the_rmw() -> None:
     [
         ({"reliability": "sometimes"}, "reliability is 'sometimes', but must be one of"),
         ({"history": 17}, "not a QoS profile"),
-        ({"depth": -1}, "must not be negative"),
-        ({"deadline": {"sec": -1, "nsec": 0}}, "must not be negative"),
+        ({"history": -1}, "history is -1, but must be a whole number >= 0"),
+        ({"depth": -1}, "depth is -1, but must be a whole number >= 0"),
+        ({"depth": 9.5}, "depth is 9.5, but must be a whole number"),
+        ({"deadline": {"sec": -1, "nsec": 0}}, "sec is -1, but must be a whole number"),
+        ({"deadline": {"sec": math.inf, "nsec": 0}}, "sec is inf, but must be a whole number"),
+        ({"avoid_ros_namespace_conventions": 7}, "neither true nor false"),
         ({"lifespan": {"sec": 1}}, "not a QoS profile .*nsec"),
         ({"lifespan": None}, "not a QoS profile"),
     ],

@@ -14,7 +14,7 @@ import yaml
 
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.errors import BagReadError, BagWriteError
-from tsobs_ros.safe_yaml import load_yaml
+from tsobs_ros.safe_yaml import load_yaml, whole_number
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -253,7 +253,7 @@ def _topic_from(values: Mapping[str, Any]) -> TopicMetadata:
     return TopicMetadata(
         name=str(topic["name"]),
         type=str(topic["type"]),
-        message_count=_count(values["message_count"]),
+        message_count=whole_number(values, "message_count"),
         offered_qos_profiles=tuple(map(QosProfile.from_map, topic["offered_qos_profiles"])),
         type_description_hash=str(topic["type_description_hash"]),
         serialization_format=str(topic["serialization_format"]),
@@ -266,9 +266,9 @@ def _files_from(
     files = tuple(
         FileMetadata(
             path=str(entry["path"]),
-            starting_time_ns=_count(entry["starting_time"]["nanoseconds_since_epoch"]),
-            duration_ns=_count(entry["duration"]["nanoseconds"]),
-            message_count=_count(entry["message_count"]),
+            starting_time_ns=whole_number(entry["starting_time"], "nanoseconds_since_epoch"),
+            duration_ns=whole_number(entry["duration"], "nanoseconds"),
+            message_count=whole_number(entry, "message_count"),
         )
         for entry in entries
     )
@@ -283,9 +283,3 @@ def _custom_data_from(values: object) -> dict[str, str] | None:
     if not isinstance(values, dict):
         raise ValueError(f"custom_data is not a map: {values!r}")
     return {str(key): str(value) for key, value in values.items()}
-
-
-def _count(value: object) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise ValueError(f"{value!r} is not a whole number >= 0")
-    return value

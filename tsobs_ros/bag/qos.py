@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from tsobs_ros.safe_yaml import load_yaml
+from tsobs_ros.safe_yaml import load_yaml, whole_number
 
 # In the order of the RMW's enumerations: bags from before Jazzy name a policy by its number.
 POLICIES: Mapping[str, tuple[str, ...]] = {
@@ -91,9 +91,13 @@ class QosProfile:
             known = {field.name: values[field.name] for field in fields(cls)}
             for policy, names in POLICIES.items():
                 if isinstance(known[policy], int):
-                    known[policy] = names[known[policy]]
+                    known[policy] = names[whole_number(values, policy)]
+            known["depth"] = whole_number(values, "depth")
             for name in ("deadline", "lifespan", "liveliness_lease_duration"):
-                known[name] = QosTime(int(known[name]["sec"]), int(known[name]["nsec"]))
+                time = values[name]
+                known[name] = QosTime(whole_number(time, "sec"), whole_number(time, "nsec"))
+            if not isinstance(known["avoid_ros_namespace_conventions"], bool):
+                raise TypeError("avoid_ros_namespace_conventions is neither true nor false")
             return cls(**known)
         except (KeyError, IndexError, TypeError) as error:
             raise ValueError(f"not a QoS profile ({error!r}): {values}") from error

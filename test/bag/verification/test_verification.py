@@ -171,7 +171,7 @@ QOS = QosProfile().to_map()
             lambda v: v["files"][0].update(duration={"nanoseconds": 1}),
             "duration_ns of bag_0.mcap is stated as 1, but is 10",
         ),
-        (lambda v: v["files"][0].update(message_count=-1), "-1 is not a whole number"),
+        (lambda v: v["files"][0].update(message_count=-1), "message_count is -1, but must be"),
         (lambda v: v["files"][0].pop("duration"), "the key 'duration' is missing"),
         (lambda v: v.update(custom_data={"a": {"b": "c"}}), "custom_data is not a flat map"),
         (lambda v: v.update(custom_data=[1]), "custom_data is not a"),
@@ -188,7 +188,7 @@ QOS = QosProfile().to_map()
         (lambda v: other_topic(v, offered_qos_profiles=[]), "/a: its QoS is not the one in"),
         (
             lambda v: other_topic(v, offered_qos_profiles=[{**QOS, "depth": -1}]),
-            "must not be negative",
+            "depth is -1, but must be",
         ),
         (
             lambda v: other_topic(v, offered_qos_profiles=[{**QOS, "history": "some"}]),
