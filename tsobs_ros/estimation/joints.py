@@ -45,7 +45,6 @@ class JointTrackers:
         for tracker in self.trackers:
             tracker.reset()
 
-    @quiet()
     def offer(
         self, measurements: Sequence[Measurement | None], now: int
     ) -> list[Innovation | RejectReason | None]:
@@ -61,6 +60,32 @@ class JointTrackers:
         Raises:
             ValueError: There are not as many entries as joints.
         """
+        each = list(zip(self.trackers, measurements, strict=True))
+        if len(each) < _LEAST:
+            return [one and tracker.offer(one, now) for tracker, one in each]
+        return self._offer_together(measurements, now)
+
+    def estimate(self, stamp: int, wanted: Sequence[bool] | None = None) -> list[Estimate | None]:
+        """Return the estimate of each joint at a stamp; see `Tracker.estimate`.
+
+        Args:
+            stamp: The instant [ns].
+            wanted: One entry a joint, False where no estimate is; None: of all.
+
+        Returns:
+            One entry a joint; None where there is no estimate, or none was wanted.
+        """
+        asked = [True] * len(self.trackers) if wanted is None else wanted
+        each = list(zip(self.trackers, asked, strict=True))
+        if len(each) < _LEAST:
+            return [tracker.estimate(stamp) if one else None for tracker, one in each]
+        return self._estimate_together(stamp, asked)
+
+    @quiet()
+    def _offer_together(
+        self, measurements: Sequence[Measurement | None], now: int
+    ) -> list[Innovation | RejectReason | None]:
+        """Do what `offer` does for enough joints to pay."""
         each = list(zip(self.trackers, measurements, strict=True))
 
         def one_by_one(members: Members) -> list[Innovation | RejectReason | None]:
@@ -82,23 +107,12 @@ class JointTrackers:
                 for tracker, measurement, outcome in zip(trackers, offered, corrected, strict=True)
             ]
 
-        if len(each) < _LEAST:
-            return step(tuple(range(len(each))))
         steps = [one and tracker.plain_step(one, now) for tracker, one in each]
         return in_groups(self._keys(steps), step)
 
     @quiet()
-    def estimate(self, stamp: int, wanted: Sequence[bool] | None = None) -> list[Estimate | None]:
-        """Return the estimate of each joint at a stamp; see `Tracker.estimate`.
-
-        Args:
-            stamp: The instant [ns].
-            wanted: One entry a joint, False where no estimate is; None: of all.
-
-        Returns:
-            One entry a joint; None where there is no estimate, or none was wanted.
-        """
-        asked = [True] * len(self.trackers) if wanted is None else wanted
+    def _estimate_together(self, stamp: int, asked: Sequence[bool]) -> list[Estimate | None]:
+        """Do what `estimate` does for enough joints to pay."""
         each = list(zip(self.trackers, asked, strict=True))
 
         def one_by_one(members: Members) -> list[Estimate | None]:
@@ -111,7 +125,9 @@ class JointTrackers:
             trackers = of(members, self.trackers)
             bank, states, torques, elapsed = self._gathered(members, bases)
             try:
-                readouts = bank.readout(bank.extrapolate(states, torques, elapsed))
+                if elapsed > 0.0:
+                    states = bank.extrapolate(states, torques, elapsed)
+                readouts = bank.readout(states)
             except NUMERICAL_FAILURES:
                 return one_by_one(members)
             return [
@@ -119,8 +135,6 @@ class JointTrackers:
                 for tracker, readout in zip(trackers, readouts, strict=True)
             ]
 
-        if len(each) < _LEAST:
-            return read(tuple(range(len(each))))
         bases = [tracker.basis(stamp) if one else None for tracker, one in each]
         return in_groups(self._keys(bases), read)
 

@@ -183,16 +183,20 @@ class Tracker(Generic[S]):
         basis = self.basis(stamp)
         if basis is None:
             return None
+        state, u, elapsed = basis
         try:
-            readout = self.estimator.readout(self.estimator.extrapolate(*basis))
+            if elapsed > 0.0:
+                state = self.estimator.extrapolate(state, u, elapsed)
+            readout = self.estimator.readout(state)
         except NUMERICAL_FAILURES:
             self._bad_outputs += 1
             return None
         return self.published(stamp, readout)
 
-    @quiet()
     def basis(self, stamp: int) -> tuple[S, Array, float] | None:
         """Return the state, the torque [N m] and the time [s] to extrapolate to a stamp from.
+
+        The caller sees to it that numbers which overflow are `quiet`.
 
         Returns:
             None where there is no estimate; see `estimate`.
