@@ -7,6 +7,8 @@ the observer publishes. On time is a tick that came within a period of its due t
 out by the node, and missing in the estimates' stamps. The lag is the time from an estimate's stamp
 to its arrival at the listener, in the first and in the last fifth of the run.
 
+The first two seconds of listening are left out: discovery holds the observer up once.
+
 The latency is what the node says of itself in diagnostics, second by second: from the middleware's
 received stamp of a measurement to the moment when the first estimate that uses it has been sent on
 all topics. With `publish_on: tick` that includes the wait for the tick, up to a period.
@@ -24,6 +26,8 @@ from common import claim_domain, design_of, parser, show
 from node_processes import Process, design_for, executable, helper, joint_names
 
 _WARM_UP = 10.0
+_DISCOVERY = 2.0
+"""To meet a new listener holds the observer's middleware up, once, by up to .3 s."""
 
 
 def _run(rate: float, publish_on: str, seconds: float, options: Any) -> dict[str, Any]:
@@ -63,6 +67,8 @@ def _percentile(values: list[float], fraction: float) -> float:
 
 def _punctuality(estimates: list[list[int]], rate: float) -> dict[str, float]:
     """Return the share of ticks on time [%], and the lag [ms] at the beginning and at the end."""
+    begin = estimates[0][0] + round(_DISCOVERY * 1e9)
+    estimates = [each for each in estimates if each[0] >= begin]
     stamps = [stamp for stamp, _ in estimates]
     steps = [later - earlier for earlier, later in pairwise(stamps)]
     due = round((stamps[-1] - stamps[0]) * rate * 1e-9) + 1
