@@ -10,16 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.design.file import load_design
+from tsobs_ros.design.observers import make_estimator, make_tracker
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError
-from tsobs_ros.estimation import comparison
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.health import DisturbanceLimits, InnovationMonitor, Phase, phase_of
-from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Innovation, Measurement
 from tsobs_ros.estimation.supervised import SupervisedObserver
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
@@ -57,26 +56,6 @@ def load(path: str) -> LoadedDesign:
     return LoadedDesign(file, identity, design)
 
 
-def make_estimator(design: Design, parameters: ObserverParameters) -> Estimator[Any]:
-    """Return what the parameter `method` names, for the arm of a design."""
-    request = design.request
-    if parameters.method == "certified":
-        mode = GainMode(parameters.gain_mode)
-        supervised = design.supervised(
-            parameters.settle_time, mode, parameters.adapt, parameters.torque_rate
-        )
-        supervised.options = parameters.supervision.options()
-        return supervised
-    common = (request.period, request.measurement_std)
-    if parameters.method == "paper":
-        return comparison.paper(request.arm, *common)
-    make = {
-        "high_gain": comparison.high_gain,
-        "proportional_integral": comparison.proportional_integral,
-    }[parameters.method]
-    return make(request.arm, parameters.theta, *common)
-
-
 class ObservedJoint:
     """A joint with its tracker, monitors and counts.
 
@@ -100,17 +79,9 @@ class ObservedJoint:
     ) -> None:
         self.name = name
         self.loaded = loaded
-        learns = parameters.method == "certified" and parameters.adapt
-        self.learnt = tuple(loaded.design.request.uncertainty) if learns else ()
-        self.tracker: Tracker[Any] = Tracker(
-            estimator,
-            TrackerOptions(
-                x_max=loaded.design.request.x_max,
-                history=parameters.history,
-                future_tolerance=parameters.future_tolerance,
-                restart_after=parameters.stale_after,
-            ),
-        )
+        settings = parameters.settings
+        self.learnt = settings.learnt(loaded.design)
+        self.tracker: Tracker[Any] = make_tracker(loaded.design, settings, estimator)
         self._limits = _limits(parameters)
         self._stale_after = round(parameters.stale_after * NANOSECONDS)
         self.reset()
@@ -179,7 +150,9 @@ def observed_joints(parameters: ObserverParameters) -> list[ObservedJoint]:
     """
     paths = parameters.design_of
     loaded = {path: load(path) for path in dict.fromkeys(paths.values())}
-    estimators = {path: make_estimator(each.design, parameters) for path, each in loaded.items()}
+    estimators = {
+        path: make_estimator(each.design, parameters.settings) for path, each in loaded.items()
+    }
     return [
         ObservedJoint(joint, loaded[path], estimators[path], parameters)
         for joint, path in paths.items()

@@ -4,8 +4,9 @@
 
 from dataclasses import asdict, dataclass
 
+from tsobs_ros.design.observers import ObserverSettings
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.estimation.observer import TORQUE_RATE
+from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
 from tsobs_ros.estimation.supervision import SupervisionOptions
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import parameter, parameter_group
@@ -218,3 +219,20 @@ class ObserverParameters(ManagedParameters):
         """Path of each joint's design file, empty for the one that is shipped."""
         own = self.joint_designs or ("",) * len(self.joints)
         return {joint: path or self.design for joint, path in zip(self.joints, own, strict=True)}
+
+    @property
+    def settings(self) -> ObserverSettings:
+        """What of them decides numbers, as live runs and runs over bags have it in common."""
+        return ObserverSettings(
+            method=self.method,
+            theta=self.theta,
+            gain_mode=GainMode(self.gain_mode),
+            settle_time=self.settle_time,
+            torque_rate=self.torque_rate,
+            adapt=self.adapt,
+            history=self.history,
+            future_tolerance=self.future_tolerance,
+            stale_after=self.stale_after,
+            assume_zero_torque=self.assume_zero_torque,
+            supervision=self.supervision.options(),
+        )
