@@ -13,20 +13,17 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from tsobs_ros.bag.messages.estimate_topics import PARAMETER_TOPICS, TOPICS
 from tsobs_ros.errors import NodeError
 
 RECORDED_TOPICS = (
     "/joint_measurements",
     "/ground_truth/joint_states",
     "/ground_truth/disturbance",
-    "/observer/joint_states",
-    "/observer/error_bound",
-    "/observer/disturbance",
-    "/observer/disturbance_bound",
-    "/observer/innovation",
+    *(f"/observer/{name}" for name in TOPICS),
     "/diagnostics",
 )
-ADAPTIVE_TOPICS = ("/observer/parameters_estimate", "/observer/parameters_bound")
+ADAPTIVE_TOPICS = tuple(f"/observer/{name}" for name in PARAMETER_TOPICS)
 """Published only where the design calls parameters uncertain."""
 
 _START_TIMEOUT = 30.0

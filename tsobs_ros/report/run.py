@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tsobs_ros.bag.messages import estimate_topics as topics
 from tsobs_ros.bag.messages.joint_series import Wanted, read_joint_series
 from tsobs_ros.bag.messages.joint_states import JOINT_STATE
 from tsobs_ros.bag.reader import BagReader
@@ -133,15 +134,17 @@ def read_run(
 
 
 def _topics(joint: str, observer: str) -> dict[str, _Topic]:
-    arm, angle_rate = (f"{joint}_link", f"{joint}_motor"), ("position", "velocity")
+    arm, angle_rate = topics.sides(joint), ("position", "velocity")
     own = (joint,)
     return {
         "measurements": _Topic("joint_measurements", own, ("position", "effort"), True),
-        "states": _Topic(f"{observer}/joint_states", arm, angle_rate, True),
-        "bounds": _Topic(f"{observer}/error_bound", arm, angle_rate, True),
-        "disturbance": _Topic(f"{observer}/disturbance", own, ("position",), True),
-        "disturbance_bound": _Topic(f"{observer}/disturbance_bound", own, ("position",), True),
-        "innovations": _Topic(f"{observer}/innovation", own, ("position",), False),
+        "states": _Topic(f"{observer}/{topics.STATES}", arm, angle_rate, True),
+        "bounds": _Topic(f"{observer}/{topics.STATE_BOUNDS}", arm, angle_rate, True),
+        "disturbance": _Topic(f"{observer}/{topics.DISTURBANCE}", own, ("position",), True),
+        "disturbance_bound": _Topic(
+            f"{observer}/{topics.DISTURBANCE_BOUND}", own, ("position",), True
+        ),
+        "innovations": _Topic(f"{observer}/{topics.INNOVATION}", own, ("position",), False),
         "truth": _Topic("ground_truth/joint_states", arm, angle_rate, False),
         "true_disturbance": _Topic("ground_truth/disturbance", own, ("position",), False),
     }

@@ -15,7 +15,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from tsobs_ros.bag.messages import estimate_topics as topics
 from tsobs_ros.bag.messages.joint_states import JointStateDecoder, JointStateEncoder
+from tsobs_ros.checks import Array
 from tsobs_ros.errors import MessageError
 from tsobs_ros.estimation.records import (
     Estimate,
@@ -29,9 +31,6 @@ MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFO
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
 
 _RELIABLE = 10
-
-_PARAMETER_PERIOD = 100_000_000
-"""Parameters change slowly: published ten times a second [ns]."""
 
 _KNOWN_LAYOUTS = 64
 _KNOWN_SUBSETS = 256
@@ -141,22 +140,25 @@ class EstimatePublisher:
             topics of them only if there are any.
     """
 
-    def __init__(self, node: Node, learnt: Mapping[str, Sequence[str]]) -> None:
+    def __init__(self, node: Node, learnt: Mapping[str, tuple[str, ...]]) -> None:
+        def output(topic: str, names: Sequence[Sequence[str]]) -> _Output:
+            return _Output(node, f"~/{topic}", names)
+
         joints = [[joint] for joint in learnt]
-        sides = [[f"{joint}_link", f"{joint}_motor"] for joint in learnt]
-        self._states = _Output(node, "~/joint_states", sides)
-        self._state_bounds = _Output(node, "~/error_bound", sides)
-        self._disturbance = _Output(node, "~/disturbance", joints)
-        self._disturbance_bound = _Output(node, "~/disturbance_bound", joints)
-        self._innovation = _Output(node, "~/innovation", joints)
+        sides = [topics.sides(joint) for joint in learnt]
+        self._states = output(topics.STATES, sides)
+        self._state_bounds = output(topics.STATE_BOUNDS, sides)
+        self._disturbance = output(topics.DISTURBANCE, joints)
+        self._disturbance_bound = output(topics.DISTURBANCE_BOUND, joints)
+        self._innovation = output(topics.INNOVATION, joints)
         self._parameters: _Output | None = None
         if any(learnt.values()):
             names = [
-                [f"{joint}/{each}" if len(learnt) > 1 else each for each in own]
+                topics.parameter_names(joint, own, alone=len(learnt) == 1)
                 for joint, own in learnt.items()
             ]
-            self._parameters = _Output(node, "~/parameters_estimate", names)
-            self._parameter_bounds = _Output(node, "~/parameters_bound", names)
+            self._parameters = output(topics.PARAMETERS, names)
+            self._parameter_bounds = output(topics.PARAMETER_BOUNDS, names)
         self._parameters_due = 0
 
     def publish(self, stamp: int, estimates: Sequence[Estimate | None]) -> bool:
@@ -172,14 +174,11 @@ class EstimatePublisher:
         known = [(joint, each) for joint, each in enumerate(estimates) if each is not None]
         if not known:
             return False
-        positions: list[float] = []
-        velocities: list[float] = []
-        for _, each in known:
-            q1, v1, q2, v2 = each.state.tolist()
-            positions += (q1, q2)
-            velocities += (v1, v2)
-        self._states.publish(stamp, _indices(known), positions, velocities)
-        self._publish_state_bounds(stamp, [item for item in known if item[1].state_bound.size])
+        self._states.publish(stamp, _indices(known), *_motion([each.state for _, each in known]))
+        bounded = [item for item in known if item[1].state_bound.size]
+        if bounded:
+            bounds = _motion([each.state_bound for _, each in bounded])
+            self._state_bounds.publish(stamp, _indices(bounded), *bounds)
         self._publish_disturbances(stamp, [item for item in known if item[1].disturbance.size])
         if self._parameters is not None and stamp >= self._parameters_due:
             self._publish_parameters(stamp, [item for item in known if item[1].parameters_valid])
@@ -197,16 +196,6 @@ class EstimatePublisher:
     def restart(self) -> None:
         """Forget when parameters were last published, as stamps may have gone back."""
         self._parameters_due = 0
-
-    def _publish_state_bounds(self, stamp: int, bounded: list[tuple[int, Estimate]]) -> None:
-        positions: list[float] = []
-        velocities: list[float] = []
-        for _, each in bounded:
-            q1, v1, q2, v2 = each.state_bound.tolist()
-            positions += (q1, q2)
-            velocities += (v1, v2)
-        if bounded:
-            self._state_bounds.publish(stamp, _indices(bounded), positions, velocities)
 
     def _publish_disturbances(self, stamp: int, disturbed: list[tuple[int, Estimate]]) -> None:
         if not disturbed:
@@ -226,7 +215,18 @@ class EstimatePublisher:
         bounds = [bound for _, each in valid for bound in each.parameter_bound.tolist()]
         self._parameters.publish(stamp, _indices(valid), values)
         self._parameter_bounds.publish(stamp, _indices(valid), bounds)
-        self._parameters_due = stamp + _PARAMETER_PERIOD
+        self._parameters_due = stamp + topics.PARAMETER_PERIOD
+
+
+def _motion(states: Sequence[Array]) -> tuple[list[float], list[float]]:
+    """Return the angles and the velocities in several [q₁, q̇₁, q₂, q̇₂]."""
+    angles: list[float] = []
+    velocities: list[float] = []
+    for state in states:
+        q1, v1, q2, v2 = state.tolist()
+        angles += (q1, q2)
+        velocities += (v1, v2)
+    return angles, velocities
 
 
 def _indices(items: list[tuple[int, Estimate]]) -> tuple[int, ...]:
