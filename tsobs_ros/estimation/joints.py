@@ -63,7 +63,7 @@ class JointTrackers:
         each = list(zip(self.trackers, measurements, strict=True))
         if len(each) < _LEAST:
             return [one and tracker.offer(one, now) for tracker, one in each]
-        return self._offer_together(measurements, now)
+        return self._offer_together(each, now)
 
     def estimate(self, stamp: int, wanted: Sequence[bool] | None = None) -> list[Estimate | None]:
         """Return the estimate of each joint at a stamp; see `Tracker.estimate`.
@@ -79,14 +79,13 @@ class JointTrackers:
         each = list(zip(self.trackers, asked, strict=True))
         if len(each) < _LEAST:
             return [tracker.estimate(stamp) if one else None for tracker, one in each]
-        return self._estimate_together(stamp, asked)
+        return self._estimate_together(stamp, each)
 
     @quiet()
     def _offer_together(
-        self, measurements: Sequence[Measurement | None], now: int
+        self, each: Sequence[tuple[Tracker[Any], Measurement | None]], now: int
     ) -> list[Innovation | RejectReason | None]:
         """Do what `offer` does for enough joints to pay."""
-        each = list(zip(self.trackers, measurements, strict=True))
 
         def one_by_one(members: Members) -> list[Innovation | RejectReason | None]:
             return [one and tracker.offer(one, now) for tracker, one in of(members, each)]
@@ -95,7 +94,7 @@ class JointTrackers:
             if len(members) < _LEAST:
                 return one_by_one(members)
             trackers = of(members, self.trackers)
-            offered = [one for one in of(members, measurements) if one is not None]
+            offered = [one for _, one in of(members, each) if one is not None]
             bank, states, torques, duration = self._gathered(members, steps)
             try:
                 predicted = bank.predict(states, torques, duration)
@@ -111,9 +110,10 @@ class JointTrackers:
         return in_groups(self._keys(steps), step)
 
     @quiet()
-    def _estimate_together(self, stamp: int, asked: Sequence[bool]) -> list[Estimate | None]:
+    def _estimate_together(
+        self, stamp: int, each: Sequence[tuple[Tracker[Any], bool]]
+    ) -> list[Estimate | None]:
         """Do what `estimate` does for enough joints to pay."""
-        each = list(zip(self.trackers, asked, strict=True))
 
         def one_by_one(members: Members) -> list[Estimate | None]:
             chosen = of(members, each)
