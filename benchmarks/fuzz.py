@@ -25,7 +25,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from fuzz_targets import Target, targets
+from fuzz_targets import TARGETS, Target
 
 from tsobs_ros.errors import TsobsError
 
@@ -115,8 +115,8 @@ def _memory() -> int:
 def _in_process(job: tuple[str, int, int, Path]) -> Outcome:
     """Fuzz one target; its process's address space may grow by a limited amount only."""
     name, inputs, seed, keep = job
-    with tempfile.TemporaryDirectory() as folder:
-        target = targets(Path(folder))[name]
+    with tempfile.TemporaryDirectory() as good, tempfile.TemporaryDirectory() as folder:
+        target = TARGETS[name](Path(good))
         used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
         limit = used * resource.getpagesize() + _GROWTH_LIMIT
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -127,13 +127,14 @@ def main() -> int:
     """Fuzz all targets and return 1 if any input ended in a way it must not."""
     made = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     made.add_argument("--inputs", type=int, default=100_000, help="in all (default: 100,000)")
-    made.add_argument("--target", action="append", help="only this one; may be given repeatedly")
+    made.add_argument(
+        "--target", action="append", choices=TARGETS, help="only this one; may be given repeatedly"
+    )
     made.add_argument("--seed", type=int, default=1)
     made.add_argument("--jobs", type=int, default=2)
     made.add_argument("--keep", type=Path, default=Path("fuzz_failures"), metavar="FOLDER")
     options = made.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        names = options.target or list(targets(Path(folder)))
+    names = options.target or list(TARGETS)
     each = -(-options.inputs // len(names))
     jobs = [(name, each, options.seed, options.keep) for name in names]
     with multiprocessing.get_context("spawn").Pool(options.jobs, maxtasksperchild=1) as pool:

@@ -4,7 +4,7 @@
 
 import random
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ class Target:
     file_name: str
 
 
-def design_target() -> Target:
+def design_target(_: Path) -> Target:
     """Return the arm's design files: what holds must also step, to finite numbers."""
 
     def read(path: Path) -> None:
@@ -55,7 +55,7 @@ def design_target() -> Target:
     return Target(_shipped("*.design.yaml"), mutated_text, read, "my.design.yaml")
 
 
-def request_target() -> Target:
+def request_target(_: Path) -> Target:
     """Return requests for designs of the arm."""
     return Target(_shipped("elastic*.request.yaml"), mutated_text, load_request, "my.request.yaml")
 
@@ -118,7 +118,7 @@ def recovery_target(folder: Path) -> Target:
     return Target(bag_target(folder).seeds, mutated_bytes, read, "bag.mcap")
 
 
-def message_target() -> Target:
+def message_target(_: Path) -> Target:
     """Return measurements as they come off the wire."""
     decode = JointStateDecoder()
     seeds = tuple(
@@ -128,7 +128,7 @@ def message_target() -> Target:
     return Target(seeds, mutated_bytes, lambda path: decode(path.read_bytes()), "message")
 
 
-def log_target() -> Target:
+def log_target(_: Path) -> Target:
     """Return an arm's own log."""
     log = (
         b"time [s],angle [deg],torque [N m]\n0.0,1.5,0.1\n0.005,1.6,0.2\n0.01,nan,\n0.015,1.7,0.1\n"
@@ -136,22 +136,17 @@ def log_target() -> Target:
     return Target((log,), mutated_text, CsvSource, "log.csv")
 
 
-def targets(folder: Path) -> dict[str, Target]:
-    """Return everything that is fuzzed, by name.
-
-    Args:
-        folder: Where good files may be made.
-    """
-    return {
-        "design": design_target(),
-        "request": request_target(),
-        "ts": ts_target(folder),
-        "metadata": metadata_target(folder / "metadata"),
-        "bag": bag_target(folder / "bag"),
-        "recovery": recovery_target(folder / "recovery"),
-        "message": message_target(),
-        "log": log_target(),
-    }
+TARGETS: Mapping[str, Callable[[Path], Target]] = {
+    "design": design_target,
+    "request": request_target,
+    "ts": ts_target,
+    "metadata": metadata_target,
+    "bag": bag_target,
+    "recovery": recovery_target,
+    "message": message_target,
+    "log": log_target,
+}
+"""What makes everything that is fuzzed, by name, given an empty folder for good files."""
 
 
 def _shipped(pattern: str) -> tuple[bytes, ...]:

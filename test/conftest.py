@@ -29,7 +29,9 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import IO, Any, NamedTuple
 
 import pytest
@@ -45,6 +47,21 @@ for _variable in ("ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID", "ROS_STATIC_PEERS"):
 # 102 and above may collide with the ports Linux hands out for outgoing connections.
 _DOMAINS = range(1, 102)
 _TEARDOWN_LIMIT = 60.0
+
+
+@pytest.fixture(scope="session")
+def benchmark() -> Callable[[str], ModuleType]:
+    """Imports a module of the benchmarks, which are no package and not installed."""
+
+    def load(name: str) -> ModuleType:
+        folder = str(ROOT / "benchmarks")
+        sys.path.insert(0, folder)
+        try:
+            return import_module(name)
+        finally:
+            sys.path.remove(folder)
+
+    return load
 
 
 @pytest.fixture(scope="session", autouse=True)

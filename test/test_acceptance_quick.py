@@ -6,10 +6,9 @@ The benchmark itself (`benchmarks/acceptance.py`) has more runs, of a minute eac
 limits; here limits leave room for two seeds.
 """
 
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -29,15 +28,9 @@ WINDOW = {"settled": (10.0, DURATION)}
 
 
 @pytest.fixture(scope="module")
-def bench() -> ModuleType:
-    """Return the benchmark's module of runs, which is no package and not installed."""
-    folder = str(Path(__file__).resolve().parents[1] / "benchmarks")
-    sys.path.insert(0, folder)
-    try:
-        import acceptance_runs
-    finally:
-        sys.path.remove(folder)
-    return acceptance_runs
+def bench(benchmark: Callable[[str], ModuleType]) -> ModuleType:
+    """Return the benchmark's module of runs."""
+    return benchmark("acceptance_runs")
 
 
 @pytest.fixture(autouse=True)
