@@ -26,8 +26,8 @@ def structure(estimator: Any) -> Hashable | None:
     if type(observer) is not TSObserver or type(observer.flow) is not ArmFlow:
         return None
     flow = observer.flow
-    in_gaps = observer.gap_flow is None
-    return flow.period, flow.state_count, type(learner), parameters, in_gaps
+    holds_torque = observer.gap_flow is None
+    return flow.period, flow.state_count, type(learner), parameters, holds_torque
 
 
 class SupervisedBank(Bank[SupervisedObserver]):
