@@ -53,17 +53,7 @@ def test_a_signal_ends_it_cleanly(
 def test_damage_is_an_error_after_all_before_it_has_been_played(
     ros: Any, ros_process: Process, listener: Any, tmp_path: Path
 ) -> None:
-    # Two chunks, of which the second is damaged.
-    text = "x" * 8_000
-    entries = [e._replace(text=f"{e.text} {text}") for e in regular(150, 1.0)]
-    bag = write_bag(tmp_path / "bag", entries, compression="none")
-    file = bag / "bag_0.mcap"
-    content = bytearray(file.read_bytes())
-    content[content.index(b"a149 ") + 10] ^= 0xFF
-    file.write_bytes(content)
-    whole = sum(1 for _ in _until_damage(bag))
-    assert 0 < whole < 150
-
+    bag, whole = _damaged_bag(tmp_path)
     listener.listen("/a")
     process = ros_process("player", parameters={"bag": str(bag)})
     ros.spin_until(lambda: len(listener.heard) >= whole, 30.0, "all before the damage")
@@ -74,6 +64,52 @@ def test_damage_is_an_error_after_all_before_it_has_been_played(
     (line,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
     assert "bag_0.mcap: the file is damaged" in line
     assert [text.split()[0] for text in listener.texts()] == texts(0, whole)
+
+
+def test_a_slow_subscriber_gets_what_was_before_the_damage(
+    ros: Any, ros_process: Process, listener: Any, tmp_path: Path
+) -> None:
+    bag, whole = _damaged_bag(tmp_path, pause=3_000.0)
+    heard = tmp_path / "heard"
+    slow = ros_process(
+        "recorder",
+        parameters={
+            "output": str(heard), "topics": ["/a"], "compression": "none", "flush_period": 0.1
+        },
+    )  # fmt: skip
+    listener.listen("/a")
+    player = ros_process("player", parameters={"bag": str(bag), "wait_for_subscribers": 2})
+    ros.spin_until(lambda: _size(heard) > 8_000, 30.0, "the first message in the recording")
+    slow.signal(signal.SIGSTOP)
+    ros.spin_until(lambda: len(listener.heard) >= whole, 30.0, "all before the damage")
+    slow.signal(signal.SIGCONT)
+    assert player.finish().exit_code == 1
+    slow.signal(signal.SIGINT)
+    assert slow.finish().exit_code == 0
+    assert BagReader(heard).topics["/a"].count == whole
+
+
+def _size(bag: Path) -> int:
+    return sum(file.stat().st_size for file in bag.glob("*.mcap"))
+
+
+def _damaged_bag(folder: Path, pause: float = 0.0) -> tuple[Path, int]:
+    """Write a bag of two chunks, of which the second is damaged; count what is before that.
+
+    After its first message comes a pause [ms].
+    """
+    text = "x" * 8_000
+    entries = [
+        e._replace(at=e.at + pause * (e.at > 0), text=f"{e.text} {text}") for e in regular(150, 1.0)
+    ]
+    bag = write_bag(folder / "bag", entries, compression="none")
+    file = bag / "bag_0.mcap"
+    content = bytearray(file.read_bytes())
+    content[content.index(b"a149 ") + 10] ^= 0xFF
+    file.write_bytes(content)
+    whole = sum(1 for _ in _until_damage(bag))
+    assert 0 < whole < 150
+    return bag, whole
 
 
 def _until_damage(bag: Path) -> Iterator[Any]:

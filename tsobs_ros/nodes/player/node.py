@@ -8,7 +8,8 @@ ways to interfere: services to pause and to step, the live parameters `rate`, `l
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from tsobs_ros.bag.playback import BagSource, Event, Playback
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.errors import ParameterError
+from tsobs_ros.errors import BagReadError, ParameterError
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.player.pacing import Pacer, SubscriberGate
@@ -186,7 +187,8 @@ class Player(ManagedNode[PlayerParameters]):
         if not (self.active and self._paused):
             return False, f"only a paused player steps; it is {self.doing}"
         self._play()  # what is latched here is no step
-        events = self._playback.step(time.monotonic_ns())
+        with self._delivering():
+            events = self._playback.step(time.monotonic_ns())
         for event in events:
             self._publish(event)
         if not events or (message := events[-1].message) is None:
@@ -194,6 +196,19 @@ class Player(ManagedNode[PlayerParameters]):
         return True, f"{message.topic} at {self.position:.3f} s"
 
     def _play(self) -> int:
+        with self._delivering():
+            return self._play_what_is_due()
+
+    @contextmanager
+    def _delivering(self) -> Iterator[None]:
+        """Let subscribers get what has been played, before damage of the bag ends the player."""
+        try:
+            yield
+        except BagReadError:
+            self._topics.acknowledged(_ACKNOWLEDGE_TIMEOUT)
+            raise
+
+    def _play_what_is_due(self) -> int:
         """Publish what is due; return how long it is until more is [ns]."""
         playback, now = self._playback, time.monotonic_ns()
         if playback.paused and not (self._paused or playback.ended):
@@ -240,7 +255,7 @@ class Player(ManagedNode[PlayerParameters]):
         """Return whether subscribers have got all that was played, or too much time has passed."""
         if self._ended is None:
             self._ended = now
-        return self._topics.acknowledged or now - self._ended > _ACKNOWLEDGE_TIMEOUT
+        return self._topics.acknowledged() or now - self._ended > _ACKNOWLEDGE_TIMEOUT
 
     def _seek(self, seconds: float) -> None:
         self._finished = False

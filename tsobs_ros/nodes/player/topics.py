@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics a player publishes, with the QoS they were recorded with."""
 
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
@@ -25,7 +26,6 @@ from tsobs_ros.nodes.message_types import message_class
 # The depth of ROS's default profile: of a publisher whose depth discovery did not tell.
 _USUAL_DEPTH = 10
 _FOREVER = 2**63 - 1
-_AT_ONCE = Duration(nanoseconds=0)
 
 
 class PlayedTopic:
@@ -83,10 +83,15 @@ class PlayedTopics:
         """How many subscriptions are matched, of all topics together."""
         return sum(t.publisher.get_subscription_count() for t in self.by_name.values())
 
-    @property
-    def acknowledged(self) -> bool:
-        """Whether all reliable subscribers have got everything."""
-        return all(t.publisher.wait_for_all_acked(_AT_ONCE) for t in self.by_name.values())
+    def acknowledged(self, timeout: int = 0) -> bool:
+        """Return whether reliable subscribers have got everything, waiting so long for it [ns]."""
+        deadline = time.monotonic_ns() + timeout
+        return all(
+            topic.publisher.wait_for_all_acked(
+                Duration(nanoseconds=max(deadline - time.monotonic_ns(), 0))
+            )
+            for topic in self.by_name.values()
+        )
 
     def publish(self, message: BagMessage) -> None:
         """Publish a message's bytes as they were recorded."""
