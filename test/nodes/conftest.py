@@ -5,6 +5,7 @@
 `manage("/name")` drives one in a process of its own.
 """
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -40,9 +41,19 @@ class Manager:
         client = self.own.create_client(srv_type, name)
         self._ros.spin_until(client.service_is_ready, what=f"the service {name}")
         future = client.call_async(request)
+        # A client knows its service before that knows the client, and an answer that comes in
+        # between is lost for good; to ask for the state again does no harm.
+        if srv_type is GetState and not self._is_answered(future):
+            future = client.call_async(request)
         self._ros.spin_until(future.done, what=f"the answer of {name}")
         self.own.destroy_client(client)
         return future.result()
+
+    def _is_answered(self, future: Any) -> bool:
+        """Return whether an answer comes within a few seconds."""
+        deadline = time.monotonic() + 3.0
+        self._ros.spin_until(lambda: future.done() or time.monotonic() > deadline)
+        return bool(future.done())
 
     def change(self, *labels: str) -> bool:
         """Ask for transitions one after the other until one fails; say whether none did."""

@@ -18,7 +18,7 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.nodes.stamps import to_nanoseconds
 
 TIMEOUT = 30.0
-TOPICS = ["joint_measurements", "observer/joint_states"]
+MEASUREMENTS, ESTIMATES = TOPICS = ["joint_measurements", "observer/joint_states"]
 
 
 class Watch:
@@ -62,14 +62,19 @@ class Watch:
         wanted = len(stamps) + count
         self._ros.spin_until(lambda: len(stamps) >= wanted, TIMEOUT, f"{count} more messages")
 
-    def recorded(self, more: int = 20) -> None:
-        """Wait until the recorder says that it has so many more messages than it said last."""
+    def recorded(self, *topics: str, more: int = 20) -> None:
+        """Wait until the recorder says that it has so many more of each topic than it said last."""
 
-        def count() -> int:
-            return int(self.values.get("recorder: recording", {}).get("messages", "0"))
+        def count(topic: str) -> int:
+            said = self.values.get("recorder: topics", {}).get(f"/{topic}", "0 messages")
+            return int(said.split()[0])
 
-        wanted = count() + more
-        self._ros.spin_until(lambda: count() >= wanted, TIMEOUT, f"{more} more recorded messages")
+        wanted = {topic: count(topic) + more for topic in topics}
+        self._ros.spin_until(
+            lambda: all(count(topic) >= least for topic, least in wanted.items()),
+            TIMEOUT,
+            f"{more} more recorded messages of {', '.join(topics)}",
+        )
 
 
 @pytest.fixture
@@ -130,7 +135,7 @@ def test_without_its_recorder_or_observer_the_rest_goes_on_and_takes_the_next_in
     recorder = watch.start("recorder", output=str(first), topics=TOPICS, flush_period=0.1)
     observer = watch.start("observer")
     plant = watch.start("plant_simulator")
-    watch.recorded()
+    watch.recorded(*TOPICS)
 
     kill(recorder)
     watch.more(watch.estimated)
@@ -142,15 +147,15 @@ def test_without_its_recorder_or_observer_the_rest_goes_on_and_takes_the_next_in
     assert f"error: {first}: exists already" in finished.stderr
     assert {path: path.read_bytes() for path in first.iterdir()} == left
     watch.hear("recorder: recording", "recording")
-    watch.recorded()
+    watch.recorded(*TOPICS)
 
     kill(observer)
     last = watch.estimated[-1]
     watch.more(watch.measured)
-    watch.recorded()
+    watch.recorded(MEASUREMENTS)
     observer = watch.start("observer")
     watch.more(watch.estimated)
-    watch.recorded()
+    watch.recorded(*TOPICS)
     stop(signal.SIGINT, observer, recorder, plant)
 
     stamps = estimates(second)

@@ -155,7 +155,11 @@ def test_in_a_loop_the_clock_jumps_back_to_the_start(
     ros: Any, play: Play, listener: Any, bag: Path
 ) -> None:
     listener.listen("/a").listen_to_clock()
-    player = play(bag, start_offset=0.9, duration=0.05, loop=True, clock=200.0, rate=0.5)
+    part = {"start_offset": 0.9, "duration": 0.05, "loop": True}
+    player = play(bag, **part, clock=200.0, rate=0.5, start_paused=True)
+    # Only a subscription of /clock that is matched hears every pass of it.
+    ros.spin_until(lambda: bool(listener.clock), what="the clock in the pause")
+    player.resume()
     ros.spin_until(lambda: len(listener.heard) >= 15, what="two passes and a half")
     assert not player.finished
     set_parameter(player, "loop", False)
