@@ -35,8 +35,15 @@ from types import ModuleType
 from typing import IO, Any, NamedTuple
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# The same examples in every run, and no verdict on how fast the machine is.
+settings.register_profile(
+    "tsobs_ros", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("tsobs_ros")
 
 # Before any test module can import matplotlib or rclpy.
 os.environ["MPLBACKEND"] = "Agg"

@@ -100,7 +100,10 @@ names = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), min
 texts = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=20)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=50,
+)
 @given(
     topics=st.lists(st.builds(TopicMetadata, names, names, st.integers(0, 10**12))),
     files=st.lists(

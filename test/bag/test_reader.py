@@ -130,7 +130,7 @@ def test_the_last_messages_before_a_time_are_found(
 timed = st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 20)), max_size=40)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(timed, st.integers(1, 6), st.integers(0, 21), st.integers(0, 21), st.integers(1, 3))
 def test_any_order_of_recording_is_read_in_log_order(
     written: list[tuple[str, int]], chunk: int, start: int, end: int, depth: int

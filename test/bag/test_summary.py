@@ -18,7 +18,7 @@ from tsobs_ros.errors import BagReadError
 STRING = "std_msgs/msg/String"
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     st.lists(st.tuples(st.sampled_from(["/a", "/b"]), st.integers(0, 60)), max_size=30),
     st.integers(1, 6),

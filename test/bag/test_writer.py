@@ -68,7 +68,7 @@ def records(path: Path, *, whole_chunks: bool = False) -> Iterator[McapRecord]:
             return
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(entries, st.sampled_from(["none", "lz4", "zstd"]))
 def test_every_reader_gives_back_what_was_written(written: list[Entry], compression: str) -> None:
     with TemporaryDirectory() as folder:
@@ -91,7 +91,7 @@ def test_every_reader_gives_back_what_was_written(written: list[Entry], compress
             ] == [(e.topic, TOPICS[e.topic], e.log_time, e.data) for e in expected]
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(entries)
 def test_the_folder_says_what_the_file_holds(written: list[Entry]) -> None:
     with TemporaryDirectory() as folder:

@@ -25,11 +25,9 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 
 PROPERTY = settings(
-    derandomize=True,
-    deadline=None,
     max_examples=60,
     # The file is written anew by every example.
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 

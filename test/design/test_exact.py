@@ -33,7 +33,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 
 Array = NDArray[np.float64]
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=40)
+PROPERTY = settings(max_examples=40)
 MATRICES = hnp.arrays(np.float64, (3, 3), elements=st.floats(-3.0, 3.0, allow_subnormal=False))
 
 

@@ -27,7 +27,7 @@ from tsobs_ros.model.uncertainty import DIRECTIONS, ArmUncertainty
 from tsobs_ros.model.vertices import kick_corners
 
 Array = NDArray[np.float64]
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=100)
+PROPERTY = settings(max_examples=100)
 CASES: dict[str, dict[str, float]] = {
     "stiffness": {"stiffness": 0.2},
     "gravity": {"gravity": 0.1},

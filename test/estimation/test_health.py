@@ -19,7 +19,7 @@ from tsobs_ros.estimation.health import (
     phase_of,
 )
 
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=100)
+PROPERTY = settings(max_examples=100)
 SECOND = 1_000_000_000
 PERIOD = 5_000_000
 LIMITS = DisturbanceLimits(warn=0.2, error=0.5, hold=0.5)

@@ -34,7 +34,7 @@ from tsobs_ros.simulation.scenario import Scenario
 from tsobs_ros.simulation.signals import BiasStep
 
 Array = NDArray[np.float64]
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=60)
+PROPERTY = settings(max_examples=60)
 T = 0.005
 
 

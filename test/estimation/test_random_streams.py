@@ -22,7 +22,7 @@ DESIGN = load_design(config_path(SHIPPED_DESIGN))
 ADAPTIVE = load_design(config_path("elastic_joint_adaptive.design.yaml"))
 BEGIN = 100 * NANOSECONDS
 TICK = 20_000_000
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=3)
+PROPERTY = settings(max_examples=3)
 MANY = 600
 
 

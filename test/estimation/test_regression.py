@@ -4,14 +4,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tsobs_ros.estimation.regression import exceeds, spread_of
 
 
-@settings(derandomize=True, deadline=None)
 @given(st.data(), st.integers(1, 6), st.floats(0.0, 10.0))
 def test_pivots_tell_what_the_smallest_eigenvalue_tells(
     data: st.DataObject, size: int, level: float

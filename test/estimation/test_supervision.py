@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.supervision import SupervisionOptions, Verdict, Watch, elapse, judge
 
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=200)
+PROPERTY = settings(max_examples=200)
 PERIOD = 0.005
 OPTIONS = SupervisionOptions()
 LONG_AGO = 100.0

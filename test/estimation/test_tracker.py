@@ -30,7 +30,7 @@ SECOND = 1_000_000_000
 PERIOD = 5_000_000
 BEGIN = 100 * SECOND
 END_OF_TIME = 10**18
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=40)
+PROPERTY = settings(max_examples=40)
 MakeTracker = Callable[..., Tracker[Any]]
 
 DESIGN = load_design(config_path("elastic_joint.design.yaml"))

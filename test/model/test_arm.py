@@ -16,7 +16,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 
 Array = NDArray[np.float64]
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=80)
+PROPERTY = settings(max_examples=80)
 
 INERTIAS = st.floats(0.1, 10.0)
 DAMPINGS = st.one_of(st.just(0.0), st.floats(0.01, 5.0))

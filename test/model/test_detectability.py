@@ -15,7 +15,7 @@ from tsobs_ros.model.disturbance import bias, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
 
 Array = NDArray[np.float64]
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=60)
+PROPERTY = settings(max_examples=60)
 EYE = np.eye(4)
 
 

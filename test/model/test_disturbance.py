@@ -24,7 +24,7 @@ from tsobs_ros.model.disturbance import (
 )
 
 Array = NDArray[np.float64]
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=60)
+PROPERTY = settings(max_examples=60)
 STATES = st.floats(-2.0, 2.0)
 TIMES = st.floats(0.0, 20.0)
 MODELS = st.one_of(

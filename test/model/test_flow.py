@@ -20,7 +20,7 @@ from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, 
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
 
 Array = NDArray[np.float64]
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=60)
+PROPERTY = settings(max_examples=60)
 
 ARMS = st.builds(
     ElasticJointArm, st.floats(0.2, 5.0), st.floats(0.2, 5.0), st.floats(1.0, 50.0),

@@ -15,7 +15,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.fuzzy import MembershipFunction, RuleBase, TSSystem
 
 Array = NDArray[np.float64]
-PROPERTY = settings(derandomize=True, deadline=None, max_examples=60)
+PROPERTY = settings(max_examples=60)
 NUMBERS = st.floats(-5.0, 5.0)
 
 

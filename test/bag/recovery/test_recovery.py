@@ -185,7 +185,7 @@ def test_the_front_of_a_large_compressed_chunk_is_kept(tmp_path: Path, compressi
     assert len(found) >= 3
 
 
-@settings(deadline=None, max_examples=200)
+@settings(max_examples=200)
 @given(st.sampled_from(COMPRESSIONS), st.integers(0, 10**9), st.integers(1, 255))
 @example("none", 9, 255)
 def test_a_changed_byte_costs_one_chunk_and_invents_nothing(
