@@ -51,6 +51,10 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 for _variable in ("ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID", "ROS_STATIC_PEERS"):
     os.environ.pop(_variable, None)
 
+# A job in the background of a script is born with SIGINT ignored, and so would be its children.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 # 102 and above may collide with the ports Linux hands out for outgoing connections.
 _DOMAINS = range(1, 102)
 _TEARDOWN_LIMIT = 60.0
