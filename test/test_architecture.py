@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Imports point one way: nodes, cli → bag, report, design, simulation → estimation → model."""
+"""Imports point one way, from the nodes and the command line down to the model."""
 
 import ast
 import subprocess
