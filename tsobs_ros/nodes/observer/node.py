@@ -9,7 +9,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from tsobs_ros.estimation import comparison
 from tsobs_ros.estimation.health import Level, Status
@@ -39,6 +39,7 @@ from tsobs_ros.nodes.observer.statuses import (
 )
 from tsobs_ros.nodes.observer.tick_meter import TickMeter
 from tsobs_ros.nodes.ticker import Ticker
+from tsobs_ros.nodes.triggers import offer_triggers
 
 _DIAGNOSTICS_PERIOD = 1.0
 _WARNING_PERIOD = 5.0
@@ -93,7 +94,7 @@ class Observer(ManagedNode[ObserverParameters]):
             self, {joint.name: joint.learnt for joint in self._joints}
         )
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=", ".join(parameters.joints))
-        self.create_service(Trigger, "~/reset", self._on_reset)
+        offer_triggers(self, {"reset": self._on_reset})
         self.create_service(SetBool, "~/enable", self._on_enable)
         self.ticker = self._ticker = Ticker(
             self, 1.0 / parameters.rate, self._on_tick, self._measurements if at_once else None
@@ -263,12 +264,11 @@ class Observer(ManagedNode[ObserverParameters]):
         self._fresh = True
         self._unanswered.clear()
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _on_reset(self) -> tuple[bool, str]:
         # What was received before the reset must not be used after it.
         self._measurements.drain()
         self._begin_afresh("reset service")
-        response.success, response.message = True, "started afresh"
-        return response
+        return True, "started afresh"
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data and not self._enabled:

@@ -14,13 +14,13 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
-from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.schedule import SampleSchedule, ScaledTime
 from tsobs_ros.nodes.plant_simulator.topics import CommandLimits, SamplePublisher, TorqueCommands
+from tsobs_ros.nodes.triggers import offer_triggers
 from tsobs_ros.simulation.plant import Plant
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.
@@ -63,7 +63,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self, parameters.joint, publish_clock=parameters.publish_clock
         )
         self._commands = TorqueCommands(self, self._limits_of(parameters))
-        self.create_service(Trigger, "~/reset", self._reset)
+        offer_triggers(self, {"reset": self._reset})
         self._schedule = SampleSchedule(parameters.rate)
         self._driven: ScaledTime | None = None
         if parameters.publish_clock:
@@ -241,17 +241,16 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._plant.exchange_excitation(new.excitation)
         self._plant.exchange_sensor(new.sensor)
 
-    def _reset(self, _request: Any, response: Any) -> Any:
+    def _reset(self) -> tuple[bool, str]:
         """Start the plant anew at the next sample; the stamps go on."""
         was_over = self._is_over
         self._new_plant()
         if was_over and self._timer is not None:
             self._schedule.start(self._now_ns())
             self._sleep()
-        response.success = True
-        response.message = f"restarted with seed {self._settings.seed}"
-        self.get_logger().info(response.message)
-        return response
+        message = f"restarted with seed {self._settings.seed}"
+        self.get_logger().info(message)
+        return True, message
 
 
 def create(**node_kwargs: Any) -> PlantSimulatorNode:

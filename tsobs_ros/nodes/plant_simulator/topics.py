@@ -13,6 +13,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from tsobs_ros.bag.messages.estimate_topics import sides
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.stamps import set_stamp
 from tsobs_ros.simulation.plant import Sample
@@ -92,9 +93,7 @@ class SamplePublisher:
 
     def __init__(self, node: Node, joint: str, *, publish_clock: bool) -> None:
         self._measurement = JointState(name=[joint], position=[0.0], effort=[0.0])
-        self._states = JointState(
-            name=[f"{joint}_link", f"{joint}_motor"], position=[0.0] * 2, velocity=[0.0] * 2
-        )
+        self._states = JointState(name=[*sides(joint)], position=[0.0] * 2, velocity=[0.0] * 2)
         self._disturbance = JointState(name=[joint], position=[0.0])
         self._clock = ClockMessage()
         self._to_measurements = node.create_publisher(

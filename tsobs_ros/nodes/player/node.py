@@ -9,7 +9,6 @@ ways to interfere: services to pause and to step, the live parameters `rate`, `l
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from tsobs_ros.bag.playback import BagSource, Event, Playback
-from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.errors import BagReadError, ParameterError
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.managed import ManagedNode
@@ -105,7 +104,7 @@ class Player(ManagedNode[PlayerParameters]):
         self.at_cleanup(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(_SWITCH_INTERVAL)
         self._playback = Playback(
-            source.read,
+            lambda time, again: self._until_damage(source.read(time, again)),
             start,
             end,
             rate=parameters.rate,
@@ -114,6 +113,14 @@ class Player(ManagedNode[PlayerParameters]):
         )
         self._paused = parameters.start_paused
         self._seek(parameters.position)
+
+    def _until_damage(self, messages: Iterator[BagMessage | None]) -> Iterator[BagMessage | None]:
+        """Let subscribers get what has been played, before damage of the bag ends the player."""
+        try:
+            yield from messages
+        except BagReadError:
+            self._topics.acknowledged(_ACKNOWLEDGE_TIMEOUT)
+            raise
 
     def activate(self) -> None:
         """Play, as soon as there are subscribers, unless paused."""
@@ -187,8 +194,7 @@ class Player(ManagedNode[PlayerParameters]):
         if not (self.active and self._paused):
             return False, f"only a paused player steps; it is {self.doing}"
         self._play()  # what is latched here is no step
-        with self._delivering():
-            events = self._playback.step(time.monotonic_ns())
+        events = self._playback.step(time.monotonic_ns())
         for event in events:
             self._publish(event)
         if not events or (message := events[-1].message) is None:
@@ -196,19 +202,6 @@ class Player(ManagedNode[PlayerParameters]):
         return True, f"{message.topic} at {self.position:.3f} s"
 
     def _play(self) -> int:
-        with self._delivering():
-            return self._play_what_is_due()
-
-    @contextmanager
-    def _delivering(self) -> Iterator[None]:
-        """Let subscribers get what has been played, before damage of the bag ends the player."""
-        try:
-            yield
-        except BagReadError:
-            self._topics.acknowledged(_ACKNOWLEDGE_TIMEOUT)
-            raise
-
-    def _play_what_is_due(self) -> int:
         """Publish what is due; return how long it is until more is [ns]."""
         playback, now = self._playback, time.monotonic_ns()
         if playback.paused and not (self._paused or playback.ended):

@@ -4,10 +4,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from std_srvs.srv import Trigger
+from tsobs_ros.nodes.triggers import offer_triggers
 
 if TYPE_CHECKING:
     from tsobs_ros.nodes.player import Player
@@ -37,21 +36,11 @@ def offer_services(player: Player) -> None:
     def is_paused() -> tuple[bool, str]:
         return player.paused, state()
 
-    for name, answer in {
+    answers = {
         "pause": pause,
         "resume": resume,
         "toggle_paused": toggle_paused,
         "is_paused": is_paused,
         "play_next": player.step,
-    }.items():
-        player.create_service(Trigger, f"~/{name}", _trigger(answer))
-
-
-def _trigger(
-    answer: Callable[[], tuple[bool, str]],
-) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-    def callback(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = answer()
-        return response
-
-    return callback
+    }
+    offer_triggers(player, answers)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics a player publishes, with the QoS they were recorded with."""
 
-import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
@@ -84,14 +83,9 @@ class PlayedTopics:
         return sum(t.publisher.get_subscription_count() for t in self.by_name.values())
 
     def acknowledged(self, timeout: int = 0) -> bool:
-        """Return whether reliable subscribers have got everything, waiting so long for it [ns]."""
-        deadline = time.monotonic_ns() + timeout
-        return all(
-            topic.publisher.wait_for_all_acked(
-                Duration(nanoseconds=max(deadline - time.monotonic_ns(), 0))
-            )
-            for topic in self.by_name.values()
-        )
+        """Return whether reliable subscribers have got everything; each has so long for it [ns]."""
+        limit = Duration(nanoseconds=timeout)
+        return all(t.publisher.wait_for_all_acked(limit) for t in self.by_name.values())
 
     def publish(self, message: BagMessage) -> None:
         """Publish a message's bytes as they were recorded."""

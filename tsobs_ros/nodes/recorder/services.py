@@ -7,9 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from std_srvs.srv import Trigger
-
 from tsobs_ros.errors import BagWriteError
+from tsobs_ros.nodes.triggers import Answer, offer_triggers
 
 if TYPE_CHECKING:
     from tsobs_ros.nodes.recorder import Recorder
@@ -44,32 +43,28 @@ def offer_services(recorder: Recorder, snapshot_mode: bool) -> None:
     def snapshot() -> str:
         return f"{recorder.take_snapshot()} messages"
 
-    def is_paused(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        response.success, response.message = recorder.paused, state()
-        return response
+    def is_paused() -> tuple[bool, str]:
+        return recorder.paused, state()
 
     answers = {
-        "pause": pause,
-        "resume": resume,
-        "toggle_paused": toggle_paused,
-        "split_bagfile": split_bagfile,
+        "pause": _attempt(pause),
+        "resume": _attempt(resume),
+        "toggle_paused": _attempt(toggle_paused),
+        "is_paused": is_paused,
+        "split_bagfile": _attempt(split_bagfile),
     }
     if snapshot_mode:
-        answers["snapshot"] = snapshot
-    for name, answer in answers.items():
-        recorder.create_service(Trigger, f"~/{name}", _trigger(answer))
-    recorder.create_service(Trigger, "~/is_paused", is_paused)
+        answers["snapshot"] = _attempt(snapshot)
+    offer_triggers(recorder, answers)
 
 
-def _trigger(
-    answer: Callable[[], str],
-) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-    def callback(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+def _attempt(act: Callable[[], str]) -> Answer:
+    """Return what does something that may fail with the bag, and tells why it did."""
+
+    def answer() -> tuple[bool, str]:
         try:
-            response.message = answer()
-            response.success = True
+            return True, act()
         except BagWriteError as error:  # the next tick meets it too, and ends the recording
-            response.message = str(error)
-        return response
+            return False, str(error)
 
-    return callback
+    return answer
