@@ -3,13 +3,11 @@
 """`tsobs bag`: look at a bag, check it, and recover a damaged one."""
 
 import argparse
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from tsobs_ros.commands.options import Words, add_json
-from tsobs_ros.commands.output import show
+from tsobs_ros.commands.output import Told, progress, show
 
 
 def add_parser(words: Words) -> None:
@@ -72,8 +70,8 @@ def _info(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from tsobs_ros.bag.verification import verify
 
-    with _progress(options, passes=1) as progress:
-        verification = verify(options.bag, progress)
+    with _bytes_read(options, passes=1) as told:
+        verification = verify(options.bag, told)
     show(verification.as_mapping(), verification.text(), options.json)
     return 0 if verification.holds else 1
 
@@ -83,27 +81,20 @@ def _recover(options: argparse.Namespace) -> int:
 
     bag = options.bag.absolute()
     default = bag.with_name(f"{bag.name.removesuffix('.mcap')}_recovered")
-    with _progress(options, passes=2) as progress:
+    with _bytes_read(options, passes=2) as told:
         recovery = recover(
             options.bag,
             options.output or default,
             compression=options.compression,
             keep_unchecked=options.keep_unchecked,
-            progress=progress,
+            progress=told,
         )
     show(recovery.as_mapping(), recovery.text(), options.json)
     return 0
 
 
-@contextmanager
-def _progress(options: argparse.Namespace, passes: int) -> Iterator[Callable[[int], object]]:
-    """Show how far it is, if somebody looks."""
-    if options.json or not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    from tqdm import tqdm
-
+def _bytes_read(options: argparse.Namespace, passes: int) -> AbstractContextManager[Told]:
+    """Show how much of the bag has been read."""
     files = options.bag.glob("*.mcap") if options.bag.is_dir() else [options.bag]
     total = passes * sum(file.stat().st_size for file in files if file.is_file())
-    with tqdm(total=total, unit="B", unit_scale=True, leave=False) as bar:
-        yield bar.update
+    return progress(total, "B", scale=True, quiet=options.json)

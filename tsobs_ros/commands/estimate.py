@@ -3,16 +3,13 @@
 """`tsobs estimate`: observers over a recording, and a new bag of what they estimate."""
 
 import argparse
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tsobs_ros.commands.observer_options import add_observer_options, observers_of, source_of
 from tsobs_ros.commands.options import Words, add_json
-from tsobs_ros.commands.output import complain, show
+from tsobs_ros.commands.output import complain, progress, show
 from tsobs_ros.errors import BagWriteError
 
 if TYPE_CHECKING:
@@ -57,27 +54,13 @@ def estimate(
     observers = observers_of(options, source.joints)
     as_live = options.rate is None and options.at != "measurements"
     runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
-    with _progress(source, runs, output, options.json) as progress:
-        run_all(source, runs, output, estimates_only=estimates_only, progress=progress)
+    with progress(source.samples.count * len(runs), " samples", quiet=options.json) as told:
+        run_all(source, runs, output, estimates_only=estimates_only, progress=told)
     result = _Result(source, runs, output, time.monotonic() - begun)
     show(result.as_mapping(), result.text(), options.json)
     if source.damage is not None:
         complain(f"{source.damage}; estimated up to there")
     return 0 if source.damage is None else 1
-
-
-@contextmanager
-def _progress(
-    source: "Source", runs: "list[Run]", output: Path | None, quiet: bool
-) -> Iterator[Callable[[int], None]]:
-    """Show how far it is, if somebody looks."""
-    if quiet or not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    from tqdm import tqdm
-
-    with tqdm(total=source.samples.count * len(runs), unit=" samples", leave=False) as bar:
-        yield bar.update
 
 
 class _Result:
