@@ -9,13 +9,11 @@ closing, and with it forcing the bag to the disk; they are of the wall clock.
 
 import shutil
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import parser, show
+from common import parser, show, timed
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -100,12 +98,6 @@ def _read_rosbags(path: Path) -> int:
         return sum(1 for _ in reader.messages())
 
 
-def _timed(action: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    action()
-    return time.perf_counter() - begun
-
-
 def _measure(
     folder: Path, messages: list[Message], compression: str, repeats: int
 ) -> dict[str, dict[str, float]]:
@@ -119,13 +111,13 @@ def _measure(
     times: dict[tuple[str, str], list[float]] = {}
     for _ in range(repeats):
         for name, write in writers.items():
-            seconds = _timed(lambda w=write: w(scratch, messages, compression))
+            seconds = timed(lambda w=write: w(scratch, messages, compression))
             times.setdefault(("write", name), []).append(seconds)
             shutil.rmtree(scratch)
         for name, read in readers.items():
-            times.setdefault(("read", name), []).append(_timed(lambda r=read: r(bag)))
-        times.setdefault(("verify", "ours"), []).append(_timed(lambda: verify(bag)))
-        times.setdefault(("recover", "ours"), []).append(_timed(lambda: recover(bag, scratch)))
+            times.setdefault(("read", name), []).append(timed(lambda r=read: r(bag)))
+        times.setdefault(("verify", "ours"), []).append(timed(lambda: verify(bag)))
+        times.setdefault(("recover", "ours"), []).append(timed(lambda: recover(bag, scratch)))
         shutil.rmtree(scratch)
     assert verify(bag).holds
     assert _read_ours(bag) == len(messages)
@@ -152,7 +144,7 @@ def _text(results: dict[str, Any]) -> str:
 
 def main() -> None:
     """Measure and print."""
-    made = parser(__doc__)
+    made = parser(__doc__, design=False)
     made.add_argument("--messages", type=int, default=200_000, metavar="N")
     made.add_argument("--repeats", type=int, default=5, metavar="N")
     made.add_argument("--folder", type=Path, help="where to write (default: a temporary folder)")

@@ -9,7 +9,8 @@ import os
 import platform
 import sys
 import tempfile
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -35,11 +36,12 @@ def use_one_thread() -> None:
     os.execv(sys.executable, [sys.executable, *sys.argv])
 
 
-def parser(description: str | None) -> argparse.ArgumentParser:
-    """Return a parser with the options all benchmarks have."""
+def parser(description: str | None, *, design: bool = True) -> argparse.ArgumentParser:
+    """Return a parser with the options that benchmarks share; `design` for those that use one."""
     made = argparse.ArgumentParser(description=(description or "").partition("\n\n")[0])
     made.add_argument("--json", action="store_true", help="print JSON instead of text")
-    made.add_argument("--design", type=Path, metavar="FILE", help="default: the shipped design")
+    if design:
+        made.add_argument("--design", type=Path, metavar="FILE", help="default: the shipped design")
     return made
 
 
@@ -66,6 +68,13 @@ def claim_domain() -> int:
 def design_of(options: argparse.Namespace) -> Design:
     """Return the design a benchmark was asked to use, its certificate checked."""
     return load_design(options.design or config_path("elastic_joint.design.yaml"))
+
+
+def timed(action: Callable[[], object]) -> float:
+    """Return how long something takes [s]."""
+    begun = time.perf_counter()
+    action()
+    return time.perf_counter() - begun
 
 
 def machine() -> dict[str, Any]:

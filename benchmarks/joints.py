@@ -15,9 +15,10 @@ import numpy as np
 from common import parser, show, use_one_thread
 
 from tsobs_ros.design.file import load_design
+from tsobs_ros.design.observers import ObserverSettings, make_tracker
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -28,13 +29,13 @@ _DESIGNS = {
     "adaptive": ("elastic_joint_adaptive.design.yaml", "stiff"),
 }
 
-Row = list[Measurement | None]
+Row = list[Measurement]
 
 
 def _trackers(kind: str, count: int) -> list[Tracker[Any]]:
     """Return trackers that share nothing, not even an equal design."""
     designs = [load_design(config_path(_DESIGNS[kind][0])) for _ in range(count)]
-    return [Tracker(each.supervised(), TrackerOptions(each.request.x_max)) for each in designs]
+    return [make_tracker(each, ObserverSettings()) for each in designs]
 
 
 def _rows(kind: str, count: int, seconds: float) -> list[tuple[int, Row]]:
@@ -63,8 +64,7 @@ def _cost(kind: str, count: int, seconds: float) -> dict[str, float]:
 
     def one_by_one(now: int, row: Row) -> None:
         for tracker, measurement in zip(alone, row, strict=True):
-            if measurement is not None:
-                tracker.offer(measurement, now)
+            tracker.offer(measurement, now)
         for tracker in alone:
             tracker.estimate(now)
 
@@ -83,7 +83,7 @@ def _cost(kind: str, count: int, seconds: float) -> dict[str, float]:
 
 def main() -> None:
     """Measure and print."""
-    made = parser(__doc__)
+    made = parser(__doc__, design=False)
     made.add_argument("--seconds", type=float, default=30.0, help="simulated time")
     made.add_argument("--joints", type=int, default=7, help="size of the batch")
     options = made.parse_args()

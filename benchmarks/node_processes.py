@@ -22,12 +22,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from tsobs_ros.bag.messages.estimate_topics import STATES, TOPICS
 from tsobs_ros.design.file import save_design
 from tsobs_ros.design.record import Design
 
 _START_TIMEOUT = 30.0
 _STOP_TIMEOUT = 15.0
-OUTPUTS = ("joint_states", "error_bound", "disturbance", "disturbance_bound", "innovation")
 _DRAIN_PERIOD = 0.05
 _DEPTH = 5000
 
@@ -133,6 +133,20 @@ def joint_names(count: int) -> list[str]:
     return ["elastic_joint"] if count == 1 else [f"joint_{k + 1}" for k in range(count)]
 
 
+def hear(node: Any) -> dict[str, Any]:
+    """Subscribe to all that an observer publishes, which otherwise it would not."""
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import JointState
+
+    from tsobs_ros.nodes.draining import DrainedSubscription
+
+    qos = QoSProfile(depth=_DEPTH)
+    return {
+        topic: DrainedSubscription(node, JointState, f"observer/{topic}", qos, raw=True)
+        for topic in TOPICS
+    }
+
+
 def _sensor(rate: float, joints: int) -> None:
     import rclpy
     from rclpy.qos import qos_profile_sensor_data
@@ -165,18 +179,13 @@ def _listener() -> None:
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.qos import QoSProfile
-    from sensor_msgs.msg import JointState
 
     from tsobs_ros.bag.messages.joint_states import JointStateDecoder
     from tsobs_ros.nodes.draining import DrainedSubscription
 
     rclpy.init()
     node = rclpy.create_node("listener")
-    qos, decode = QoSProfile(depth=_DEPTH), JointStateDecoder()
-    taken = {
-        topic: DrainedSubscription(node, JointState, f"observer/{topic}", qos, raw=True)
-        for topic in OUTPUTS
-    }
+    taken, decode = hear(node), JointStateDecoder()
     diagnostics = DrainedSubscription(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     while not all(each.publisher_count for each in taken.values()):
         time.sleep(0.05)
@@ -188,7 +197,7 @@ def _listener() -> None:
             time.sleep(_DRAIN_PERIOD)
             for topic, each in taken.items():
                 drained = each.drain()
-                if topic == OUTPUTS[0]:
+                if topic == STATES:
                     estimates += [(decode(data).stamp, info.received_ns) for data, info in drained]
             timing += [
                 {item.key: item.value for item in status.values}

@@ -8,13 +8,11 @@ starting Python and loading the design take another half second, however long th
 """
 
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import design_of, parser, show, use_one_thread
+from common import design_of, parser, show, timed, use_one_thread
 
 from tsobs_ros.bag.messages.estimate_topics import sides
 from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
@@ -53,12 +51,6 @@ def _record(path: Path, design: Design, seconds: float) -> None:
             writer.write(disturbed, own(stamp, [d]), log, log)
 
 
-def _timed(action: Callable[[], object]) -> float:
-    begun = time.perf_counter()
-    action()
-    return time.perf_counter() - begun
-
-
 def _estimate(bag: Path, design: Design, output: Path | None) -> None:
     source = BagSource(bag)
     observer = Observer("observer", ObserverSettings(), (design,))
@@ -75,10 +67,10 @@ def _measure(folder: Path, design: Design, seconds: float, repeats: int) -> dict
     times: dict[str, list[float]] = {"all": [], "read": [], "estimate": [], "with live": []}
     outputs = [folder / f"new_{repeat}" for repeat in range(2 * repeats)]
     for _ in range(repeats):
-        times["all"].append(_timed(lambda: _estimate(bag, design, outputs.pop())))
-        times["read"].append(_timed(lambda: BagSource(bag)))
-        times["estimate"].append(_timed(lambda: _estimate(bag, design, None)))
-        times["with live"].append(_timed(lambda: _estimate(live, design, outputs.pop())))
+        times["all"].append(timed(lambda: _estimate(bag, design, outputs.pop())))
+        times["read"].append(timed(lambda: BagSource(bag)))
+        times["estimate"].append(timed(lambda: _estimate(bag, design, None)))
+        times["with live"].append(timed(lambda: _estimate(live, design, outputs.pop())))
     medians = {name: float(np.median(each)) for name, each in times.items()}
     samples = BagReader(bag).topics["/joint_measurements"].count
     parts = {

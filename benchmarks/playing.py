@@ -142,7 +142,7 @@ def _table(rows: list[dict[str, Any]]) -> str:
 
 def main() -> None:
     """Measure and print."""
-    made = parser(__doc__)
+    made = parser(__doc__, design=False)
     made.add_argument("--seconds", type=float, default=60.0, help="of playing at each rate")
     made.add_argument("--rates", type=float, nargs="+", default=[0.5, 1.0, 2.0])
     options = made.parse_args()

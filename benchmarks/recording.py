@@ -188,7 +188,7 @@ def _table(rows: list[dict[str, Any]], killed: dict[str, Any]) -> str:
 
 def main() -> None:
     """Measure and print."""
-    made = parser(__doc__)
+    made = parser(__doc__, design=False)
     made.add_argument("--seconds", type=float, default=60.0, help="of recording each load")
     made.add_argument("--publish", action="store_true", help=argparse.SUPPRESS)
     made.add_argument("--first", type=int, help=argparse.SUPPRESS)

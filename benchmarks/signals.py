@@ -260,7 +260,7 @@ def text(table: Sequence[dict[str, Any]], deviations: Sequence[Stop]) -> str:
 
 def arguments() -> argparse.Namespace:
     """Read the command line."""
-    made = parser(__doc__)
+    made = parser(__doc__, design=False)
     made.add_argument("-n", "--stops", type=int, default=100, help="of each executable alone")
     made.add_argument("--pairs", type=int, default=50, help="stops of each pair together")
     made.add_argument("--until", type=float, default=3.0, help="latest first signal [s]")

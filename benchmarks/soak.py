@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from common import claim_domain, parser, show
-from node_processes import OUTPUTS, Process, executable
+from common import claim_domain, design_of, parser, show
+from node_processes import Process, design_for, executable, hear
 
 _JOINT = "elastic_joint"
 _SETTLING = 0.2
@@ -47,10 +47,6 @@ class _Monitor:
     def __init__(self, domain: int) -> None:
         import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.qos import QoSProfile
-        from sensor_msgs.msg import JointState
-
-        from tsobs_ros.nodes.draining import DrainedSubscription
 
         # The process that measures must be found where the others are, and nowhere else.
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
@@ -59,20 +55,14 @@ class _Monitor:
         self._node = rclpy.create_node("soak")
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 10)
         self.values: dict[str, str] = {}
-        # What nobody hears the observer does not publish.
-        self._heard = [
-            DrainedSubscription(
-                self._node, JointState, f"observer/{topic}", QoSProfile(depth=5000), raw=True
-            )
-            for topic in OUTPUTS
-        ]
+        self._heard = hear(self._node)
 
     def spin(self, seconds: float) -> None:
         """Listen for a while."""
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0.0:
             self._rclpy.spin_once(self._node, timeout_sec=min(left, 0.5))
-            for subscription in self._heard:
+            for subscription in self._heard.values():
                 subscription.drain()
 
     def close(self) -> None:
@@ -126,6 +116,7 @@ def _verdict(rows: Sequence[Sequence[float]]) -> dict[str, Any]:
         "balanced": bool((table[:, 6] == table[:, 7] + table[:, 8]).all()),
         "rss_kib": float(table[-1, 1]),
         "rss_slope_kib_per_min": slope,
+        "rss_growth_kib": growth,
         "cpu_percent": float(np.median(settled[:, 2])),
         "tick_p50_ms": float(np.median(ticks)),
         "tick_p99_ms": float(np.median(settled[:, 4])),
@@ -211,7 +202,9 @@ def _soak(options: Any, folder: Path) -> list[list[float]]:
     """Run everything, and return the table."""
     processes, rows, domain = list[Process](), list[list[float]](), claim_domain()
     try:
-        observer = executable("observer", {"rate": options.rate}, folder, domain)
+        design = str(design_for(design_of(options), options.rate, folder))
+        parameters = {"rate": options.rate, "design": design}
+        observer = executable("observer", parameters, folder, domain)
         processes.append(observer)
         observer.wait_for("certificate holds")
         command = [__file__, "--sensor", "--rate", str(options.rate), "--share", str(options.share)]
@@ -259,7 +252,8 @@ def main() -> int:
         f"{verdict['seconds']:.0f} s at {options.rate:g} Hz: {verdict['received']} received, "
         f"{verdict['rejected']} rejected, {verdict['missed_ticks']} ticks missed",
         f"  memory {verdict['rss_kib'] / 1024:.1f} MiB, {verdict['rss_slope_kib_per_min']:+.1f} "
-        f"KiB/min (at most {_LARGEST_SLOPE:g})",
+        f"KiB/min (at most {_LARGEST_SLOPE:g}) or {verdict['rss_growth_kib']:+.0f} KiB in all "
+        f"(at most {_LARGEST_GROWTH:g}), once settled",
         f"  tick p50 {verdict['tick_p50_ms']:.3f} ms, p99 {verdict['tick_p99_ms']:.3f} ms, drift "
         f"x{verdict['tick_drift']:.2f} (at most {_LARGEST_DRIFT:g}), "
         f"CPU {verdict['cpu_percent']:.0f} %",
