@@ -286,7 +286,10 @@ def executable(name: str) -> list[str]:
 
 @pytest.fixture
 def ros_process(ros: Ros) -> Iterator[Callable[..., RosProcess]]:
-    """Start executables on this test's domain; whatever is left is killed after the test."""
+    """Start executables on this test's domain; whatever is left is killed after the test.
+
+    `prefix` is a command that runs the executable, such as a shell that sets limits first.
+    """
     started: list[RosProcess] = []
 
     def start(
@@ -297,6 +300,7 @@ def ros_process(ros: Ros) -> Iterator[Callable[..., RosProcess]]:
         remap: Mapping[str, str] | None = None,
         arguments: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
+        prefix: Sequence[str] = (),
     ) -> RosProcess:
         ros_arguments: list[str] = []
         if params_file is not None:
@@ -308,7 +312,7 @@ def ros_process(ros: Ros) -> Iterator[Callable[..., RosProcess]]:
         base = executable(command) if isinstance(command, str) else list(command)
         ros_part = ["--ros-args", *ros_arguments] if ros_arguments else []
         process = RosProcess(
-            [*base, *arguments, *ros_part], {**ros.environment, **(environment or {})}
+            [*prefix, *base, *arguments, *ros_part], {**ros.environment, **(environment or {})}
         )
         started.append(process)
         return process
