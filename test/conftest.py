@@ -3,8 +3,8 @@
 """Fixtures for ROS tests without launch files: isolated nodes, and executables as processes.
 
 ``ros`` gives a test its own rclpy context and domain: ``ros.add(node)``, ``ros.node(name)``,
-``ros.spin_until(predicate, timeout, what)``, ``ros.context``, ``ros.executor``,
-``ros.environment`` (for child processes on the same domain).
+``ros.spin_until(predicate, timeout, what)``, ``ros.spin_for(seconds)``, ``ros.hear_out(kept)``,
+``ros.context``, ``ros.executor``, ``ros.environment`` (for child processes on the same domain).
 
 ``ros_process`` starts an executable of this package, or any command, on that domain::
 
@@ -28,7 +28,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Sized
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -145,6 +145,22 @@ class Ros:
             if remaining <= 0.0:
                 raise AssertionError(f"{what} did not happen within {timeout:g} s")
             self.executor.spin_once(timeout_sec=min(0.05, remaining))
+
+    def spin_for(self, seconds: float) -> None:
+        """Spin for a time, in turns enough to take what waits even if the machine stood still."""
+        end, turns = time.monotonic() + seconds, 0
+        while time.monotonic() < end or turns < 50 * seconds:
+            # Not what remains: after another timeout the executor begins its round anew.
+            self.executor.spin_once(timeout_sec=0.02)
+            turns += 1
+
+    def hear_out(self, kept: Sized) -> int:
+        """Spin until nothing more has come for 0.2 s; return how much has."""
+        arrived = -1
+        while arrived != len(kept):
+            arrived = len(kept)
+            self.spin_for(0.2)
+        return arrived
 
     def shutdown(self) -> None:
         """Tear everything down in order."""

@@ -165,9 +165,7 @@ def test_callbacks_work_while_active_only(probe: Any, ros: Any) -> None:
     ros.spin_until(lambda: calls.count("tick") >= 3, what="the ticks")
     manager.change("deactivate")
     before = calls.count("tick")
-    beats: list[int] = []
-    manager.own.create_timer(0.01, lambda: beats.append(1))
-    ros.spin_until(lambda: len(beats) >= 5, what="time for five ticks")
+    ros.spin_for(0.1)
     assert calls.count("tick") == before
 
 

@@ -14,24 +14,6 @@ PERIOD = 5_000_000
 SECOND = 1_000_000_000
 
 
-def wait(ros: Any, beats: int) -> None:
-    """Let a tenth of a second pass for each five beats."""
-    count: list[int] = []
-    metronome = ros.node("metronome")
-    metronome.create_timer(0.02, lambda: count.append(1))
-    ros.spin_until(lambda: len(count) >= beats, what="time to pass")
-    ros.remove(metronome)
-
-
-def hear_out(ros: Any, kept: list[Any]) -> int:
-    """Wait until nothing is on its way any more; return how much has arrived."""
-    arrived = -1
-    while arrived != len(kept):
-        arrived = len(kept)
-        wait(ros, 10)
-    return arrived
-
-
 def indices(listener: Any, samples: list[Any]) -> list[int]:
     """Find each true state that arrived among the samples of the core."""
     index = {sample.physical[0].item(): sample.index for sample in samples}
@@ -45,9 +27,9 @@ def test_after_a_pause_the_arm_goes_on_from_there_with_present_stamps(
     listener.wait_for(listener.states, 20)
     assert manager.change("deactivate")
     listener.command(5.0)  # not for an arm that stands still
-    arrived = hear_out(ros, listener.states)
+    arrived = ros.hear_out(listener.states)
     paused_at = listener.states[-1].stamp
-    wait(ros, 25)
+    ros.spin_for(0.5)
     assert len(listener.states) == arrived
     assert manager.change("activate")
     listener.wait_for(listener.states, 30)
@@ -67,8 +49,8 @@ def test_a_driven_clock_stands_still_with_the_arm(
     manager = manage(listener.start(publish_clock=True))
     listener.wait_for(listener.clock, 20)
     assert manager.change("deactivate")
-    paused_at = hear_out(ros, listener.clock)
-    wait(ros, 5)
+    paused_at = ros.hear_out(listener.clock)
+    ros.spin_for(0.1)
     assert len(listener.clock) == paused_at
     assert manager.change("activate")
     listener.wait_for(listener.clock, 20)
@@ -84,7 +66,7 @@ def test_a_clean_up_ends_the_arm_and_configuring_makes_a_new_one(
     listener.wait_until(
         lambda: listener.node.count_publishers("/joint_measurements") == 0, "the end of the topic"
     )
-    before = hear_out(ros, listener.states)
+    before = ros.hear_out(listener.states)
     assert manager.change("configure", "activate")
     listener.wait_for(listener.states, 20)
     found = indices(listener, listener.core(5000))[before:]
@@ -131,7 +113,7 @@ def test_a_reset_while_it_is_inactive_begins_anew_with_the_next_activation(
     listener.wait_for(listener.states, 20)
     assert manager.change("deactivate")
     assert listener.reset().success
-    hear_out(ros, listener.states)
+    ros.hear_out(listener.states)
     listener.states.clear()
     assert manager.change("activate")
     listener.wait_for(listener.states, 10)
