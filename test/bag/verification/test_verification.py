@@ -241,6 +241,39 @@ def test_files_that_are_missing_or_too_many_are_told(bag: Path) -> None:
     assert remarks == ["notes.txt: not part of a bag"]
 
 
+@pytest.fixture
+def short_bag(tmp_path: Path) -> Path:
+    """A bag of one file."""
+    with BagWriter(tmp_path / "short", compression="none") as writer:
+        writer.add_topic("/a", STRING)
+        writer.write("/a", HELLO, 5, 5)
+    return tmp_path / "short"
+
+
+def test_the_only_file_under_another_name_is_told(short_bag: Path) -> None:
+    (short_bag / "short_0.mcap").rename(short_bag / "other.mcap")
+    verification = verify(short_bag)
+    assert texts(verification) == (
+        ["metadata.yaml: the file 'short_0.mcap' is not there"],
+        ["other.mcap: not part of a bag"],
+    )
+    assert verification.messages == 1
+
+
+def list_as(bag: Path, name: str) -> None:
+    """Let metadata.yaml call the bag's first file something else."""
+    edit(bag, lambda v: (v["files"][0].update(path=name), v.update(relative_file_paths=[name])))
+
+
+def test_a_path_that_is_more_than_a_name_is_told_and_its_file_checked(short_bag: Path) -> None:
+    list_as(short_bag, "./short_0.mcap")
+    edit(short_bag, lambda v: v["files"][0].update(message_count=2))
+    verification = verify(short_bag)
+    assert_error(verification, "the file './short_0.mcap' is not.* in the bag's own folder")
+    assert_error(verification, r"message_count of \./short_0.mcap is stated as 2, but is 1")
+    assert verification.messages == 1
+
+
 def test_a_renamed_folder_is_a_remark(bag: Path) -> None:
     renamed = bag.rename(bag.with_name("other"))
     assert_remark_only(verify(renamed), "'bag_0.mcap' would be named 'other_0.mcap' by rosbag2")

@@ -92,20 +92,22 @@ def verify(bag: str | Path, progress: Callable[[int], object] = lambda _: None) 
 
 def _compare(metadata: BagMetadata, facts: dict[str, FileFacts | None], findings: Findings) -> None:
     """Compare what metadata.yaml says with what the files hold."""
-    for file in metadata.files:
-        if found := facts.get(file.path):
+    # Files that are there may be others than are listed, and paths may be more than a name.
+    listed = [(file, facts.get(Path(file.path).name)) for file in metadata.files]
+    for file, found in listed:
+        if found:
             if not found.is_damaged:
                 _compare_file(file, found.content, findings)
             _compare_topics(metadata, file.path, found.content, findings)
-    contents = [found.content for found in facts.values() if found and not found.is_damaged]
-    if len(contents) < len(metadata.files):
+    contents = [found.content for _, found in listed if found and not found.is_damaged]
+    if len(contents) < len(listed):
         return
     for topic in metadata.topics:
         count = sum(_count(content, topic.name) for content in contents)
         findings.expect(FILE_NAME, f"message_count of {topic.name}", topic.message_count, count)
-    last = facts[metadata.files[-1].path] if metadata.files else None
-    if last and last.stated and last.stated != metadata:
-        findings.remark(metadata.files[-1].path, f"its last record of {FILE_NAME} is another one")
+    for file, found in listed[-1:]:
+        if found and found.stated and found.stated != metadata:
+            findings.remark(file.path, f"its last record of {FILE_NAME} is another one")
 
 
 def _compare_file(file: FileMetadata, content: ContentCheck, findings: Findings) -> None:
