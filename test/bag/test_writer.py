@@ -4,6 +4,7 @@
 
 import resource
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -357,19 +358,25 @@ def test_an_error_in_the_block_keeps_what_was_written(tmp_path: Path) -> None:
     assert BagReader(tmp_path / "bag").message_count == 1
 
 
+@contextmanager
+def no_room_beyond(size: int) -> Iterator[None]:
+    """Let files grow to so many bytes, as on a disk that is full then."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
 def test_a_bag_on_a_full_disk_takes_no_more_and_gives_back_what_was_flushed(
     tmp_path: Path,
 ) -> None:
     data, refusal = bytes(100_000), r"bag_0\.mcap: cannot write it: .* too large"
     writer = BagWriter(tmp_path / "bag", compression="none")
     writer.add_topic("/a", STRING)
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
-    try:
-        with pytest.raises(BagWriteError, match=refusal):
-            any(writer.write("/a", data, time, time) for time in range(20))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with no_room_beyond(1_000_000), pytest.raises(BagWriteError, match=refusal):
+        any(writer.write("/a", data, time, time) for time in range(20))
 
     # Even now that there is room again: half a chunk is in the file.
     for step in (lambda: writer.write("/a", data, 99, 99), writer.flush, writer.split):
@@ -382,3 +389,23 @@ def test_a_bag_on_a_full_disk_takes_no_more_and_gives_back_what_was_flushed(
         BagReader(tmp_path / "bag")
     recover(tmp_path / "bag", tmp_path / "recovered")
     assert [m.log_time for m in BagReader(tmp_path / "recovered").messages()] == list(range(9))
+
+
+def test_a_bag_cannot_be_begun_on_a_full_disk(tmp_path: Path) -> None:
+    refusal = r"bag_0\.mcap: cannot write it: .* too large"
+    with no_room_beyond(100), pytest.raises(BagWriteError, match=refusal):
+        BagWriter(tmp_path / "bag")
+
+
+def test_a_split_on_a_full_disk_leaves_the_bag_closed_and_whole(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING)
+    writer.write("/a", b"one", 1, 1)
+    # Before the disk is full: the limit is that of each file, and the first is the larger one.
+    writer._file.finish(writer.metadata())
+    refusal = r"cannot write it: .* too large"
+    with no_room_beyond(100), pytest.raises(BagWriteError, match=refusal):
+        writer.split()
+    with pytest.raises(BagWriteError, match="the bag is closed"):
+        writer.write("/a", b"two", 2, 2)
+    assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"one"]

@@ -52,7 +52,8 @@ class BagFile:
             self._stream = path.open("xb")
         except OSError as error:
             raise BagWriteError(f"{path}: cannot create it: {error}") from error
-        with ExitStack() as undo, self._writing():
+        # In this order: on a full disk closing fails as well, and that is the same error.
+        with self._writing(), ExitStack() as undo:
             undo.callback(self._stream.close)
             self._writer = McapWriter(self._stream, CHUNK_SIZE, COMPRESSIONS[compression])
             self._writer.start(
