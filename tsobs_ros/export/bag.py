@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics of a bag to files, one each."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,12 +32,7 @@ class Exported(NamedTuple):
 
 
 def export_bag(
-    bag: Path,
-    output: Path,
-    *,
-    topics: Sequence[str] = (),
-    format: str = "csv",
-    progress: Callable[[str, int], None] = lambda topic, count: None,
+    bag: Path, output: Path, *, topics: Sequence[str] = (), format: str = "csv"
 ) -> list[Exported]:
     """Write each topic to a file that is called like it, below a folder.
 
@@ -47,8 +41,6 @@ def export_bag(
         output: The folder; it is created, but no file in it is replaced.
         topics: The topics; all that have messages if empty.
         format: One of `FORMATS`.
-        progress: Told now and then of how many messages more of a topic have been read; each is
-            read twice.
 
     Raises:
         BagReadError: The bag cannot be read, has no such topic, or a topic cannot be decoded.
@@ -71,7 +63,7 @@ def export_bag(
             raise ExportError(f"{path}: exists already, files are not overwritten")
     exported = []
     for topic, path in paths.items():
-        table = Table(reader, topic, partial(progress, topic))
+        table = Table(reader, topic)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             write(table, path)

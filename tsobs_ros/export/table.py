@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One topic of a bag as a table: its columns, found in a first pass, and its rows."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,7 +51,6 @@ class Table:
     Args:
         reader: The bag.
         topic: The topic.
-        progress: Told now and then of how many messages more have been read; each is read twice.
 
     Attributes:
         topic: The topic.
@@ -63,13 +62,11 @@ class Table:
         BagReadError: The topic's messages cannot be decoded.
     """
 
-    def __init__(
-        self, reader: BagReader, topic: str, progress: Callable[[int], None] = lambda _: None
-    ) -> None:
+    def __init__(self, reader: BagReader, topic: str) -> None:
         self.topic = topic
         self.damage: BagReadError | None = None
         self.count = 0
-        self._reader, self._progress = reader, progress
+        self._reader = reader
         self._whole: set[str] = set()
         self.columns = self._survey()
 
@@ -111,14 +108,12 @@ class Table:
 
     def _decoded(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
         if self._reader.topics[self.topic].type != JOINT_STATE:
-            for count, message in enumerate(self._reader.decoded([self.topic]), 1):
-                self._advance(count)
+            for message in self._reader.decoded([self.topic]):
                 cells = flatten(message.message, self._whole)
                 yield message.log_time, message.publish_time, cells
             return
         decode = JointStateDecoder()
-        for count, raw in enumerate(self._reader.messages([self.topic]), 1):
-            self._advance(count)
+        for raw in self._reader.messages([self.topic]):
             try:
                 state = decode(raw.data)
             except MessageError as error:
@@ -127,7 +122,3 @@ class Table:
                     f"not a {JOINT_STATE}: {error}"
                 ) from error
             yield raw.log_time, raw.publish_time, flatten_joint_state(state)
-
-    def _advance(self, count: int) -> None:
-        if count % 256 == 0:
-            self._progress(256)
