@@ -104,7 +104,7 @@ def estimates(bag: Path) -> list[int]:
     return [
         to_nanoseconds(deserialize_message(item.data, JointState).header.stamp)
         for item in BagReader(bag).messages()
-        if item.topic == "/observer/joint_states"
+        if item.topic == f"/{ESTIMATES}"
     ]
 
 
@@ -163,4 +163,4 @@ def test_without_its_recorder_or_observer_the_rest_goes_on_and_takes_the_next_in
     stamps = estimates(second)
     assert stamps[0] < last < stamps[-1]
     assert all(a < b for a, b in itertools.pairwise(stamps))
-    assert BagReader(second).topics["/joint_measurements"].count > 100
+    assert BagReader(second).topics[f"/{MEASUREMENTS}"].count > 100

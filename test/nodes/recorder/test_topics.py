@@ -152,30 +152,24 @@ def test_a_late_publisher_of_another_type_is_reported_once(ros, recording, stran
     assert len(warnings()) == 1
 
 
-def test_what_a_full_queue_drops_is_counted(ros, recording) -> None:
+@pytest.mark.parametrize("names", [("source",), ("arm", "hand")])
+def test_what_a_full_queue_drops_is_counted(ros, recording, names) -> None:
     recorder = recording.start(topics=["joints"], queue_depth=10)
-    publisher = ros.node("source").create_publisher(JointState, "joints", 100)
-    recording.publish(recorder, publisher, recording.joint_states(1))
-    for message in recording.joint_states(60):
-        publisher.publish(message)
-    ros.spin_until(lambda: recording.count(recorder, "/joints") == 11, what="the last ten")
-    assert recorder.statistics.topics["/joints"] == (11, 50, True, ("/source",))
-    assert recorder.statistics.lost == 50
-
-
-def test_what_is_lost_of_several_publishers_is_counted_for_each(ros, recording) -> None:
-    recorder = recording.start(topics=["joints"], queue_depth=10)
-    nodes = [ros.node(name) for name in ("arm", "hand")]
-    publishers = [node.create_publisher(JointState, "joints", 100) for node in nodes]
+    publishers = [ros.node(name).create_publisher(JointState, "joints", 100) for name in names]
     for publisher in publishers:
         ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, what="the matches")
         publisher.publish(JointState())
-    ros.spin_until(lambda: recording.count(recorder, "/joints") == 2, what="the first ones")
+    ros.spin_until(
+        lambda: recording.count(recorder, "/joints") == len(names), what="the first ones"
+    )
     for message in recording.joint_states(60):
         for publisher in publishers:
             publisher.publish(message)
-    ros.spin_until(lambda: recording.count(recorder, "/joints") == 12, what="the last ten")
-    assert recorder.statistics.topics["/joints"] == (12, 110, True, ("/arm", "/hand"))
+    kept, lost = len(names) + 10, 60 * len(names) - 10
+    ros.spin_until(lambda: recording.count(recorder, "/joints") == kept, what="the last ten")
+    paths = tuple(f"/{name}" for name in names)
+    assert recorder.statistics.topics["/joints"] == (kept, lost, True, paths)
+    assert recorder.statistics.lost == lost
 
 
 def test_statistics_count_every_message(ros, recording) -> None:
