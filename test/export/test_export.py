@@ -5,6 +5,7 @@
 import csv
 import math
 import struct
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,8 @@ from tsobs_ros.export.bag import export_bag
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 START = 1_700_000_000_000_000_000
+STRING = "std_msgs/msg/String"
+TEXT = b"\0\1\0\0\6\0\0\0hello\0"
 
 
 def made(type_: str, **fields: Any) -> Any:
@@ -245,3 +248,59 @@ def test_a_message_that_is_none_ends_its_file_and_is_told(tmp_path) -> None:
     assert exported.rows == 1
     assert "at 2 ns is not a sensor_msgs/msg/JointState" in str(exported.damage)
     assert len(rows(exported.path)) == 1
+
+
+def write_joints_and_text(
+    bag: Path, definition: str, encoding: str = "ros2msg", last: bytes = TEXT
+) -> Path:
+    """Write a JointState, which needs no definition, and two texts, which do."""
+    with BagWriter(bag) as writer:
+        writer.add_topic("/joints", JOINT_STATE, definition=MessageDefinition(JOINT_STATE, "", ""))
+        text = MessageDefinition(STRING, definition, "", encoding)
+        writer.add_topic("/text", STRING, definition=text)
+        writer.write("/joints", JointStateEncoder(["j"])(1, [1.0]), 1, 1)
+        for time, data in ((1, TEXT), (2, last)):
+            writer.write("/text", data, time, time)
+    return bag
+
+
+@pytest.mark.parametrize(
+    ("definition", "encoding", "reason"),
+    [
+        ("module std_msgs {};", "ros2idl", "is defined in 'ros2idl', but only ros2msg can be"),
+        ("what is this?\n", "ros2msg", "the definition of std_msgs/msg/String is malformed"),
+    ],
+)
+def test_a_topic_that_cannot_be_decoded_is_refused_before_any_file(
+    tmp_path, definition, encoding, reason
+) -> None:
+    bag = write_joints_and_text(tmp_path / "bag", definition, encoding)
+
+    with pytest.raises(BagReadError, match=reason):
+        export_bag(bag, tmp_path / "out")
+
+    assert not (tmp_path / "out").exists()
+    (exported,) = export_bag(bag, tmp_path / "out", topics=["/joints"])
+    assert (exported.rows, exported.damage) == (1, None)
+
+
+def test_without_the_decoder_only_joint_states_are_exported(tmp_path, monkeypatch) -> None:
+    bag = write_joints_and_text(tmp_path / "bag", "string data\n")
+    monkeypatch.setitem(sys.modules, "mcap_ros2.decoder", None)
+
+    with pytest.raises(BagReadError, match="decoding needs the Python package mcap-ros2-support"):
+        export_bag(bag, tmp_path / "out")
+
+    assert not (tmp_path / "out").exists()
+    (exported,) = export_bag(bag, tmp_path / "out", topics=["/joints"])
+    assert (exported.rows, exported.damage) == (1, None)
+
+
+def test_damage_keeps_what_was_decoded_before_it(tmp_path) -> None:
+    bag = write_joints_and_text(tmp_path / "bag", "string data\n", last=TEXT[:6])
+
+    joints, text = export_bag(bag, tmp_path / "out")
+
+    assert (joints.rows, joints.damage) == (1, None)
+    assert [row["data"] for row in rows(text.path)] == ["hello"]
+    assert "at 2 ns is not a std_msgs/msg/String" in str(text.damage)

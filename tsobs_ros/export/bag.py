@@ -61,13 +61,14 @@ def export_bag(
     for path in paths.values():
         if path.exists():
             raise ExportError(f"{path}: exists already, files are not overwritten")
+    # All topics before the first file: one that cannot be decoded leaves none behind.
+    tables = [(Table(reader, topic), path) for topic, path in paths.items()]
     exported = []
-    for topic, path in paths.items():
-        table = Table(reader, topic)
+    for table, path in tables:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             write(table, path)
         except OSError as error:
             raise ExportError(f"{path}: cannot write it: {error}") from error
-        exported.append(Exported(topic, path, table.count, len(table.columns), table.damage))
+        exported.append(Exported(table.topic, path, table.count, len(table.columns), table.damage))
     return exported

@@ -59,7 +59,8 @@ class Table:
         damage: Where reading ended early, if it did.
 
     Raises:
-        BagReadError: The topic's messages cannot be decoded.
+        BagReadError: The topic's messages cannot be decoded at all: their definition is malformed
+            or not in `ros2msg`, or `mcap-ros2-support` is not installed.
     """
 
     def __init__(self, reader: BagReader, topic: str) -> None:
@@ -101,17 +102,23 @@ class Table:
         )
 
     def _messages(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
+        # Outside of the `try`: without a decoder nothing is damaged, and there are no rows to keep.
+        messages = self._decoded()
         try:
-            yield from self._decoded()
+            yield from messages
         except BagReadError as error:
             self.damage = error
 
     def _decoded(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
-        if self._reader.topics[self.topic].type != JOINT_STATE:
-            for message in self._reader.decoded([self.topic]):
-                cells = flatten(message.message, self._whole)
-                yield message.log_time, message.publish_time, cells
-            return
+        if self._reader.topics[self.topic].type == JOINT_STATE:
+            return self._joint_states()
+        messages = self._reader.decoded([self.topic])  # without a decoder it fails here
+        return (
+            (message.log_time, message.publish_time, flatten(message.message, self._whole))
+            for message in messages
+        )
+
+    def _joint_states(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
         decode = JointStateDecoder()
         for raw in self._reader.messages([self.topic]):
             try:
