@@ -271,7 +271,25 @@ def test_a_path_that_is_more_than_a_name_is_told_and_its_file_checked(short_bag:
     verification = verify(short_bag)
     assert_error(verification, "the file './short_0.mcap' is not.* in the bag's own folder")
     assert_error(verification, r"message_count of \./short_0.mcap is stated as 2, but is 1")
+    assert not any("does not list it" in error for error in texts(verification)[0])
     assert verification.messages == 1
+
+
+@pytest.mark.parametrize("name", ["../outside.mcap", "{parent}/outside.mcap"])
+def test_no_file_outside_of_the_folder_is_read(bag: Path, name: str) -> None:
+    file_with(bag.parent / "outside.mcap", data=b"")
+    name = name.format(parent=bag.parent)
+    edit(bag, lambda v: v["files"][0].update(path=name))
+    edit(bag, lambda v: v["relative_file_paths"].__setitem__(0, name))
+    verification = verify(bag)
+    assert (verification.files, verification.messages) == (1, 18)
+    assert_error(verification, re.escape(f"the file '{name}' is not given by its name in the bag"))
+    assert not any("outside.mcap" in finding.place for finding in verification.errors)
+
+
+def test_a_name_that_no_file_can_have_is_told(short_bag: Path) -> None:
+    list_as(short_bag, "x" * 300)
+    assert_error(verify(short_bag), "the file 'x{300}' is not there")
 
 
 def test_a_renamed_folder_is_a_remark(bag: Path) -> None:

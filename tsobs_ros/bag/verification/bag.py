@@ -77,8 +77,8 @@ def verify(bag: str | Path, progress: Callable[[int], object] = lambda _: None) 
     findings = Findings()
     if path.is_dir():
         metadata = verify_folder(path, findings)
-        listed = [path / file.path for file in metadata.files] if metadata else []
-        paths = [file for file in listed if file.is_file()] or sorted(path.glob("*.mcap"))
+        listed = _listed(path, metadata) if metadata else []
+        paths = listed or sorted(path.glob("*.mcap"))
     elif path.is_file():
         metadata, paths = None, [path]
     else:
@@ -88,6 +88,16 @@ def verify(bag: str | Path, progress: Callable[[int], object] = lambda _: None) 
         _compare(metadata, facts, findings)
     messages = sum(found.content.message_count for found in facts.values() if found)
     return Verification(path, len(paths), messages, findings.errors, findings.remarks)
+
+
+def _listed(bag: Path, metadata: BagMetadata) -> list[Path]:
+    """Return the files in the bag's folder that metadata.yaml names, each once.
+
+    Nothing outside of the folder is opened: readers, too, take a path's last part for its name.
+    """
+    present = {file.name: file for file in bag.iterdir() if file.is_file()}
+    names = dict.fromkeys(Path(file.path).name for file in metadata.files)
+    return [present[name] for name in names if name in present]
 
 
 def _compare(metadata: BagMetadata, facts: dict[str, FileFacts | None], findings: Findings) -> None:

@@ -63,15 +63,21 @@ def verify_folder(bag: Path, findings: Findings) -> BagMetadata | None:
 
 def _verify_names(bag: Path, metadata: BagMetadata, findings: Findings) -> None:
     listed = [file.path for file in metadata.files]
+    entries = sorted(bag.iterdir())
+    # Looked up, as the system fails when it is asked for a name that is too long.
+    files = {path.name for path in entries if path.is_file()}
     for number, name in enumerate(listed):
         if Path(name).name != name:
-            findings.error(FILE_NAME, f"the file '{name}' is not in the bag's own folder")
-        elif not (bag / name).is_file():
+            findings.error(
+                FILE_NAME, f"the file '{name}' is not given by its name in the bag's own folder"
+            )
+        elif name not in files:
             findings.error(FILE_NAME, f"the file '{name}' is not there")
         if name != (expected := f"{bag.resolve().name}_{number}.mcap"):
             findings.remark(FILE_NAME, f"the file '{name}' would be named '{expected}' by rosbag2")
-    for path in sorted(bag.iterdir()):
-        if path.name in listed or path.name == FILE_NAME:
+    names = {Path(name).name for name in listed}
+    for path in entries:
+        if path.name in names or path.name == FILE_NAME:
             continue
         if _NUMBERED.fullmatch(path.name):
             findings.error(path.name, "metadata.yaml does not list it: a reindexing would stumble")
