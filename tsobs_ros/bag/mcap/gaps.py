@@ -3,6 +3,8 @@
 """The longest time between two messages of a topic, from the indexes of a bag's files alone."""
 
 from collections.abc import Sequence
+from itertools import chain, groupby
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ class _Gap:
         self._open: NDArray[np.uint64] = np.empty(0, np.uint64)
 
     def add(self, times: NDArray[np.uint64], start: int) -> None:
-        """Take the times of a chunk; no later chunk begins before this one's start."""
+        """Take a chunk's times, in any order; no later chunk begins before this one's start."""
         self._open = np.sort(np.concatenate((self._open, times)))
         settled = int(np.searchsorted(self._open, np.uint64(start), side="right"))
         self._measure(max(1, settled))
@@ -48,20 +50,22 @@ def largest_gaps(indexes: Sequence[FileIndex]) -> dict[str, int]:
         BagReadError: An index is damaged.
     """
     gaps: dict[str, _Gap] = {}
-    spans = sorted((span for index in indexes for span in index.spans), key=lambda s: s.start)
     unknown: set[str] = set()
-    for span in spans:
-        index = indexes[span.rank]
-        topics = {id_: channel.topic for id_, channel in index.channels.items()}
-        if not span.indexes:
-            unknown.update(topics.values())
+    topics_of = [{id_: channel.topic for id_, channel in i.channels.items()} for i in indexes]
+    spans = sorted(chain.from_iterable(i.spans for i in indexes), key=attrgetter("start"))
+    # Files seldom overlap, so each is opened about once, and only one is open at a time.
+    for rank, group in groupby(spans, key=attrgetter("rank")):
+        path, topics = indexes[rank].path, topics_of[rank]
         try:
-            with index.path.open("rb") as stream:
-                size = index.path.stat().st_size
-                for channel, offset in span.indexes.items():
-                    times = read_times(stream, offset, size)
-                    if channel in topics and times.size:
-                        gaps.setdefault(topics[channel], _Gap()).add(times, span.start)
+            with path.open("rb") as stream:
+                size = stream.seek(0, 2)
+                for span in group:
+                    if not span.indexes:
+                        unknown.update(topics.values())
+                    for channel, offset in span.indexes.items():
+                        times = read_times(stream, offset, size)
+                        if channel in topics and times.size:
+                            gaps.setdefault(topics[channel], _Gap()).add(times, span.start)
         except (OSError, RecordError) as error:
-            raise BagReadError(f"{index.path}: {error}") from error
+            raise BagReadError(f"{path}: {error}") from error
     return {topic: gap.finish() for topic, gap in gaps.items() if topic not in unknown}

@@ -114,7 +114,7 @@ def read_span(stream: IO[bytes], frame: Frame) -> bytes:
 
 
 def read_times(stream: IO[bytes], offset: int, size: int) -> NDArray[np.uint64]:
-    """Return the log times in a message index, ascending.
+    """Return the log times in a message index, in its order.
 
     Args:
         stream: The file.
@@ -128,7 +128,7 @@ def read_times(stream: IO[bytes], offset: int, size: int) -> NDArray[np.uint64]:
     body = read_body(stream, frame)
     if frame.opcode != Opcode.MESSAGE_INDEX or (len(body) - _INDEX_HEAD_SIZE) % 16:
         raise RecordError(f"the index states a message index at byte {offset}, but there is none")
-    return np.sort(np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2])
+    return np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2]
 
 
 class _Reading:
