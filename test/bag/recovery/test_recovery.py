@@ -21,7 +21,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
@@ -272,7 +272,7 @@ def test_topics_of_a_lost_chunk_are_found_in_the_folders_metadata(
     """The first chunk alone describes the topics, and without an end nothing repeats them."""
     entries = write_bag(tmp_path / "bag", compression="none")
     path = tmp_path / "bag" / "bag_0.mcap"
-    data, (chunks) = path.read_bytes(), sample("none").chunks
+    data, chunks = path.read_bytes(), sample("none").chunks
     (start, middle), (_, last) = chunks[0], chunks[-1]
     path.write_bytes(damage(data[:last], start, middle))
     recover(tmp_path / "bag", tmp_path / "new")
@@ -343,7 +343,8 @@ def test_a_folder_is_recovered_file_by_file(
     damage(tmp_path / "bag")
     recover(tmp_path / "bag", tmp_path / "new")
     assert in_recorded_order(tmp_path / "new") == entries
-    assert (verify(tmp_path / "new").errors, verify(tmp_path / "new").remarks) == ((), ())
+    verification = verify(tmp_path / "new")
+    assert (verification.errors, verification.remarks) == ((), ())
     assert [BagReader(p).message_count for p in sorted((tmp_path / "new").glob("*.mcap"))] == [
         # Of the old file only what it holds can be told where its end is cut.
         len(scanned(p.read_bytes()))
@@ -454,21 +455,25 @@ def hostile_chunk(length: int, size: int, inner: int, data: bytes) -> bytes:
     return FRAME.pack(Opcode.CHUNK, length) + head + data
 
 
-BOMB = zstandard.compress(bytes(2**28))
+@cache
+def bomb() -> bytes:
+    """Return what is 256 MiB when it is decompressed."""
+    return zstandard.compress(bytes(2**28))
 
 
 @pytest.mark.parametrize(
-    "chunk",
+    "hostile",
     [
-        hostile_chunk(2**62, 100, 2**62 - 44, b"x" * 100),
-        hostile_chunk(2**27, 2**62, 2**27 - 44, b"x" * 100),
-        hostile_chunk(44 + len(BOMB), 100, len(BOMB), BOMB),
-        hostile_chunk(44 + len(BOMB), 2**40, len(BOMB), BOMB),
-        hostile_chunk(2**20, 1_000, 2**20 - 44, BOMB),
+        lambda: hostile_chunk(2**62, 100, 2**62 - 44, b"x" * 100),
+        lambda: hostile_chunk(2**27, 2**62, 2**27 - 44, b"x" * 100),
+        lambda: hostile_chunk(44 + len(bomb()), 100, len(bomb()), bomb()),
+        lambda: hostile_chunk(44 + len(bomb()), 2**40, len(bomb()), bomb()),
+        lambda: hostile_chunk(2**20, 1_000, 2**20 - 44, bomb()),
     ],
 )
-def test_a_stated_length_costs_no_memory(tmp_path: Path, chunk: bytes) -> None:
+def test_a_stated_length_costs_no_memory(tmp_path: Path, hostile: Callable[[], bytes]) -> None:
     data, entries, chunks = sample("zstd")
+    chunk = hostile()
     tracemalloc.start()
     try:
         _, found = recovered(tmp_path, data[: chunks[0][1]] + chunk)
@@ -478,20 +483,21 @@ def test_a_stated_length_costs_no_memory(tmp_path: Path, chunk: bytes) -> None:
         tracemalloc.stop()
 
 
-def unchunked(path: Path, topics: dict[str, str], count: int, **options: bool) -> bytes:
-    with path.open("wb") as stream:
-        writer = Writer(stream, compression=CompressionType.NONE, **options)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
-        channels = [writer.register_channel(t, e, schema) for t, e in topics.items()]
-        for number in range(count):
-            writer.add_message(channels[number % len(channels)], 5 + number, cdr("x" * 9), number)
-        writer.finish()
-    return path.read_bytes()
+def unchunked() -> bytes:
+    """Return a file of twenty messages outside of chunks."""
+    stream = BytesIO()
+    writer = Writer(stream, use_chunking=False)
+    writer.start(profile="ros2")
+    schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+    channel = writer.register_channel("/a", "cdr", schema)
+    for number in range(20):
+        writer.add_message(channel, 5 + number, cdr("x" * 9), number)
+    writer.finish()
+    return stream.getvalue()
 
 
-def test_messages_outside_of_chunks_are_recovered_up_to_any_cut(tmp_path: Path) -> None:
-    data = unchunked(tmp_path / "x.mcap", {"/a": "cdr"}, 20, use_chunking=False)
+def test_messages_outside_of_chunks_are_recovered_up_to_any_cut() -> None:
+    data = unchunked()
     ends = [end for opcode, _, end in frames(data) if opcode == Opcode.MESSAGE]
     for cut in range(len(data)):
         for tail in (b"", bytes(50)):
@@ -501,8 +507,8 @@ def test_messages_outside_of_chunks_are_recovered_up_to_any_cut(tmp_path: Path) 
             assert len(found) >= sum(end <= cut for end in ends) - 1
 
 
-def test_after_damage_the_next_message_outside_of_chunks_is_found(tmp_path: Path) -> None:
-    data = unchunked(tmp_path / "x.mcap", {"/a": "cdr"}, 20, use_chunking=False)
+def test_after_damage_the_next_message_outside_of_chunks_is_found() -> None:
+    data = unchunked()
     start = next(start for opcode, start, _ in frames(data) if opcode == Opcode.MESSAGE)
     found = [m[2] for m in scanned(overwrite(data, start + 400, start + 403))]
     assert found == sorted(set(found))
