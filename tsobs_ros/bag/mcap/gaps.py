@@ -5,13 +5,17 @@
 from collections.abc import Sequence
 from itertools import chain, groupby
 from operator import attrgetter
+from typing import IO
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.mcap.index import FileIndex, read_times
-from tsobs_ros.bag.mcap.records import RecordError
+from tsobs_ros.bag.mcap.index import FileIndex
+from tsobs_ros.bag.mcap.records import RecordError, read_body, read_frame
 from tsobs_ros.errors import BagReadError
+
+_INDEX_HEAD_SIZE = 6
 
 
 class _Gap:
@@ -63,9 +67,22 @@ def largest_gaps(indexes: Sequence[FileIndex]) -> dict[str, int]:
                     if not span.indexes:
                         unknown.update(topics.values())
                     for channel, offset in span.indexes.items():
-                        times = read_times(stream, offset, size)
+                        times = _read_times(stream, offset, size)
                         if channel in topics and times.size:
                             gaps.setdefault(topics[channel], _Gap()).add(times, span.start)
         except (OSError, RecordError) as error:
             raise BagReadError(f"{path}: {error}") from error
     return {topic: gap.finish() for topic, gap in gaps.items() if topic not in unknown}
+
+
+def _read_times(stream: IO[bytes], offset: int, size: int) -> NDArray[np.uint64]:
+    """Return the log times in a message index, in its order.
+
+    Raises:
+        RecordError: There is no message index.
+    """
+    frame = read_frame(stream, offset, size)
+    body = read_body(stream, frame)
+    if frame.opcode != Opcode.MESSAGE_INDEX or (len(body) - _INDEX_HEAD_SIZE) % 16:
+        raise RecordError(f"the index states a message index at byte {offset}, but there is none")
+    return np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2]

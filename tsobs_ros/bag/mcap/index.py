@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, NamedTuple
 
-import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, Footer, Schema, Statistics
-from numpy.typing import NDArray
 
 from tsobs_ros.bag.mcap.chunk import chunk_records, parse_chunk
 from tsobs_ros.bag.mcap.records import (
@@ -28,7 +26,6 @@ from tsobs_ros.errors import BagReadError
 RECOVER_HINT = "'tsobs bag recover' makes a whole bag of what it holds"
 _FOOTER_SIZE = FRAME.size + 20 + len(MAGIC)
 _BARE_SPAN_SIZE = 1_000_000
-_INDEX_HEAD_SIZE = 6
 
 
 class Span(NamedTuple):
@@ -111,24 +108,6 @@ def read_span(stream: IO[bytes], frame: Frame) -> bytes:
         return chunk_records(parse_chunk(read_body(stream, frame)))
     except RecordError as error:
         raise RecordError(f"at byte {frame.start}: {error}") from error
-
-
-def read_times(stream: IO[bytes], offset: int, size: int) -> NDArray[np.uint64]:
-    """Return the log times in a message index, in its order.
-
-    Args:
-        stream: The file.
-        offset: Where the index is.
-        size: The size of the file.
-
-    Raises:
-        RecordError: There is no message index.
-    """
-    frame = read_frame(stream, offset, size)
-    body = read_body(stream, frame)
-    if frame.opcode != Opcode.MESSAGE_INDEX or (len(body) - _INDEX_HEAD_SIZE) % 16:
-        raise RecordError(f"the index states a message index at byte {offset}, but there is none")
-    return np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2]
 
 
 class _Reading:
