@@ -8,7 +8,7 @@ from collections.abc import Callable
 from tsobs_ros.bag.mcap.messages import BagMessage, decode_messages
 from tsobs_ros.bag.metadata import EMPTY_START_NS
 from tsobs_ros.bag.recovery.destinations import Destinations
-from tsobs_ros.bag.recovery.pieces import Content, Damage, MessageCount
+from tsobs_ros.bag.recovery.pieces import Content, Damage, Found, MessageCount
 from tsobs_ros.bag.recovery.report import DamagedPart, FileRecovery
 from tsobs_ros.bag.recovery.scan import Scan
 from tsobs_ros.bag.recovery.survey import Survey
@@ -59,13 +59,13 @@ def harvest(
                     # The indexes of a chunk follow it, also where the chunk is damaged.
                     if damaged is not None:
                         damaged.messages = (damaged.messages or 0) + piece.messages
-                    continue
-                case Content():
-                    take(piece.records)
                 case Damage():
                     take(piece.unchecked)
-            damaged = None
-            if isinstance(piece, Damage):
-                damaged = DamagedPart(piece.offset, piece.size, piece.reason)
-                file.damage.append(damaged)
+                    damaged = DamagedPart(piece.offset, piece.size, piece.reason)
+                    file.damage.append(damaged)
+                case Content():
+                    take(piece.records)
+                    damaged = None
+                case Found():
+                    damaged = None
     return file

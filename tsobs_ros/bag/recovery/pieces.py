@@ -6,14 +6,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 
 class Content(NamedTuple):
-    """Records that hold messages: those of a chunk, or one message outside of any.
+    """Whole records that hold messages: those of a chunk, or one message outside of any."""
 
-    Attributes:
-        offset: Where in the file they were found.
-        records: Whole records.
-    """
-
-    offset: int
     records: bytes
 
 

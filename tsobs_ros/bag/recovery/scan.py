@@ -104,7 +104,7 @@ class Scan:
         if not self._is_record(frame) or not self._is_sound(frame):
             raise RecordError("not a record")
         if frame.opcode == Opcode.MESSAGE:
-            return [Content(at, self._bytes(at, frame.end - at))], frame.end
+            return [Content(self._bytes(at, frame.end - at))], frame.end
         if frame.opcode == Opcode.MESSAGE_INDEX:
             return [MessageCount((frame.end - frame.body) // 16)], frame.end
         if frame.opcode == Opcode.ATTACHMENT:
@@ -156,7 +156,7 @@ class Scan:
         """Return what there is of a chunk that is cut off, and the rest of the file as lost."""
         front = _whole(chunk_front(chunk))
         reason = "the file ends inside of a chunk, the front of which is kept"
-        return [Content(at, front), Damage(at, self._end - at, reason)]
+        return [Content(front), Damage(at, self._end - at, reason)]
 
     def _is_record(self, frame: Frame) -> bool:
         """Whether the content of a record is one of its kind."""
@@ -241,9 +241,9 @@ class Scan:
 def _contents(frame: Frame, records: bytes) -> list[Piece]:
     whole = _whole(records)
     if len(whole) == len(records):
-        return [Content(frame.start, whole)]
+        return [Content(whole)]
     lost = Damage(frame.start, frame.end - frame.start, "the chunk ends inside of a record")
-    return [Content(frame.start, whole), lost]
+    return [Content(whole), lost]
 
 
 def _whole(records: bytes, first_time: int = 0, last_time: int = 2**64) -> bytes:
