@@ -37,6 +37,10 @@ from typing import IO, Any, NamedTuple
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tsobs_ros.design.file import load_design
+from tsobs_ros.design.record import Design
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+
 ROOT = Path(__file__).resolve().parent.parent
 
 # The same examples in every run, and no verdict on how fast the machine is.
@@ -81,6 +85,12 @@ def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ros_log")
     os.environ["ROS_LOG_DIR"] = str(folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def design() -> Design:
+    """The shipped design."""
+    return load_design(config_path(SHIPPED_DESIGN))
 
 
 @pytest.fixture

@@ -6,9 +6,10 @@ import pytest
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.observers import METHODS, ObserverSettings, make_estimator, make_tracker
+from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
 
 
 def test_the_defaults_are_those_of_the_node() -> None:
@@ -30,15 +31,15 @@ def test_only_the_certified_observer_learns(method: str) -> None:
     assert ObserverSettings(method=method, adapt=False).learnt(design) == ()
 
 
-def test_trackers_may_share_an_observer() -> None:
-    design, settings = load_design(config_path(SHIPPED_DESIGN)), ObserverSettings(history=1.5)
-    estimator = make_estimator(design, settings)
+def test_trackers_may_share_an_observer(shipped: Design) -> None:
+    settings = ObserverSettings(history=1.5)
+    estimator = make_estimator(shipped, settings)
 
-    tracker = make_tracker(design, settings, estimator)
+    tracker = make_tracker(shipped, settings, estimator)
 
     assert tracker.estimator is estimator
     assert tracker.options.history == 1.5
-    assert tracker.options.x_max == design.request.x_max
+    assert tracker.options.x_max == shipped.request.x_max
 
 
 def test_an_unknown_method_is_refused_with_those_there_are() -> None:

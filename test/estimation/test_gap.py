@@ -16,11 +16,11 @@ from tsobs_ros.estimation.observer import CertifiedGain, TSObserver
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.gap_flow import narrowed
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
-DESIGN = load_design(config_path("elastic_joint.design.yaml"))
-ADAPTIVE = load_design(config_path("elastic_joint_adaptive.design.yaml"))
+DESIGN = load_design(config_path(SHIPPED_DESIGN))
+ADAPTIVE = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
 SCENARIO = SCENARIOS["noise"]
 STARTS = [1800, 1920, 2040, 2160]
 """Samples at which the gap begins in each run: at four parts of the torque's turn."""

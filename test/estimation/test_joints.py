@@ -27,11 +27,11 @@ from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.disturbance import DisturbanceModel, bias, clean, gauss_markov, sinusoid
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import ArmUncertainty
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
-DESIGN = load_design(config_path("elastic_joint.design.yaml"))
-ADAPTIVE = load_design(config_path("elastic_joint_adaptive.design.yaml"))
+DESIGN = load_design(config_path(SHIPPED_DESIGN))
+ADAPTIVE = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
 JOINTS = 16
 RUN = simulate(SCENARIOS["bias_step"], list(range(JOINTS)), 3.0)
 PERIOD, BEGIN, END = 5_000_000, 10**11, 10**18

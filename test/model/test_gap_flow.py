@@ -10,9 +10,9 @@ from scipy.linalg import expm
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.model.gap_flow import MEMORY, GapFlow, narrowed, widened
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
-FLOW = load_design(config_path("elastic_joint.design.yaml")).request.flow
+FLOW = load_design(config_path(SHIPPED_DESIGN)).request.flow
 RATE = 0.7
 GAP_FLOW = GapFlow(FLOW, RATE)
 N = FLOW.state_count

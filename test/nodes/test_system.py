@@ -22,7 +22,6 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.design.file import load_design
 from tsobs_ros.design.observers import ObserverSettings
 from tsobs_ros.design.record import Design
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder
@@ -30,7 +29,6 @@ from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.stamps import to_nanoseconds
 from tsobs_ros.offline.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.offline.source import BagSource
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 TIMEOUT = 60.0
 MEASUREMENTS = "/joint_measurements"
@@ -232,7 +230,7 @@ def check_errors(run: Recording) -> None:
 
 
 def test_the_bag_holds_what_was_published_and_replays_to_the_last_bit(
-    ros: Any, recording: Recording
+    ros: Any, recording: Recording, design: Design
 ) -> None:
     # One run for all checks: it takes its time.
     assert recording.lost == 0
@@ -249,7 +247,6 @@ def test_the_bag_holds_what_was_published_and_replays_to_the_last_bit(
     assert stamps == sorted(set(stamps))
     assert len(stamps) > 100
     check_independent_readers(recording)
-    design = load_design(config_path(SHIPPED_DESIGN))
     assert check_estimates_after_the_fact(recording, design) == len(stamps)
     check_errors(recording)
 

@@ -13,12 +13,10 @@ import pytest
 from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.design.file import load_design
 from tsobs_ros.design.observers import ObserverSettings
 from tsobs_ros.design.record import Design
 from tsobs_ros.offline.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.offline.source import BagSource, Source
-from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 START = 1_700_000_000_000_000_000
@@ -56,12 +54,6 @@ def arms() -> Arms:
     """Two joints, which move differently."""
     runs = simulate(SCENARIOS["bias_step"], [1, 2], 3.0)
     return Arms(runs.measurements[..., 0].T, runs.torques[..., 0].T)
-
-
-@pytest.fixture(scope="session")
-def design() -> Design:
-    """The shipped design."""
-    return load_design(config_path("elastic_joint.design.yaml"))
 
 
 @pytest.fixture

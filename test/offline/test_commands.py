@@ -10,9 +10,7 @@ import pytest
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.messages.joint_states import JointStateEncoder
 from tsobs_ros.cli import main
-from tsobs_ros.resources import config_path
-
-SHIPPED, ADAPTIVE = "elastic_joint.design.yaml", "elastic_joint_adaptive.design.yaml"
+from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 
 
 @pytest.fixture
@@ -51,7 +49,7 @@ def test_estimate_says_how_much_of_the_live_run_it_has_reproduced(bag: Path, cap
 
 
 def test_several_designs_and_methods_have_names_of_their_own(bag: Path, capsys) -> None:
-    designs = [str(config_path(name)) for name in (SHIPPED, ADAPTIVE)]
+    designs = [str(config_path(name)) for name in (SHIPPED_DESIGN, SHIPPED_ADAPTIVE_DESIGN)]
     new = f"{bag}_new"
 
     command = ["estimate", str(bag), "--output", new, "--design", *designs]
@@ -72,8 +70,8 @@ def test_joints_may_have_designs_of_their_own(arms, write_bag, capsys) -> None:
     bag = write_bag(arms.messages(50, joints=2))
     command = ["compare", str(bag), "--method", "certified", "--design"]
 
-    assert main([*command, f"wrist={config_path(ADAPTIVE)}"]) == 0
-    assert main([*command, f"knee={config_path(ADAPTIVE)}"]) == 1
+    assert main([*command, f"wrist={config_path(SHIPPED_ADAPTIVE_DESIGN)}"]) == 0
+    assert main([*command, f"knee={config_path(SHIPPED_ADAPTIVE_DESIGN)}"]) == 1
 
     assert "no such joint; joints: elbow, wrist" in capsys.readouterr().err
 
@@ -173,7 +171,7 @@ def test_export_writes_files_and_says_which(bag: Path, tmp_path, capsys) -> None
         ["--at", "noon"],
     ],
 )
-def test_wrong_usage_is_told_apart_from_failure(bag: Path, arguments, capsys) -> None:
+def test_wrong_usage_is_told_apart_from_failure(bag: Path, arguments) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["estimate", str(bag), *arguments])
 

@@ -13,12 +13,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.report.reference import rerun
 from tsobs_ros.report.run import RecordedRun
 from tsobs_ros.report.series import Series
-from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenario import Scenario
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.signals import BiasStep
@@ -54,12 +52,6 @@ def blank_run(measurements: Series, stamps: Any, **truth: Any) -> RecordedRun:
         disturbance_bounds=np.full(m, np.nan),
         **truth,
     )
-
-
-@pytest.fixture(scope="session")
-def design() -> Design:
-    """The shipped design."""
-    return load_design(config_path("elastic_joint.design.yaml"))
 
 
 @pytest.fixture(scope="session")
