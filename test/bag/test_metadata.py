@@ -183,3 +183,9 @@ def test_what_is_no_yaml_of_a_bag_is_refused(tmp_path: Path, content: bytes) -> 
     (tmp_path / "metadata.yaml").write_bytes(content)
     with pytest.raises(BagReadError, match=r"metadata\.yaml: "):
         read_metadata(tmp_path)
+
+
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
+    write_metadata(tmp_path, replace(METADATA, files=(FileMetadata("bag\0.mcap"),)))
+    with pytest.raises(BagReadError, match=r"'bag\\x00.mcap' cannot be a file's name"):
+        read_metadata(tmp_path)

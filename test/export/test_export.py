@@ -236,6 +236,29 @@ def test_topics_become_paths_and_files_are_not_replaced(write_bag, tmp_path) -> 
         export_bag(tmp_path / "bag", tmp_path / "out", topics=["/c"])
 
 
+@pytest.mark.parametrize("name", ["/../../escaped", "/a/..", "/a/./b", "//a", "/", "", "/a\0b"])
+def test_no_topic_leads_out_of_the_folder_or_into_anothers_file(tmp_path, name: str) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        definition = MessageDefinition(JOINT_STATE, "float64[] position\n", "")
+        for topic in ("/a", name):
+            writer.add_topic(topic, JOINT_STATE, definition=definition)
+            writer.write(topic, JointStateEncoder(["j"])(1, [1.0]), 1, 1)
+
+    with pytest.raises(ExportError, match="there is no file of such a name"):
+        export_bag(tmp_path / "bag", tmp_path / "deep" / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+
+
+def test_a_topic_with_too_long_a_name_is_told(tmp_path) -> None:
+    with BagWriter(tmp_path / "bag") as writer:
+        definition = MessageDefinition(JOINT_STATE, "float64[] position\n", "")
+        writer.add_topic("/" + "a" * 300, JOINT_STATE, definition=definition)
+        writer.write("/" + "a" * 300, JointStateEncoder(["j"])(1, [1.0]), 1, 1)
+
+    with pytest.raises(ExportError, match=r"aaa\.csv: cannot write it: .*too long"):
+        export_bag(tmp_path / "bag", tmp_path / "out")
+
+
 def test_a_message_that_is_none_ends_its_file_and_is_told(tmp_path) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         definition = MessageDefinition(JOINT_STATE, "float64[] position\n", "")

@@ -274,6 +274,9 @@ def _files_from(
     )
     if (listed := [file.path for file in files]) != list(paths):
         raise ValueError(f"files are {listed}, but relative_file_paths {list(paths)}")
+    for name in listed:
+        if "\0" in name:
+            raise ValueError(f"{name!r} cannot be a file's name")
     return files
 
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics of a bag to files, one each."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -44,7 +45,7 @@ def export_bag(
 
     Raises:
         BagReadError: The bag cannot be read, has no such topic, or a topic cannot be decoded.
-        ExportError: A file exists already or cannot be written.
+        ExportError: A file exists already or cannot be written, or none can be called like a topic.
         ModuleNotFoundError: Parquet is asked for, but pyarrow is not installed.
     """
     reader = BagReader(bag)
@@ -57,9 +58,9 @@ def export_bag(
         from tsobs_ros.export.parquet_file import write_parquet as write
     else:
         from tsobs_ros.export.csv_file import write_csv as write
-    paths = {topic: output / f"{topic.strip('/')}.{format}" for topic in chosen}
+    paths = {topic: _file_of(topic, output, format) for topic in chosen}
     for path in paths.values():
-        if path.exists():
+        if os.path.lexists(path):
             raise ExportError(f"{path}: exists already, files are not overwritten")
     # All topics before the first file: one that cannot be decoded leaves none behind.
     tables = [(Table(reader, topic), path) for topic, path in paths.items()]
@@ -72,3 +73,11 @@ def export_bag(
             raise ExportError(f"{path}: cannot write it: {error}") from error
         exported.append(Exported(table.topic, path, table.count, len(table.columns), table.damage))
     return exported
+
+
+def _file_of(topic: str, output: Path, format: str) -> Path:
+    """Return a topic's file, which is below the folder whatever a bag calls its topics."""
+    parts = topic.removeprefix("/").split("/")
+    if "\0" in topic or not {"", ".", ".."}.isdisjoint(parts):
+        raise ExportError(f"topic {topic!r}: there is no file of such a name")
+    return output.joinpath(*parts[:-1], f"{parts[-1]}.{format}")
