@@ -12,10 +12,8 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.mcap.index import FileIndex
-from tsobs_ros.bag.mcap.records import RecordError, read_body, read_frame
+from tsobs_ros.bag.mcap.records import INDEX_ENTRY, INDEX_HEAD, RecordError, read_body, read_frame
 from tsobs_ros.errors import BagReadError
-
-_INDEX_HEAD_SIZE = 6
 
 
 class _Gap:
@@ -83,6 +81,6 @@ def _read_times(stream: IO[bytes], offset: int, size: int) -> NDArray[np.uint64]
     """
     frame = read_frame(stream, offset, size)
     body = read_body(stream, frame)
-    if frame.opcode != Opcode.MESSAGE_INDEX or (len(body) - _INDEX_HEAD_SIZE) % 16:
+    if frame.opcode != Opcode.MESSAGE_INDEX or (len(body) - INDEX_HEAD.size) % INDEX_ENTRY.size:
         raise RecordError(f"the index states a message index at byte {offset}, but there is none")
-    return np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2]
+    return np.frombuffer(body, "<u8", offset=INDEX_HEAD.size)[::2]

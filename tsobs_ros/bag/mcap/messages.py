@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from operator import attrgetter
 from typing import NamedTuple
 
-from mcap.opcode import Opcode
-
-from tsobs_ros.bag.mcap.records import FRAME, MESSAGE, RecordError
+from tsobs_ros.bag.mcap.records import FRAME, MESSAGE, MESSAGE_OPCODE, RecordError
 
 
 class BagMessage(NamedTuple):
@@ -23,8 +21,6 @@ class BagMessage(NamedTuple):
 
 
 LOG_TIME = attrgetter("log_time")
-
-_MESSAGE_OPCODE = int(Opcode.MESSAGE)
 
 
 def decode_messages(
@@ -44,7 +40,7 @@ def decode_messages(
     start, size = 0, len(records)
     try:
         while start < size:
-            if records[start] == _MESSAGE_OPCODE:
+            if records[start] == MESSAGE_OPCODE:
                 _, length, channel, _, log_time, publish_time = unpack(records, start)
                 end = start + FRAME.size + length
                 if known := channels[channel]:

@@ -22,7 +22,17 @@ FRAME = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<BQHIQQ")
 """A message's frame and head: opcode, length, channel, sequence, log time, publish time."""
 
+MESSAGE_OPCODE = int(Opcode.MESSAGE)
+"""A plain number: packing and comparing it is faster than doing so with the enumeration's."""
+
 MESSAGE_HEAD_SIZE = MESSAGE.size - FRAME.size
+
+INDEX_HEAD = struct.Struct("<HI")
+"""What the body of a message index begins with: its channel and the size of its entries."""
+
+INDEX_ENTRY = struct.Struct("<QQ")
+"""An entry of a message index: a message's log time and its place in the chunk."""
+
 MAX_RECORD_SIZE = 2**28
 """The largest record that is read, and the largest content of a chunk; larger ones are damage."""
 

@@ -17,13 +17,17 @@ from mcap.data_stream import RecordBuilder
 from mcap.exceptions import UnsupportedCompressionError
 from mcap.opcode import Opcode
 
-from tsobs_ros.bag.mcap.records import FRAME, MAGIC, MESSAGE, MESSAGE_HEAD_SIZE
+from tsobs_ros.bag.mcap.records import (
+    FRAME,
+    INDEX_HEAD,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD_SIZE,
+    MESSAGE_OPCODE,
+)
 
-_INDEX_HEAD = struct.Struct("<BQHI")
 _FOOTER_FRONT = struct.Struct("<BQQQ")
 _FOOTER_SIZE = 20
-
-_MESSAGE_OPCODE = int(Opcode.MESSAGE)
 
 
 class McapWriter:
@@ -83,7 +87,7 @@ class McapWriter:
     def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int) -> None:
         """Add a message of a channel, with its times in ns."""
         length = len(data) + MESSAGE_HEAD_SIZE
-        head = MESSAGE.pack(_MESSAGE_OPCODE, length, channel, 0, log_time, publish_time)
+        head = MESSAGE.pack(MESSAGE_OPCODE, length, channel, 0, log_time, publish_time)
         entries = self._entries.get(channel)
         if entries is None:
             entries = self._entries[channel] = array("Q")
@@ -212,8 +216,8 @@ def _built(*group: Any) -> bytes:
 
 def _message_index(channel: int, entries: "array[int]") -> bytes:
     size = 8 * len(entries)
-    head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size)
-    return head + struct.pack(f"<{len(entries)}Q", *entries)
+    frame = FRAME.pack(Opcode.MESSAGE_INDEX, INDEX_HEAD.size + size)
+    return frame + INDEX_HEAD.pack(channel, size) + struct.pack(f"<{len(entries)}Q", *entries)
 
 
 def _compressor(name: str) -> Callable[[bytes], bytes]:

@@ -20,6 +20,8 @@ from mcap.records import Channel, DataEnd
 from tsobs_ros.bag.mcap.chunk import Chunk, chunk_front, chunk_records, parse_chunk
 from tsobs_ros.bag.mcap.records import (
     FRAME,
+    INDEX_ENTRY,
+    INDEX_HEAD,
     MAGIC,
     MAX_RECORD_SIZE,
     MESSAGE,
@@ -106,7 +108,8 @@ class Scan:
         if frame.opcode == Opcode.MESSAGE:
             return [Content(self._bytes(at, frame.end - at))], frame.end
         if frame.opcode == Opcode.MESSAGE_INDEX:
-            return [MessageCount((frame.end - frame.body) // 16)], frame.end
+            entries = frame.end - frame.body - INDEX_HEAD.size
+            return [MessageCount(entries // INDEX_ENTRY.size)], frame.end
         if frame.opcode == Opcode.ATTACHMENT:
             return [Found(None)], frame.end
         record = parse(frame.opcode, read_body(self._stream, frame))
@@ -175,7 +178,7 @@ class Scan:
                 return known and MESSAGE_HEAD_SIZE <= size <= MAX_RECORD_SIZE
             case Opcode.MESSAGE_INDEX:
                 stated = int.from_bytes(self._bytes(frame.body + 2, 4), "little")
-                return stated == size - 6 and stated % 16 == 0
+                return stated == size - INDEX_HEAD.size and stated % INDEX_ENTRY.size == 0
             case Opcode.ATTACHMENT:
                 return True
             case _:

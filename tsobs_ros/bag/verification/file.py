@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checking the structure of a file of a bag: each record, each index, each checksum."""
 
-import struct
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,8 @@ from tsobs_ros.bag.mcap.chunk import chunk_records, parse_chunk
 from tsobs_ros.bag.mcap.index import RECOVER_HINT
 from tsobs_ros.bag.mcap.records import (
     FRAME,
+    INDEX_ENTRY,
+    INDEX_HEAD,
     MAGIC,
     MESSAGE,
     MESSAGE_HEAD_SIZE,
@@ -30,8 +31,6 @@ from tsobs_ros.bag.verification.findings import Findings
 from tsobs_ros.bag.verification.summary import ChunkFacts, DataFacts, verify_summary
 
 _BLOCK_SIZE = 2**20
-_INDEX_ENTRIES = struct.Struct("<QQ")
-_INDEX_HEAD = struct.Struct("<HI")
 
 
 class FileFacts(NamedTuple):
@@ -206,12 +205,12 @@ class _FileCheck:
         if not self._facts.chunks:
             raise RecordError(f"the message index at byte {frame.start} follows no chunk")
         chunk = self._facts.chunks[-1]
-        if len(body) < _INDEX_HEAD.size:
+        if len(body) < INDEX_HEAD.size:
             raise RecordError(f"the message index at byte {frame.start} is cut off")
-        channel, size = _INDEX_HEAD.unpack_from(body)
-        if size != len(body) - _INDEX_HEAD.size or size % _INDEX_ENTRIES.size:
+        channel, size = INDEX_HEAD.unpack_from(body)
+        if size != len(body) - INDEX_HEAD.size or size % INDEX_ENTRY.size:
             raise RecordError(f"the message index at byte {frame.start} is malformed")
-        found = sorted(_INDEX_ENTRIES.iter_unpack(memoryview(body)[_INDEX_HEAD.size :]))
+        found = sorted(INDEX_ENTRY.iter_unpack(memoryview(body)[INDEX_HEAD.size :]))
         if found:
             chunk.index_offsets[channel] = frame.start
         chunk.indexes_end = frame.end
