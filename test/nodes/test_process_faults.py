@@ -29,7 +29,7 @@ class Watch:
         self._ros = ros
         self._start = start
         self.said: dict[str, list[str]] = {}
-        self.values: dict[str, dict[str, str]] = {}
+        self.counts: dict[str, dict[str, int]] = {}
         self.measured: list[int] = []
         self.estimated: list[int] = []
         node = ros.node("watch")
@@ -45,7 +45,9 @@ class Watch:
     def _listen(self, array: DiagnosticArray) -> None:
         for status in array.status:
             self.said.setdefault(status.name, []).append(status.message)
-            self.values[status.name] = {item.key: item.value for item in status.values}
+            if status.name == "recorder: topics":
+                counts = {item.key: int(item.value.split()[0]) for item in status.values}
+                self.counts[status.hardware_id] = counts
 
     def start(self, name: str, **parameters: Any) -> Any:
         """Start an executable."""
@@ -63,12 +65,15 @@ class Watch:
         wanted = len(stamps) + count
         self._ros.spin_until(lambda: len(stamps) >= wanted, TIMEOUT, f"{count} more messages")
 
-    def recorded(self, *topics: str, more: int = 20) -> None:
-        """Wait until the recorder says that it has so many more of each topic than it said last."""
+    def hear_out(self) -> None:
+        """Wait until nothing is on its way any more."""
+        self._ros.hear_out(self.estimated)
+
+    def recorded(self, bag: Path, *topics: str, more: int = 20) -> None:
+        """Wait until a recorder says that it has so many more of each topic than it said last."""
 
         def count(topic: str) -> int:
-            said = self.values.get("recorder: topics", {}).get(f"/{topic}", "0 messages")
-            return int(said.split()[0])
+            return self.counts.get(str(bag), {}).get(f"/{topic}", 0)
 
         wanted = {topic: count(topic) + more for topic in topics}
         self._ros.spin_until(
@@ -114,6 +119,8 @@ def test_without_its_plant_the_observer_coasts_falls_silent_and_tracks_the_next(
     observer = watch.start("observer", stale_after=2.5)
     plant = watch.start("plant_simulator")
     watch.hear("observer: state", "TRACKING")
+    watch.more(watch.measured)
+    watch.more(watch.estimated)
     kill(plant)
     watch.hear("observer: state", "COASTING")
     watch.hear("observer: state", "STALE")
@@ -137,7 +144,7 @@ def test_without_its_recorder_or_observer_the_rest_goes_on_and_takes_the_next_in
     recorder = watch.start("recorder", output=str(first), topics=TOPICS, flush_period=0.1)
     observer = watch.start("observer")
     plant = watch.start("plant_simulator")
-    watch.recorded(*TOPICS)
+    watch.recorded(first, *TOPICS)
 
     kill(recorder)
     watch.more(watch.estimated)
@@ -148,16 +155,16 @@ def test_without_its_recorder_or_observer_the_rest_goes_on_and_takes_the_next_in
     assert finished.exit_code == 1
     assert f"error: {first}: exists already" in finished.stderr
     assert {path: path.read_bytes() for path in first.iterdir()} == left
-    watch.hear("recorder: recording", "recording")
-    watch.recorded(*TOPICS)
+    watch.recorded(second, *TOPICS)
 
     kill(observer)
+    watch.hear_out()
     last = watch.estimated[-1]
     watch.more(watch.measured)
-    watch.recorded(MEASUREMENTS)
+    watch.recorded(second, MEASUREMENTS)
     observer = watch.start("observer")
     watch.more(watch.estimated)
-    watch.recorded(*TOPICS)
+    watch.recorded(second, *TOPICS)
     stop(signal.SIGINT, observer, recorder, plant)
 
     stamps = estimates(second)

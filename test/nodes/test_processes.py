@@ -58,7 +58,7 @@ def test_three_working_processes_end_cleanly(
     processes = [
         start(ros_process, name, tmp_path) for name in ("recorder", "observer", "plant_simulator")
     ]
-    ros.spin_until(lambda: recorded[0] >= 50, TIMEOUT, "fifty estimates in the bag")
+    ros.spin_until(lambda: recorded[0] >= 100, TIMEOUT, "a hundred estimates in the bag")
     before = len(received)
     ros.spin_until(lambda: len(received) >= before + 50, TIMEOUT, "fifty more estimates")
 
