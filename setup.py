@@ -14,7 +14,7 @@ EXECUTABLES = {
     "observer": "tsobs_ros.executables:observer",
     "recorder": "tsobs_ros.executables:recorder",
     "player": "tsobs_ros.executables:player",
-    "tsobs": "tsobs_ros.cli:main",
+    "tsobs": "tsobs_ros.cli.main:main",
 }
 LAUNCHER = """#!/bin/sh
 exec "$(dirname -- "$(readlink -f -- "$0")")/../../bin/{name}" "$@"

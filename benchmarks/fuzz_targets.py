@@ -21,7 +21,7 @@ from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import load_request, parse_design
 from tsobs_ros.design.ts_file import load_ts_request, parse_ts_design, save_ts_design
 from tsobs_ros.design.ts_synthesis import synthesise_ts
-from tsobs_ros.offline.csv_log import CsvSource
+from tsobs_ros.replay.csv_log import CsvSource
 from tsobs_ros.resources import config_path
 
 Mutate = Callable[[bytes, Sequence[bytes], random.Random], bytes]

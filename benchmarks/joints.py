@@ -15,10 +15,10 @@ import numpy as np
 from common import parser, show, use_one_thread
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.design.observers import ObserverSettings, make_tracker
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 

@@ -18,10 +18,10 @@ from tsobs_ros.bag.messages.estimate_topics import sides
 from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.design.observers import ObserverSettings
 from tsobs_ros.design.record import Design
-from tsobs_ros.offline.estimate import Observer, make_runs, run_all
-from tsobs_ros.offline.source import BagSource
+from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.replay.estimate import Observer, make_runs, run_all
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _JOINT = "elastic_joint"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tsobs_ros.cli import main
+from tsobs_ros.cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -22,13 +22,13 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.design.observers import ObserverSettings
 from tsobs_ros.design.record import Design
+from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.stamps import to_nanoseconds
-from tsobs_ros.offline.estimate import Observer, Run, make_runs, run_all
-from tsobs_ros.offline.source import BagSource
+from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
+from tsobs_ros.replay.source import BagSource
 
 TIMEOUT = 60.0
 MEASUREMENTS = "/joint_measurements"

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Observers side by side: each measured as if it had been recorded."""
 
-from tsobs_ros.design.observers import ObserverSettings
-from tsobs_ros.offline.estimate import Observer, make_runs, run_all
-from tsobs_ros.offline.source import BagSource
+from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.replay.estimate import Observer, make_runs, run_all
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.bag_report import expected_innovation
 from tsobs_ros.report.comparison import compare_runs, render_comparison
 from tsobs_ros.report.metrics import MetricsOptions, measure

@@ -14,7 +14,7 @@ import yaml
 
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.errors import BagReadError, BagWriteError
-from tsobs_ros.safe_yaml import load_yaml, whole_number
+from tsobs_ros.yaml_files import load_yaml, whole_number
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from tsobs_ros.safe_yaml import load_yaml, whole_number
+from tsobs_ros.yaml_files import load_yaml, whole_number
 
 # In the order of the RMW's enumerations: bags from before Jazzy name a policy by its number.
 POLICIES: Mapping[str, tuple[str, ...]] = {

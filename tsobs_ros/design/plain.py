@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from tsobs_ros.errors import DesignFileError, ModelError
-from tsobs_ros.safe_yaml import PlainDumper, load_yaml
+from tsobs_ros.yaml_files import PlainDumper, load_yaml
 
 _LARGEST_FILE = 1 << 20
 

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.design.request import DisturbanceTerm, require_no_alias
 from tsobs_ros.errors import DetectabilityError, ModelError
-from tsobs_ros.model.analysis import format_mode
-from tsobs_ros.model.detectability import HiddenMode, undetectable_modes
+from tsobs_ros.model.detectability import HiddenMode, format_mode, undetectable_modes
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.matrix_uncertainty import MatrixUncertainty
 from tsobs_ros.model.ts_flow import PairVertex, TSFlow

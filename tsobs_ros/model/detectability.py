@@ -55,3 +55,15 @@ def undetectable_modes(A: Array, C: Array, tolerance: float = 1e-9) -> list[Hidd
         for mode in hidden_modes(A, C, tolerance)
         if mode.eigenvalue.real >= -1e-9 * spectral_radius
     ]
+
+
+def format_mode(mode: HiddenMode, label: str = "[x; ω]") -> str:
+    """Return a mode as text: eigenvalue, and shape scaled so that its largest entry is 1."""
+    shape = mode.shape / mode.shape[int(np.argmax(np.abs(mode.shape)))]
+    entries = ", ".join(_format_complex(part, ".3g") for part in shape)
+    return f"{_format_complex(mode.eigenvalue, '.4g')} with {label} = [{entries}]"
+
+
+def _format_complex(value: complex, style: str) -> str:
+    real, imaginary = (0.0 if abs(part) < 1e-9 else part for part in (value.real, value.imag))
+    return f"{real:{style}}" + (f"{imaginary:+{style}}j" if imaginary else "")

@@ -18,10 +18,10 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.offline.replay import Estimated, Replay, Used
-from tsobs_ros.offline.samples import Samples
-from tsobs_ros.offline.schedule import Schedule
-from tsobs_ros.offline.table import EstimateTable
+from tsobs_ros.replay.replay import Estimated, Replay, Used
+from tsobs_ros.replay.samples import Samples
+from tsobs_ros.replay.schedule import Schedule
+from tsobs_ros.replay.table import EstimateTable
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
 from tsobs_ros.report.run import RecordedRun
 from tsobs_ros.report.series import Series, Stamps

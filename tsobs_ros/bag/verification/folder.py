@@ -10,7 +10,7 @@ from typing import Any
 from tsobs_ros.bag.metadata import FILE_NAME, ROOT_KEY, TYPE_HASH, VERSION, BagMetadata
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.verification.findings import Findings
-from tsobs_ros.safe_yaml import load_yaml
+from tsobs_ros.yaml_files import load_yaml
 
 TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 _TOPIC_NAME = re.compile(r"(/[A-Za-z_]\w*)+", re.ASCII)

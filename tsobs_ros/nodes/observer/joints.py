@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.design.observers import make_estimator, make_tracker
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.estimation.estimator import Estimator
@@ -19,6 +18,7 @@ from tsobs_ros.estimation.health import DisturbanceLimits, InnovationMonitor, Ph
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Innovation, Measurement
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 

@@ -11,7 +11,6 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from tsobs_ros.estimation import comparison
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import (
@@ -22,6 +21,7 @@ from tsobs_ros.estimation.records import (
     stamp_of,
 )
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import WARNINGS
 from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
@@ -324,8 +324,8 @@ class Observer(ManagedNode[ObserverParameters]):
                 f"({loaded.design.certificate.worst})"
             )
         method = self.parameters.method
-        if method == "paper":
-            self.get_logger().warning(comparison.PAPER_WARNING)
+        if method in WARNINGS:
+            self.get_logger().warning(WARNINGS[method])
         elif method != "certified":
             self.get_logger().warning(
                 f"method {method}: takes any disturbance of the sensor for motion of the arm; no "

@@ -1,0 +1,167 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`tsobs bag`: info, verify and recover, for people and for programs."""
+
+import json
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from tsobs_ros.bag import BagReader, BagWriter, QosProfile
+from tsobs_ros.cli.main import main
+
+STRING = "std_msgs/msg/String"
+HELLO = b"\0\1\0\0\6\0\0\0hello\0"
+NOON = 1_795_262_400_000_000_000
+Captured = pytest.CaptureFixture[str]
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    with BagWriter(tmp_path / "run", custom_data={"why": "a test"}) as writer:
+        writer.add_topic("/a", STRING, [QosProfile(), QosProfile()])
+        writer.add_topic("/b", STRING, [QosProfile(durability="transient_local")])
+        for number in range(101):
+            writer.write("/a", HELLO, NOON + number * 10_000_000, 0)
+            if number % 10 == 0:
+                writer.flush()
+        writer.write("/a", HELLO, NOON + 1_500_000_000, 0)
+        writer.write("/b", HELLO, NOON - 500_000_000, 0)
+    return tmp_path / "run"
+
+
+@pytest.fixture
+def killed(bag: Path) -> Path:
+    """The same, cut off inside of its last chunk, and without metadata."""
+    path = bag / "run_0.mcap"
+    last = BagReader(path).indexes[0].spans[-1].frame
+    path.write_bytes(path.read_bytes()[: last.end - 20])
+    (bag / "metadata.yaml").unlink()
+    return bag
+
+
+def test_info_tells_what_a_bag_is_about(bag: Path, capsys: Captured) -> None:
+    assert main(["bag", "info", str(bag)]) == 0
+    out = capsys.readouterr().out
+    assert "NOT FINISHED" not in out
+    assert "run_0.mcap (" in out
+    assert "Duration:     2.000000000 s" in out
+    assert "Start:        2026-11-21 11:59:59.500000000 UTC (1795262399.500000000)" in out
+    assert "Messages:     103" in out
+    assert "Custom data:  why: a test" in out
+    assert (
+        f"/a | {STRING} | 102 messages | cdr | 2 x reliable, volatile | 51 Hz | "
+        "largest gap 0.5 s\n" in out
+    )
+    assert f"/b | {STRING} | 1 messages | cdr | reliable, transient_local\n" in out
+
+
+@pytest.mark.parametrize("chosen", [".", "run_0.mcap"])
+def test_info_is_plain_data_too(bag: Path, chosen: str, capsys: Captured) -> None:
+    assert main(["bag", "info", str(bag / chosen), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert (summary["messages"], summary["problem"]) == (103, "")
+    assert summary["end_ns"] - summary["start_ns"] == summary["duration_ns"] == 2_000_000_000
+    first, second = summary["topics"]
+    assert (first["name"], first["messages"], first["rate"]) == ("/a", 102, 51.0)
+    assert (first["largest_gap_ns"], second["largest_gap_ns"]) == (500_000_000, None)
+    assert second["qos"][0]["durability"] == "transient_local"
+
+
+def test_info_counts_what_an_unfinished_bag_holds(killed: Path, capsys: Captured) -> None:
+    assert main(["bag", "info", str(killed), "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert "it has no metadata.yaml" in summary["problem"]
+    assert summary["messages"] == 101
+    assert main(["bag", "info", str(killed / "run_0.mcap")]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("NOT FINISHED: ")
+    assert "the file has no end" in out
+    assert f"Messages:     {summary['messages']}" in out
+
+
+def test_info_on_what_is_no_bag_is_one_line(tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"something else")
+    for path in (tmp_path / "none", tmp_path / "x.mcap"):
+        assert main(["bag", "info", str(path)]) == 1
+        err = capsys.readouterr().err
+        assert err.startswith(f"error: {path}: ")
+        assert err.count("\n") == 1
+
+
+def test_verify_says_ok_in_one_line(bag: Path, capsys: Captured) -> None:
+    assert main(["bag", "verify", str(bag)]) == 0
+    assert capsys.readouterr().out == f"{bag}: OK, 103 messages in 1 file\n"
+
+
+def test_verify_gives_all_reasons(killed: Path, capsys: Captured) -> None:
+    assert main(["bag", "verify", str(killed)]) == 1
+    out = capsys.readouterr().out
+    assert "error: metadata.yaml: there is none\n" in out
+    assert "error: run_0.mcap: has no end" in out
+    assert out.endswith("NOT sound, 2 errors, 0 messages in 1 file\n")
+    assert main(["bag", "verify", str(killed), "--json"]) == 1
+    assert [e["place"] for e in json.loads(capsys.readouterr().out)["errors"]] == [
+        "metadata.yaml",
+        "run_0.mcap",
+    ]
+
+
+def test_recover_makes_a_bag_beside_the_damaged_one(killed: Path, capsys: Captured) -> None:
+    assert main(["bag", "recover", str(killed)]) == 0
+    out = capsys.readouterr().out
+    new = killed.with_name("run_recovered")
+    count = BagReader(new).message_count
+    assert count == 101
+    assert out.splitlines()[-1].startswith(f"{count} messages in {new}: ")
+    assert main(["bag", "verify", str(new)]) == 0
+    assert main(["bag", "recover", str(killed)]) == 1
+    assert "run_recovered: exists already" in capsys.readouterr().err
+
+
+def test_recover_can_be_told_where_and_how(killed: Path, capsys: Captured) -> None:
+    path = killed / "run_0.mcap"
+    new = killed.with_name("new")
+    options = ["--output", str(new), "--compression", "none", "--keep-unchecked", "--json"]
+    assert main(["bag", "recover", str(path), *options]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["source"], report["output"]) == (str(path), str(new))
+    assert report["files"][0]["kept"]["/a"] == 101
+    assert not report["files"][0]["finished"]
+
+
+def test_recover_says_why_nothing_is_left(tmp_path: Path, capsys: Captured) -> None:
+    (tmp_path / "x.mcap").write_bytes(b"")
+    assert main(["bag", "recover", str(tmp_path / "x.mcap")]) == 1
+    assert "no message can be recovered: x.mcap: it is empty" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["x.mcap"]
+
+
+@pytest.mark.parametrize("arguments", [["bag"], ["bag", "info"], ["bag", "mend", "x"]])
+def test_wrong_usage_is_told(arguments: list[str], capsys: Captured) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    assert "usage: tsobs bag" in capsys.readouterr().err
+
+
+def test_names_in_a_bag_do_not_command_the_terminal(tmp_path: Path, capfd) -> None:
+    path = tmp_path / "hostile.mcap"
+    clear = "\x1b[2J"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2", library="")
+        schema = writer.register_schema(f"p/msg/{clear}", "ros2msg", f"string {clear}".encode())
+        metadata = {"offered_qos_profiles": "", "topic_type_hash": clear}
+        channel = writer.register_channel(f"/{clear}", "cdr", schema, metadata)
+        writer.add_message(channel, 1, HELLO, 1)
+        writer.finish()
+
+    assert main(["bag", "info", str(path)]) == 0
+    assert main(["bag", "verify", str(path)]) == 1
+    assert main(["export", str(path), "--output", str(tmp_path / "tables")]) == 1
+
+    told = capfd.readouterr()
+    assert r"/\x1b[2J" in told.out
+    assert r"\x1b[2J" in told.err
+    assert "\x1b" not in told.out + told.err

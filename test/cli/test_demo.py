@@ -1,0 +1,139 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`tsobs demo` from end to end: three processes, a bag, a table and figures, and no litter."""
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+
+from tsobs_ros.bag import BagReader
+from tsobs_ros.cli.demo_run import RECORDED_TOPICS
+
+pytest.importorskip("matplotlib")
+pytest.importorskip("tqdm")
+
+ROOT = Path(__file__).resolve().parents[2]
+TIMEOUT = 120.0
+Demo = Callable[..., Any]
+
+
+@pytest.fixture
+def demo(ros: Any, ros_process: Any) -> Demo:
+    """Start the command; its own children find the package wherever the tests do."""
+
+    def start(*arguments: str) -> Any:
+        path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH", "")]))
+        return ros_process(
+            "tsobs",
+            arguments=["demo", "--domain-id", str(ros.domain_id), *arguments],
+            environment={"PYTHONPATH": path},
+        )
+
+    return start
+
+
+def running(folder: Path) -> list[int]:
+    """Return the processes that were started to log into a folder."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            environment = (process / "environ").read_bytes()
+            state = (process / "stat").read_text().rpartition(")")[2].split()[0]
+        except OSError:
+            continue  # it has ended, or is not ours
+        if f"ROS_LOG_DIR={folder / 'log'}".encode() in environment and state != "Z":
+            found.append(int(process.name))
+    return found
+
+
+def test_a_demo_leaves_a_bag_a_table_and_figures(demo: Demo, tmp_path: Path) -> None:
+    output = tmp_path / "demo"
+    process = demo(
+        "--duration", "3", "--seed", "7", "--bias", "0.25", "--bias-at", "1.5",
+        "--output", str(output),
+    )  # fmt: skip
+    finished = process.finish(TIMEOUT)
+    assert finished.exit_code == 0, finished.stderr
+    assert "Traceback" not in finished.stderr
+    assert "3.0/3.0 s" in finished.stderr
+    for quantity in ("link angle", "motor velocity", "sensor disturbance"):
+        assert quantity in finished.stdout
+    for name in ("report.png", "report.json"):
+        assert str(output / name) in finished.stdout
+        assert (output / name).stat().st_size > 0
+    assert (output / "report.png").read_bytes().startswith(b"\x89PNG")
+    report = json.loads((output / "report.json").read_text(encoding="utf-8"))
+    assert report["bag"] == str(output / "bag")
+    assert running(output) == []
+
+    reader = BagReader(output / "bag")
+    assert set(reader.topics) == set(RECORDED_TOPICS)
+    check_disturbance(reader)
+
+
+def check_disturbance(reader: BagReader) -> None:
+    """What was asked for on the command line is what the simulated sensor suffered."""
+    recorded: dict[str, list[JointState]] = {topic: [] for topic in RECORDED_TOPICS}
+    for item in reader.messages():
+        if item.topic != "/diagnostics":
+            recorded[item.topic].append(deserialize_message(item.data, JointState))
+    biases = [message.position[0] for message in recorded["/ground_truth/disturbance"]]
+    # Samples 0 to 600; the recorder may have come too late for the truth of the first few.
+    assert biases == [0.0] * (len(biases) - 301) + [0.25] * 301
+    assert len(biases) > 500
+    assert len(recorded["/joint_measurements"]) > 500
+    assert len(recorded["/observer/joint_states"]) > 100
+
+
+def test_a_folder_with_a_demo_in_it_is_left_alone(demo: Demo, tmp_path: Path) -> None:
+    (tmp_path / "demo" / "log").mkdir(parents=True)
+    (tmp_path / "demo" / "log" / "mine").write_text("precious", encoding="utf-8")
+    finished = demo("--output", str(tmp_path / "demo")).finish(TIMEOUT)
+    assert finished.exit_code == 1
+    assert f"error: {tmp_path / 'demo'}: exists already" in finished.stderr
+    assert "Traceback" not in finished.stderr
+    assert [path.name for path in (tmp_path / "demo").rglob("*")] == ["log", "mine"]
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("file", "exists already"), ("file/demo", "cannot be made: Not a directory")],
+)
+def test_a_place_where_no_folder_can_be_is_named(
+    demo: Demo, tmp_path: Path, name: str, why: str
+) -> None:
+    (tmp_path / "file").write_text("precious", encoding="utf-8")
+    finished = demo("--output", str(tmp_path / name)).finish(TIMEOUT)
+    assert finished.exit_code == 1
+    assert f"error: {tmp_path / name}: {why}" in finished.stderr
+    assert (tmp_path / "file").read_text(encoding="utf-8") == "precious"
+
+
+def test_a_node_that_fails_fails_the_demo_with_its_reason(demo: Demo, tmp_path: Path) -> None:
+    output = tmp_path / "demo"
+    finished = demo("--design", str(tmp_path / "no.yaml"), "--output", str(output)).finish(TIMEOUT)
+    assert finished.exit_code == 1
+    (line,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
+    assert "observer ended with exit code 1" in line
+    assert "no.yaml: no such design file" in line
+    assert running(output) == []
+
+
+def test_ctrl_c_ends_the_nodes_and_closes_the_bag(demo: Demo, tmp_path: Path) -> None:
+    output = tmp_path / "demo"
+    process = demo("--duration", "300", "--output", str(output))
+    process.wait_for_line(r"[1-9]\d*\.\d/300\.0 s", TIMEOUT)
+    assert len(running(output)) == 3
+    process.signal(signal.SIGINT)
+    finished = process.finish(TIMEOUT)
+    assert "Traceback" not in finished.stderr
+    assert "interrupted" in finished.stderr
+    assert running(output) == []
+    assert BagReader(output / "bag").message_count > 100

@@ -1,0 +1,169 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The three propositions, on the examples and on systems made at random."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.fuzzy import RuleBase, TSSystem
+from tsobs_ros.paper.analysis import (
+    augmented_modes,
+    check_autonomous_innovation,
+    check_matching,
+    innovation_rate,
+    uncertainty_factor,
+    worst_uncertainty,
+)
+from tsobs_ros.paper.augmentation import Augmentation
+from tsobs_ros.paper.conditions import check_conditions, least_epsilon
+from tsobs_ros.paper.examples import example_1, example_3
+
+
+def some_system(seed: int, n: int = 4, p: int = 2, r: int = 3) -> TSSystem:
+    random = np.random.default_rng(seed)
+    rules = RuleBase(tuple((lambda z, c=c: np.exp(-((z - c) ** 2)),) for c in range(r)))
+    return TSSystem(
+        random.normal(size=(r, n, n)),
+        random.normal(size=(r, n, 1)),
+        random.normal(size=(r, p, n)),
+        rules,
+        lambda x: x[..., :1],
+    )
+
+
+def some_augmentation(seed: int) -> Augmentation:
+    return Augmentation(some_system(seed), 1, np.random.default_rng(seed + 99).normal(size=(6, 2)))
+
+
+def some_P(seed: int, size: int) -> NDArray[np.float64]:
+    root = np.random.default_rng(seed).normal(size=(size, size))
+    return root @ root.T + 0.1 * np.eye(size)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_innovation_is_autonomous_for_every_l(seed: int) -> None:
+    aug = some_augmentation(seed)
+    assert check_autonomous_innovation(aug).holds
+    np.testing.assert_allclose(aug.C_bar @ aug.E_L_inverse[:, :4], 0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_innovation_obeys_its_own_equation(seed: int) -> None:
+    aug = some_augmentation(seed)
+    random = np.random.default_rng(seed)
+    H1, h = random.normal(size=(3, 6, 2)), np.array([0.2, 0.5, 0.3])
+    closed = np.tensordot(h, aug.A1 - H1 @ aug.C_bar, axes=1)
+    F = innovation_rate(aug, H1, h)
+    np.testing.assert_allclose(aug.C_bar @ closed, -F @ aug.C_bar, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_mode_of_every_rule_is_hidden(seed: int) -> None:
+    aug = some_augmentation(seed)
+    for modes, A in zip(augmented_modes(aug), aug.system.A, strict=True):
+        hidden = np.sort_complex([mode.eigenvalue for mode in modes.hidden])
+        np.testing.assert_allclose(hidden, np.sort_complex(np.linalg.eigvals(A)), atol=1e-6)
+        for mode in modes.hidden:
+            np.testing.assert_allclose(aug.C_bar @ mode.shape, 0.0, atol=1e-6)
+        grows = [value for value in hidden if value.real >= 0.0]
+        assert modes.detectable == (not grows)
+        assert len(modes.persistent) == len(grows)
+
+
+def test_undamped_arm_is_not_detectable_and_a_damped_one_is() -> None:
+    verdicts = augmented_modes(Augmentation(example_3().system))
+    assert not any(verdict.detectable for verdict in verdicts)
+    text = str(verdicts[0])
+    assert "NOT DETECTABLE" in text
+    assert "0+4.776j with [x; ω] = " in text
+    damped = ElasticJointArm(link_damping=1.0, motor_damping=1.0).ts_system()
+    verdicts = augmented_modes(Augmentation(damped))
+    assert all(verdict.detectable for verdict in verdicts)
+    assert all(len(verdict.hidden) == 4 for verdict in verdicts)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_matching_leaves_all_of_the_uncertainty(seed: int) -> None:
+    aug = some_augmentation(seed)
+    delta_A = np.random.default_rng(seed).normal(size=(3, 4, 4))
+    result = check_matching(aug, some_P(seed, 6), delta_A)
+    assert result.holds
+    assert result.number == pytest.approx(1.0, abs=1e-9)
+
+
+def test_matching_needs_a_fair_question() -> None:
+    aug = Augmentation(example_1().system)
+    with pytest.raises(ModelError, match="ΔA: expected at least one rule with an uncertainty"):
+        check_matching(aug, np.eye(6), np.zeros((2, 3, 3)))
+    with pytest.raises(ModelError, match="P: expected a positive definite matrix, got smallest"):
+        check_matching(aug, -np.eye(6), np.ones((2, 3, 3)))
+    skew = np.eye(6)
+    skew[0, 1] = 1.0
+    with pytest.raises(
+        ModelError, match="P: expected a symmetric matrix, got one unsymmetric by 1"
+    ):
+        check_matching(aug, skew, np.ones((2, 3, 3)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_uncertainty_factor_is_attained_and_never_exceeded(seed: int) -> None:
+    P = some_P(seed, 4)
+    factor = uncertainty_factor(P)
+    delta_A, e = worst_uncertainty(P)
+    assert np.linalg.norm(delta_A, 2) == pytest.approx(1.0)
+    assert e @ P @ delta_A @ e / (e @ P @ e) == pytest.approx(factor, rel=1e-9)
+    assert 1.0 < factor < np.sqrt(np.linalg.cond(P))
+    random = np.random.default_rng(seed)
+    for _ in range(500):
+        e, change = random.normal(size=4), random.normal(size=(4, 4))
+        change /= np.linalg.norm(change, 2)
+        assert abs(e @ P @ change @ e) <= factor * (e @ P @ e) * (1.0 + 1e-12)
+
+
+def test_conditions_without_gains_are_those_with_the_best_gains() -> None:
+    aug = Augmentation(example_1().system)
+    P = np.eye(6)
+    alone = check_conditions(aug, P, alpha_1=[0.0, 0.0])["(37) rule 1"].number
+    numbers = []
+    for gain in (0.0, 1.0, 10.0, 1000.0):
+        H1 = gain * np.repeat(aug.C_bar.T[None], 2, axis=0)
+        numbers.append(check_conditions(aug, P, alpha_1=[0.0, 0.0], H1=H1)["(37) rule 1"].number)
+    assert numbers == sorted(numbers, reverse=True)
+    assert numbers[-1] == pytest.approx(alone, abs=1e-2)
+    assert min(numbers) >= alone - 1e-12
+
+
+def test_conditions_see_every_slip() -> None:
+    aug = Augmentation(example_1().system)
+    P = np.eye(6)
+    P[0, 1] = 1e-6
+    assert not check_conditions(aug, P, alpha_1=[0, 0])["P symmetric"].holds
+    assert check_conditions(aug, np.eye(6), alpha_1=[0, 0])["P symmetric"].holds
+    indefinite = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
+    failing = [c.name for c in check_conditions(aug, indefinite, alpha_1=[0, 0]).failing]
+    assert "P positive definite" in failing
+    M = aug.C_bar.T + 1e-6
+    assert not check_conditions(aug, np.eye(6), alpha_1=[0, 0], M=M)["(19)"].holds
+    assert not check_conditions(aug, np.eye(6), alpha_1=[0, 0], epsilon=1.1)["(38)"].holds
+    assert check_conditions(aug, np.eye(6), alpha_1=[0, 0], epsilon=0.9)["(38)"].holds
+    # With P = I, the term 2α₁P adds 2α₁ to every eigenvalue.
+    numbers = [
+        [
+            check_conditions(aug, np.eye(6), alpha_1=[0.0, a])[f"(37) rule {rule}"].number
+            for rule in (1, 2)
+        ]
+        for a in (0.0, 0.4)
+    ]
+    np.testing.assert_allclose(np.diff(numbers, axis=0), [[0.0, 0.8]], atol=1e-12)
+    with pytest.raises(ModelError, match=r"P: expected shape \(6, 6\), got \(5, 5\)"):
+        check_conditions(aug, np.eye(5), alpha_1=[0, 0])
+
+
+def test_epsilon_needs_room_for_the_uncertainty_it_is_to_cover() -> None:
+    aug = Augmentation(example_1().system)
+    assert least_epsilon(aug, [0.0, 0.0], [0.0, 0.0]) == 0.0
+    with pytest.raises(ModelError, match="xi: expected bounds above 0 for every rule with alpha"):
+        least_epsilon(aug, [0.1, 0.1], [0.1, 0.0])

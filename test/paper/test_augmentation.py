@@ -1,0 +1,100 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The augmented form against the system it stands for, and its refusals."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.paper.augmentation import Augmentation, recover_fault, require_partition
+from tsobs_ros.paper.examples import example_1
+
+SYSTEM = example_1().system
+N, P = 3, 3
+
+
+def some_L(seed: int) -> NDArray[np.float64]:
+    return np.random.default_rng(seed).normal(size=(N + P, P))
+
+
+@pytest.mark.parametrize("seed", [None, 1, 2, 3])
+@pytest.mark.parametrize("rule", [0, 1])
+def test_stands_for_the_system_whatever_the_disturbance_does(seed: int | None, rule: int) -> None:
+    aug = Augmentation(SYSTEM, rule, None if seed is None else some_L(seed))
+    random = np.random.default_rng(7)
+    x, omega, omega_rate, u = (random.normal(size=k) for k in (3, 3, 3, 1))
+    x_rate = SYSTEM.A[rule] @ x + SYSTEM.B[rule] @ u
+    y, y_rate = aug.C @ x + omega, aug.C @ x_rate + omega_rate
+    left = np.concatenate([x_rate, omega_rate])
+    x_bar = np.concatenate([x, omega])
+    assert aug.L is not None
+    right = aug.A1[rule] @ x_bar + aug.B1[rule] @ u + aug.N1 @ y
+    right += aug.E_L_inverse @ aug.L @ y_rate
+    np.testing.assert_allclose(left, right, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_output_enters_the_estimate_as_disturbance_only_for_every_l(seed: int) -> None:
+    aug = Augmentation(SYSTEM, 0, some_L(seed))
+    np.testing.assert_allclose(aug.L1, np.vstack([np.zeros((3, 3)), np.eye(3)]), atol=1e-12)
+
+
+def test_default_l_has_the_inverse_in_closed_form() -> None:
+    aug = Augmentation(SYSTEM)
+    expected = np.block([[np.eye(3), np.zeros((3, 3))], [-aug.C, np.eye(3)]])
+    np.testing.assert_allclose(aug.E_L_inverse, expected, atol=1e-14)
+
+
+def test_bound_of_the_uncertainty_covers_every_uncertainty_of_that_norm() -> None:
+    aug = Augmentation(SYSTEM, 0, some_L(1))
+    random = np.random.default_rng(3)
+    limits = aug.alpha_1([0.3, 0.7])
+    for _ in range(50):
+        change = random.normal(size=(2, 3, 3))
+        change *= (np.array([0.3, 0.7]) / np.linalg.norm(change, 2, axis=(1, 2)))[:, None, None]
+        norms = np.linalg.norm(aug.augmented_uncertainty(change), 2, axis=(1, 2))
+        assert (norms <= limits).all()
+
+
+def test_disturbance_is_recovered_where_the_outputs_differ() -> None:
+    aug = Augmentation(SYSTEM)
+    random = np.random.default_rng(5)
+    x, omega, h2 = random.normal(size=(4, 3)), random.normal(size=(4, 3)), random.uniform(size=4)
+    weights = np.stack([1.0 - h2, h2], axis=-1)
+    y = np.einsum("bi,ipn,bn->bp", weights, SYSTEM.C, x) + omega
+    lumped = y - x @ aug.C.T
+    np.testing.assert_allclose(aug.recover_disturbance(x, lumped, weights), omega, atol=1e-14)
+
+
+def test_faults_are_recovered_through_their_distribution() -> None:
+    D_s = np.array([[1.0, 0.0], [0.5, 1.0], [0.0, -2.0]])
+    faults = np.random.default_rng(2).normal(size=(5, 2))
+    np.testing.assert_allclose(recover_fault(faults @ D_s.T, D_s), faults, atol=1e-14)
+
+
+def test_wrong_matrices_are_named() -> None:
+    singular = np.zeros((6, 3))
+    singular[3, 0] = singular[4, 1] = 1.0
+    with pytest.raises(ModelError, match=r"L: expected E_L .* invertible.*got E_L with singular"):
+        Augmentation(SYSTEM, 0, singular)
+    with pytest.raises(ModelError, match=r"L: expected shape \(6, 3\), got \(3, 3\)"):
+        Augmentation(SYSTEM, 0, np.eye(3))
+    with pytest.raises(ModelError, match="output_rule: expected 0 to 1, got 2"):
+        Augmentation(SYSTEM, 2)
+    with pytest.raises(ModelError, match=r"ΔA: expected shape \(2, 3, 3\), got \(3, 3\)"):
+        Augmentation(SYSTEM).augmented_uncertainty(np.eye(3))
+    with pytest.raises(ModelError, match=r"alpha: expected bounds of at least 0, got \[0.1, -0.2"):
+        Augmentation(SYSTEM).alpha_1([0.1, -0.2])
+    with pytest.raises(ModelError, match="D_s: expected full column rank 2, got rank 1"):
+        recover_fault(np.zeros(3), np.ones((3, 2)))
+    with pytest.raises(ModelError, match=r"D_s: expected shape \(3, 1\), got \(2, 1\)"):
+        recover_fault(np.zeros(3), np.ones((2, 1)))
+
+
+def test_weights_that_do_not_sum_to_one_are_named() -> None:
+    rules = RuleBase(((lambda z: 1.0 - z**2,), (lambda z: z,)))
+    with pytest.raises(ModelError, match=r"sum to 1, got 1.25 at z = \[0.5\]"):
+        require_partition(rules, [[0.0], [1.0], [0.5]])
+    require_partition(rules, [[0.0], [1.0]])

@@ -1,0 +1,140 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's data: what fits, what does not, for every way to read its lost signs."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.paper import printed
+from tsobs_ros.paper.augmentation import Augmentation
+from tsobs_ros.paper.conditions import check_conditions, least_epsilon
+from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
+
+FIRST = Augmentation(example_1().system)
+SIGNS = [np.array(signs) for signs in itertools.product([1.0, -1.0], repeat=6)]
+ROUNDING = 1e-3
+
+
+def test_printed_matching_matrix_fits_to_rounding() -> None:
+    residual = printed.EXAMPLE_1_P @ printed.EXAMPLE_1_M - FIRST.C_bar.T
+    assert np.abs(residual).max() < 2e-4
+    assert np.abs(residual).sum() == pytest.approx(6.4e-4, abs=1e-5)
+    for row, column in ((0, 2), (1, 5), (3, 4)):
+        other = printed.EXAMPLE_1_P.copy()
+        other[row, column] *= -1.0
+        other[column, row] *= -1.0
+        assert np.abs(other @ printed.EXAMPLE_1_M - FIRST.C_bar.T).max() > 10 * ROUNDING
+
+
+def test_printed_p_fails_rule_2_for_every_reading_of_its_signs() -> None:
+    A2 = example_1().system.A[1]
+    places = np.argwhere(A2 != 0.0)
+    P, T = printed.EXAMPLE_1_P, FIRST.blind_basis
+    on_blind = T.T @ P @ T
+    largest = []
+    for signs in SIGNS:
+        A = np.zeros((3, 3))
+        A[places[:, 0], places[:, 1]] = signs * np.abs(A2[places[:, 0], places[:, 1]])
+        largest.append(float(np.linalg.eigvalsh(A.T @ on_blind + on_blind @ A)[-1]))
+    assert min(largest) == pytest.approx(0.565, abs=1e-3)
+
+
+def test_printed_p_meets_the_other_conditions() -> None:
+    example = example_1()
+    epsilon = least_epsilon(FIRST, example.alpha, example.xi)
+    assert epsilon == pytest.approx(printed.EXAMPLE_1_EPSILON, rel=3e-4)
+    report = check_conditions(
+        FIRST,
+        printed.EXAMPLE_1_P,
+        alpha_1=FIRST.alpha_1(example.alpha),
+        M=printed.EXAMPLE_1_M,
+        epsilon=epsilon,
+        rounding=ROUNDING,
+    )
+    assert [condition.name for condition in report.failing] == ["(37) rule 2"]
+    assert report["(38)"].number == pytest.approx(printed.EXAMPLE_1_INVERSE_NORM, rel=3e-4)
+    assert "(37) rule 2: DOES NOT HOLD" in str(report)
+    with pytest.raises(KeyError):
+        report["(99)"]
+
+
+def test_printed_solution_of_example_3_fails_for_every_sign() -> None:
+    aug = Augmentation(example_3().system)
+    signs = printed.sign_changes(4)
+    assert len({tuple(row) for row in signs}) == 16
+    for change in signs:
+        P = change[:, None] * printed.EXAMPLE_3_P * change
+        alone = check_conditions(aug, P, alpha_1=[0.0, 0.0])
+        # On {C̄x̄ = 0} no gain helps, so H and its signs do not matter.
+        for rule in (1, 2):
+            assert alone[f"(37) rule {rule}"].number > 1.0
+        H1 = aug.E_L_inverse @ (change[:, None] * printed.EXAMPLE_3_H)
+        assert not check_conditions(aug, P, alpha_1=[0.0, 0.0], H1=H1).holds
+    on_blind = aug.blind_basis.T @ printed.EXAMPLE_3_P @ aug.blind_basis
+    largest = []
+    for change in printed.sign_changes(3):
+        P = change[:, None] * on_blind * change
+        largest.append([np.linalg.eigvalsh(A.T @ P + P @ A)[-1] for A in aug.system.A])
+    assert [1.47, 1.71] in np.round(largest, 2).tolist()
+
+
+@pytest.mark.parametrize("example", [example_1(), example_2()], ids=lambda e: e.name)
+def test_rules_are_stable_and_the_uncertainty_within_its_bounds(example: PaperExample) -> None:
+    assert np.linalg.eigvals(example.system.A).real.max() < -0.5
+    norms = np.linalg.norm(example.delta_A, 2, axis=(1, 2))
+    np.testing.assert_allclose(norms, example.alpha, rtol=1e-12)
+
+
+def test_second_rule_has_its_stable_signs_only() -> None:
+    A2 = example_1().system.A[1].copy()
+    A2[0, 1] *= -1.0
+    assert np.linalg.eigvals(A2).real.max() > 0.0
+
+
+def test_example_3_is_the_arm_and_undamped() -> None:
+    system = example_3().system
+    modes = [np.sort(np.abs(np.linalg.eigvals(A).imag))[::2] for A in system.A]
+    np.testing.assert_allclose(modes, [[1.4806, 4.7757], [1.2694, 4.4446]], atol=1e-4)
+    np.testing.assert_allclose(np.linalg.eigvals(system.A).real, 0.0, atol=1e-12)
+    random = np.random.default_rng(1)
+    x = random.uniform(-1.5, 1.5, size=(20, 4))
+    u = random.normal(size=(20, 1))
+    np.testing.assert_allclose(
+        system.derivative(x, u), ElasticJointArm().derivative(x, u), atol=1e-12
+    )
+
+
+def test_uncertainty_adds_to_the_motion_in_proportion() -> None:
+    example = example_1()
+    x, u, z = np.array([0.3, -0.2, 0.5]), np.array([0.7]), np.array([0.5])
+    still = example.derivative(x, u, z, 0.0)
+    expected = 0.4 * (0.75 * example.delta_A[0] + 0.25 * example.delta_A[1]) @ x
+    np.testing.assert_allclose(example.derivative(x, u, z, 0.4) - still, expected, atol=1e-15)
+
+
+def test_disturbances_follow_their_formulas() -> None:
+    times = np.array([1.9, 2.0 + np.pi / 6, 2.99, 3.0])
+    first = example_1().disturbance(times)
+    np.testing.assert_allclose(
+        first[:, 0], [0.0, 0.2, 0.2 * np.sin(2.97) ** 2, 0.2 * np.sin(3) ** 2]
+    )
+    np.testing.assert_allclose(first[:, 1], [0.0, 0.0, 0.0, 0.3])
+    np.testing.assert_allclose(first[3, 2], 0.4 * (np.sin(6.0) ** 2 + np.cos(9.0)))
+    second = example_2(third_frequency=np.pi).disturbance(times)
+    np.testing.assert_allclose(
+        second[3], [0.2 * np.sin(3.0), 0.0, 0.4 * np.cos(9.0 * np.pi)], atol=1e-12
+    )
+
+
+def test_bounds_below_the_uncertainty_are_named() -> None:
+    with pytest.raises(
+        ModelError, match=r"alpha: expected at least the norm 0\.1216 of ΔA of rule 2"
+    ):
+        replace(example_1(), alpha=np.array([0.0608, 0.12]))
+    with pytest.raises(ModelError, match=r"Gamma: expected shape \(2, 3, 3\), got \(3, 3\)"):
+        replace(example_1(), Gamma=np.eye(3))

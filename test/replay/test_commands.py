@@ -1,0 +1,193 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`tsobs estimate`, `tsobs compare` and `tsobs export` as they are typed."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tsobs_ros.bag import BagReader
+from tsobs_ros.bag.messages.joint_states import JointStateEncoder
+from tsobs_ros.cli.main import main
+from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
+
+
+@pytest.fixture
+def bag(arms, write_bag) -> Path:
+    """Three seconds of one joint, with a true disturbance."""
+    encode = JointStateEncoder(["elbow"])
+    messages = arms.messages(600)
+    stamps = [time - 300_000 for _, _, time in messages]
+    truth = [("/ground_truth/disturbance", encode(s, [0.0]), s + 300_000) for s in stamps]
+    return write_bag(sorted([*messages, *truth], key=lambda message: message[2]))
+
+
+def test_estimate_writes_a_bag_beside_the_bag(bag: Path, capsys) -> None:
+    assert main(["estimate", str(bag)]) == 0
+
+    out, err = capsys.readouterr()
+    assert "600 measurements of elbow over 3.0 s" in out
+    assert "observer  600 estimates from 600 measurements; rejected: none" in out
+    assert err == ""
+    counts = {name: topic.count for name, topic in BagReader(f"{bag}_estimates").topics.items()}
+    assert counts["/ground_truth/disturbance"] == counts["/observer/joint_states"] == 600
+    assert main(["estimate", str(bag)]) == 1
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_estimate_says_how_much_of_the_live_run_it_has_reproduced(bag: Path, capsys) -> None:
+    live, again = f"{bag}_live", f"{bag}_again"
+    main(["estimate", str(bag), "--output", live, "--rate", "90"])
+    capsys.readouterr()
+
+    assert main(["estimate", live, "--output", again, "--estimates-only", "--json"]) == 0
+
+    result = json.loads(capsys.readouterr().out)
+    assert result["live"]["recorded"] == result["live"]["reproduced"] > 200
+    assert "/joint_measurements" not in BagReader(again).topics
+
+
+def test_several_designs_and_methods_have_names_of_their_own(bag: Path, capsys) -> None:
+    designs = [str(config_path(name)) for name in (SHIPPED_DESIGN, SHIPPED_ADAPTIVE_DESIGN)]
+    new = f"{bag}_new"
+
+    command = ["estimate", str(bag), "--output", new, "--design", *designs]
+    assert main([*command, "--method", "certified", "high_gain"]) == 0
+
+    names = {topic.split("/")[1] for topic in BagReader(new).topics}
+    observers = {
+        f"{d}_{m}"
+        for d in ("elastic_joint", "elastic_joint_adaptive")
+        for m in ("certified", "high_gain")
+    }
+    assert names == {"joint_measurements", "ground_truth", *observers}
+    assert "/elastic_joint_adaptive_certified/parameters_estimate" in BagReader(new).topics
+    assert "too short to have a settled part" in capsys.readouterr().out
+
+
+def test_joints_may_have_designs_of_their_own(arms, write_bag, capsys) -> None:
+    bag = write_bag(arms.messages(50, joints=2))
+    command = ["compare", str(bag), "--method", "certified", "--design"]
+
+    assert main([*command, f"wrist={config_path(SHIPPED_ADAPTIVE_DESIGN)}"]) == 0
+    assert main([*command, f"knee={config_path(SHIPPED_ADAPTIVE_DESIGN)}"]) == 1
+
+    assert "no such joint; joints: elbow, wrist" in capsys.readouterr().err
+
+
+def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
+    main(
+        ["estimate", str(bag), "--output", f"{bag}_1", "--param", "gain_mode=riccati,settle_time=1"]
+    )
+    file = tmp_path / "observer.yaml"
+    file.write_text(
+        "observer:\n  ros__parameters:\n    gain_mode: riccati\n    settle_time: 1.0\n"
+        "    rate: 50.0\n    supervision: {gate: 5.0}\n    joints: [elbow]\n",
+        encoding="utf-8",
+    )
+    again = ["estimate", f"{bag}_1", "--json", "--params-file"]
+    capsys.readouterr()
+
+    assert main([*again, str(file), "--output", f"{bag}_2"]) == 0
+    live = json.loads(capsys.readouterr().out)["live"]
+    assert live["reproduced"] == live["recorded"] == 600
+    other = ["--param", "supervision.gate=1", "--param", "supervision.reject=2"]
+    assert main([*again, str(file), *other, "--output", f"{bag}_3"]) == 0
+    live = json.loads(capsys.readouterr().out)["live"]
+    assert live["reproduced"] < live["recorded"]
+
+
+@pytest.mark.parametrize(
+    ("parameter", "said"),
+    [
+        ("rate=3", "parameter 'rate' decides no estimate; method, theta"),
+        ("adapt=maybe", "parameter 'adapt': expected a value such as True, got 'maybe'"),
+        ("settle_time=long", "parameter 'settle_time': expected a value such as 5.0"),
+        ("gain_mode=best", "parameter 'gain_mode': expected a value such as 'certified'"),
+        ("supervision.jump_budget=1.5", "parameter 'supervision.jump_budget'"),
+        ("supervision.gate=-1", "gate"),
+    ],
+)
+def test_a_wrong_parameter_is_named(bag: Path, capsys, parameter, said) -> None:
+    assert main(["compare", str(bag), "--param", parameter]) == 1
+    assert said in capsys.readouterr().err
+
+
+def test_a_parameter_file_for_others_is_refused(bag: Path, tmp_path, capsys) -> None:
+    (tmp_path / "other.yaml").write_text("player:\n  ros__parameters: {rate: 2.0}\n")
+
+    assert main(["compare", str(bag), "--params-file", str(tmp_path / "other.yaml")]) == 1
+    assert "no ros__parameters of observer; sections: player" in capsys.readouterr().err
+    shipped = str(config_path("observer.yaml"))
+    assert main(["compare", str(bag), "--joints", "elbow", "--params-file", shipped]) == 0
+
+
+def test_compare_prints_all_observers_and_writes_nothing(bag: Path, capsys) -> None:
+    assert main(["compare", str(bag)]) == 0
+
+    out = capsys.readouterr().out
+    for observer in ("certified", "ekf", "high_gain", "proportional_integral", "paper"):
+        assert observer in out
+    assert "innovation² / expected" in out
+    assert [path.name for path in bag.parent.iterdir()] == ["bag"]
+
+
+def test_a_log_is_estimated(arms, tmp_path, capsys) -> None:
+    lines = [f"{k * 5}\t{arms.y[k, 0]!s}\t{arms.u[k, 0]!s}" for k in range(100)]
+    (tmp_path / "log.csv").write_text("\n".join(["a\tb\tc", *lines]), encoding="utf-8")
+    command = ["estimate", str(tmp_path / "log.csv"), "--units", "time=ms"]
+
+    assert main([*command, "--columns", "time=a,angle=b,torque=c", "--joints", "knee"]) == 0
+
+    out = capsys.readouterr().out
+    assert "100 measurements of knee over 0.5 s" in out
+    assert "1 s was added to all times" in out
+    assert (tmp_path / "log_estimates" / "metadata.yaml").is_file()
+
+
+def test_export_writes_files_and_says_which(bag: Path, tmp_path, capsys) -> None:
+    folder = tmp_path / "tables"
+
+    assert main(["export", str(bag), "--output", str(folder), "--json"]) == 0
+
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert [(one["topic"], one["rows"]) for one in files] == [
+        ("/joint_measurements", 600),
+        ("/ground_truth/disturbance", 600),
+    ]
+    assert all(Path(one["file"]).is_file() for one in files)
+    assert main(["export", str(bag), "--output", str(folder)]) == 1
+    assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--method", "magic"],
+        ["--rate", "0"],
+        ["--columns", "time"],
+        ["--param", "adapt"],
+        ["--at", "noon"],
+    ],
+)
+def test_wrong_usage_is_told_apart_from_failure(bag: Path, arguments) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["estimate", str(bag), *arguments])
+
+    assert ended.value.code == 2
+
+
+def test_damage_is_an_error_after_all_before_it(arms, write_bag, capsys) -> None:
+    bag = write_bag(arms.messages(600), max_duration_ns=500_000_000, compression="none")
+    last = max(bag.glob("*.mcap"))
+    last.write_bytes(last.read_bytes().replace(b"elbow", b"xxxxx"))
+
+    assert main(["estimate", str(bag)]) == 1
+    assert main(["export", str(bag), "--output", f"{bag}_csv"]) == 1
+
+    err = capsys.readouterr().err
+    assert "damaged" in err
+    assert "estimated up to there" in err
+    assert "exported up to there" in err
+    assert 0 < BagReader(f"{bag}_estimates").topics["/observer/joint_states"].count < 600

@@ -1,0 +1,74 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded measurements: what each message holds of each joint, and where time begins anew."""
+
+import numpy as np
+import pytest
+
+from tsobs_ros.bag.messages.joint_series import JointSeries
+from tsobs_ros.estimation.records import Measurement, RejectReason
+from tsobs_ros.replay.samples import Samples, restarts, samples_of
+
+SECOND = 1_000_000_000
+NAN = float("nan")
+
+
+def series(values: list[list[list[float]]], named: list[list[bool]]) -> JointSeries:
+    """Return messages about two joints; what is not a number was left out of its message."""
+    times = np.arange(1, len(values) + 1) * SECOND
+    array = np.array(values)
+    return JointSeries(times, times, times, array, np.array(named), ~np.isnan(array), ())
+
+
+def read(samples: Samples) -> list[list[object]]:
+    return [
+        [(m.stamp, m.y.tolist(), m.u.tolist()) if isinstance(m, Measurement) else m for m in row]
+        for row in samples.of_each_joint()
+    ]
+
+
+def test_each_joint_gets_its_sample_or_why_there_is_none() -> None:
+    recorded = series(
+        [
+            [[1.0, 2.0], [3.0, 4.0]],
+            [[1.0, 2.0], [NAN, NAN]],
+            [[1.0, NAN], [3.0, 4.0]],
+            [[NAN, NAN], [NAN, NAN]],
+        ],
+        [[True, True], [True, False], [True, True], [False, False]],
+    )
+
+    wrong = RejectReason.WRONG_JOINT
+    assert read(samples_of(recorded, assume_zero_torque=False)) == [
+        [(SECOND, [1.0], [2.0]), (SECOND, [3.0], [4.0])],
+        [(2 * SECOND, [1.0], [2.0]), None],
+        [wrong, (3 * SECOND, [3.0], [4.0])],
+        [wrong, wrong],
+    ]
+    assert read(samples_of(recorded, assume_zero_torque=True))[2][0] == (3 * SECOND, [1.0], [0.0])
+
+
+def test_restarts_are_told_from_stragglers() -> None:
+    first = [k * SECOND // 10 for k in range(1, 61)]
+
+    assert restarts(first) == []
+    assert restarts([*first, first[0], *(s + 6 * SECOND for s in first)]) == []
+    assert restarts([*first, *first, *first]) == [60, 120]
+    assert restarts([*first[:50], 0, *first[50:]]) == []  # a zero stamp is no time at all
+    assert restarts([*first, *(s - SECOND // 2 for s in first[56:])]) == []  # merely late
+
+
+@pytest.mark.parametrize(
+    ("offset", "expected"),
+    [
+        (1_000, [1_001, 1_021, 1_011, 1_041]),
+        (10**18, [1, 21, 21, 41]),  # another clock: only the order is known
+    ],
+)
+def test_arrivals_are_log_times_where_those_are_of_the_same_clock(offset, expected) -> None:
+    stamps = np.array([1, 21, 11, 41])
+    one = np.ones((4, 1))
+
+    samples = Samples(stamps, stamps + offset, stamps, one, one, one > 0, one > 0)
+
+    assert samples.arrivals.tolist() == expected

@@ -1,0 +1,92 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`tsobs design`: design a gain and write its file."""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+
+from tsobs_ros.cli.design_summary import summary, summary_text
+from tsobs_ros.cli.options import Words, add_json
+from tsobs_ros.cli.output import show
+from tsobs_ros.errors import DesignFileError
+
+
+def add_parser(words: Words) -> None:
+    """Add the word `design`."""
+    design = words.add_parser("design", help="design a gain and write its file")
+    design.add_argument(
+        "request", type=Path, nargs="?", help="YAML with the arm, noise and domain; else defaults"
+    )
+    design.add_argument("--output", type=Path, required=True, metavar="FILE")
+    design.add_argument(
+        "--method",
+        choices=("certified", "paper"),
+        default="certified",
+        help="the certified design, or Steps 1-5 of the published method for one of its examples",
+    )
+    design.add_argument(
+        "--example", type=int, choices=(1, 2, 3), default=1, help="of the published method"
+    )
+    design.add_argument("--force", action="store_true", help="replace an existing file")
+    add_json(design)
+    design.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Design a gain and write its file."""
+    from tsobs_ros.design.file import load_request, save_design
+    from tsobs_ros.design.request import DesignRequest
+    from tsobs_ros.design.synthesis import synthesise
+    from tsobs_ros.design.ts_file import is_ts_file
+    from tsobs_ros.design.ts_synthesis import design_ts_file
+
+    if options.output.exists() and not options.force:
+        raise DesignFileError(f"{options.output}: exists already; --force replaces it")
+    if options.method == "paper":
+        return _design_by_the_paper(options)
+    if options.request and is_ts_file(options.request):
+        ts_result = design_ts_file(options.request, options.output)
+        written = f"{ts_result.text()}\nwritten to {options.output}"
+        show({"design": str(options.output), **ts_result.summary()}, written, options.json)
+        return 0
+    request = load_request(options.request) if options.request else DesignRequest()
+    result = synthesise(request)
+    save_design(result, options.output)
+    show(
+        {"design": str(options.output), **summary(result)},
+        f"{summary_text(result)}\nwritten to {options.output}",
+        options.json,
+    )
+    return 0
+
+
+def _design_by_the_paper(options: argparse.Namespace) -> int:
+    from tsobs_ros.design.plain import write_yaml
+    from tsobs_ros.paper import examples
+    from tsobs_ros.paper.synthesis import design_adaptive_observer
+
+    build = (examples.example_1, examples.example_2, examples.example_3)[options.example - 1]
+    example = build()
+    result = design_adaptive_observer(
+        example.system, example.alpha, example.xi, Gamma=example.Gamma
+    )
+    conditions = [str(condition) for condition in result.conditions.conditions]
+    mapping = {
+        "format": "tsobs_ros adaptive observer of the published method",
+        "example": options.example,
+        "epsilon": result.epsilon,
+        "steps": result.steps,
+        "P": result.P.tolist(),
+        "H1": result.H1.tolist(),
+        "M": result.M.tolist(),
+        "Gamma": result.Gamma.tolist(),
+        "conditions": conditions,
+        "solver": asdict(result.solver),
+    }
+    write_yaml(options.output, "# Made by `tsobs design --method paper`.\n", mapping)
+    lines = [f"{example.name}: epsilon {result.epsilon:.6g}, {result.steps} step(s)"]
+    lines += [f"  {condition}" for condition in conditions]
+    lines += [f"written to {options.output}"]
+    show(mapping, "\n".join(lines), options.json)
+    return 0

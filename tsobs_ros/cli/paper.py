@@ -1,0 +1,27 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`tsobs paper`: regenerate the published method's figures and the table of its claims."""
+
+import argparse
+from pathlib import Path
+
+from tsobs_ros.cli.options import Words, add_json
+from tsobs_ros.cli.output import show
+
+
+def add_parser(words: Words) -> None:
+    """Add the word `paper`."""
+    paper = words.add_parser("paper", help="the published method: its figures, and what holds")
+    paper.add_argument("--output", type=Path, default=Path("paper"), help="folder to write to")
+    paper.add_argument("--seeds", type=int, default=20, metavar="N", help="runs of Example 3")
+    add_json(paper)
+    paper.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Regenerate the published method's figures and the table of its claims."""
+    from tsobs_ros.paper.publish import make_paper_report
+
+    result = make_paper_report(options.output, progress=True, seeds=options.seeds)
+    show(result.as_mapping(), str(result), options.json)
+    return 0

@@ -1,0 +1,118 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The observers that can be run on a design, by name, and the trackers that run them."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from tsobs_ros.design.record import Design
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation import comparison
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
+from tsobs_ros.estimation.supervision import SupervisionOptions
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.paper import arm_observer
+
+METHODS = {
+    "certified": "the design's observer: certified gain, supervised, learning what is uncertain",
+    "ekf": "the same model with Riccati gains throughout, not supervised",
+    "high_gain": "proportional observer: takes the disturbance for motion",
+    "proportional_integral": "with an integral besides: takes the disturbance for motion",
+    "paper": "the published method's observer, for the arm of its Example 3 only",
+}
+"""The methods by name, each with what to know about it."""
+
+WARNINGS = {"paper": arm_observer.PAPER_WARNING}
+"""What a user of a method is warned of, once."""
+
+
+@dataclass(frozen=True)
+class ObserverSettings:
+    """How an observer is run; the defaults are those of the node.
+
+    Attributes:
+        method: A name of `METHODS`.
+        theta: Speed of high_gain and proportional_integral [rad/s].
+        gain_mode: Gain of the certified observer once it has settled.
+        settle_time: Least time with Riccati gains after a start [s].
+        torque_rate: 1σ of the rate at which the torque may move in a gap [N m/s]; 0: it is held.
+        adapt: Whether to learn the parameters that the design calls uncertain.
+        history: How late a measurement may come [s].
+        future_tolerance: How far ahead of the clock a stamp may lie [s].
+        stale_after: Age of the newest measurement from which nothing is estimated, and after
+            which the next one starts afresh [s].
+        assume_zero_torque: Take measurements without effort as torque 0.
+        supervision: When measurements, estimate or parameters are distrusted.
+
+    Raises:
+        ModelError: There is no such method.
+    """
+
+    method: str = "certified"
+    theta: float = 2.5
+    gain_mode: GainMode = GainMode.CERTIFIED
+    settle_time: float = 5.0
+    torque_rate: float = TORQUE_RATE
+    adapt: bool = True
+    history: float = 0.5
+    future_tolerance: float = 0.1
+    stale_after: float = 5.0
+    assume_zero_torque: bool = False
+    supervision: SupervisionOptions = field(default_factory=SupervisionOptions)
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ModelError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+
+    def learnt(self, design: Design) -> tuple[str, ...]:
+        """Return the names of the design's parameters that are learnt."""
+        learns = self.method == "certified" and self.adapt
+        return tuple(design.request.uncertainty) if learns else ()
+
+
+def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]:
+    """Return the observer that the settings name, for the arm of a design.
+
+    Raises:
+        ModelError: The method cannot observe this arm.
+    """
+    request = design.request
+    common = (request.period, request.measurement_std)
+    match settings.method:
+        case "certified":
+            supervised = design.supervised(
+                settings.settle_time, settings.gain_mode, settings.adapt, settings.torque_rate
+            )
+            supervised.options = settings.supervision
+            return supervised
+        case "ekf":
+            return design.observer(gain_mode=GainMode.RICCATI, torque_rate=settings.torque_rate)
+        case "high_gain":
+            return comparison.high_gain(request.arm, settings.theta, *common)
+        case "proportional_integral":
+            return comparison.proportional_integral(request.arm, settings.theta, *common)
+        case _:
+            return arm_observer.paper(request.arm, *common)
+
+
+def make_tracker(
+    design: Design, settings: ObserverSettings, estimator: Estimator[Any] | None = None
+) -> Tracker[Any]:
+    """Return a tracker that runs the observer that the settings name.
+
+    Args:
+        design: The design.
+        settings: How it is run.
+        estimator: The observer, if it is made already: joints with the same design share it.
+
+    Raises:
+        ModelError: The method cannot observe this arm, or a time is negative.
+    """
+    options = TrackerOptions(
+        x_max=design.request.x_max,
+        history=settings.history,
+        future_tolerance=settings.future_tolerance,
+        restart_after=settings.stale_after,
+    )
+    return Tracker(estimator or make_estimator(design, settings), options)
