@@ -74,7 +74,15 @@ setup(
     data_files=data_files(),
     zip_safe=False,
     # Never rclpy: a sourced ROS provides it without pip's knowledge, and wheels would outrank it.
-    install_requires=["numpy>=1.26", "scipy", "pyyaml", "mcap>=1.5", "zstandard", "lz4"],
+    install_requires=[
+        "numpy>=1.26",
+        "scipy",
+        "pyyaml",
+        "msgspec>=0.18.5",  # the first with wheels for Python 3.12
+        "mcap>=1.5",
+        "zstandard",
+        "lz4",
+    ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         "design": ["cvxpy", "clarabel"],
