@@ -41,7 +41,7 @@ class ObserverSettings:
         history: How late a measurement may come [s].
         future_tolerance: How far ahead of the clock a stamp may lie [s].
         stale_after: Age of the newest measurement from which nothing is estimated, and after
-            which the next one starts afresh [s].
+            which the next one restarts [s].
         assume_zero_torque: Take measurements without effort as torque 0.
         supervision: When measurements, estimate or parameters are distrusted.
 

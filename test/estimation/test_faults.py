@@ -365,7 +365,10 @@ def observed(scenario: Scenario, seconds: float) -> Fault:
         sample = plant.step()
         state, correction = observer.correct(state, sample.measurement)
         stamp = SECOND + round(sample.time * SECOND)
-        innovation, std = correction.innovation[0], math.sqrt(correction.spread[0, 0])
+        innovation, std = (
+            correction.innovation[0],
+            math.sqrt(correction.innovation_covariance[0, 0]),
+        )
         monitor.measured(stamp, float(sample.measurement[0]), float(innovation), std)
         known = observer.readout(state)
         monitor.estimated(stamp, float(known.disturbance[0]), float(known.disturbance_bound[0]))

@@ -213,7 +213,7 @@ def test_whatever_the_messages_bring_each_joint_is_its_tracker_alone(
     seed: int, kinds: list[str], rate: float, jitter: int
 ) -> None:
     # A design often has company: that is what makes a batch.
-    joints, alone = pair(4 * kinds, history=0.1, most_steps=15)
+    joints, alone = pair(4 * kinds, history=0.1, max_steps=15)
     rows = trouble(np.random.default_rng(seed), len(alone), 120, rate, jitter)
     with np.errstate(all="ignore"):
         compared(joints, alone, rows)
@@ -265,7 +265,7 @@ def test_as_many_measurements_as_joints_are_expected() -> None:
 @pytest.mark.parametrize("kind", ["shipped", "starting", "riccati", "adaptive", "soft adaptive"])
 @pytest.mark.parametrize("torque", [1.7e308, -1e300, 1e160])
 def test_numbers_beyond_all_bounds_are_their_own_joint_s_business(kind: str, torque: float) -> None:
-    """Of six, the third: it begins afresh, in silence, and the others hear nothing of it."""
+    """Of six, the third: it restarts, in silence, and the others hear nothing of it."""
     together, alone = pair([kind] * 6, restart_after=1.0)
 
     def rows() -> Iterator[list[Measurement]]:

@@ -163,7 +163,7 @@ def test_corrections_say_what_they_did(design: Design) -> None:
 
     state, correction = observer.correct(settled(observer, x), y)
     assert correction.innovation == pytest.approx([0.15])
-    np.testing.assert_allclose(correction.spread, C @ bound @ C.T + R, rtol=1e-12)
+    np.testing.assert_allclose(correction.innovation_covariance, C @ bound @ C.T + R, rtol=1e-12)
     assert (correction.gain == design.K).all()
     np.testing.assert_allclose(state.x - x, 0.15 * design.K[:, 0], rtol=1e-12)
     assert state.corrected
@@ -171,7 +171,7 @@ def test_corrections_say_what_they_did(design: Design) -> None:
     wide = design.request.initial_covariance
     state, correction = observer.correct(observer.initial()._replace(x=x), y)
     spread = C @ wide @ C.T + R
-    np.testing.assert_allclose(correction.spread, spread, rtol=1e-12)
+    np.testing.assert_allclose(correction.innovation_covariance, spread, rtol=1e-12)
     np.testing.assert_allclose(correction.gain, wide @ C.T / spread, rtol=1e-12)
     np.testing.assert_allclose(state.x - x, 0.15 * correction.gain[:, 0], rtol=1e-9)
     reduced = wide - correction.gain @ spread @ correction.gain.T
@@ -350,14 +350,14 @@ def test_the_readout_is_in_physical_units(design: Design) -> None:
 def test_a_reopened_state_settles_again(design: Design) -> None:
     observer, variance = design.observer(settle_time=0.0), np.diag([0.0, 0.0, 0.0, 0.0, 0.15**2])
     corrected, _ = observer.correct(settled(observer, np.zeros(5)), np.array([0.1]))
-    reopened = observer.reopened(corrected, variance, 1.5)
-    assert not reopened.certified
-    assert (reopened.x == corrected.x).all()
-    assert (reopened.covariance == corrected.covariance + variance).all()
-    assert (reopened.settling, reopened.corrected) == (1.5, True)
-    assert observer.reopened(reopened, variance, 1.0).settling == 1.5
+    inflated = observer.inflate_covariance(corrected, variance, 1.5)
+    assert not inflated.certified
+    assert (inflated.x == corrected.x).all()
+    assert (inflated.covariance == corrected.covariance + variance).all()
+    assert (inflated.settling, inflated.corrected) == (1.5, True)
+    assert observer.inflate_covariance(inflated, variance, 1.0).settling == 1.5
     # The next gain trusts the measurement of the bias more than the certified one does.
-    _, correction = observer.correct(observer.predict(reopened, np.zeros(1), T), np.array([0.1]))
+    _, correction = observer.correct(observer.predict(inflated, np.zeros(1), T), np.array([0.1]))
     assert correction.gain[4, 0] > 10.0 * design.K[4, 0]
 
 

@@ -61,7 +61,7 @@ def observe(
         readout = estimator.readout(state)
         states.append(ARM.from_physical(readout.state))
         disturbance.append(readout.disturbance)
-        innovations.append(correction.innovation / np.sqrt(correction.spread[0, 0]))
+        innovations.append(correction.innovation / np.sqrt(correction.innovation_covariance[0, 0]))
         events.append(estimator.events(state))
         state = estimator.predict(state, torque, T)
     return Run(
@@ -81,7 +81,7 @@ def supervised(**options: float) -> SupervisedObserver:
 def test_without_anything_to_notice_it_is_the_observer_bit_for_bit() -> None:
     watched = observe(supervised(), SCENARIOS["noise"], 1, 15.0)
     plain = observe(DESIGN.observer(), SCENARIOS["noise"], 1, 15.0)
-    assert set(watched.events[-1]) >= {"outliers weighed down", "sensor jumps", "losses of track"}
+    assert set(watched.events[-1]) >= {"outliers downweighted", "sensor jumps", "losses of track"}
     assert not any(watched.events[-1].values())
     assert plain.events[-1] == {}
     for field in ("states", "disturbance", "innovations"):
@@ -125,7 +125,7 @@ def test_outliers_do_little_harm(seed: int) -> None:
     assert watched.error < 0.02  # without outliers it is .013
     wrong = int((np.abs(watched.innovations) > 15.0).sum())
     assert wrong > 25
-    assert watched.events[-1]["outliers weighed down"] == pytest.approx(wrong, abs=2)
+    assert watched.events[-1]["outliers downweighted"] == pytest.approx(wrong, abs=2)
     assert watched.events[-1]["sensor jumps"] == 0
     assert watched.events[-1]["losses of track"] == 0
 
@@ -134,15 +134,15 @@ def test_an_outlier_is_weighed_down_to_the_gate() -> None:
     observer, plain, y = supervised(gate=4.0), DESIGN.observer(), np.array([7.0])
     state, correction = plain.correct(plain.initial(), y)
     weighed, same = observer.correct(observer.initial(), y)
-    r = 7.0 / np.sqrt(correction.spread[0, 0])
+    r = 7.0 / np.sqrt(correction.innovation_covariance[0, 0])
     assert r > 4.0
     assert (same.innovation == correction.innovation).all()
     whole, part = plain.readout(state), observer.readout(weighed)
     np.testing.assert_allclose(part.state, whole.state * 4.0 / r, rtol=1e-12)
     np.testing.assert_allclose(part.disturbance, whole.disturbance * 4.0 / r, rtol=1e-12)
-    # What is weighed down is an outlier; the others are as informative as ever.
+    # What is downweighted is an outlier; the others are as informative as ever.
     assert (part.state_bound == whole.state_bound).all()
-    assert observer.events(weighed)["outliers weighed down"] == 1
+    assert observer.events(weighed)["outliers downweighted"] == 1
 
 
 @pytest.mark.parametrize("offset", [1.0, 2.0, -3.0])
@@ -166,7 +166,7 @@ def test_a_loss_starts_afresh_with_the_sensor_in_doubt() -> None:
             break
         state = observer.predict(state, np.zeros(1), T)
     assert observer.events(state)["losses of track"] == 1
-    assert observer.events(state)["outliers weighed down"] > 0  # counts go on
+    assert observer.events(state)["outliers downweighted"] > 0  # counts go on
     assert correction.weight == 0.0  # the sample that gave the estimate up is not used
     came, fresh = observer.readout(state), plain.readout(plain.initial())
     assert (came.state == fresh.state).all()

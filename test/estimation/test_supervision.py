@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The judgement of innovations: what is weighed down, what is a jump, what is lost."""
+"""The judgement of innovations: what is downweighted, what is a jump, what is lost."""
 
 import math
 from collections.abc import Iterable

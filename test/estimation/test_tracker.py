@@ -413,7 +413,7 @@ def test_an_overflowing_estimate_is_counted_and_never_returned() -> None:
     assert overflowing.estimate(BEGIN + PERIOD) is not None
     assert overflowing.estimate(BEGIN + 40 * PERIOD) is None
     assert (overflowing.failures, overflowing.restarts) == (1, 0)
-    # The next measurement finds the prediction beyond all numbers too, and starts afresh there.
+    # The next measurement finds the prediction beyond all numbers too, and restarts there.
     fresh = exploding(1e100)
     with np.errstate(invalid="ignore"):
         for each in (overflowing, fresh):

@@ -92,7 +92,7 @@ def test_without_history_a_sample_ahead_of_the_clock_does_not_silence_the_estima
 
 def test_a_burst_of_dense_stamps_takes_neither_memory_nor_a_rewind_without_bound():
     dense = 10_000
-    t = tracker(most_steps=50)
+    t = tracker(max_steps=50)
     for k in range(200):
         t.offer(sample(k, BEGIN + k * dense), END)
     assert t.forgotten == 150
@@ -105,7 +105,7 @@ def test_a_burst_of_dense_stamps_takes_neither_memory_nor_a_rewind_without_bound
 
 
 def test_a_sparse_history_is_forgotten_by_time_alone():
-    t = tracker(most_steps=50)
+    t = tracker(max_steps=50)
     for k in range(200):
         t.offer(sample(k, BEGIN + k * 20_000_000), END)
     assert t.forgotten == 0
@@ -113,7 +113,7 @@ def test_a_sparse_history_is_forgotten_by_time_alone():
 
 def test_what_a_full_history_still_reaches_is_put_in_its_place():
     order = [*range(120), 121, 122, 120]
-    in_order, late = tracker(most_steps=50), tracker(most_steps=50)
+    in_order, late = tracker(max_steps=50), tracker(max_steps=50)
     for k in sorted(order):
         in_order.offer(sample(k), END)
     for k in order:

@@ -175,7 +175,7 @@ def test_adaptation_finds_the_true_parameter(theta: float, pendulum: TSDesign) -
         u = np.array([2.0 * math.sin(2.1 * k * T) + 1.0 * math.sin(0.7 * k * T)])
         y = x + np.array([0.0, 0.05]) + rng.standard_normal(2) * [0.01, 0.02]
         state, correction = observer.correct(state, y)
-        assert correction.spread.shape == (2, 2)
+        assert correction.innovation_covariance.shape == (2, 2)
         state = observer.predict(state, u, T)
         x = rk4_step(derivative, x, u, T)
     readout = observer.readout(state)

@@ -76,7 +76,7 @@ def test_anything_may_come_and_a_reset_observer_is_a_new_one(
         play(stage, mix._replace(seed=mix.seed + part), PART)
         if part == PARTS // 2:
             stage.step(stage.now - 400 * PERIOD)
-            stage.step(stage.now + PERIOD)  # the first tick after that begins anew
+            stage.step(stage.now + PERIOD)  # the first tick after that restarts
             assert stage.counts().received == 0
     assert stage.call(Trigger, "/observer/reset", Trigger.Request()).success
     outputs: dict[str, list[Any]] = {"": [], "/fresh": []}

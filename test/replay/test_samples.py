@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded measurements: what each message holds of each joint, and where time begins anew."""
+"""Recorded measurements: what each message holds of each joint, and where time restarts."""
 
 import numpy as np
 import pytest

@@ -34,21 +34,21 @@ class AdaptationOptions:
 
     Attributes:
         initial_std: 1σ of each θ before any measurement; caps the gain ever after.
-        wander_density: Growth of each θ's variance, which keeps the gain alive [1/s].
+        random_walk_density: Growth of each θ's variance, which keeps the gain alive [1/s].
         start: Adaptation begins so long after a (re)start [s]; the start itself leans.
         memory: Time constant of the measure of excitation [s].
         excitation: Smallest eigenvalue of the excitation from which θ counts as valid.
     """
 
     initial_std: float = 0.1
-    wander_density: float = 1e-6
+    random_walk_density: float = 1e-6
     start: float = 2.0
     memory: float = 10.0
     excitation: float = 400.0
 
     def __post_init__(self) -> None:
         positive("adaptation initial_std", self.initial_std)
-        non_negative("adaptation wander_density", self.wander_density)
+        non_negative("adaptation random_walk_density", self.random_walk_density)
         non_negative("adaptation start", self.start)
         positive("adaptation memory", self.memory)
         non_negative("adaptation excitation", self.excitation)
@@ -117,7 +117,7 @@ class AdaptiveObserver:
             else None
         )
         self._limits: list[float] = uncertainty.limits.tolist()
-        self._wander = np.eye(k) * self.options.wander_density
+        self._wander = np.eye(k) * self.options.random_walk_density
         self._sensitivity = sensitivity(observer.flow, uncertainty)
         gap_flow = observer.gap_flow
         self._in_gap = None if gap_flow is None else sensitivity(gap_flow, uncertainty)
@@ -139,28 +139,32 @@ class AdaptiveObserver:
             0.0,
         )
 
-    def reopened(self, state: AdaptiveState, variance: Array, duration: float) -> AdaptiveState:
-        """Return the state with more uncertainty of the estimate; see `TSObserver.reopened`."""
-        return state._replace(observer=self.observer.reopened(state.observer, variance, duration))
+    def inflate_covariance(
+        self, state: AdaptiveState, variance: Array, duration: float
+    ) -> AdaptiveState:
+        """Return the state with more uncertainty of the estimate; see `TSObserver`."""
+        return state._replace(
+            observer=self.observer.inflate_covariance(state.observer, variance, duration)
+        )
 
-    def limited(self, state: AdaptiveState, limit: float) -> AdaptiveState:
-        """Return the state with the disturbance kept within ±limit; see `TSObserver.limited`."""
-        observer = self.observer.limited(state.observer, limit)
+    def limit_disturbance(self, state: AdaptiveState, limit: float) -> AdaptiveState:
+        """Return the state with the disturbance kept within ±limit; see `TSObserver`."""
+        observer = self.observer.limit_disturbance(state.observer, limit)
         return state if observer is state.observer else state._replace(observer=observer)
 
-    def heard(self, state: AdaptiveState) -> AdaptiveState:
-        """Return the state after a sample without its angle; see `TSObserver.heard`."""
-        observer = self.observer.heard(state.observer)
+    def end_gap(self, state: AdaptiveState) -> AdaptiveState:
+        """Return the state after a sample without its angle; see `TSObserver.end_gap`."""
+        observer = self.observer.end_gap(state.observer)
         return state if observer is state.observer else state._replace(observer=observer)
 
-    def relearning(self, state: AdaptiveState) -> AdaptiveState:
+    def reset_adaptation(self, state: AdaptiveState) -> AdaptiveState:
         """Return the state with the adaptation begun again from the present θ."""
         upsilon = np.zeros_like(state.upsilon)
         return state._replace(gamma=self._initial_gamma, upsilon=upsilon)
 
     def nominal(self, state: AdaptiveState) -> AdaptiveState:
         """Return the state with nominal parameters and nothing learnt."""
-        return self.relearning(state)._replace(
+        return self.reset_adaptation(state)._replace(
             theta=np.zeros_like(state.theta), gram=np.zeros_like(state.gram)
         )
 
@@ -184,12 +188,14 @@ class AdaptiveObserver:
         omega = self._C @ state.upsilon
         cross = state.gamma @ omega.T
         learning = (omega, cross, omega @ cross)
-        return Correction(known.innovation, known.spread + learning[2], known.gain, 1.0, learning)
+        return Correction(
+            known.innovation, known.innovation_covariance + learning[2], known.gain, 1.0, learning
+        )
 
     @staticmethod
     def expected(known: Correction, explained: Explained) -> Correction:
         """Return what is expected of one output, from that for known parameters."""
-        spread = known.spread + explained.variance
+        spread = known.innovation_covariance + explained.variance
         return Correction(known.innovation, spread, known.gain, 1.0, explained)
 
     def apply(
@@ -212,7 +218,7 @@ class AdaptiveObserver:
         """Return whether θ learns from a correction of which a share is applied."""
         return weight >= 1.0 and state.age >= self.options.start
 
-    def doubt(self, state: AdaptiveState) -> float:
+    def covariance_inflation(self, state: AdaptiveState) -> float:
         """Return κ ≥ 1, by how much the estimate is less certain than it will be."""
         return max(1.0, self.observer.covariance_ratio(state.observer))
 
@@ -221,12 +227,12 @@ class AdaptiveObserver:
     ) -> AdaptiveState:
         """Do the rest of `apply` for any number of outputs."""
         omega, cross, explained = correction.learning
-        own_spread = correction.spread - explained
+        own_spread = correction.innovation_covariance - explained
         upsilon = state.upsilon - correction.gain @ omega
         gram = state.gram + omega.T @ _solved(own_spread, omega)
         if not adapt:
             return AdaptiveState(observer, state.theta, state.gamma, upsilon, gram, state.age)
-        spread = own_spread * self.doubt(state) + explained
+        spread = own_spread * self.covariance_inflation(state) + explained
         gain = _solved(spread, cross.T).T
         limits = self.uncertainty.limits
         theta = np.clip(state.theta + gain @ correction.innovation, -limits, limits)
@@ -241,7 +247,7 @@ class AdaptiveObserver:
     ) -> AdaptiveState:
         """Do the same for one output, quicker: quotients stand for inverses."""
         assert self.regression is not None
-        doubt = self.doubt(state) if adapt else None
+        doubt = self.covariance_inflation(state) if adapt else None
         memory, x = self.regression.applied(
             state.memory, observer.x, correction, correction.learning, doubt
         )

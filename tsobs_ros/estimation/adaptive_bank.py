@@ -65,13 +65,15 @@ class AdaptiveBank(Bank[AdaptiveObserver]):
             doubts = None
             if learning[members[0]]:
                 both = zip(part.observers, before, strict=True)
-                doubts = np.array([[observer.doubt(state)] for observer, state in both])
+                doubts = np.array(
+                    [[observer.covariance_inflation(state)] for observer, state in both]
+                )
             memory, x = part._regression.applied(
                 Memory.stack([state.memory for state in before]),
                 np.array([state.x for state in inner]),
                 Correction(
                     np.array([one.innovation for one in chosen]),
-                    np.array([one.spread for one in chosen]),
+                    np.array([one.innovation_covariance for one in chosen]),
                     np.array([one.gain for one in chosen]),
                 ),
                 Explained.stack([one.learning for one in chosen]),

@@ -16,14 +16,14 @@ class Correction(NamedTuple):
 
     Attributes:
         innovation: y − ŷ before the correction, shape (..., p).
-        spread: Covariance expected of the innovation, shape (..., p, p) or (p, p).
+        innovation_covariance: Covariance expected of the innovation, shape (..., p, p) or (p, p).
         gain: The gain that was used, shape (..., n, p) or (n, p).
         weight: The share of the correction that was applied; 0 if the measurement was not used.
         learning: What an observer that learns has computed of the innovation for its own use.
     """
 
     innovation: Array
-    spread: Array
+    innovation_covariance: Array
     gain: Array
     weight: float = 1.0
     learning: Any = None

@@ -179,7 +179,7 @@ class TSObserver:
             state: The state the correction was computed from.
             correction: From `expect`.
             weight: Share of the correction to apply; the covariance shrinks as for all of it,
-                since what is weighed down is an outlier.
+                since what is downweighted is an outlier.
             adapt: For observers that learn; this one has nothing to.
         """
         innovation = correction.innovation if weight == 1.0 else weight * correction.innovation
@@ -229,7 +229,7 @@ class TSObserver:
             return None
         return self.gap_flow.begun(state.covariance) if state.gap is None else state.gap
 
-    def heard(self, state: ObserverState) -> ObserverState:
+    def end_gap(self, state: ObserverState) -> ObserverState:
         """Return the state after a sample of which only the torque is to be used."""
         return state if state.gap is None else state._replace(gap=None)
 
@@ -287,7 +287,9 @@ class TSObserver:
             return ObserverState(x, self.certified.X, 0.0, True, False)
         return self._flowed(state, u, duration, hand_over=False)
 
-    def reopened(self, state: ObserverState, variance: Array, duration: float) -> ObserverState:
+    def inflate_covariance(
+        self, state: ObserverState, variance: Array, duration: float
+    ) -> ObserverState:
         """Return the state with more uncertainty, for a change that the model does not foresee.
 
         Args:
@@ -298,7 +300,7 @@ class TSObserver:
         settling = max(duration, state.settling)
         return ObserverState(state.x, state.covariance + variance, settling, False, True)
 
-    def limited(self, state: ObserverState, limit: float) -> ObserverState:
+    def limit_disturbance(self, state: ObserverState, limit: float) -> ObserverState:
         """Return the state with the disturbance ω = H w kept within ±limit [rad]."""
         omega = self.output.disturbance(state.x)
         inside = abs(omega[0]) <= limit if omega.shape == (1,) else (np.abs(omega) <= limit).all()

@@ -98,7 +98,7 @@ class Regression(NamedTuple):
                 to be learnt from it.
         """
         omega, cross, variance = explained
-        known = correction.spread[..., 0] - variance
+        known = correction.innovation_covariance[..., 0] - variance
         rows = memory.rows - omega[..., np.newaxis] * correction.gain[..., np.newaxis, :, 0]
         gram = memory.gram + _square(omega / np.sqrt(known))
         if doubt is None:

@@ -23,10 +23,10 @@ class SupervisedState(NamedTuple):
         pinned: How long a parameter has been at its limit [s].
         y: The last sample [rad], None before the first.
         repeats: How often it has come again without a change.
-        outliers: Number of measurements that were weighed down.
+        outliers: Number of measurements that were downweighted.
         jumps: Number of sensor jumps found.
-        losses: Number of times the estimate was given up and started afresh.
-        relearned: Number of times learning was begun again.
+        losses: Number of times the estimate was given up and restarted.
+        adaptation_resets: Number of times learning was begun again.
     """
 
     inner: Any
@@ -38,7 +38,7 @@ class SupervisedState(NamedTuple):
     outliers: int = 0
     jumps: int = 0
     losses: int = 0
-    relearned: int = 0
+    adaptation_resets: int = 0
 
 
 class SupervisedObserver:
@@ -114,10 +114,12 @@ class SupervisedObserver:
         sample = float(y[0])
         repeats = state.repeats + 1 if sample == state.y else 0
         if 0 < self._options.stuck_samples <= repeats:
-            inner = self.observer.heard(state.inner)
+            inner = self.observer.end_gap(state.inner)
             state = state._replace(inner=inner, y=sample, repeats=repeats)
             return state, correction._replace(weight=0.0), None
-        normalised = float(correction.innovation[0]) / float(correction.spread[0, 0]) ** 0.5
+        normalised = (
+            float(correction.innovation[0]) / float(correction.innovation_covariance[0, 0]) ** 0.5
+        )
         watch, verdict = judge(state.watch, normalised, self._period, self._options)
         # Made whole: replacing single fields of so many takes several times as long.
         state = SupervisedState(
@@ -127,7 +129,7 @@ class SupervisedObserver:
             # Not from this sample: it may be the worst of those that gave the estimate up. And
             # with the sensor in doubt: what was lost is more often the sensor than the arm.
             initial = self.observer.initial()
-            inner = self.observer.reopened(initial, self._doubted, 0.0)
+            inner = self.observer.inflate_covariance(initial, self._doubted, 0.0)
             state = state._replace(inner=inner, losses=state.losses + 1)
             return state, correction._replace(weight=0.0), None
         if verdict.weight < 1.0:
@@ -135,7 +137,7 @@ class SupervisedObserver:
             correction = correction._replace(weight=verdict.weight)
         if verdict.weight > 0.0:
             return state, correction, verdict
-        return state._replace(inner=self.observer.heard(state.inner)), correction, None
+        return state._replace(inner=self.observer.end_gap(state.inner)), correction, None
 
     def learns(self, state: SupervisedState) -> bool:
         """Return whether parameters may be learnt from the next correction."""
@@ -151,9 +153,9 @@ class SupervisedObserver:
         """
         if verdict.jumped and self._opened.any():
             duration = self._options.jump_duration
-            inner = self.observer.reopened(inner, self._opened, duration)
+            inner = self.observer.inflate_covariance(inner, self._opened, duration)
             state = state._replace(jumps=state.jumps + 1, pause=duration)
-        inner = self.observer.limited(inner, self._options.disturbance_limit)
+        inner = self.observer.limit_disturbance(inner, self._options.disturbance_limit)
         return self._guarded(state, inner, verdict)
 
     def predict(self, state: SupervisedState, u: Array, duration: float) -> SupervisedState:
@@ -180,15 +182,15 @@ class SupervisedObserver:
     def events(self, state: SupervisedState) -> dict[str, int]:
         """Return how many outliers, jumps, losses and new beginnings were found so far."""
         return {
-            "outliers weighed down": state.outliers,
+            "outliers downweighted": state.outliers,
             "sensor jumps": state.jumps,
             "losses of track": state.losses,
-            "learning begun again": state.relearned,
+            "learning restarts": state.adaptation_resets,
         }
 
     def frozen(self, state: SupervisedState) -> bool:
         """Return whether learning was given up: the model differs in other ways than θ."""
-        return self._learner is not None and state.relearned > self.options.relearn_budget
+        return self._learner is not None and state.adaptation_resets > self.options.relearn_budget
 
     def _guarded(self, state: SupervisedState, inner: Any, verdict: Verdict) -> SupervisedState:
         """Take the corrected inner state, or begin learning again where it went wrong."""
@@ -198,6 +200,6 @@ class SupervisedObserver:
         pinned = state.pinned + self._period if learner.at_limit(inner) else 0.0
         if not verdict.strained and pinned < self._options.strain:
             return SupervisedState(inner, state.watch, state.pause, pinned, *state[4:])
-        again = state._replace(pinned=0.0, relearned=state.relearned + 1)
-        forget = learner.nominal if self.frozen(again) else learner.relearning
+        again = state._replace(pinned=0.0, adaptation_resets=state.adaptation_resets + 1)
+        forget = learner.nominal if self.frozen(again) else learner.reset_adaptation
         return again._replace(inner=forget(inner))

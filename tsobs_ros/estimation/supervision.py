@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Watching the innovations: outliers are weighed down, jumps and lost tracks are noticed.
+"""Watching the innovations: outliers are downweighted, jumps and lost tracks are noticed.
 
 The observer's model says how large an innovation may be. A lone one that is far too large is an
 outlier. Eight in a row that lean to one side are a sensor that has jumped. A long average that is
@@ -28,7 +28,7 @@ class SupervisionOptions:
     """When to react, and how strongly; the defaults are for 200 Hz.
 
     Attributes:
-        gate: Innovations beyond so many σ are weighed down to it.
+        gate: Innovations beyond so many σ are downweighted to it.
         reject: Innovations beyond so many σ are not used at all.
         jump_std: 1σ of the uncertainty re-opened after a jump [rad]; 0 switches jumps off.
         jump_duration: Riccati gains are used for at least so long after a jump [s].

@@ -43,23 +43,23 @@ class TrackerOptions:
         x_max: Half width of the certificate's domain [rad].
         history: How far back a late measurement may reach [s].
         future_tolerance: How far ahead of `now` a stamp may lie [s].
-        restart_after: A gap in the measurements longer than this starts afresh [s]; no estimate
+        restart_after: A gap in the measurements longer than this restarts [s]; no estimate
             is given further than this from a measurement.
-        most_steps: How many measurements the history holds at most, however dense their stamps.
+        max_steps: How many measurements the history holds at most, however dense their stamps.
     """
 
     x_max: float
     history: float = 0.5
     future_tolerance: float = 0.1
     restart_after: float = 5.0
-    most_steps: int = 1024
+    max_steps: int = 1024
 
     def __post_init__(self) -> None:
         positive("x_max", self.x_max)
         non_negative("history", self.history)
         non_negative("future_tolerance", self.future_tolerance)
         positive("restart_after", self.restart_after)
-        positive("most_steps", self.most_steps)
+        positive("max_steps", self.max_steps)
 
 
 class Tracker(Generic[S]):
@@ -88,7 +88,7 @@ class Tracker(Generic[S]):
         self._accepted = 0
         self._refused: Counter[RejectReason] = Counter()
         self._bad_outputs = 0
-        self._history = History(self._span, self.options.most_steps)
+        self._history = History(self._span, self.options.max_steps)
         self._coasted: tuple[Step, int, S] | None = None
 
     @property
@@ -259,8 +259,8 @@ class Tracker(Generic[S]):
     def _keep(
         self, measurement: Measurement, state: S, correction: Correction, restarts: int
     ) -> Correction:
-        """Remember a step, begun afresh if it is not finite; return its correction."""
-        if not _is_finite(correction.innovation, correction.spread.ravel()):
+        """Remember a step, restarted if it is not finite; return its correction."""
+        if not _is_finite(correction.innovation, correction.innovation_covariance.ravel()):
             return self._keep_afresh(measurement, restarts)
         self._remember(measurement, state, correction, restarts, 0)
         return correction
@@ -297,7 +297,7 @@ class Tracker(Generic[S]):
         self.forgotten += self._history.trim()
         if correction.weight == 0.0:
             return RejectReason.GATED
-        expected_std = np.sqrt(correction.spread.diagonal())
+        expected_std = np.sqrt(correction.innovation_covariance.diagonal())
         return Innovation(measurement.stamp, correction.innovation, expected_std)
 
     def _coast(self, step: Step, stamp: int) -> tuple[S, float]:

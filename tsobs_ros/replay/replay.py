@@ -52,7 +52,7 @@ class Estimated(NamedTuple):
 
 
 class Afresh(NamedTuple):
-    """The observer has started afresh before a tick."""
+    """The observer has restarted before a tick."""
 
     tick: int
 

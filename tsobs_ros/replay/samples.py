@@ -14,7 +14,7 @@ from tsobs_ros.bag.messages.joint_series import Flags, JointSeries, Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement, RejectReason, Sample
 
-# Stamps this far back are not late any more: time began anew (a looped bag, a new simulation).
+# Stamps this far back are not late any more: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
 # So many messages in a row must lie back, for a single straggler is not a new beginning.
 _RESTART_MESSAGES = 10
@@ -115,7 +115,7 @@ def samples_of(series: JointSeries, assume_zero_torque: bool) -> Samples:
 
 
 def restarts(stamps: Sequence[int]) -> list[int]:
-    """Return where stamps [ns] begin anew: back by more than a second, and staying back."""
+    """Return where stamps [ns] restart: back by more than a second, and staying back."""
     found, highest = [], 0
     for place, stamp in enumerate(stamps):
         floor = highest - _RESTART

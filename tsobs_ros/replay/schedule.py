@@ -30,7 +30,7 @@ class Schedule:
         now: The time on the observer's clock, by which stamps from the future are told [ns], (m,).
         least: How many messages the tick knows of for certain, ascending, shape (m,).
         most: How many it knows of at most, ascending, shape (m,).
-        afresh: After how many messages the observer starts afresh before the tick, if after fewer
+        afresh: After how many messages the observer restarts before the tick, if after fewer
             than it has, at once; -1 where it goes on; shape (m,).
         log_times: Of the estimates' messages, ns since the epoch, shape (m,).
         publish_times: Of the same, shape (m,).
@@ -190,7 +190,7 @@ def _times_of_use(samples: Samples, innovations: JointSeries) -> Times:
 def match(wanted: Times, there: Times) -> NDArray[np.intp]:
     """Return where each stamp is found, -1 if nowhere, and no place twice, shape of `wanted`.
 
-    Stamps come again where time began anew: the first is matched with the first.
+    Stamps come again where time restarted: the first is matched with the first.
     """
     places: dict[int, deque[int]] = defaultdict(deque)
     for place, stamp in enumerate(there.tolist()):

@@ -120,7 +120,7 @@ def _remarks(run: RecordedRun, metrics: RunMetrics, page_missing: bool) -> tuple
     if run.truth is None:
         remarks.append("the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:
-        remarks.append(f"time began anew {run.passes - 1} times; this is the longest pass")
+        remarks.append(f"time restarted {run.passes - 1} times; this is the longest pass")
     if not metrics.windows:
         remarks.append("the run is too short to have a settled part, so there are no errors")
     if page_missing:

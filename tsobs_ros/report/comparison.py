@@ -54,7 +54,7 @@ def compare_runs(
 ) -> list[ObserverErrors]:
     """Measure finished runs over the same measurements.
 
-    Where time began anew, the longest pass is measured.
+    Where time restarted, the longest pass is measured.
     """
     truth = source.truth()
     return [

@@ -36,7 +36,7 @@ class RecordedRun:
         innovations: y − ŷ [rad] at the measurements' stamps, values (n', 1); None if not recorded.
         truth: True [q₁, q̇₁, q₂, q̇₂] at the sampling stamps, values (k, 4); None on a robot.
         true_disturbance: [rad] at the sampling stamps, values (k', 1); None on a robot.
-        passes: How often the recorded time began anew, plus one; this is the longest pass.
+        passes: How often the recorded time restarted, plus one; this is the longest pass.
     """
 
     name: str
@@ -103,7 +103,7 @@ def read_run(
     """Read a run from a bag.
 
     The topics are found by how their names end, so that any namespace will do. Where the recorded
-    time begins anew, as in a looped bag, the pass with the longest estimates is read.
+    time restarts, as in a looped bag, the pass with the longest estimates is read.
 
     Args:
         bag: Bag folder or MCAP file.
@@ -186,7 +186,7 @@ def _longest_pass(streams: dict[str, _Stream]) -> tuple[dict[str, Series], int]:
     begin = longest.log_times[0]
 
     def matching(stream: _Stream) -> Series:
-        # Each topic begins anew at its own moment, but all of them at about the same.
+        # Each topic restarts at its own moment, but all of them at about the same.
         return min(_passes(stream), key=lambda one: abs(int(one.log_times[0] - begin))).series
 
     chosen = {key: matching(stream) for key, stream in streams.items() if len(stream.log_times)}

@@ -16,7 +16,7 @@ from tsobs_ros.nodes.stamps import to_stamp
 from tsobs_ros.simulation.scenarios import SCENARIOS, Trajectories, simulate
 
 SECONDS = 20.0
-"""Length of the run; after it the arm begins anew, which no observer can know."""
+"""Length of the run; after it the arm restarts, which no observer can know."""
 
 
 @lru_cache(maxsize=4)

@@ -55,7 +55,7 @@ def gap_of_a_second(arm: Arm, begin: int) -> Iterator[Event]:
 
 @kind(_FAMILY, lasts=8 * SECONDS, recovery=3.0)
 def gap_of_minutes(arm: Arm, begin: int) -> Iterator[Event]:
-    """Nothing for minutes: STALE and silent; what comes then starts afresh."""
+    """Nothing for minutes: STALE and silent; the next sample restarts the estimate."""
     return iter(())
 
 

@@ -64,7 +64,7 @@ class Live:
         self._node.destroy_node()
 
     def play(self, kind: Kind) -> Outcome:
-        """Play one kind to an observer that begins afresh, and say what became of it."""
+        """Play one kind to an observer that restarts, and say what became of it."""
         self._begin_afresh()
         arm = Arm(time.time_ns() + _LEAD, self._joint)
         events = kind.script(arm)

@@ -66,13 +66,13 @@ def infinite_torque(arm: Arm, begin: int) -> Iterator[Event]:
 
 @kind(_FAMILY)
 def largest_angle(arm: Arm, begin: int) -> Iterator[Event]:
-    """The largest finite angles, of both signs: gated; what overflows starts afresh."""
+    """The largest finite angles, of both signs: gated; an overflow restarts the estimate."""
     return _angles(arm, begin, 0.5, _LARGEST, -_LARGEST)
 
 
 @kind(_FAMILY)
 def largest_torque(arm: Arm, begin: int) -> Iterator[Event]:
-    """The largest finite torques: the prediction overflows and starts afresh."""
+    """The largest finite torques: the prediction overflows and the estimate restarts."""
     return _torques(arm, begin, 0.05, _LARGEST, -_LARGEST)
 
 
@@ -96,13 +96,13 @@ def stuck_angle(arm: Arm, begin: int) -> Iterator[Event]:
 
 @kind(_FAMILY)
 def single_outlier(arm: Arm, begin: int) -> Iterator[Event]:
-    """One angle is 1 rad off: weighed down or gated."""
+    """One angle is 1 rad off: downweighted or gated."""
     return _shifted(arm, begin, 0.005, 1.0)
 
 
 @kind(_FAMILY)
 def every_fifth_an_outlier(arm: Arm, begin: int) -> Iterator[Event]:
-    """Every fifth angle is up to 3 rad off: weighed down or gated."""
+    """Every fifth angle is up to 3 rad off: downweighted or gated."""
     for index, stamp in enumerate(arm.stamps(begin, 0.5)):
         if index % 5:
             yield Event(stamp, arm.message(stamp), Fate.JUDGED)
@@ -124,19 +124,19 @@ def short_jump(arm: Arm, begin: int) -> Iterator[Event]:
 
 @kind(_FAMILY, lasts=1.0, recovery=5.0)
 def wrapped_angle(arm: Arm, begin: int) -> Iterator[Event]:
-    """The encoder loses a turn and finds it a second later: 2 pi off, gated, or begun afresh."""
+    """The encoder loses a turn and finds it a second later: 2 pi off, gated, or a restart."""
     return _shifted(arm, begin, 1.0, 2.0 * math.pi)
 
 
 @kind(_FAMILY, lasts=1.0, recovery=5.0)
 def degrees(arm: Arm, begin: int) -> Iterator[Event]:
-    """The angle is in degrees for a second: gated, or begun afresh."""
+    """The angle is in degrees for a second: gated, or a restart."""
     return _shifted(arm, begin, 1.0, 0.0, math.degrees(1.0))
 
 
 @kind(_FAMILY, lasts=1.0, recovery=5.0)
 def noise(arm: Arm, begin: int) -> Iterator[Event]:
-    """The noise is 0.2 rad for a second: weighed down; the innovations are said not to fit."""
+    """The noise is 0.2 rad for a second: downweighted; the innovations are said not to fit."""
     rng = np.random.default_rng(1)
     for stamp in arm.stamps(begin, 1.0):
         yield from _shifted(arm, stamp, 0.005, float(rng.normal(0.0, 0.2)))
@@ -144,7 +144,7 @@ def noise(arm: Arm, begin: int) -> Iterator[Event]:
 
 @kind(_FAMILY, recovery=5.0)
 def torque_steps(arm: Arm, begin: int) -> Iterator[Event]:
-    """The torque is said to be a million newton metres, of either sign: begun afresh after it."""
+    """The torque is said to be a million newton metres, of either sign: a restart follows."""
     return _torques(arm, begin, 0.5, 1e6, -1e6)
 
 

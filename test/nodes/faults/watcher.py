@@ -63,7 +63,7 @@ class Watcher:
             subscription.destroy()
 
     def time_began_anew(self) -> None:
-        """Allow stamps to begin anew, as the clock went back."""
+        """Allow stamps to restart, as the clock went back."""
         self.read()
         self._stamps.clear()
 

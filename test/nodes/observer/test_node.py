@@ -209,7 +209,7 @@ def test_the_reset_service_leaves_a_fresh_observer(bench: Bench) -> None:
     bench.forget()
 
     answer = bench.call(Trigger, "reset", Trigger.Request())
-    assert (answer.success, answer.message) == (True, "started afresh")
+    assert (answer.success, answer.message) == (True, "restarted")
     assert (observer.received, observer.tracker.used) == (0, 0)
     assert not observer.tracker.rejected
     bench.feed(range(100, 160), bench.now)
@@ -274,7 +274,7 @@ def test_without_measurements_it_coasts_then_falls_silent(bench: Bench) -> None:
     assert bench.estimates[-1].stamp == last + SECOND
     assert replayed(bench) > 20
 
-    # A measurement after all begins anew.
+    # A measurement after all restarts.
     bench.published.clear()
     bench.feed(range(100, 140), bench.now)
     assert observer.tracker.restarts == 1

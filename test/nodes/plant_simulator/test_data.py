@@ -95,7 +95,7 @@ def test_senseless_commands_are_counted_and_ignored(listener: Any) -> None:
 
 def test_reset_starts_as_fresh_while_stamps_go_on(listener: Any) -> None:
     # Time that the node drives itself: the wall clock may stand still for a second on a busy
-    # machine, and then the stamps begin anew.
+    # machine, and then the stamps restart.
     listener.start(seed=5, disturbance__kind="gauss_markov", publish_clock=True)
     listener.wait_for(listener.measurements, 100)
     listener.command(4.0)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""An inactive arm stands still in time, and a new one begins anew."""
+"""An inactive arm stands still in time, and a new one restarts."""
 
 import itertools
 from collections.abc import Callable

@@ -153,7 +153,7 @@ class Observer(ManagedNode[ObserverParameters]):
             self._meter.end()
 
     def _now(self) -> int | None:
-        """Return the time, None before simulated time begins; begin afresh where it went back."""
+        """Return the time, None before simulated time begins; restart where it went back."""
         now = self._ticker.now()
         if now == 0:
             return None
@@ -256,7 +256,7 @@ class Observer(ManagedNode[ObserverParameters]):
     def _begin_afresh(self, why: str) -> None:
         """Reset everything an instance computes from data; counts of a new instance are zero."""
         if self._may_warn("afresh"):
-            self.get_logger().warning(f"starting afresh: {why}")
+            self.get_logger().warning(f"restarting: {why}")
         self._trackers.reset()
         for joint in self._joints:
             joint.reset()
@@ -268,7 +268,7 @@ class Observer(ManagedNode[ObserverParameters]):
         # What was received before the reset must not be used after it.
         self._measurements.drain()
         self._begin_afresh("reset service")
-        return True, "started afresh"
+        return True, "restarted"
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data and not self._enabled:
@@ -311,7 +311,7 @@ class Observer(ManagedNode[ObserverParameters]):
         failed = failures > self._told_failures
         self._told_failures = failures
         if failed and self._may_warn("failure"):
-            self.get_logger().error("numerical failure: an estimate was not finite; began afresh")
+            self.get_logger().error("numerical failure: an estimate was not finite; restarted")
         return failed
 
     def _tell_of_designs(self) -> None:

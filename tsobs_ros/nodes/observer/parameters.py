@@ -42,7 +42,7 @@ class SupervisionParameters:
     """When the observer distrusts measurements, its estimate or its parameters."""
 
     gate: float = parameter(
-        5.0, "Innovations beyond so many sigma are weighed down", minimum=1.0, maximum=1e3
+        5.0, "Innovations beyond so many sigma are downweighted", minimum=1.0, maximum=1e3
     )
     reject: float = parameter(
         50.0, "Innovations beyond so many sigma are not used", minimum=1.0, maximum=1e6
@@ -180,7 +180,7 @@ class ObserverParameters(ManagedParameters):
     )
     stale_after: float = parameter(
         5.0,
-        "Age of the newest measurement to stop publishing and start afresh",
+        "Age of the newest measurement to stop publishing and restart",
         unit="s",
         minimum=1e-2,
         maximum=600.0,
@@ -188,7 +188,7 @@ class ObserverParameters(ManagedParameters):
     )
     reset_on_backward_jump: bool = parameter(
         True,
-        "Start afresh when the clock goes back; else nothing is published until it has caught up",
+        "Restart when the clock goes back; else nothing is published until it has caught up",
     )
     when_stale: str = parameter(
         "silent",

@@ -25,7 +25,7 @@ from tsobs_ros.simulation.plant import Plant
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.
 _LONGEST_LAG = NANOSECONDS
-# The system clock may be slewed a little; simulated time never goes back unless it starts anew.
+# The system clock may be slewed a little; simulated time never goes back unless it restarts.
 _SLEW_MARGIN = NANOSECONDS
 # Driven time starts here: a zero stamp means "no time" to most of ROS.
 _DRIVEN_START = NANOSECONDS
@@ -194,13 +194,13 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._timer.reset()
 
     def _went_back(self, now: int) -> bool:
-        """Start anew if the clock went back, and say whether there is nothing to do now."""
+        """Restart if the clock went back, and say whether there is nothing to do now."""
         if now == 0:
             return True
         back = self._latest - now
         if back > (0 if self._follows_clock else _SLEW_MARGIN):
             self.get_logger().warning(
-                f"the clock went back by {back / NANOSECONDS:g} s: the plant starts anew"
+                f"the clock went back by {back / NANOSECONDS:g} s: the plant restarts"
             )
             self._new_plant()
             self._schedule.start(now)

@@ -33,7 +33,7 @@ class PlayerState(NamedTuple):
 
 
 class LagMeter:
-    """Collects how late messages are published; `status` reads it out and begins anew."""
+    """Collects how late messages are published; `status` reads it out and restarts."""
 
     def __init__(self) -> None:
         self._lags: list[int] = []
