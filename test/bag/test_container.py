@@ -1,0 +1,119 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The container against the library's own reader, and against hostile files."""
+
+import zlib
+from contextlib import nullcontext
+from dataclasses import replace
+from io import BytesIO
+from itertools import accumulate
+
+import lz4.frame
+import pytest
+import zstandard
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType, Writer
+
+from tsobs_ros.bag.container import (
+    MAX_SIZE,
+    MESSAGE,
+    MESSAGE_OPCODE,
+    RECORD,
+    RecordError,
+    chunk_records,
+    split_messages,
+)
+
+COMPRESSIONS = {"": bytes, "lz4": lz4.frame.compress, "zstd": zstandard.compress}
+TIMES = st.integers(0, 2**64 - 1)
+CALLS = st.lists(st.tuples(st.integers(1, 3), TIMES, st.binary(max_size=80), TIMES), max_size=30)
+
+
+def written_chunk(calls, compression: CompressionType) -> Chunk:
+    stream = BytesIO()
+    writer = Writer(stream, compression=compression)
+    writer.start(profile="ros2")
+    schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data\n")
+    for place in range(3):
+        writer.register_channel(f"/topic_{place}", "cdr", schema)
+    for sequence, call in enumerate(calls):
+        writer.add_message(*call, sequence)
+    writer.finish()
+    stream.seek(0)
+    records = StreamReader(stream, emit_chunks=True).records
+    return next(record for record in records if isinstance(record, Chunk))
+
+
+def chunk_of(records: bytes, compression: str) -> Chunk:
+    return Chunk(
+        compression=compression,
+        data=COMPRESSIONS[compression](records),
+        message_start_time=0,
+        message_end_time=0,
+        uncompressed_crc=zlib.crc32(records),
+        uncompressed_size=len(records),
+    )
+
+
+@given(CALLS.filter(bool), st.sampled_from(CompressionType))
+def test_messages_are_those_that_the_library_reads(calls, compression: CompressionType) -> None:
+    chunk = written_chunk(calls, compression)
+    expected = [
+        (m.channel_id, m.log_time, m.publish_time, m.sequence, m.data)
+        for m in breakup_chunk(chunk, validate_crc=True)
+        if isinstance(m, Message)
+    ]
+    assert list(split_messages(chunk_records(chunk))) == expected
+
+
+@given(CALLS, st.data())
+def test_messages_before_a_cut_are_given_and_then_the_cut_is_an_error(calls, data) -> None:
+    messages = [
+        MESSAGE.pack(
+            MESSAGE_OPCODE, MESSAGE.size - RECORD.size + len(data), channel, 0, log, publish
+        )
+        + data
+        for channel, log, data, publish in calls
+    ]
+    ends = list(accumulate(map(len, messages), initial=0))
+    cut = data.draw(st.integers(0, ends[-1]))
+    found = []
+    with nullcontext() if cut in ends else pytest.raises(RecordError, match="the record at byte"):
+        found.extend(split_messages(b"".join(messages)[:cut]))
+    assert [found_data for *_, found_data in found] == [
+        call[2] for call, end in zip(calls, ends[1:], strict=True) if end <= cut
+    ]
+
+
+@pytest.mark.parametrize(
+    ("records", "reason"),
+    [
+        (b"\x05", "byte 0 of 1 is cut off"),
+        (b"\x05" + bytes(8) + bytes(30), "states a length of 0 bytes, 30 follow"),
+        (b"\x04" + b"\xff" * 8, "states a length of 18446744073709551615 bytes, 0 follow"),
+    ],
+)
+def test_malformed_records_are_refused(records: bytes, reason: str) -> None:
+    with pytest.raises(RecordError, match=reason):
+        list(split_messages(records))
+
+
+@pytest.mark.parametrize("compression", sorted(COMPRESSIONS))
+def test_a_chunk_is_what_it_states(compression: str) -> None:
+    records = bytes(1000)
+    chunk = chunk_of(records, compression)
+    assert chunk_records(chunk) == records
+    assert chunk_records(replace(chunk, uncompressed_crc=0)) == records
+    for change, reason in (
+        ({"uncompressed_crc": 1}, "crc"),
+        ({"uncompressed_size": 999}, "content"),
+        ({"uncompressed_size": 1001}, "content"),
+        ({"uncompressed_size": MAX_SIZE + 1}, "too many to read"),
+        ({"data": chunk.data[:-20]}, "content|decompressed"),
+        ({"compression": "zip"}, "compression 'zip' is not known"),
+    ):
+        with pytest.raises(RecordError, match=reason):
+            chunk_records(replace(chunk, **change))
