@@ -21,7 +21,7 @@ from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import load_request, parse_design
 from tsobs_ros.design.ts_file import load_ts_request, parse_ts_design, save_ts_design
 from tsobs_ros.design.ts_synthesis import synthesise_ts
-from tsobs_ros.replay.csv_log import CsvSource
+from tsobs_ros.replay.log import LogSource
 from tsobs_ros.resources import config_path
 
 Mutate = Callable[[bytes, Sequence[bytes], random.Random], bytes]
@@ -133,7 +133,7 @@ def log_target(_: Path) -> Target:
     log = (
         b"time [s],angle [deg],torque [N m]\n0.0,1.5,0.1\n0.005,1.6,0.2\n0.01,nan,\n0.015,1.7,0.1\n"
     )
-    return Target((log,), mutated_text, CsvSource, "log.csv")
+    return Target((log,), mutated_text, LogSource, "log.csv")
 
 
 TARGETS: Mapping[str, Callable[[Path], Target]] = {

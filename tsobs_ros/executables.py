@@ -3,15 +3,16 @@
 """Entry points of the node executables; light, so that signals are caught before heavy imports.
 
 Importing numpy and rclpy takes a second on a busy machine, and a signal in that time would end the
-process with a traceback or a failure. So each entry point first sees to it that signals end the
-process in peace, and only then imports its node module ``tsobs_ros.nodes.<name>``, whose
-``create()`` makes the node. From there on a signal raises a flag.
+process with a traceback or a failure. So each entry point first lets signals end the process with
+exit code 0, and only then imports its node module ``tsobs_ros.nodes.<name>``, whose ``create()``
+makes the node. From there on a signal raises a flag.
 """
 
 import sys
 from functools import partial
 from importlib import import_module
 
+from tsobs_ros.extras import missing_library
 from tsobs_ros.stop import StopFlag, end_at_once
 
 # Time for the interpreter's own shutdown, which may still destroy a participant.
@@ -33,13 +34,10 @@ def run(name: str) -> int:
         runtime = import_module("tsobs_ros.nodes.runtime")
         guard = import_module("tsobs_ros.nodes.exit_guard")
     except ModuleNotFoundError as error:
-        if error.name is None or error.name.partition(".")[0] != "rclpy":
+        advice = missing_library(error)
+        if advice is None:
             raise
-        print(
-            "error: rclpy is not installed: source ROS 2 Jazzy, or run "
-            "pip install 'tsobs_ros[ros]'",
-            file=sys.stderr,
-        )
+        print(f"error: {advice}", file=sys.stderr)
         return 1
     stop = StopFlag()
     stop.install()

@@ -2,11 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observers that can be run on a design, by name, and the trackers that run them."""
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
+from tsobs_ros.checks import shown
+from tsobs_ros.design.plain import read_yaml
 from tsobs_ros.design.record import Design
-from tsobs_ros.errors import ModelError
+from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import comparison
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
@@ -69,6 +73,79 @@ class ObserverSettings:
         """Return the names of the design's parameters that are learnt."""
         learns = self.method == "certified" and self.adapt
         return tuple(design.request.uncertainty) if learns else ()
+
+    def with_parameters(self, values: Mapping[str, Any]) -> "ObserverSettings":
+        """Return the settings with some of them changed.
+
+        Args:
+            values: By the node's parameter names, `SETTING_NAMES`; text is converted.
+
+        Raises:
+            ParameterError: There is no such parameter, or the value is not of its type.
+            ModelError: The value is out of range.
+        """
+        own: dict[str, Any] = {}
+        supervision: dict[str, Any] = {}
+        for name, value in values.items():
+            if name not in SETTING_NAMES:
+                known = ", ".join(SETTING_NAMES)
+                raise ParameterError(f"parameter '{name}' decides no estimate; {known} do")
+            short = name.removeprefix(_SUPERVISION)
+            group, record = (own, self) if short == name else (supervision, self.supervision)
+            group[short] = _converted(name, value, getattr(record, short))
+        return replace(self, supervision=replace(self.supervision, **supervision), **own)
+
+
+_SUPERVISION = "supervision."
+SETTING_NAMES = (
+    *(field.name for field in fields(ObserverSettings) if field.name != "supervision"),
+    *(_SUPERVISION + field.name for field in fields(SupervisionOptions)),
+)
+"""The node's parameters that decide estimates."""
+
+
+def read_parameters(path: Path, node: str = "observer") -> dict[str, Any]:
+    """Return a node's parameters from a parameter file, by their full names.
+
+    Args:
+        path: A file as for `--params-file` of a node.
+        node: The node's name; sections for all nodes, `/**`, count too.
+
+    Raises:
+        DesignFileError: The file is missing or no YAML.
+        ParameterError: It has no parameters of the node.
+    """
+    found: dict[str, Any] = {}
+    sections = read_yaml(path)
+    for name, section in sections.items():
+        if str(name).rpartition("/")[2] in (node, "**", "*") and isinstance(section, dict):
+            found |= _flat(section.get("ros__parameters"))
+    if not found:
+        has = ", ".join(map(str, sections)) or "none"
+        raise ParameterError(f"{path}: no ros__parameters of {node}; sections: {has}")
+    return found
+
+
+def _flat(section: Any, prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in section.items() if isinstance(section, dict) else ():
+        inner = isinstance(value, dict)
+        flat |= _flat(value, f"{prefix}{name}.") if inner else {f"{prefix}{name}": value}
+    return flat
+
+
+def _converted(name: str, value: Any, before: Any) -> Any:
+    """Return a value, or its text, in the type that the parameter has now."""
+    text = str(value).strip()
+    try:
+        if isinstance(before, bool):
+            return {"true": True, "false": False}[text.lower()]
+        return type(before)(text)
+    except (KeyError, ValueError) as error:
+        such = before.value if isinstance(before, GainMode) else before
+        raise ParameterError(
+            f"parameter '{name}': expected a value such as {shown(such)}, got {shown(value)}"
+        ) from error
 
 
 def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]:

@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.cli.demo_run import RECORDED_TOPICS
+from tsobs_ros.cli.demo import RECORDED_TOPICS
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("tqdm")

@@ -8,7 +8,7 @@ from importlib import import_module
 
 import pytest
 
-from tsobs_ros.cli.output import progress
+from tsobs_ros.cli.common import progress
 
 
 class Terminal(io.StringIO):

@@ -10,7 +10,7 @@ import pytest
 from rclpy.parameter import Parameter
 
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.cli.demo_run import ADAPTIVE_TOPICS, RECORDED_TOPICS
+from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, RECORDED_TOPICS
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder
 from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
 

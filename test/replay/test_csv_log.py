@@ -12,7 +12,7 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.messages.joint_states import JointStateDecoder
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import RejectReason
-from tsobs_ros.replay.csv_log import CsvSource
+from tsobs_ros.replay.log import LogSource
 from tsobs_ros.report.export import export_bag
 
 SECOND = 1_000_000_000
@@ -38,7 +38,7 @@ def test_columns_are_found_by_name_or_named(tmp_path, header, options) -> None:
     delimiter = max(",;\t", key=header.count)
     rows = [delimiter.join(row) for row in (["1.5", "0.25", "-2"], ["1.505", "1e-3", "0"])]
 
-    source = CsvSource(log(tmp_path, header, *rows), **options)
+    source = LogSource(log(tmp_path, header, *rows), **options)
 
     assert source.joints == ("elastic_joint",)
     assert source.samples.stamps.tolist() == [1_500_000_000, 1_505_000_000]
@@ -55,7 +55,7 @@ def test_columns_are_found_by_name_or_named(tmp_path, header, options) -> None:
     ],
 )
 def test_units_are_understood(tmp_path, header, row, units, expected) -> None:
-    samples = CsvSource(log(tmp_path, header, row), units=units).samples
+    samples = LogSource(log(tmp_path, header, row), units=units).samples
 
     assert (int(samples.stamps[0]), samples.y[0, 0], samples.u[0, 0]) == pytest.approx(expected)
 
@@ -71,13 +71,13 @@ def test_units_are_understood(tmp_path, header, row, units, expected) -> None:
     ],
 )
 def test_times_are_read_to_the_nanosecond(tmp_path, text, stamp) -> None:
-    samples = CsvSource(log(tmp_path, "time,angle,torque", f"{text},1,2")).samples
+    samples = LogSource(log(tmp_path, "time,angle,torque", f"{text},1,2")).samples
 
     assert samples.stamps.tolist() == [stamp]
 
 
 def test_times_that_begin_at_zero_are_moved(tmp_path) -> None:
-    source = CsvSource(log(tmp_path, "t,q,tau", "0,1,2", ",1,2", "0.01,1,2"))
+    source = LogSource(log(tmp_path, "t,q,tau", "0,1,2", ",1,2", "0.01,1,2"))
 
     assert source.moved_by == SECOND
     # An empty cell stays without time.
@@ -88,13 +88,13 @@ def test_several_joints_have_columns_of_their_own(tmp_path) -> None:
     lines = ("t,q.a,q.b,tau.a,tau.b", "1,2,3,4,5")
     path = log(tmp_path, *lines)
 
-    assert CsvSource(path).joints == ("a", "b")
-    one = CsvSource(path, joints=["b"])
+    assert LogSource(path).joints == ("a", "b")
+    one = LogSource(path, joints=["b"])
     assert (one.samples.y.tolist(), one.samples.u.tolist()) == ([[3.0]], [[5.0]])
     named = {"angle.x": "q.b", "torque.x": "tau.a"}
-    assert CsvSource(path, columns=named).joints == ("x",)
+    assert LogSource(path, columns=named).joints == ("x",)
     with pytest.raises(LogError, match="no angle of c; there are angles of a, b"):
-        CsvSource(path, joints=["c"])
+        LogSource(path, joints=["c"])
 
 
 def test_a_log_is_estimated_and_becomes_a_bag(arms, estimate, tmp_path) -> None:
@@ -102,7 +102,7 @@ def test_a_log_is_estimated_and_becomes_a_bag(arms, estimate, tmp_path) -> None:
     rows[50], rows[60] = ",".join([rows[50].split(",")[0], "", "0"]), ",0,0"
     rows[70], rows[71] = rows[71], rows[70]
 
-    run = estimate(CsvSource(log(tmp_path, "t [s],q [rad],tau [N m]", *rows)), output="new")
+    run = estimate(LogSource(log(tmp_path, "t [s],q [rad],tau [N m]", *rows)), output="new")
 
     assert run.replay.used == 197
     assert run.replay.rejected == {RejectReason.NON_FINITE: 1, RejectReason.ZERO_STAMP: 1}
@@ -117,7 +117,7 @@ def test_what_was_exported_can_be_estimated(arms, write_bag, estimate, tmp_path)
     bag = write_bag(arms.messages(100, joints=2))
     (exported,) = export_bag(bag, tmp_path / "csv")
 
-    source = CsvSource(exported.path)
+    source = LogSource(exported.path)
 
     assert source.joints == ("elbow", "wrist")
     assert np.array_equal(estimate(source).table.states, estimate(bag).table.states)
@@ -145,19 +145,19 @@ def test_what_was_exported_can_be_estimated(arms, write_bag, estimate, tmp_path)
 )
 def test_what_is_wrong_with_a_log_is_said_with_its_place(tmp_path, lines, options, match) -> None:
     with pytest.raises(LogError, match=match) as raised:
-        CsvSource(log(tmp_path, *lines), **options)
+        LogSource(log(tmp_path, *lines), **options)
     assert str(raised.value).startswith(str(tmp_path / "log.csv"))
 
 
 def test_a_log_that_is_missing_or_no_text_is_refused(tmp_path) -> None:
     with pytest.raises(LogError, match="cannot read it"):
-        CsvSource(tmp_path / "none.csv")
+        LogSource(tmp_path / "none.csv")
     (tmp_path / "log.csv").write_bytes(b"\xff\xfe\x00t")
     with pytest.raises(LogError, match="cannot read it"):
-        CsvSource(tmp_path / "log.csv")
+        LogSource(tmp_path / "log.csv")
 
 
 def test_a_log_without_torque_may_be_taken_for_unloaded(tmp_path) -> None:
-    source = CsvSource(log(tmp_path, "t,q", "1,2"), assume_zero_torque=True)
+    source = LogSource(log(tmp_path, "t,q", "1,2"), assume_zero_torque=True)
 
     assert source.samples.u.tolist() == [[0.0]]

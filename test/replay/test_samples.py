@@ -7,7 +7,7 @@ import pytest
 
 from tsobs_ros.bag.messages.joint_series import JointSeries
 from tsobs_ros.estimation.records import Measurement, RejectReason
-from tsobs_ros.replay.samples import Samples, restarts, samples_of
+from tsobs_ros.replay.source import Samples, restarts, samples_of
 
 SECOND = 1_000_000_000
 NAN = float("nan")

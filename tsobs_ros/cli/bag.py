@@ -6,27 +6,26 @@ import argparse
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from tsobs_ros.cli.options import Words, add_json
-from tsobs_ros.cli.output import Told, progress, show
+from tsobs_ros.cli.common import Advance, Commands, add_json, progress, show
 
 
-def add_parser(words: Words) -> None:
-    """Add the word `bag` and its own words."""
-    bag = words.add_parser("bag", help="look at a bag, check it, or recover a damaged one")
+def add_parser(commands: Commands) -> None:
+    """Add the command `bag` and its actions."""
+    bag = commands.add_parser("bag", help="look at a bag, check it, or recover a damaged one")
     actions = bag.add_subparsers(required=True, metavar="ACTION")
     _add_info(actions)
     _add_verify(actions)
     _add_recover(actions)
 
 
-def _add_info(actions: Words) -> None:
+def _add_info(actions: Commands) -> None:
     info = actions.add_parser("info", help="files, times and topics, also of an unfinished bag")
     _add_bag(info)
     add_json(info)
     info.set_defaults(command=_info)
 
 
-def _add_verify(actions: Words) -> None:
+def _add_verify(actions: Commands) -> None:
     verify = actions.add_parser(
         "verify", help="check each record against what rosbag2 writes; exit code 1 with reasons"
     )
@@ -35,7 +34,7 @@ def _add_verify(actions: Words) -> None:
     verify.set_defaults(command=_verify)
 
 
-def _add_recover(actions: Words) -> None:
+def _add_recover(actions: Commands) -> None:
     recover = actions.add_parser(
         "recover", help="make a whole bag of a damaged or unfinished one, which is not touched"
     )
@@ -70,8 +69,8 @@ def _info(options: argparse.Namespace) -> int:
 def _verify(options: argparse.Namespace) -> int:
     from tsobs_ros.bag.verification import verify
 
-    with _bytes_read(options, passes=1) as told:
-        verification = verify(options.bag, told)
+    with _bytes_read(options, passes=1) as advance:
+        verification = verify(options.bag, advance)
     show(verification.as_mapping(), verification.text(), options.json)
     return 0 if verification.holds else 1
 
@@ -81,19 +80,19 @@ def _recover(options: argparse.Namespace) -> int:
 
     bag = options.bag.absolute()
     default = bag.with_name(f"{bag.name.removesuffix('.mcap')}_recovered")
-    with _bytes_read(options, passes=2) as told:
+    with _bytes_read(options, passes=2) as advance:
         recovery = recover(
             options.bag,
             options.output or default,
             compression=options.compression,
             keep_unchecked=options.keep_unchecked,
-            progress=told,
+            progress=advance,
         )
     show(recovery.as_mapping(), recovery.text(), options.json)
     return 0
 
 
-def _bytes_read(options: argparse.Namespace, passes: int) -> AbstractContextManager[Told]:
+def _bytes_read(options: argparse.Namespace, passes: int) -> AbstractContextManager[Advance]:
     """Show how much of the bag has been read."""
     files = options.bag.glob("*.mcap") if options.bag.is_dir() else [options.bag]
     total = passes * sum(file.stat().st_size for file in files if file.is_file())

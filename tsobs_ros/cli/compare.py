@@ -5,14 +5,15 @@
 import argparse
 from pathlib import Path
 
-from tsobs_ros.cli.estimate import estimate
-from tsobs_ros.cli.observer_options import METHODS, add_observer_options
-from tsobs_ros.cli.options import Words, add_json
+from tsobs_ros.cli.common import Commands, add_json
+from tsobs_ros.cli.estimate import METHODS, add_observer_options, estimate
 
 
-def add_parser(words: Words) -> None:
-    """Add the word `compare`."""
-    compare = words.add_parser("compare", help="all observers on the same bag or log, in a table")
+def add_parser(commands: Commands) -> None:
+    """Add the command `compare`."""
+    compare = commands.add_parser(
+        "compare", help="all observers on the same bag or log, in a table"
+    )
     add_observer_options(compare, METHODS)
     compare.add_argument(
         "--output", type=Path, metavar="NEWBAG", help="also write a bag of all their estimates"

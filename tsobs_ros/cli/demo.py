@@ -1,39 +1,57 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs demo`: plant, observer and recorder, then a report on their bag."""
+"""`tsobs demo`: plant, observer and recorder as processes over DDS, then a report on their bag."""
 
 import argparse
 import os
+import re
+import signal
+import subprocess
 import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 
-from tsobs_ros.cli.options import Words, add_json, positive
+from tsobs_ros.bag.messages.estimate_topics import PARAMETER_TOPICS, TOPICS
+from tsobs_ros.cli.common import Commands, add_json, positive
 from tsobs_ros.cli.report import report_on
+from tsobs_ros.errors import NodeError
 from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 
+RECORDED_TOPICS = (
+    "/joint_measurements",
+    "/ground_truth/joint_states",
+    "/ground_truth/disturbance",
+    *(f"/observer/{name}" for name in TOPICS),
+    "/diagnostics",
+)
+ADAPTIVE_TOPICS = tuple(f"/observer/{name}" for name in PARAMETER_TOPICS)
+"""Published only if the design calls parameters uncertain."""
 
-def add_parser(words: Words) -> None:
-    """Add the word `demo`."""
-    demo = words.add_parser("demo", help="simulate, observe, record and report, over ROS")
-    demo.add_argument("--output", type=Path, help="folder to make (default: demo/<date and time>)")
-    demo.add_argument("--duration", type=positive, default=20.0, metavar="S")
-    demo.add_argument("--seed", type=int, default=1)
-    demo.add_argument("--bias", type=float, default=0.1, metavar="RAD", help="size of the step")
-    demo.add_argument("--bias-at", type=positive, default=8.0, metavar="S")
-    demo.add_argument(
-        "--stiffness", type=float, default=0.0, metavar="X", help="true stiffness is 1 + X nominal"
-    )
-    demo.add_argument(
-        "--gravity", type=float, default=0.0, metavar="X", help="true gravity is 1 + X nominal"
-    )
-    demo.add_argument("--design", type=Path, metavar="FILE", help="design of the observer")
-    demo.add_argument(
-        "--domain-id",
-        type=int,
-        metavar="N",
-        help="ROS domain (default: one of its own, so that nothing else is disturbed)",
-    )
+_START_TIMEOUT = 30.0
+_STOP_TIMEOUT = 15.0
+_POLL = 0.05
+
+
+def add_parser(commands: Commands) -> None:
+    """Add the command `demo`."""
+    demo = commands.add_parser("demo", help="simulate, observe, record and report, over ROS")
+    add = demo.add_argument
+    add("--output", type=Path, help="folder to make (default: demo/<date and time>)")
+    add("--duration", type=positive, default=20.0, metavar="S")
+    add("--seed", type=int, default=1)
+    add("--bias", type=float, default=0.1, metavar="RAD", help="size of the sensor's bias step")
+    add("--bias-at", type=positive, default=8.0, metavar="S")
+    for name in ("stiffness", "gravity"):
+        what = f"true {name} is 1 + X nominal"
+        add(f"--{name}", type=float, default=0.0, metavar="X", help=what)
+    add("--design", type=Path, metavar="FILE", help="design of the observer")
+    add(
+        "--domain-id", type=int, metavar="N",
+        help="ROS domain (default: a private one, so that nothing else is disturbed)",
+    )  # fmt: skip
     add_json(demo)
     demo.set_defaults(command=run)
 
@@ -42,38 +60,23 @@ def run(options: argparse.Namespace) -> int:
     """Run plant, observer and recorder, then report on their bag."""
     from tqdm import tqdm
 
-    from tsobs_ros.cli.demo_run import DemoOptions, run_demo
-
     output = options.output or Path("demo") / datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
-    # Any domain from 1 to 101 keeps clear of the ports that outgoing connections use.
-    domain = 1 + os.getpid() % 101 if options.domain_id is None else options.domain_id
+    if options.domain_id is None:
+        # Any domain from 1 to 101 keeps clear of the ports that outgoing connections use.
+        options.domain_id = 1 + os.getpid() % 101
     differs = options.stiffness != 0.0 or options.gravity != 0.0
-    design_path = options.design or config_path(
-        SHIPPED_ADAPTIVE_DESIGN if differs else SHIPPED_DESIGN
-    )
-    settings = DemoOptions(
-        duration=options.duration,
-        seed=options.seed,
-        bias=options.bias,
-        bias_at=options.bias_at,
-        stiffness=options.stiffness,
-        gravity=options.gravity,
-        domain_id=domain,
-        design=design_path,
-    )
+    shipped = SHIPPED_ADAPTIVE_DESIGN if differs else SHIPPED_DESIGN
+    options.design = options.design or config_path(shipped)
     print(
-        f"plant, observer and recorder on ROS_DOMAIN_ID={domain} for {options.duration:g} s",
+        f"plant, observer and recorder on ROS_DOMAIN_ID={options.domain_id} for "
+        f"{options.duration:g} s",
         file=sys.stderr,
     )
     with tqdm(
         total=options.duration, unit="s", bar_format="{l_bar}{bar}| {n:.1f}/{total:.1f} s"
     ) as bar:
-
-        def show(seconds: float) -> None:
-            bar.update(seconds - bar.n)
-
-        bag = run_demo(output, settings, show)
-    exit_code = report_on(bag, output, design_path, ekf=True, as_json=options.json)
+        bag = _record(output, options, lambda seconds: bar.update(seconds - bar.n))
+    exit_code = report_on(bag, output, options.design, ekf=True, as_json=options.json)
     if not options.json:
         print(
             f"\nthe bag is {bag}: ros2 bag play, Foxglove and PlotJuggler open it\n"
@@ -81,3 +84,161 @@ def run(options: argparse.Namespace) -> int:
             "in any browser"
         )
     return exit_code
+
+
+def _record(
+    output: Path, options: argparse.Namespace, show_progress: Callable[[float], object]
+) -> Path:
+    """Run the three nodes for the demo's duration and return the closed bag.
+
+    Args:
+        output: Folder for the bag and the logs; made here, must not exist.
+        options: Of the command.
+        show_progress: Called with the seconds simulated so far.
+
+    Raises:
+        NodeError: The folder exists, or a node did not start, failed or did not end.
+    """
+    try:
+        output.mkdir(parents=True)
+        (output / "log").mkdir()
+    except FileExistsError as error:
+        raise NodeError(f"{output}: exists already; choose another --output") from error
+    except OSError as error:
+        raise NodeError(f"{output}: cannot be made: {error.strerror}") from error
+    bag = output / "bag"
+    environment = {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(options.domain_id),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOG_DIR": str(output / "log"),
+        "PYTHONUNBUFFERED": "1",
+    }
+    environment.pop("ROS_LOCALHOST_ONLY", None)
+
+    def start(name: str, parameters: Mapping[str, object]) -> _NodeProcess:
+        process = _NodeProcess(name, parameters, environment, output / "log" / f"{name}.log")
+        stack.callback(process.stop)
+        return process
+
+    with ExitStack() as stack:
+        topics = "[" + ", ".join(RECORDED_TOPICS + ADAPTIVE_TOPICS) + "]"
+        observer = start("observer", {"design": options.design.resolve()})
+        recorder = start("recorder", {"output": bag.resolve(), "topics": topics})
+        own = [re.escape(topic) + r" \[" for topic in RECORDED_TOPICS if "/observer/" in topic]
+        _wait(lambda: recorder.has_printed(*own), [observer, recorder], "the recorder to be ready")
+        plant = start(
+            "plant_simulator",
+            {
+                "seed": options.seed,
+                "duration": options.duration,
+                "wait_for_subscribers": 2,
+                "disturbance.kind": "bias_step" if options.bias else "none",
+                "disturbance.bias_step.amplitude": options.bias,
+                "disturbance.bias_step.start": options.bias_at,
+                "mismatch.stiffness": options.stiffness,
+                "mismatch.gravity_torque": options.gravity,
+            },
+        )
+        nodes = [observer, recorder, plant]
+        _wait(lambda: plant.has_printed("started"), nodes, "the plant to start")
+        _follow(plant, [observer, recorder], options.duration, show_progress)
+        # The recorder first, so that it still takes what the others have sent.
+        for process in (recorder, observer, plant):
+            process.stop()
+            process.require_success()
+    return bag
+
+
+class _NodeProcess:
+    """One node executable as a child process, its output in a log file."""
+
+    def __init__(
+        self,
+        name: str,
+        parameters: Mapping[str, object],
+        environment: Mapping[str, str],
+        log: Path,
+    ) -> None:
+        self.name = name
+        self.log = log
+        arguments = [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args"]
+        for key, value in parameters.items():
+            arguments += ["-p", f"{key}:={value}"]
+        with log.open("wb") as output:
+            self._process = subprocess.Popen(
+                arguments,
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env=dict(environment),
+                # The terminal's Ctrl-C goes to the demo alone, which ends its nodes in order.
+                start_new_session=True,
+            )
+
+    @property
+    def running(self) -> bool:
+        return self._process.poll() is None
+
+    @property
+    def printed(self) -> str:
+        return self.log.read_text(encoding="utf-8", errors="replace")
+
+    def has_printed(self, *patterns: str) -> bool:
+        return all(re.search(pattern, self.printed) for pattern in patterns)
+
+    def stop(self) -> None:
+        """End the process cleanly, by force only if that fails."""
+        if self.running:
+            self._process.send_signal(signal.SIGINT)
+        try:
+            self._process.wait(_STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def require_success(self) -> None:
+        """Raise `NodeError` with the end of its log unless it ended with exit code 0."""
+        if self._process.poll():
+            last = self.printed.strip().splitlines()[-5:]
+            raise NodeError(
+                f"{self.name} ended with exit code {self._process.returncode}: "
+                + " | ".join(last or ["no output"])
+            )
+
+    def require_running(self) -> None:
+        """Raise `NodeError` if it has ended."""
+        if not self.running:
+            self.require_success()
+            raise NodeError(f"{self.name} ended early; see {self.log}")
+
+
+def _wait(ready: Callable[[], bool], needed: Sequence[_NodeProcess], what: str) -> None:
+    deadline = time.monotonic() + _START_TIMEOUT
+    while not ready():
+        for process in needed:
+            process.require_running()
+        if time.monotonic() > deadline:
+            logs = needed[0].log.parent
+            raise NodeError(f"waited {_START_TIMEOUT:g} s in vain for {what}; see {logs}")
+        time.sleep(_POLL)
+
+
+def _follow(
+    plant: _NodeProcess,
+    others: Sequence[_NodeProcess],
+    duration: float,
+    show_progress: Callable[[float], object],
+) -> None:
+    """Watch the processes until the plant has finished its run."""
+    begin = time.monotonic()
+    while plant.running:
+        for process in others:
+            process.require_running()
+        elapsed = time.monotonic() - begin
+        if elapsed > duration + _START_TIMEOUT:
+            raise NodeError(f"the plant did not finish {duration:g} s; see {plant.log}")
+        show_progress(min(elapsed, duration))
+        time.sleep(_POLL)
+    plant.require_success()
+    show_progress(duration)

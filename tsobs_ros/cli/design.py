@@ -6,15 +6,14 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
+from tsobs_ros.cli.common import Commands, add_json, show
 from tsobs_ros.cli.design_summary import summary, summary_text
-from tsobs_ros.cli.options import Words, add_json
-from tsobs_ros.cli.output import show
 from tsobs_ros.errors import DesignFileError
 
 
-def add_parser(words: Words) -> None:
-    """Add the word `design`."""
-    design = words.add_parser("design", help="design a gain and write its file")
+def add_parser(commands: Commands) -> None:
+    """Add the command `design`."""
+    design = commands.add_parser("design", help="design a gain and write its file")
     design.add_argument(
         "request", type=Path, nargs="?", help="YAML with the arm, noise and domain; else defaults"
     )

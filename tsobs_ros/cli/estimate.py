@@ -1,36 +1,96 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs estimate`: observers over a recording, and a new bag of what they estimate."""
+"""`tsobs estimate`: observers over a recording, and a new bag of their estimates."""
 
 import argparse
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tsobs_ros.cli.observer_options import add_observer_options, observers_of, source_of
-from tsobs_ros.cli.options import Words, add_json
-from tsobs_ros.cli.output import complain, progress, show
-from tsobs_ros.errors import BagWriteError
+from tsobs_ros.cli.common import Commands, add_json, complain, positive, progress, show
+from tsobs_ros.errors import BagWriteError, DesignFileError
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 if TYPE_CHECKING:
-    from tsobs_ros.replay.estimate import Run
+    from tsobs_ros.design.record import Design
+    from tsobs_ros.methods import ObserverSettings
+    from tsobs_ros.replay.estimate import Observer, Run
     from tsobs_ros.replay.source import Source
 
+# Repeated here, so that the parser needs no numpy.
+METHODS = ("certified", "ekf", "high_gain", "proportional_integral", "paper")
+_LOGS = (".csv", ".tsv", ".txt")
 
-def add_parser(words: Words) -> None:
-    """Add the word `estimate`."""
-    estimate = words.add_parser(
+
+def add_parser(commands: Commands) -> None:
+    """Add the command `estimate`."""
+    command = commands.add_parser(
         "estimate", help="run observers over a bag or a log, and write a bag of their estimates"
     )
-    add_observer_options(estimate, ())
-    estimate.add_argument(
+    add_observer_options(command, ())
+    command.add_argument(
         "--output", type=Path, metavar="NEWBAG", help="folder to make (default: BAG_estimates)"
     )
-    estimate.add_argument(
+    command.add_argument(
         "--estimates-only", action="store_true", help="leave measurements and truth out of it"
     )
-    add_json(estimate)
-    estimate.set_defaults(command=run)
+    add_json(command)
+    command.set_defaults(command=run)
+
+
+def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str]) -> None:
+    """Let a command run observers over a bag or a log.
+
+    Args:
+        command: The command.
+        methods: Default of `--method`; empty for the one of the parameters.
+    """
+    add = command.add_argument
+    add("bag", type=Path, metavar="BAG", help="bag folder, MCAP file or CSV log")
+    add(
+        "--design", nargs="+", default=[], metavar="FILE",
+        help="design files, each run; JOINT=FILE for a joint with its own design (default: the "
+        "shipped design)",
+    )  # fmt: skip
+    add(
+        "--method", nargs="+", choices=METHODS, metavar="METHOD",
+        help=f"observers to run, of {', '.join(METHODS)} "
+        f"(default: {' '.join(methods) or 'certified'})",
+    )  # fmt: skip
+    command.set_defaults(default_methods=methods)
+    add("--joints", nargs="+", default=[], metavar="NAME", help="default: all")
+    add("--topic", help="the measurements (default: …/joint_measurements)")
+    add(
+        "--at", choices=("recorded", "measurements"),
+        help="when to estimate (default: when the recorded observer did, if there is one)",
+    )  # fmt: skip
+    add("--rate", type=positive, metavar="HZ", help="estimate at a fixed rate")
+    add = command.add_argument_group("for CSV logs", "if the header does not say it").add_argument
+    add(
+        "--columns", type=pairs, default={}, metavar="WHAT=COLUMN,...",
+        help="time=t,angle=q,torque=tau; angle.JOINT=… and torque.JOINT=… for several joints",
+    )  # fmt: skip
+    add(
+        "--units", type=pairs, default={}, metavar="WHAT=UNIT,...",
+        help="time=ms,angle=deg,torque=Nm, for columns whose name has no unit, as in 'q [deg]'",
+    )  # fmt: skip
+    add = command.add_argument_group("parameters", "named as those of the node").add_argument
+    add("--params-file", type=Path, metavar="FILE", help="YAML as for the node")
+    add(
+        "--param", type=pairs, action="append", default=[], metavar="NAME=VALUE,...",
+        help="such as settle_time=2.0,adapt=false,supervision.gate=6",
+    )  # fmt: skip
+
+
+def pairs(text: str) -> dict[str, str]:
+    """Return the pairs in an option's text, such as `time=t,angle=q`."""
+    items = [item.partition("=") for item in text.split(",")]
+    for name, sign, value in items:
+        if not (name.strip() and sign and value.strip()):
+            raise argparse.ArgumentTypeError(f"expected NAME=VALUE,…, got {text!r}")
+    return {name.strip(): value.strip() for name, _, value in items}
 
 
 def run(options: argparse.Namespace) -> int:
@@ -46,93 +106,151 @@ def run(options: argparse.Namespace) -> int:
 def estimate(
     options: argparse.Namespace, output: Path | None, *, estimates_only: bool = False
 ) -> int:
-    """Run the observers that the options name, show what came out, and return the exit code."""
+    """Run the observers that the options name, show the result, and return the exit code."""
     from tsobs_ros.replay.estimate import make_runs, run_all
 
-    begun = time.monotonic()
-    source = source_of(options)
-    observers = observers_of(options, source.joints)
+    begin = time.monotonic()
+    settings = _settings(options)
+    source = _source(options, settings)
+    observers = _observers(options, settings, source.joints)
     as_live = options.rate is None and options.at != "measurements"
     runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
-    with progress(source.samples.count * len(runs), " samples", quiet=options.json) as told:
-        run_all(source, runs, output, estimates_only=estimates_only, progress=told)
-    result = _Result(source, runs, output, time.monotonic() - begun)
-    show(result.as_mapping(), result.text(), options.json)
+    with progress(source.samples.count * len(runs), " samples", quiet=options.json) as advance:
+        run_all(source, runs, output, estimates_only=estimates_only, progress=advance)
+    mapping, text = _result(source, runs, output, time.monotonic() - begin)
+    show(mapping, text, options.json)
     if source.damage is not None:
         complain(f"{source.damage}; estimated up to there")
     return 0 if source.damage is None else 1
 
 
-class _Result:
-    """What came out, for people and programs."""
+def _settings(options: argparse.Namespace) -> "ObserverSettings":
+    """Return the settings; the command line's come before those of the parameter file.
 
-    def __init__(
-        self, source: "Source", runs: "list[Run]", output: Path | None, seconds: float
-    ) -> None:
-        self._source, self._runs, self._output = source, runs, output
-        self._seconds = seconds
-        times = source.samples.log_times
-        self._duration = float(times.max() - times.min()) * 1e-9
-        agreements = [run.agreement() for run in runs]
-        # Of several observers at most one was the live one.
-        self._agreement = max(
-            (one for one in agreements if one is not None),
-            key=lambda one: one.reproduced,
-            default=None,
+    Joints and designs of the file are entered into the options that are empty.
+    """
+    from tsobs_ros.methods import SETTING_NAMES, ObserverSettings, read_parameters
+
+    given = {name: value for one in options.param for name, value in one.items()}
+    if options.params_file is None:
+        return ObserverSettings().with_parameters(given)
+    found = read_parameters(options.params_file)
+    options.joints = options.joints or list(found.get("joints") or [])
+    own = zip(options.joints, found.get("joint_designs") or [], strict=False)
+    shared = found.get("design")
+    options.design = options.design or [
+        *([shared] if shared else []),
+        *(f"{joint}={path}" for joint, path in own if path),
+    ]
+    # The other parameters decide when and where estimates are published.
+    in_file = {name: value for name, value in found.items() if name in SETTING_NAMES}
+    return ObserverSettings().with_parameters({**in_file, **given})
+
+
+def _source(options: argparse.Namespace, settings: "ObserverSettings") -> "Source":
+    from tsobs_ros.replay.log import LogSource
+    from tsobs_ros.replay.source import BagSource
+
+    joints, no_torque = options.joints, settings.assume_zero_torque
+    if options.bag.is_file() and options.bag.suffix.lower() in _LOGS:
+        columns, units = options.columns, options.units
+        return LogSource(
+            options.bag, columns=columns, units=units, joints=joints, assume_zero_torque=no_torque
         )
-        from tsobs_ros.report.comparison import compare_runs
+    return BagSource(options.bag, topic=options.topic, joints=joints, assume_zero_torque=no_torque)
 
-        self._errors = compare_runs(source, runs) if len(runs) > 1 else []
 
-    def text(self) -> str:
-        source = self._source
-        lines = [
-            f"{source.path}: {source.samples.count:,} measurements of {', '.join(source.joints)} "
-            f"over {self._duration:.1f} s, in {self._seconds:.1f} s"
-        ]
-        width = max(len(run.observer.name) for run in self._runs)
-        for run in self._runs:
-            rejected = ", ".join(
-                f"{n:,} {reason.value}" for reason, n in run.replay.rejected.items()
+def _observers(
+    options: argparse.Namespace, settings: "ObserverSettings", joints: Sequence[str]
+) -> "list[Observer]":
+    """Return the observers that the options name, one for each design and method."""
+    from tsobs_ros.replay.estimate import Observer
+
+    designs = _designs(options.design, joints)
+    methods = options.method or options.default_methods or (settings.method,)
+    observers = []
+    for stem, own in designs.items():
+        for method in methods:
+            parts = [stem] * (len(designs) > 1) + [method] * (len(methods) > 1)
+            name = "_".join(parts) or "observer"
+            observers.append(Observer(name, replace(settings, method=method), own))
+    return observers
+
+
+def _designs(arguments: Sequence[str], joints: Sequence[str]) -> "dict[str, tuple[Design, ...]]":
+    """Return the designs to compare by the names of their files, each with one design a joint."""
+    from tsobs_ros.design.file import load_design
+
+    own = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
+    shared = [Path(argument) for argument in arguments if "=" not in argument]
+    if unknown := sorted(set(own) - set(joints)):
+        raise DesignFileError(
+            f"--design {unknown[0]}={own[unknown[0]]}: no such joint; joints: {', '.join(joints)}"
+        )
+    if own:
+        if len(shared) > 1:
+            raise DesignFileError(
+                "--design: expected at most one file for the joints without their own, got "
+                + ", ".join(map(str, shared))
             )
-            lines.append(
-                f"{run.observer.name:<{width}}  {run.table.done.sum():,} estimates from "
-                f"{run.replay.used:,} measurements; rejected: {rejected or 'none'}"
-            )
-        lines += source.remarks
-        if self._agreement is not None:
-            lines.append(self._agreement.text())
-        if self._errors:
-            from tsobs_ros.report.comparison import render_comparison
+        rest = shared[0] if shared else config_path(SHIPPED_DESIGN)
+        return {"own": tuple(load_design(Path(own.get(joint, rest))) for joint in joints)}
+    found: dict[str, tuple[Design, ...]] = {}
+    for path in shared or [config_path(SHIPPED_DESIGN)]:
+        stem = path.name.split(".")[0].replace("-", "_").replace(" ", "_")
+        name = stem if stem not in found else f"{stem}_{len(found) + 1}"
+        found[name] = (load_design(path),) * len(joints)
+    return found
 
-            lines += ["", render_comparison(self._errors)]
-        if self._output is not None:
-            lines += [f"wrote {self._output}"]
-        return "\n".join(lines)
 
-    def as_mapping(self) -> dict[str, Any]:
-        source = self._source
-        return {
-            "source": str(source.path),
-            "output": None if self._output is None else str(self._output),
-            "joints": list(source.joints),
-            "measurements": source.samples.count,
-            "duration": self._duration,
-            "seconds": self._seconds,
-            "observers": [
-                {
-                    "name": run.observer.name,
-                    "method": run.observer.settings.method,
-                    "estimates": int(run.table.done.sum()),
-                    "used": run.replay.used,
-                    "rejected": {r.value: n for r, n in run.replay.rejected.items()},
-                    "rewinds": run.replay.rewinds,
-                    "failures": run.replay.failures,
-                }
-                for run in self._runs
-            ],
-            "live": None if self._agreement is None else self._agreement._asdict(),
-            "errors": [one.as_mapping() for one in self._errors],
-            "remarks": list(source.remarks),
-            "damage": None if source.damage is None else str(source.damage),
-        }
+def _result(
+    source: "Source", runs: "list[Run]", output: Path | None, seconds: float
+) -> tuple[dict[str, Any], str]:
+    """Return the result for programs and for people."""
+    from tsobs_ros.report.comparison import compare_runs, render_comparison
+
+    duration = float(source.samples.log_times.max() - source.samples.log_times.min()) * 1e-9
+    # At most one of several observers was the live one.
+    agreements = [one for one in (run.agreement() for run in runs) if one is not None]
+    agreement = max(agreements, key=lambda one: one.reproduced, default=None)
+    errors = compare_runs(source, runs) if len(runs) > 1 else []
+    lines = [
+        f"{source.path}: {source.samples.count:,} measurements of {', '.join(source.joints)} "
+        f"over {duration:.1f} s, in {seconds:.1f} s"
+    ]
+    width = max(len(run.observer.name) for run in runs)
+    for run in runs:
+        rejected = ", ".join(f"{n:,} {reason.value}" for reason, n in run.replay.rejected.items())
+        lines.append(
+            f"{run.observer.name:<{width}}  {run.table.done.sum():,} estimates from "
+            f"{run.replay.used:,} measurements; rejected: {rejected or 'none'}"
+        )
+    lines += source.remarks
+    lines += [] if agreement is None else [agreement.text()]
+    lines += ["", render_comparison(errors)] if errors else []
+    lines += [] if output is None else [f"wrote {output}"]
+    mapping = {
+        "source": str(source.path),
+        "output": None if output is None else str(output),
+        "joints": list(source.joints),
+        "measurements": source.samples.count,
+        "duration": duration,
+        "seconds": seconds,
+        "observers": [
+            {
+                "name": run.observer.name,
+                "method": run.observer.settings.method,
+                "estimates": int(run.table.done.sum()),
+                "used": run.replay.used,
+                "rejected": {r.value: n for r, n in run.replay.rejected.items()},
+                "rewinds": run.replay.rewinds,
+                "failures": run.replay.failures,
+            }
+            for run in runs
+        ],
+        "live": None if agreement is None else agreement._asdict(),
+        "errors": [one.as_mapping() for one in errors],
+        "remarks": list(source.remarks),
+        "damage": None if source.damage is None else str(source.damage),
+    }
+    return mapping, "\n".join(lines)

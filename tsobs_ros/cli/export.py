@@ -5,13 +5,14 @@
 import argparse
 from pathlib import Path
 
-from tsobs_ros.cli.options import Words, add_json
-from tsobs_ros.cli.output import complain, show
+from tsobs_ros.cli.common import Commands, add_json, complain, show
 
 
-def add_parser(words: Words) -> None:
-    """Add the word `export`."""
-    export = words.add_parser("export", help="topics of a bag as CSV or Parquet files, with units")
+def add_parser(commands: Commands) -> None:
+    """Add the command `export`."""
+    export = commands.add_parser(
+        "export", help="topics of a bag as CSV or Parquet files, with units"
+    )
     export.add_argument("bag", type=Path, metavar="BAG", help="bag folder or MCAP file")
     export.add_argument("--topic", nargs="+", default=[], metavar="NAME", help="default: all")
     export.add_argument("--format", choices=("csv", "parquet"), default="csv")

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `tsobs` command: parser and exit codes; each word is a module of `commands`.
+"""The `tsobs` command: parser and exit codes; each of its commands is a module.
 
 Exit codes: 0 done, 1 it failed or was interrupted (stderr says why), 2 wrong usage.
 """
@@ -14,22 +14,12 @@ from collections.abc import Callable, Sequence
 
 from tsobs_ros import __version__
 from tsobs_ros.cli import bag, compare, demo, design, estimate, export, paper, report, verify
-from tsobs_ros.cli.output import complain
+from tsobs_ros.cli.common import complain
 from tsobs_ros.errors import TsobsError
+from tsobs_ros.extras import missing_library
 
-_WORDS = (demo, design, verify, estimate, compare, export, report, bag, paper)
-"""The modules of the words, in the order in which the help lists them."""
-
-_EXTRAS = {
-    "cvxpy": "design",
-    "clarabel": "design",
-    "matplotlib": "report",
-    "plotly": "report",
-    "tqdm": "report",
-    "mcap_ros2": "report",
-    "pyarrow": "export",
-}
-"""Which optional dependency of the package brings which module."""
+_COMMANDS = (demo, design, verify, estimate, compare, export, report, bag, paper)
+"""In the order in which the help lists them."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,18 +27,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     command: Callable[[argparse.Namespace], int] = options.command
     if threading.current_thread() is threading.main_thread():
-        # As Ctrl-C: what was begun, nodes of the demo above all, is ended in order.
+        # As Ctrl-C: what was started, nodes of the demo above all, is ended in order.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         return command(options)
     except TsobsError as error:
         complain(error)
     except ModuleNotFoundError as error:
-        missing = (error.name or "").partition(".")[0]
-        if missing not in _EXTRAS:
+        advice = missing_library(error)
+        if advice is None:
             raise
-        hint = f"pip install 'tsobs_ros[{_EXTRAS[missing]}]'"
-        complain(f"{missing} is not installed; {hint}")
+        complain(advice)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
     except BrokenPipeError:
@@ -63,9 +52,9 @@ def _parser() -> argparse.ArgumentParser:
         description="State and sensor-disturbance estimation for an arm with an elastic joint.",
     )
     parser.add_argument("--version", action="version", version=f"tsobs {__version__}")
-    words = parser.add_subparsers(required=True, metavar="COMMAND")
-    for word in _WORDS:
-        word.add_parser(words)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for module in _COMMANDS:
+        module.add_parser(commands)
     return parser
 
 

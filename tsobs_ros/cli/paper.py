@@ -5,13 +5,12 @@
 import argparse
 from pathlib import Path
 
-from tsobs_ros.cli.options import Words, add_json
-from tsobs_ros.cli.output import show
+from tsobs_ros.cli.common import Commands, add_json, show
 
 
-def add_parser(words: Words) -> None:
-    """Add the word `paper`."""
-    paper = words.add_parser("paper", help="the published method: its figures, and what holds")
+def add_parser(commands: Commands) -> None:
+    """Add the command `paper`."""
+    paper = commands.add_parser("paper", help="the published method: its figures, and what holds")
     paper.add_argument("--output", type=Path, default=Path("paper"), help="folder to write to")
     paper.add_argument("--seeds", type=int, default=20, metavar="N", help="runs of Example 3")
     add_json(paper)

@@ -5,14 +5,13 @@
 import argparse
 from pathlib import Path
 
-from tsobs_ros.cli.options import Words, add_json
-from tsobs_ros.cli.output import show
+from tsobs_ros.cli.common import Commands, add_json, show
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 
-def add_parser(words: Words) -> None:
-    """Add the word `report`."""
-    report = words.add_parser("report", help="table and figures of a recorded run")
+def add_parser(commands: Commands) -> None:
+    """Add the command `report`."""
+    report = commands.add_parser("report", help="table and figures of a recorded run")
     report.add_argument("bag", type=Path)
     report.add_argument("--output", type=Path, help="folder for the report (default: by the bag)")
     report.add_argument("--design", type=Path, metavar="FILE", help="default: the shipped design")

@@ -5,16 +5,15 @@
 import argparse
 from pathlib import Path
 
+from tsobs_ros.cli.common import Commands, add_json, complain, show
 from tsobs_ros.cli.design_summary import summary, summary_text
-from tsobs_ros.cli.options import Words, add_json
-from tsobs_ros.cli.output import complain, show
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 
-def add_parser(words: Words) -> None:
-    """Add the word `verify`."""
-    verify = words.add_parser("verify", help="re-check the certificate of a design file")
+def add_parser(commands: Commands) -> None:
+    """Add the command `verify`."""
+    verify = commands.add_parser("verify", help="re-check the certificate of a design file")
     verify.add_argument("design", type=Path, nargs="?", help="default: the shipped design")
     verify.add_argument(
         "--exact", action="store_true", help="in rational arithmetic, without any rounding"

@@ -1,19 +1,25 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Where measurements come from: the topics of a bag, and what was estimated of them live."""
+"""Recorded measurements of some joints, in order of arrival, and the bags that hold them."""
 
+from abc import ABC, abstractmethod
+from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, fields
+from functools import cached_property
+from itertools import islice, pairwise
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.messages import estimate_topics as topics
 from tsobs_ros.bag.messages.joint_series import (
+    Flags,
     JointSeries,
+    Times,
     Wanted,
     read_joint_series,
     require_joint_states,
@@ -22,18 +28,132 @@ from tsobs_ros.bag.messages.joint_series import (
 from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.reader import BagMessage, BagReader
+from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.replay.samples import Samples, samples_of
-from tsobs_ros.replay.schedule import in_order_of_use
+from tsobs_ros.estimation.records import NANOSECONDS, Measurement, RejectReason, Sample
 
 MEASUREMENTS = "joint_measurements"
 TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
+
+# Stamps this far back are not late any more: time restarted (a looped bag, a new simulation).
+_RESTART = NANOSECONDS
+# So many messages in a row must lie back: one straggler is no restart.
+_RESTART_MESSAGES = 10
+# Clocks that differ by more than this are not the same clock.
+_SAME_CLOCK = NANOSECONDS
 _FIRST_MESSAGES = 1000
+_UNKNOWN = np.iinfo(np.int64).max
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Messages with measurements of J joints, n of them in order of arrival.
+
+    Attributes:
+        stamps: Sampling times of the angles [ns], shape (n,).
+        log_times: Recording times of the messages, ns since the epoch, shape (n,).
+        publish_times: Publishing times, ns since the epoch, shape (n,).
+        y: Angles [rad], shape (n, J).
+        u: Torques [N m], shape (n, J).
+        named: Whether the message names the joint, shape (n, J).
+        complete: Whether it has an angle and a torque of it, shape (n, J).
+    """
+
+    stamps: Times
+    log_times: Times
+    publish_times: Times
+    y: Array
+    u: Array
+    named: Flags
+    complete: Flags
+
+    @property
+    def count(self) -> int:
+        """The number of messages."""
+        return len(self.stamps)
+
+    @cached_property
+    def same_clock(self) -> bool:
+        """Whether stamps and log times seem to be of the same clock."""
+        if not self.count:
+            return True
+        return abs(float(np.median(self.log_times - self.stamps))) < _SAME_CLOCK
+
+    @cached_property
+    def arrivals(self) -> Times:
+        """Arrival times on the clock of the stamps [ns], or the best guess at them."""
+        if self.same_clock:
+            return self.log_times
+        # Log times of another clock give the order only: each arrives when it is sampled.
+        spans = passes(self.stamps.tolist())
+        return np.concatenate([np.maximum.accumulate(self.stamps[a:b]) for a, b in spans])
+
+    def of_each_joint(self) -> Iterator[list[Sample]]:
+        """Yield what the observer node reads in each message."""
+        plain: list[bool] = np.all(self.complete, axis=1).tolist()
+        joints = range(self.y.shape[1])
+        for place, (stamp, y, u) in enumerate(
+            zip(self.stamps.tolist(), self.y, self.u, strict=True)
+        ):
+            if plain[place]:
+                yield [Measurement(stamp, y[j : j + 1], u[j : j + 1]) for j in joints]
+            elif not self.named[place].any():
+                yield [RejectReason.WRONG_JOINT for _ in joints]
+            else:
+                yield [self._sample(place, j) for j in joints]
+
+    def _sample(self, place: int, joint: int) -> Sample:
+        if not self.named[place, joint]:
+            return None
+        if not self.complete[place, joint]:
+            return RejectReason.WRONG_JOINT
+        one = slice(joint, joint + 1)
+        return Measurement(int(self.stamps[place]), self.y[place, one], self.u[place, one])
+
+    def take(self, places: NDArray[np.intp]) -> "Samples":
+        """Return some of the messages, or all of them in another order."""
+        return Samples(**{field.name: getattr(self, field.name)[places] for field in fields(self)})
+
+    def in_order_of_publishing(self) -> "Samples":
+        """Return them as a subscriber receives them: each publisher's come in its order."""
+        return self.take(np.argsort(self.publish_times, kind="stable"))
+
+
+def samples_of(series: JointSeries, assume_zero_torque: bool) -> Samples:
+    """Return the measurements in a topic's positions and efforts.
+
+    Args:
+        series: With the fields position and effort, in this order.
+        assume_zero_torque: Take messages without effort as torque 0.
+    """
+    y, u = series.values[..., 0], series.values[..., 1]
+    there: Flags = series.given[..., 0] & series.given[..., 1]
+    if assume_zero_torque:
+        silent = series.given[..., 0] & ~series.given[..., 1]
+        u, there = np.where(silent, 0.0, u), there | silent
+    return Samples(series.stamps, series.log_times, series.publish_times, y, u, series.named, there)
+
+
+def restarts(stamps: Sequence[int]) -> list[int]:
+    """Return the places where stamps [ns] go back by more than a second, and stay back."""
+    found, highest = [], 0
+    for place, stamp in enumerate(stamps):
+        floor = highest - _RESTART
+        if 0 < stamp < floor and max(stamps[place : place + _RESTART_MESSAGES]) < floor:
+            found.append(place)
+            highest = stamp
+        highest = max(highest, stamp)
+    return found
+
+
+def passes(stamps: Sequence[int]) -> list[tuple[int, int]]:
+    """Return the begin and end of each pass of time; a second one follows a restart."""
+    return list(pairwise([0, *restarts(stamps), len(stamps)]))
 
 
 @dataclass(frozen=True)
 class TopicToCopy:
-    """A topic that goes into the new bag as it is."""
+    """A topic that goes into the new bag unchanged."""
 
     name: str
     type: str
@@ -43,11 +163,11 @@ class TopicToCopy:
 
 @dataclass(frozen=True)
 class Live:
-    """What was recorded of a running observer.
+    """The recorded output of a running observer.
 
     Attributes:
         states: Angles and velocities of every joint's link and motor.
-        others: The other topics that were recorded of it, by the names in `estimate_topics`.
+        others: Its other recorded topics, by the names in `estimate_topics`.
     """
 
     states: JointSeries
@@ -55,7 +175,7 @@ class Live:
 
 
 class Truth(NamedTuple):
-    """What a simulation knows; None where it was not recorded.
+    """The recorded truth of a simulation; None where there is none.
 
     Attributes:
         states: Angles and velocities of every joint's link and motor.
@@ -66,80 +186,51 @@ class Truth(NamedTuple):
     disturbance: JointSeries | None
 
 
-class Source(Protocol):
-    """Measurements of some joints, whatever they come from."""
-
-    @property
-    def path(self) -> Path:
-        """The bag or the log."""
-        ...
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """The joints' names."""
-        ...
-
-    @property
-    def namespace(self) -> str:
-        """What the topics' names begin with: empty, or with a slash at its front only."""
-        ...
-
-    @property
-    def samples(self) -> Samples:
-        """The measurements."""
-        ...
-
-    @property
-    def live(self) -> Live | None:
-        """What an observer made of them when they were recorded."""
-        ...
-
-    @property
-    def topics(self) -> Sequence[TopicToCopy]:
-        """Topics that belong with estimates: measurements, and the truth where it is known."""
-        ...
-
-    @property
-    def damage(self) -> BagReadError | None:
-        """Where reading ended early, if it did."""
-        ...
-
-    @property
-    def remarks(self) -> Sequence[str]:
-        """What its user should know about it."""
-        ...
-
-    def messages(self) -> Iterator[BagMessage]:
-        """Yield the messages of those topics in order of log time."""
-        ...
-
-    def truth(self) -> Truth:
-        """Read what a simulation knows of the joints."""
-        ...
-
-
-class BagSource:
-    """A bag with a topic of measurements.
-
-    Args:
-        path: Bag folder or MCAP file.
-        topic: The measurements; None for the one topic that ends in `joint_measurements`.
-        joints: Whose; all that the first messages name if empty.
-        observer: Name of the node whose estimates may have been recorded.
-        assume_zero_torque: Take messages without effort as torque 0.
+class Source(ABC):
+    """Measurements of some joints, from a bag or a log.
 
     Attributes:
-        path: The bag.
-        topic: The measurements.
-        namespace: What the names of its topics begin with.
-        joints: Whose measurements.
-        samples: The measurements, in the order in which a subscriber got them.
-        live: What the observer made of them when they were recorded, if that was recorded.
-        damage: Where reading ended early, if it did.
+        path: The bag or the log.
+        joints: Names of the joints.
+        samples: The measurements.
+        namespace: Begin of the topics' names: empty, or with a slash at its front only.
+        live: Output of the observer that ran during the recording.
+        damage: The error that ended reading early.
+        remarks: Notes for the user.
+        topics: Topics that belong with estimates: measurements, and the truth of a simulation.
+    """
+
+    path: Path
+    joints: tuple[str, ...]
+    samples: Samples
+    namespace = ""
+    live: Live | None = None
+    damage: BagReadError | None = None
+    remarks: tuple[str, ...] = ()
+    topics: tuple[TopicToCopy, ...] = ()
+
+    @abstractmethod
+    def messages(self) -> Iterator[BagMessage]:
+        """Yield the messages of `topics` in order of log time, up to any damage."""
+
+    def truth(self) -> Truth:
+        """Return the recorded truth."""
+        return Truth(None, None)
+
+
+class BagSource(Source):
+    """A bag as a source of measurements.
+
+    Args:
+        path: The bag's folder, or one MCAP file.
+        topic: Full name of the measurements' topic; by default the only one that ends in
+            `joint_measurements`.
+        joints: Names of the joints to read; by default those that the first messages name.
+        observer: Name of the live observer, whose topics are read too.
+        assume_zero_torque: Take messages without effort as torque 0.
 
     Raises:
-        BagReadError: There is no bag, no such topic, nothing on it about such joints, or several
-            topics could be meant.
+        BagReadError: There is no bag, no such topic or joint, or several topics fit.
     """
 
     def __init__(
@@ -152,33 +243,98 @@ class BagSource:
         assume_zero_torque: bool = False,
     ) -> None:
         self.path = path
-        self.damage: BagReadError | None = None
         self._reader = BagReader(path)
         self.topic = self._find_measurements() if topic is None else topic
         require_joint_states(self._reader, self.topic)
         self.namespace = self.topic.rpartition("/")[0]
         self.joints = tuple(joints) or self._first_joints()
-        wanted = {self.topic: Wanted(self.joints, ("position", "effort"))}
-        own = {name: f"{self.namespace}/{observer}/{name}" for name in topics.TOPICS}
-        there = {name: full for name, full in own.items() if self._has(full)}
-        wanted |= {full: self._wanted(name) for name, full in there.items()}
-        series = read_joint_series(self._reader, wanted, on_damage=self._damaged)
-        measured = series[self.topic]
-        self._check_joints(measured)
-        samples = samples_of(measured, assume_zero_torque).in_order_of_publishing()
-        others = {name: series[full] for name, full in there.items()}
+        own = self._there({name: f"{observer}/{name}" for name in topics.TOPICS})
+        measured, others = self._read(own, assume_zero_torque)
+        samples = measured.in_order_of_publishing()
         innovations = others.get(topics.INNOVATION)
         self.samples = samples if innovations is None else in_order_of_use(samples, innovations)
         states = others.pop(topics.STATES, None)
         self.live = None if states is None or not states.count else Live(states, others)
+        self.topics = self._topics_to_copy()
+        if not self.samples.same_clock:
+            self.remarks = (
+                "note: the bag's stamps and log times are of different clocks, so each measurement "
+                "is taken to have arrived when it was sampled",
+            )
 
-    @property
-    def topics(self) -> tuple[TopicToCopy, ...]:
-        """The measurements, and the truth where it was recorded."""
-        names = [
-            self.topic,
-            *(f"{self.namespace}/{name}" for name in (TRUE_STATES, TRUE_DISTURBANCE)),
-        ]
+    def messages(self) -> Iterator[BagMessage]:
+        names = [topic.name for topic in self.topics]
+        return until_damage(self._reader.messages(names), self._damaged)
+
+    def truth(self) -> Truth:
+        there = self._there({name: name for name in (TRUE_STATES, TRUE_DISTURBANCE)})
+        wanted = {full: self._wanted(name) for name, full in there.items()}
+        series = read_joint_series(self._reader, wanted, on_damage=self._damaged)
+        return Truth(*(series.get(there.get(n, "")) for n in (TRUE_STATES, TRUE_DISTURBANCE)))
+
+    def _damaged(self, error: BagReadError) -> None:
+        self.damage = error
+
+    def _there(self, names: dict[str, str]) -> dict[str, str]:
+        """Return the full names of those topics in the namespace that the bag has."""
+        full = {key: f"{self.namespace}/{name}" for key, name in names.items()}
+        infos = self._reader.topics
+        return {
+            key: name
+            for key, name in full.items()
+            if name in infos and infos[name].type == JOINT_STATE
+        }
+
+    def _find_measurements(self) -> str:
+        names = [name for name in self._reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
+        if len(names) == 1:
+            return names[0]
+        has = ", ".join(names or self._reader.topics) or "none"
+        what = "several topics end" if names else "no topic ends"
+        raise BagReadError(f"{self.path}: {what} in {MEASUREMENTS}, choose one of: {has}")
+
+    def _wanted(self, topic: str) -> Wanted:
+        names = list(self.joints)
+        if topic in (topics.STATES, topics.STATE_BOUNDS, TRUE_STATES):
+            names = [side for joint in self.joints for side in topics.sides(joint)]
+        own = ("position",) if topic == TRUE_DISTURBANCE else ("position", "velocity")
+        return Wanted(names, own)
+
+    def _first_joints(self) -> tuple[str, ...]:
+        messages = until_damage(self._reader.messages([self.topic]), self._damaged)
+        first = list(islice(messages, _FIRST_MESSAGES))
+        groups, malformed = JointStateDecoder().decode_all([message.data for message in first])
+        if malformed and not groups:
+            raise BagReadError(f"{self.path}: {self.topic}: {next(iter(malformed.values()))}")
+        return tuple(dict.fromkeys(name for group in groups for name in group.names))
+
+    def _read(
+        self, live: dict[str, str], assume_zero_torque: bool
+    ) -> tuple[Samples, dict[str, JointSeries]]:
+        """Return the measurements and the live observer's topics, from one pass over the bag."""
+        wanted = {self.topic: Wanted(self.joints, ("position", "effort"))}
+        wanted |= {full: self._wanted(name) for name, full in live.items()}
+        series = read_joint_series(self._reader, wanted, on_damage=self._damaged)
+        self._check_joints(series[self.topic])
+        others = {name: series[full] for name, full in live.items()}
+        return samples_of(series[self.topic], assume_zero_torque), others
+
+    def _check_joints(self, measured: JointSeries) -> None:
+        if not measured.count:
+            raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
+        there = dict(zip(self.joints, np.any(measured.named, axis=0).tolist(), strict=True))
+        missing = [joint for joint in self.joints if not there[joint]]
+        if missing or not self.joints:
+            seen = [joint for joint in self.joints if there[joint]]
+            names = ", ".join([*seen, *measured.other_names]) or "none"
+            raise BagReadError(
+                f"{self.path}: no message of {self.topic} names {', '.join(missing) or 'a joint'}; "
+                f"joints: {names}"
+            )
+
+    def _topics_to_copy(self) -> tuple[TopicToCopy, ...]:
+        truth = (f"{self.namespace}/{name}" for name in (TRUE_STATES, TRUE_DISTURBANCE))
+        names = [self.topic, *truth]
         return tuple(
             TopicToCopy(
                 name,
@@ -192,73 +348,63 @@ class BagSource:
             if name in names
         )
 
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """Return that stamps and log times are of different clocks, if they are."""
-        if self.samples.same_clock:
-            return ()
-        return (
-            "note: the bag's stamps and log times are of different clocks, so each measurement is "
-            "taken to have come when it was sampled",
-        )
 
-    def messages(self) -> Iterator[BagMessage]:
-        """Yield the messages of those topics in order of log time, up to any damage."""
-        names = [topic.name for topic in self.topics]
-        return until_damage(self._reader.messages(names), self._damaged)
+def in_order_of_use(samples: Samples, innovations: JointSeries) -> Samples:
+    """Return the messages in the order in which a recorded observer used them.
 
-    def truth(self) -> Truth:
-        """Read what a simulation knows of the joints."""
-        arms = [side for joint in self.joints for side in topics.sides(joint)]
-        own = {
-            f"{self.namespace}/{TRUE_STATES}": Wanted(arms, ("position", "velocity")),
-            f"{self.namespace}/{TRUE_DISTURBANCE}": Wanted(self.joints, ("position",)),
-        }
-        there = {name: wanted for name, wanted in own.items() if self._has(name)}
-        series = read_joint_series(self._reader, there, on_damage=self._damaged)
-        return Truth(*(series.get(name) for name in own))
+    Those of one publisher come in its order. Between publishers the innovations decide, since
+    messages may overtake each other. A message without innovation is taken to have been as long on
+    its way as the others of the same joints are, which is the best guess there is.
 
-    def _damaged(self, error: BagReadError) -> None:
-        self.damage = error
+    Args:
+        samples: In the order of publishing.
+        innovations: The recorded ones.
+    """
+    used_at = times_of_use(samples, innovations)
+    keys = np.zeros(samples.count, np.int64)
+    for joints in np.unique(samples.named, axis=0):
+        own = np.flatnonzero((samples.named == joints).all(axis=1))
+        keys[own] = _filled_in(used_at[own], samples.publish_times[own])
+    return samples.take(np.argsort(keys, kind="stable"))
 
-    def _has(self, topic: str) -> bool:
-        info = self._reader.topics.get(topic)
-        return info is not None and info.type == JOINT_STATE
 
-    def _find_measurements(self) -> str:
-        names = [name for name in self._reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
-        if len(names) == 1:
-            return names[0]
-        has = ", ".join(names or self._reader.topics) or "none"
-        what = "several topics end" if names else "no topic ends"
-        raise BagReadError(f"{self.path}: {what} in {MEASUREMENTS}, choose one of: {has}")
+def _filled_in(used_at: Times, published: Times) -> Times:
+    """Return the times of use of one publisher's messages, the unknown ones estimated."""
+    known = used_at != _UNKNOWN
+    if not known.any():
+        return published
+    usual = published + int(np.median(used_at[known] - published[known]))
+    after = np.maximum.accumulate(np.where(known, used_at, 0))
+    before = np.minimum.accumulate(used_at[::-1])[::-1]
+    return np.asarray(np.maximum.accumulate(np.clip(usual, after, before)))
 
-    def _wanted(self, topic: str) -> Wanted:
-        if topic in (topics.STATES, topics.STATE_BOUNDS):
-            names = [side for joint in self.joints for side in topics.sides(joint)]
-            return Wanted(names, ("position", "velocity"))
-        return Wanted(self.joints, ("position", "velocity"))
 
-    def _first_joints(self) -> tuple[str, ...]:
-        messages = until_damage(self._reader.messages([self.topic]), self._damaged)
-        first = list(islice(messages, _FIRST_MESSAGES))
-        groups, malformed = JointStateDecoder().decode_all([message.data for message in first])
-        if malformed and not groups:
-            raise BagReadError(f"{self.path}: {self.topic}: {next(iter(malformed.values()))}")
-        return tuple(dict.fromkeys(name for group in groups for name in group.names))
+def times_of_use(samples: Samples, innovations: JointSeries) -> Times:
+    """Return the publishing time of each measurement's innovation [ns], shape (n,).
 
-    def _check_joints(self, measured: JointSeries) -> None:
-        if not measured.count:
-            raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
-        missing = [
-            joint
-            for joint, there in zip(self.joints, np.any(measured.named, axis=0), strict=True)
-            if not there
-        ]
-        if missing or not self.joints:
-            seen = [joint for joint in self.joints if joint not in missing]
-            names = ", ".join([*seen, *measured.other_names]) or "none"
-            raise BagReadError(
-                f"{self.path}: no message of {self.topic} names {', '.join(missing) or 'a joint'}; "
-                f"joints: {names}"
-            )
+    A measurement without innovation has a time later than all others.
+    """
+    used_at = np.full(samples.count, _UNKNOWN)
+    order = np.argsort(innovations.publish_times, kind="stable")
+    # Messages with the same stamp, each of another joint, have an innovation each.
+    for joints in np.unique(samples.named, axis=0):
+        own = np.flatnonzero((samples.named == joints).all(axis=1))
+        theirs = order[innovations.named[order][:, joints].any(axis=1)]
+        places = match(samples.stamps[own], innovations.stamps[theirs])
+        found = places >= 0
+        used_at[own[found]] = innovations.publish_times[theirs[places[found]]]
+    return used_at
+
+
+def match(wanted: Times, there: Times) -> NDArray[np.intp]:
+    """Return the place of each stamp, -1 for none, and no place twice, shape of `wanted`.
+
+    After a restart stamps occur twice: the first is matched with the first.
+    """
+    places: dict[int, deque[int]] = defaultdict(deque)
+    for place, stamp in enumerate(there.tolist()):
+        places[stamp].append(place)
+    none = deque([-1])
+    return np.array(
+        [(places.get(stamp) or none.copy()).popleft() for stamp in wanted.tolist()], dtype=np.intp
+    )

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates and innovations of a replay as arrays, and whether they are those of a live run."""
+"""Estimates and innovations of a replay as arrays, and their comparison with a live run's."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,92 +11,73 @@ from tsobs_ros.bag.messages import estimate_topics as topics
 from tsobs_ros.bag.messages.joint_series import Flags, JointSeries, Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.records import Estimate, Innovation
-from tsobs_ros.replay.samples import Samples
-from tsobs_ros.replay.schedule import Schedule, match
-from tsobs_ros.replay.source import Live
+from tsobs_ros.replay.replay import Schedule
+from tsobs_ros.replay.source import Live, Samples, match
 
-_STATES, _STATE_BOUNDS = slice(0, 4), slice(4, 8)
-_DISTURBANCE, _DISTURBANCE_RATE, _DISTURBANCE_BOUND = slice(8, 9), slice(9, 10), slice(10, 11)
-_COLUMNS = 11
+_COLUMNS = {
+    "state": slice(0, 4),
+    "state_bound": slice(4, 8),
+    "disturbance": slice(8, 9),
+    "disturbance_rate": slice(9, 10),
+    "disturbance_bound": slice(10, 11),
+}
+_COUNT = 11
 
 
 class EstimateTable:
-    """What was estimated at m ticks, of J joints, from n messages.
+    """Estimates of J joints at m ticks, from n messages.
 
     Args:
-        ticks: How many there are.
-        messages: How many there are.
-        joints: How many there are.
+        ticks: m.
+        messages: n.
+        joints: J.
 
     Attributes:
-        done: Whether there is an estimate of anything, shape (m,).
+        done: Whether there is an estimate of any joint, shape (m,).
         innovations: y − ŷ of the measurements that were used, else NaN [rad], shape (n, J).
+        states: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), NaN without an estimate, shape (m, J, 4).
+        state_bounds: 1σ bound of each, NaN without one, shape (m, J, 4).
+        disturbances: Disturbance and its rate (rad, rad/s), NaN without, shape (m, J, 2).
+        disturbance_bounds: 1σ bound of the disturbance [rad], NaN without, shape (m, J, 1).
     """
 
     def __init__(self, ticks: int, messages: int, joints: int) -> None:
-        self._values = np.full((ticks, joints, _COLUMNS), np.nan)
+        self._values = np.full((ticks, joints, _COUNT), np.nan)
+        self.states = self._values[..., _COLUMNS["state"]]
+        self.state_bounds = self._values[..., _COLUMNS["state_bound"]]
+        self.disturbances = self._values[..., 8:10]
+        self.disturbance_bounds = self._values[..., _COLUMNS["disturbance_bound"]]
         self.done = np.zeros(ticks, np.bool_)
         self.innovations = np.full((messages, joints), np.nan)
 
-    @property
-    def states(self) -> Array:
-        """Estimated [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (m, J, 4)."""
-        return self._values[..., _STATES]
-
-    @property
-    def state_bounds(self) -> Array:
-        """1σ bound of each, NaN without one, shape (m, J, 4)."""
-        return self._values[..., _STATE_BOUNDS]
-
-    @property
-    def disturbances(self) -> Array:
-        """Estimated disturbance and its rate (rad, rad/s), NaN without one, shape (m, J, 2)."""
-        return self._values[..., _DISTURBANCE.start : _DISTURBANCE_RATE.stop]
-
-    @property
-    def disturbance_bounds(self) -> Array:
-        """1σ bound of the disturbance [rad], NaN without one, shape (m, J, 1)."""
-        return self._values[..., _DISTURBANCE_BOUND]
-
     def add(self, ticks: Sequence[int], estimates: Sequence[Sequence[Estimate | None]]) -> None:
-        """Keep the estimates of some ticks."""
+        """Enter the estimates of some ticks."""
         self.done[list(ticks)] = True
         for joint in range(self._values.shape[1]):
             known = [(tick, each[joint]) for tick, each in zip(ticks, estimates, strict=True)]
             rows = [tick for tick, one in known if one is not None]
             own = [one for _, one in known if one is not None]
-            for columns, arrays in (
-                (_STATES, [one.state for one in own]),
-                (_STATE_BOUNDS, [one.state_bound for one in own]),
-                (_DISTURBANCE, [one.disturbance for one in own]),
-                (_DISTURBANCE_RATE, [one.disturbance_rate for one in own]),
-                (_DISTURBANCE_BOUND, [one.disturbance_bound for one in own]),
-            ):
-                self._fill(rows, joint, columns, arrays)
-
-    def _fill(self, rows: list[int], joint: int, columns: slice, arrays: list[Array]) -> None:
-        width = columns.stop - columns.start
-        there = [len(array) == width for array in arrays]
-        if not all(there):
-            rows = [row for row, is_there in zip(rows, there, strict=True) if is_there]
-            arrays = [array for array in arrays if len(array) == width]
-        if rows:
-            self._values[rows, joint, columns] = np.concatenate(arrays).reshape(-1, width)
+            for name, columns in _COLUMNS.items():
+                arrays = [getattr(one, name) for one in own]
+                # A joint has one observer, so either all estimates have this quantity or none.
+                if arrays and len(arrays[0]):
+                    numbers = np.concatenate(arrays).reshape(len(rows), -1)
+                    self._values[rows, joint, columns] = numbers
 
     def add_innovations(self, message: int, outcomes: Sequence[object]) -> None:
-        """Keep the innovations of a message."""
+        """Enter the innovations of a message."""
         for joint, one in enumerate(outcomes):
             if isinstance(one, Innovation):
                 self.innovations[message, joint] = one.value[0]
 
 
 class Agreement(NamedTuple):
-    """How the estimates compare with those of the live run.
+    """Comparison of the estimates with those of the live run.
 
     Attributes:
         recorded: Number of recorded estimates.
-        reproduced: Number of those that came out the same to the last bit, bounds included.
-        first_difference: Stamp of the first that did not [ns], None if all did.
+        reproduced: Number of those that are the same to the last bit, bounds included.
+        first_difference: Stamp of the first that is not [ns], None if all are.
         not_recorded: Number of measurements that the live observer used but the bag lacks.
         not_received: Number of those in the bag that were used here but not live.
     """
@@ -113,7 +94,7 @@ class Agreement(NamedTuple):
         return self.reproduced == self.recorded
 
     def text(self) -> str:
-        """Return it for people to read, with the reason of any difference."""
+        """Return one line for people, with the reason of any difference."""
         line = (
             f"live estimates: {self.reproduced:,} of {self.recorded:,} reproduced to the last bit"
         )
@@ -138,7 +119,7 @@ class Recorded:
     """The estimates of a live run, by the ticks of a schedule made of them.
 
     Args:
-        live: What was recorded.
+        live: The recorded topics.
         schedule: The ticks.
     """
 
@@ -171,13 +152,13 @@ class Recorded:
                 lost = np.isnan(recorded).all(axis=(1, 2))
                 same &= lost | _same(values, recorded)
         different = np.flatnonzero(~same)
-        unrecorded, unreceived = self._lost(table, samples)
+        not_recorded, not_received = self._lost(table, samples)
         return Agreement(
             recorded=len(same),
             reproduced=int(same.sum()),
             first_difference=int(self._stamps[different[0]]) if len(different) else None,
-            not_recorded=unrecorded,
-            not_received=unreceived,
+            not_recorded=not_recorded,
+            not_received=not_received,
         )
 
     def _lost(self, table: EstimateTable, samples: Samples) -> tuple[int, int]:
@@ -187,7 +168,7 @@ class Recorded:
         order = np.argsort(innovations.publish_times, kind="stable")
         places = match(samples.stamps, innovations.stamps[order])
         used_here = ~np.isnan(table.innovations).all(axis=1)
-        # What came after the recording's last innovation may just not have been recorded.
+        # Innovations after the recording's last one may just not have been recorded.
         last = innovations.publish_times.max()
         unreceived = used_here & (places < 0) & (samples.publish_times < last)
         return innovations.count - int((places >= 0).sum()), int(unreceived.sum())
@@ -207,6 +188,6 @@ def _by_tick(series: JointSeries, stamps: Times) -> Array:
 
 
 def _same(ours: Array, theirs: Array) -> Flags:
-    """Return for each tick whether all bits are the same, or nothing is said on either side."""
+    """Return for each tick whether all bits are the same, or both sides have no number."""
     bits = np.ascontiguousarray(ours).view(np.int64) == np.ascontiguousarray(theirs).view(np.int64)
     return np.asarray((bits | (np.isnan(ours) & np.isnan(theirs))).all(axis=(1, 2)))

@@ -11,8 +11,7 @@ import numpy as np
 
 from tsobs_ros.bag.messages.joint_series import JointSeries
 from tsobs_ros.replay.estimate import Run
-from tsobs_ros.replay.samples import passes
-from tsobs_ros.replay.source import Source, Truth
+from tsobs_ros.replay.source import Source, Truth, passes
 from tsobs_ros.report.bag_report import expected_innovation
 from tsobs_ros.report.metrics import QUANTITIES, MetricsOptions, RunMetrics, measure
 from tsobs_ros.report.metrics import root_mean_square as rms

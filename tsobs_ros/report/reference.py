@@ -18,9 +18,8 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.replay.replay import Estimated, Replay, Used
-from tsobs_ros.replay.samples import Samples
-from tsobs_ros.replay.schedule import Schedule
+from tsobs_ros.replay.replay import Estimated, Replay, Schedule, Used
+from tsobs_ros.replay.source import Samples
 from tsobs_ros.replay.table import EstimateTable
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
 from tsobs_ros.report.run import RecordedRun
@@ -93,9 +92,9 @@ def rerun(run: RecordedRun, observer: Estimator[Any], x_max: float) -> RecordedR
     schedule = Schedule(
         stamps=run.stamps,
         now=run.stamps,
-        least=known,
-        most=known,
-        afresh=np.full(len(run.stamps), -1),
+        min_known=known,
+        max_known=known,
+        reset_after=np.full(len(run.stamps), -1),
         log_times=run.stamps,
         publish_times=run.stamps,
     )

@@ -16,7 +16,7 @@ from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.replay.samples import passes
+from tsobs_ros.replay.source import passes
 from tsobs_ros.report.series import Series, Stamps, align, hold, interpolate_motion
 
 

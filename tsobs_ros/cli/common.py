@@ -1,18 +1,35 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the command prints: text for people, or JSON for programs; and how far it is."""
+"""Options and output that the commands share: text for people, JSON for programs, progress."""
 
+import argparse
 import json
 import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import Any, TypeAlias
 
 from tsobs_ros.errors import printable
 
-Told = Callable[[int], None]
-"""Told of how much more has been done."""
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+"""Where a command adds its parser."""
+
+Advance = Callable[[int], None]
+"""Called with the amount of work done since its last call."""
+
+
+def add_json(command: argparse.ArgumentParser) -> None:
+    """Let the command print its result as JSON."""
+    command.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def positive(text: str) -> float:
+    """Return the number in an option's text, which must be above 0."""
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"expected a number above 0, got {text}")
+    return value
 
 
 def show(mapping: dict[str, Any], text: str, as_json: bool) -> None:
@@ -26,17 +43,19 @@ def complain(problem: object) -> None:
 
 
 @contextmanager
-def progress(total: int, unit: str, *, scale: bool = False, quiet: bool = False) -> Iterator[Told]:
-    """Show how far it is while the block runs, if somebody looks and tqdm is there to show it.
+def progress(
+    total: int, unit: str, *, scale: bool = False, quiet: bool = False
+) -> Iterator[Advance]:
+    """Show a progress bar while the block runs, if stderr is a terminal and tqdm is installed.
 
     Args:
-        total: How much there is to do.
-        unit: Of that.
+        total: Amount of work.
+        unit: Its unit.
         scale: Whether to write large amounts with prefixes such as M.
         quiet: Whether to show nothing.
 
     Yields:
-        What to tell of how much more has been done.
+        What to call as the work advances.
     """
     bar: Any = None
     if not quiet and sys.stderr.isatty():
