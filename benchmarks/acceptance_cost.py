@@ -19,24 +19,24 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.observer import GainMode
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY
+from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.model.uncertainty import VELOCITY_ROWS, ArmUncertainty
+from tsobs_ros.model.uncertainty import SINE, Uncertainty
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
-_ROWS = list(VELOCITY_ROWS)
+_ROWS = [LINK_VELOCITY, MOTOR_VELOCITY]
 _TURN = 200
 
 
 class FilterpyAugmentedFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     """The same model and states in filterpy's filter, one arm, from the parts ours is made of."""
 
-    def __init__(self, design: Design, uncertainty: ArmUncertainty) -> None:
+    def __init__(self, design: Design, uncertainty: Uncertainty) -> None:
         twin = AugmentedFilter(design, uncertainty)
         size = len(twin.phi)
         super().__init__(dim_x=size, dim_z=1, dim_u=1)
         self.flow: ArmFlow = twin.flow
-        self.uncertainty = uncertainty
+        self.effects = uncertainty.directions[:, 0, _ROWS]
         self.phi, self.gamma = twin.phi, twin.gamma
         self.x = np.zeros((size, 1))
         self.P = twin.initial(()).covariance
@@ -61,9 +61,11 @@ class FilterpyAugmentedFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     def _kick(self, x: Array, torque: float) -> tuple[Array, Array]:
         step, n = self.flow.nominal, self.flow.state_count
         half, theta = 0.5 * step.duration, x[n:]
-        push = self.uncertainty.regressor(x, torque)
+        push = (self.effects @ [*x[:4], np.sin(x[LINK_ANGLE]), torque]).T
+        change = np.tensordot(theta, self.effects, 1)
         jacobian = self._identity.copy()
-        jacobian[_ROWS, :4] += half * self.uncertainty.jacobian(x, theta)
+        jacobian[_ROWS, :4] += half * change[:, :4]
+        jacobian[_ROWS, LINK_ANGLE] += half * change[:, SINE] * np.cos(x[LINK_ANGLE])
         jacobian[_ROWS, n:] = half * push
         jacobian[LINK_VELOCITY, LINK_ANGLE] -= step.half_kick * np.cos(x[LINK_ANGLE])
         kicked = x.copy()

@@ -10,9 +10,9 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.kalman import ExtendedKalmanFilter, KalmanState
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, ElasticJointArm
+from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.model.uncertainty import VELOCITY_ROWS, ArmUncertainty
+from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
 
 THETA_STD = 0.2
 """1σ of each θ before any measurement."""
@@ -20,7 +20,7 @@ THETA_STD = 0.2
 THETA_WANDER = 1e-6
 """Growth of each θ's variance [1/s]."""
 
-_ROWS = list(VELOCITY_ROWS)
+_ROWS = [LINK_VELOCITY, MOTOR_VELOCITY]
 
 
 def knowing_filter(design: Design, arm: ElasticJointArm) -> ExtendedKalmanFilter:
@@ -41,7 +41,7 @@ class AugmentedFilter:
         uncertainty: Directions of θ.
     """
 
-    def __init__(self, design: Design, uncertainty: ArmUncertainty) -> None:
+    def __init__(self, design: Design, uncertainty: Uncertainty) -> None:
         self.flow = design.request.flow
         self.uncertainty = uncertainty
         n, k = self.flow.state_count, uncertainty.count
@@ -84,15 +84,17 @@ class AugmentedFilter:
 
     def _kicked(self, x: Array, u: Array) -> tuple[Array, Array]:
         """Return the state after half a kick, and the kick's Jacobian."""
-        step, known, n = self.flow.nominal, self.uncertainty, self.flow.state_count
+        step, n = self.flow.nominal, self.flow.state_count
+        effects = self.uncertainty.directions[:, 0, _ROWS]
+        linear, sine, torque = effects[..., :4], effects[..., SINE], effects[..., TORQUE]
         half, angle, theta = 0.5 * step.duration, x[..., LINK_ANGLE, np.newaxis], x[..., n:]
         # Accelerations a(x, u) of each θ, shape (..., 2, k).
-        push = np.einsum("kij,...j->...ik", known.linear, x[..., :4])
-        push += known.sine.T * np.sin(angle)[..., np.newaxis]
-        push += known.torque.T * u[..., np.newaxis]
+        push = np.einsum("kij,...j->...ik", linear, x[..., :4])
+        push += sine.T * np.sin(angle)[..., np.newaxis]
+        push += torque.T * u[..., np.newaxis]
         jacobian = np.broadcast_to(self._identity, (*x.shape, x.shape[-1])).copy()
-        slope = np.einsum("...k,kij->...ij", theta, known.linear)
-        slope[..., LINK_ANGLE] += (theta @ known.sine) * np.cos(angle)
+        slope = np.einsum("...k,kij->...ij", theta, linear)
+        slope[..., LINK_ANGLE] += (theta @ sine) * np.cos(angle)
         jacobian[..., _ROWS, :4] += half * slope
         jacobian[..., _ROWS, n:] = half * push
         jacobian[..., LINK_VELOCITY, LINK_ANGLE] -= step.half_kick * np.cos(angle[..., 0])

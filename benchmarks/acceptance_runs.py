@@ -21,7 +21,7 @@ from tsobs_ros.estimation.high_gain import HighGainObserver
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.proportional_integral import ProportionalIntegralObserver
 from tsobs_ros.estimation.supervised import SupervisedObserver
-from tsobs_ros.model.uncertainty import ArmUncertainty
+from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.simulation.scenario import Scenario
 from tsobs_ros.simulation.scenarios import Trajectories
 
@@ -68,9 +68,9 @@ class Outcome(NamedTuple):
     tuning: dict[str, float] | None = None
 
 
-def uncertainty_of(design: Design) -> ArmUncertainty:
+def uncertainty_of(design: Design) -> Uncertainty:
     """Return what the adaptive contenders learn."""
-    return ArmUncertainty(design.request.arm, BOUNDS)
+    return arm_uncertainty(design.request.arm, BOUNDS)
 
 
 def supervised(design: Design, mode: GainMode, adaptive: bool = True) -> SupervisedObserver:

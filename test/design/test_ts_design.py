@@ -34,9 +34,9 @@ from tsobs_ros.errors import (
     ModelError,
 )
 from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.matrix_uncertainty import MatrixUncertainty
 from tsobs_ros.model.memberships import membership
 from tsobs_ros.model.ts_model import TSModel
+from tsobs_ros.model.uncertainty import system_uncertainty
 from tsobs_ros.resources import config_path
 
 Array = NDArray[np.float64]
@@ -213,7 +213,7 @@ def test_certified_uncertainty_covers_its_box_at_a_price(known: TSDesign) -> Non
     model = known.request.model
     E = np.zeros((2, 3, 3))
     E[:, 1, 0] = [-4.0, -9.0]
-    uncertain = MatrixUncertainty(model, {"stiffness": E}, {"stiffness": 0.05})
+    uncertain = system_uncertainty(model, {"stiffness": E}, {"stiffness": 0.05})
     design = synthesise_ts(blended(uncertainty=uncertain, certify_uncertainty=True))
     assert (design.bound_std >= known.bound_std * (1.0 - 1e-3)).all()
     for theta in (-0.05, 0.02, 0.05):
@@ -373,7 +373,7 @@ def test_wrong_directions_are_named(
     directions: dict[str, Array], bounds: dict[str, float], message: str
 ) -> None:
     with pytest.raises(ModelError, match=message):
-        MatrixUncertainty(single().model, directions, bounds)
+        system_uncertainty(single().model, directions, bounds)
 
 
 def _without(data: dict[str, Any], *path: Any) -> None:

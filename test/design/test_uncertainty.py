@@ -23,7 +23,7 @@ from tsobs_ros.design.request import DesignRequest
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.uncertainty import DIRECTIONS, ArmUncertainty
+from tsobs_ros.model.uncertainty import ARM_DIRECTIONS, SINE, arm_uncertainty
 from tsobs_ros.model.vertices import kick_corners
 
 Array = NDArray[np.float64]
@@ -46,11 +46,11 @@ def designs() -> Mapping[str, Design]:
 def kick(request: DesignRequest, slope: float, theta: Array) -> Array:
     """Return the Jacobian of half a kick, from the derivative of the accelerations."""
     arm, half = request.arm, 0.5 / request.rate
-    uncertainty = ArmUncertainty(arm, request.uncertainty)
+    uncertainty = arm_uncertainty(arm, request.uncertainty)
     matrix = np.eye(request.flow.state_count)
-    rows = np.tensordot(theta, uncertainty.linear, 1)
-    rows[:, 0] += theta @ uncertainty.sine * slope
-    matrix[[1, 3], :4] += half * rows
+    change = np.tensordot(theta, uncertainty.directions[:, 0], 1)
+    matrix[:4, :4] += half * change[:, :4]
+    matrix[:4, 0] += half * change[:, SINE] * slope
     matrix[1, 0] -= half * arm.gravity_gain * slope
     return matrix
 
@@ -107,7 +107,7 @@ def test_vertices_on_one_line_are_left_out(
 
 
 def test_uncertain_gravity_widens_the_slopes_to_either_side() -> None:
-    uncertainty = ArmUncertainty(ElasticJointArm(), {"gravity": 0.25})
+    uncertainty = arm_uncertainty(ElasticJointArm(), {"gravity": 0.25})
     for lowest, expected in ((0.5, (0.375, 1.25)), (-1.0, (-1.25, 1.25)), (0.0, (0.0, 1.25))):
         corners = kick_corners((lowest, 1.0), uncertainty, [0.25])
         assert tuple(corner.slope for corner in corners) == expected
@@ -119,7 +119,7 @@ def test_uncertain_gravity_widens_the_slopes_to_either_side() -> None:
 @given(st.data(), st.floats(0.05, math.pi))
 def test_a_kick_is_a_convex_combination_of_its_corners(data: st.DataObject, x_max: float) -> None:
     """Solved for entry by entry: the kick's entries lie within those of the corners around it."""
-    names = data.draw(st.lists(st.sampled_from(list(DIRECTIONS)), max_size=3, unique=True))
+    names = data.draw(st.lists(st.sampled_from(list(ARM_DIRECTIONS)), max_size=3, unique=True))
     request = DesignRequest(
         uncertainty=dict.fromkeys(names, 0.3), certify_uncertainty=bool(names), x_max=x_max
     )

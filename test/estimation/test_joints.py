@@ -26,7 +26,7 @@ from tsobs_ros.estimation.supervision import SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.disturbance import DisturbanceModel, bias, clean, gauss_markov, sinusoid
 from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.model.uncertainty import ArmUncertainty
+from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -68,7 +68,7 @@ def settled(design: Design) -> TSObserver:
 
 def learning(observer: TSObserver) -> AdaptiveObserver:
     assert isinstance(observer.flow, ArmFlow)
-    uncertainty = ArmUncertainty(observer.flow.arm, {"stiffness": 0.3, "gravity": 0.3})
+    uncertainty = arm_uncertainty(observer.flow.arm, {"stiffness": 0.3, "gravity": 0.3})
     return AdaptiveObserver(observer, uncertainty, AdaptationOptions(start=0.05))
 
 

@@ -44,7 +44,6 @@ from tsobs_ros.design.rational import (
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DesignRequest
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
-from tsobs_ros.model.uncertainty import VELOCITY_ROWS
 from tsobs_ros.model.vertices import KickCorner, kick_corners, linear_directions
 
 _NEARLY_ALL = (2.0**-20, 2.0**-10, 2.0**-4, 0.5, 0.9, 1.0 - 1e-3, 1.0 - 1e-6)
@@ -189,9 +188,9 @@ class _Problem:
         arm, half = self._request.arm, self.period / 2
         kick = identity(len(self.X))
         if self._uncertainty is not None:
-            places = linear_directions(self._uncertainty)
-            for theta, rows in zip(corner.theta, self._uncertainty.linear[places], strict=True):
-                kick[VELOCITY_ROWS, :4] += half * theta * rational(rows)
+            changes = self._uncertainty.linear[linear_directions(self._uncertainty), 0]
+            for theta, change in zip(corner.theta, changes, strict=True):
+                kick[:4, :4] += half * theta * rational(change)
         gravity = Fraction(arm.gravity_torque) / Fraction(arm.link_inertia)
         kick[LINK_VELOCITY, LINK_ANGLE] -= half * gravity * corner.slope
         return np.asarray(self._D_inverse @ kick @ self._D)

@@ -18,7 +18,7 @@ from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
-from tsobs_ros.model.uncertainty import ArmUncertainty
+from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.model.vertices import VertexSystem, linear_directions
 
 DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
@@ -107,7 +107,7 @@ class DesignRequest:
         decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
         initial_std: 1σ of [q₁, q̇₁, q₂, q̇₂] before any measurement (rad, rad/s), shape (4,).
         uncertainty: Bound on |θ| of each uncertain parameter, by its name in
-            `model.uncertainty.DIRECTIONS`: relative, or N m s/rad for a damping.
+            `model.uncertainty.ARM_DIRECTIONS`: relative, or N m s/rad for a damping.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
 
     Raises:
@@ -172,9 +172,9 @@ class DesignRequest:
         return ArmFlow(self.arm, self.disturbance_model, self.process_noise, 1.0 / self.rate)
 
     @cached_property
-    def uncertainty_model(self) -> ArmUncertainty:
+    def uncertainty_model(self) -> Uncertainty:
         """The uncertain parameters of the arm."""
-        return ArmUncertainty(self.arm, self.uncertainty)
+        return arm_uncertainty(self.arm, self.uncertainty)
 
     @property
     def period(self) -> float:

@@ -14,9 +14,9 @@ from tsobs_ros.design.request import DisturbanceTerm
 from tsobs_ros.design.ts_request import TSRequest
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.matrix_uncertainty import MatrixUncertainty
 from tsobs_ros.model.memberships import Always, Membership, membership
 from tsobs_ros.model.ts_model import TSModel
+from tsobs_ros.model.uncertainty import Uncertainty, system_uncertainty
 
 REQUEST_ENTRIES = (
     "system", "disturbance", "D_s", "process_noise", "measurement_std", "rate", "decay_rate",
@@ -83,8 +83,8 @@ def plain_request(request: TSRequest) -> dict[str, Any]:
     if request.uncertainty is not None:
         known = request.uncertainty
         plain["uncertainty"] = {
-            name: {"E": np.asarray(known.directions[name]).tolist(), "bound": bound}
-            for name, bound in zip(known.names, known.limits.tolist(), strict=True)
+            name: {"E": E.tolist(), "bound": bound}
+            for name, E, bound in zip(known.names, known.linear, known.limits.tolist(), strict=True)
         }
     return plain
 
@@ -181,7 +181,7 @@ def _disturbance(data: Mapping[str, Any], outputs: int) -> list[list[Disturbance
     return [disturbance_terms(f"disturbance[{i}]", terms) for i, terms in enumerate(channels)]
 
 
-def _uncertainty(model: TSModel, data: Any) -> MatrixUncertainty | None:
+def _uncertainty(model: TSModel, data: Any) -> Uncertainty | None:
     entries = mapping("uncertainty", data)
     if not entries:
         return None
@@ -194,7 +194,7 @@ def _uncertainty(model: TSModel, data: Any) -> MatrixUncertainty | None:
         shape = (model.rule_count, n, n) if per_rule else (n, n)
         directions[name] = numbers(f"uncertainty.{name}.E", E, shape)
         bounds[name] = number(f"uncertainty.{name}.bound", entry.get("bound"))
-    return MatrixUncertainty(model, directions, bounds)
+    return system_uncertainty(model, directions, bounds)
 
 
 def _plain_system(request: TSRequest) -> dict[str, Any]:

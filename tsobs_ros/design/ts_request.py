@@ -23,9 +23,9 @@ from tsobs_ros.design.request import DisturbanceTerm, require_no_alias
 from tsobs_ros.errors import DetectabilityError, ModelError
 from tsobs_ros.model.detectability import HiddenMode, format_mode, undetectable_modes
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
-from tsobs_ros.model.matrix_uncertainty import MatrixUncertainty
 from tsobs_ros.model.ts_flow import PairVertex, TSFlow
 from tsobs_ros.model.ts_model import TSModel
+from tsobs_ros.model.uncertainty import Uncertainty
 
 _MOST_MATRICES = 16
 """Vertex matrices; l of them make l² inequalities."""
@@ -62,7 +62,7 @@ class TSRequest:
     decay_rate: float = 0.0
     slope_vertices: Sequence[ArrayLike] = ()
     D_s: ArrayLike | None = None
-    uncertainty: MatrixUncertainty | None = None
+    uncertainty: Uncertainty | None = None
     certify_uncertainty: bool = False
     flow: TSFlow = field(init=False)
 
@@ -112,7 +112,7 @@ class TSRequest:
             )
 
     @property
-    def _directions(self) -> MatrixUncertainty:
+    def _directions(self) -> Uncertainty:
         assert self.uncertainty is not None
         return self.uncertainty
 
@@ -261,7 +261,7 @@ class TSRequest:
     def _with_uncertainty(self, matrices: Array, names: list[str]) -> tuple[Array, list[str]]:
         """Return every matrix at every corner of the box of θ."""
         uncertain = self._directions
-        changes = uncertain.matrices[:, :1] if self.slope_vertices else uncertain.matrices
+        changes = uncertain.linear[:, :1] if self.slope_vertices else uncertain.linear
         corners, labels = [], []
         for signs in product((-1.0, 1.0), repeat=uncertain.count):
             theta = signs * uncertain.limits

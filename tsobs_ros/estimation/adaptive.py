@@ -25,7 +25,8 @@ from tsobs_ros.estimation.output_model import OutputModel
 from tsobs_ros.estimation.regression import Explained, Memory, Regression, exceeds, spread_of
 from tsobs_ros.model.gap_flow import UNHEARD, narrowed, widened
 from tsobs_ros.model.products import product, transposed
-from tsobs_ros.model.sensitivity import Uncertainty, sensitivity
+from tsobs_ros.model.sensitivity import sensitivity
+from tsobs_ros.model.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True)

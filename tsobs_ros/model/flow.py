@@ -27,7 +27,7 @@ from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, Elast
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps
 from tsobs_ros.model.transition import Transition, predicted, predicted_with_covariance
-from tsobs_ros.model.uncertainty import VELOCITY_ROWS, ArmUncertainty
+from tsobs_ros.model.uncertainty import Uncertainty
 from tsobs_ros.model.vertices import (
     KickCorner,
     VertexSystem,
@@ -170,7 +170,7 @@ class ArmFlow:
         self,
         slope_min: float,
         slope_max: float,
-        uncertainty: ArmUncertainty | None = None,
+        uncertainty: Uncertainty | None = None,
         share: float = 1.0,
     ) -> list[VertexSystem]:
         """Return the vertex error systems of a nominal step, four of them without uncertainty.
@@ -199,12 +199,12 @@ class ArmFlow:
                 )
         return systems
 
-    def _kick_matrix(self, corner: KickCorner[float], uncertainty: ArmUncertainty | None) -> Array:
+    def _kick_matrix(self, corner: KickCorner[float], uncertainty: Uncertainty | None) -> Array:
         """Return the Jacobian of half a kick at one corner, shape (n, n)."""
         matrix = np.eye(self.state_count)
         if uncertainty is not None:
-            rows = uncertainty.linear[linear_directions(uncertainty)]
-            matrix[VELOCITY_ROWS, :4] += 0.5 * self.period * np.tensordot(corner.theta, rows, 1)
+            change = uncertainty.linear[linear_directions(uncertainty), 0]
+            matrix[:4, :4] += 0.5 * self.period * np.tensordot(corner.theta, change, 1)
         matrix[LINK_VELOCITY, LINK_ANGLE] -= self.nominal.half_kick * corner.slope
         return matrix
 

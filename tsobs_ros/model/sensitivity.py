@@ -15,31 +15,11 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.gap_flow import UNHEARD, GapFlow
-from tsobs_ros.model.matrix_uncertainty import MatrixUncertainty
 from tsobs_ros.model.ts_flow import TSFlow
-from tsobs_ros.model.uncertainty import ArmUncertainty
+from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
 
 _VELOCITIES = slice(LINK_VELOCITY, MOTOR_VELOCITY + 1, MOTOR_VELOCITY - LINK_VELOCITY)
 """The rows that θ acts on, as a slice: indexing by a list costs several times as much."""
-
-
-class Uncertainty(Protocol):
-    """Uncertain parameters θ of a model."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Their names, in the order of θ."""
-        ...
-
-    @property
-    def count(self) -> int:
-        """Their number k."""
-        ...
-
-    @property
-    def limits(self) -> Array:
-        """Bound of each |θ|, shape (k,)."""
-        ...
 
 
 class Sensitivity(Protocol):
@@ -68,19 +48,22 @@ class Sensitivity(Protocol):
 
 
 def sensitivity(flow: Any, uncertainty: Uncertainty) -> Sensitivity:
-    """Return the prediction that belongs to a flow and its kind of uncertainty.
+    """Return the prediction of a flow with uncertain parameters.
 
     Raises:
-        ModelError: They do not belong together.
+        ModelError: The uncertainty is of another model.
     """
-    if isinstance(flow, ArmFlow) and isinstance(uncertainty, ArmUncertainty):
-        return ArmSensitivity(flow, uncertainty)
-    if isinstance(flow, TSFlow) and isinstance(uncertainty, MatrixUncertainty):
-        return TSSensitivity(flow, uncertainty)
-    raise ModelError(
-        f"uncertainty: expected ArmUncertainty with ArmFlow or MatrixUncertainty with TSFlow, "
-        f"got {type(uncertainty).__name__} with {type(flow).__name__}"
-    )
+    kind: type[ArmSensitivity | TSSensitivity] = TSSensitivity
+    if isinstance(flow, ArmFlow):
+        kind, signals = ArmSensitivity, (1, 4, TORQUE + 1)
+    else:
+        signals = flow.deviations.shape
+    if uncertainty.directions.shape[1:] != signals:
+        raise ModelError(
+            f"uncertainty: expected directions of shape {signals} for {type(flow).__name__}, "
+            f"got {uncertainty.directions.shape[1:]}"
+        )
+    return kind(flow, uncertainty)
 
 
 class ArmSensitivity:
@@ -89,12 +72,13 @@ class ArmSensitivity:
     The kicks touch two rows of few columns, where Python's numbers cost less than NumPy's calls.
     """
 
-    def __init__(self, flow: ArmFlow, uncertainty: ArmUncertainty) -> None:
+    def __init__(self, flow: ArmFlow, uncertainty: Uncertainty) -> None:
         self._flow = flow
         self._identity = np.eye(flow.state_count)
         self._unheard = flow.state_count - UNHEARD if isinstance(flow, GapFlow) else None
         # What θ = 1 adds to both accelerations, by x, by sin x₁ and by u: one row a parameter.
-        parts = (uncertainty.linear.reshape(-1, 8), uncertainty.sine, uncertainty.torque)
+        rows = uncertainty.directions[:, 0, _VELOCITIES]
+        parts = (rows[..., :4].reshape(-1, 8), rows[..., SINE], rows[..., TORQUE])
         self._effects = np.hstack(parts)
         self._nominal = 0.5 * flow.period * self._effects
         self._nominal_rows: list[list[float]] = self._nominal.tolist()
@@ -184,10 +168,13 @@ def _kick(
 class TSSensitivity:
     """The exponential midpoint step of a T–S system with θ in what enters at its middle."""
 
-    def __init__(self, flow: TSFlow, uncertainty: MatrixUncertainty) -> None:
+    def __init__(self, flow: TSFlow, uncertainty: Uncertainty) -> None:
         self._flow = flow
-        self._uncertainty = uncertainty
-        self._plant = uncertainty.model.state_count
+        self._directions = uncertainty.directions
+        self._plant = flow.model.state_count
+        # All directions of a rule above each other, shape (r, k n, n + m).
+        turned = np.moveaxis(self._directions, 0, 1)
+        self._stacked = turned.reshape(turned.shape[0], -1, turned.shape[-1])
         self._zeros = np.zeros((flow.state_count, flow.state_count))
 
     def carry(
@@ -225,9 +212,10 @@ class TSSensitivity:
         plant = x[:n]
         local = model.weights_and_turning(plant, u)
         weights = local[0]
-        total = self._flow.deviations + np.tensordot(theta, self._uncertainty.wide, 1)
+        total = self._flow.deviations + np.tensordot(theta, self._directions, 1)
         rate, regressor, jacobian = np.zeros(x.shape), np.zeros(upsilon.shape), self._zeros.copy()
         rate[:n] = model.blended(total, plant, u, weights)
-        regressor[:n] = self._uncertainty.regressor(plant, u, weights)
+        each = model.blended(self._stacked, plant, u, weights)
+        regressor[:n] = each.reshape(len(self._directions), -1).T
         jacobian[:n, :n] = model.blended_jacobian(total, plant, u, local)
         return rate, jacobian @ upsilon + regressor, jacobian

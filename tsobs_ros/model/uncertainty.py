@@ -1,98 +1,52 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Directions in which the arm's parameters may differ from the nominal ones, by physical name.
+"""Bounded uncertainty of a model's parameters, for the arm and for any T–S system.
 
-Each direction adds θ·a(x, u) to the accelerations of link and motor, with a linear in the state,
-in sin x₁ and in the torque: ΔAᵢ = Σ θ_k E_{i,k} in T–S form.
+With parameters θ the state's derivative is ẋ(θ) = ẋ(0) + Σ_k θ_k Σᵢ hᵢ E_{k,i} s. The signals s are
+those that the derivative is linear in: [x; u] of a T–S system, and [x; sin x₁; u] of the arm, which
+is a single rule of them.
 """
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, positive
+from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
+from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
+from tsobs_ros.model.ts_model import TSModel
 
-VELOCITY_ROWS = (LINK_VELOCITY, MOTOR_VELOCITY)
-"""Every direction acts on these rows of the state derivative only."""
-
-
-def _stiffness(arm: ElasticJointArm) -> tuple[Array, Array, Array]:
-    linear = np.zeros((2, 4))
-    linear[0, 0], linear[0, 2] = -arm.stiffness / arm.link_inertia, 1.0
-    linear[1] = -arm.stiffness / arm.motor_inertia * linear[0]
-    return linear, np.zeros(2), np.zeros(2)
+SINE, TORQUE = 4, 5
+"""Columns of the arm's directions that sin x₁ and the torque meet; before them is the state."""
 
 
-def _gravity(arm: ElasticJointArm) -> tuple[Array, Array, Array]:
-    return np.zeros((2, 4)), np.array([-arm.gravity_gain, 0.0]), np.zeros(2)
-
-
-def _link_damping(arm: ElasticJointArm) -> tuple[Array, Array, Array]:
-    linear = np.zeros((2, 4))
-    linear[0, 1] = -1.0 / arm.link_inertia
-    return linear, np.zeros(2), np.zeros(2)
-
-
-def _motor_damping(arm: ElasticJointArm) -> tuple[Array, Array, Array]:
-    linear = np.zeros((2, 4))
-    linear[1, 3] = -1.0 / arm.motor_inertia
-    return linear, np.zeros(2), np.zeros(2)
-
-
-def _link_inverse_inertia(arm: ElasticJointArm) -> tuple[Array, Array, Array]:
-    linear = np.zeros((2, 4))
-    linear[0] = arm.spring_matrix[LINK_VELOCITY]
-    return linear, np.array([-arm.gravity_gain, 0.0]), np.zeros(2)
-
-
-def _motor_inverse_inertia(arm: ElasticJointArm) -> tuple[Array, Array, Array]:
-    linear = np.zeros((2, 4))
-    linear[1] = arm.spring_matrix[MOTOR_VELOCITY]
-    return linear, np.zeros(2), np.array([0.0, arm.input_matrix[MOTOR_VELOCITY, 0]])
-
-
-DIRECTIONS = {
-    "stiffness": _stiffness,
-    "gravity": _gravity,
-    "link_damping": _link_damping,
-    "motor_damping": _motor_damping,
-    "link_inverse_inertia": _link_inverse_inertia,
-    "motor_inverse_inertia": _motor_inverse_inertia,
-}
-"""Relative change of k, of mgl, of 1/J₁, of 1/J₂; added damping in N m s/rad."""
-
-
-@dataclass(frozen=True)
-class ArmUncertainty:
-    """What is uncertain about an arm, and by how much at most.
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Uncertain parameters θ of a model with n states and r rules.
 
     Attributes:
-        arm: The nominal arm.
-        bounds: |θ| at most so much, by name of the direction; relative, or N m s/rad.
+        bounds: |θ| at most so much, by name; their order is that of θ.
+        directions: E_{k,i}, shape (k, r, n, c) for c signals, of which the state is the first n.
 
     Raises:
-        ModelError: A name is unknown or a bound is not above zero.
+        ModelError: A bound is not above zero, or a direction is missing or not finite.
     """
 
-    arm: ElasticJointArm
     bounds: Mapping[str, float]
+    directions: Array
 
     def __post_init__(self) -> None:
         for name, bound in self.bounds.items():
-            if name not in DIRECTIONS:
-                raise ModelError(
-                    f"uncertain parameter: expected one of {', '.join(DIRECTIONS)}, got {name!r}"
-                )
-            positive(f"bound of uncertain parameter {name}", bound)
+            positive(f"bound of {name}", bound)
+        shape = (len(self.bounds), *np.shape(self.directions)[1:])
+        object.__setattr__(self, "directions", as_matrix("directions", self.directions, shape))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The directions, in the order of θ."""
+        """Names of the parameters, in the order of θ."""
         return tuple(self.bounds)
 
     @property
@@ -105,63 +59,106 @@ class ArmUncertainty:
         """Bound of each |θ|, shape (k,)."""
         return np.array([float(bound) for bound in self.bounds.values()])
 
-    @cached_property
+    @property
     def linear(self) -> Array:
-        """State to accelerations of link and motor for θ = 1, shape (k, 2, 4)."""
-        return self._stack(0, (2, 4))
+        """The part of the directions that meets the state, shape (k, r, n, n)."""
+        return self.directions[..., : self.directions.shape[2]]
 
-    @cached_property
-    def sine(self) -> Array:
-        """sin x₁ to accelerations, shape (k, 2)."""
-        return self._stack(1, (2,))
+    @property
+    def common(self) -> bool:
+        """Whether every direction is the same in all rules."""
+        return bool((self.directions == self.directions[:, :1]).all())
 
-    @cached_property
-    def torque(self) -> Array:
-        """Torque to accelerations, shape (k, 2)."""
-        return self._stack(2, (2,))
 
-    def regressor(self, x: Array, u: float) -> Array:
-        """Return the accelerations a(x, u) for θ = 1, one row a velocity: shape (2, k).
+def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncertainty:
+    """Return the uncertainty of an arm's physical parameters.
 
-        Args:
-            x: State in design coordinates; entries after the fourth are not used.
-            u: Torque [N m].
-        """
-        linear, sine, torque = self._by_row
-        flat = linear @ x[:4] + sine * math.sin(x[LINK_ANGLE]) + torque * u
-        return np.asarray(flat.reshape(2, -1))
+    Args:
+        arm: The nominal arm.
+        bounds: |θ| at most so much, by a name of `ARM_DIRECTIONS`: relative, or N m s/rad for a
+            damping.
 
-    def jacobian(self, x: Array, theta: Array) -> Array:
-        """Return d(accelerations)/dx for given θ, shape (2, 4)."""
-        rows = (theta @ self.linear.reshape(-1, 8)).reshape(2, 4)
-        rows[:, LINK_ANGLE] += theta @ self.sine * math.cos(x[LINK_ANGLE])
-        return np.asarray(rows)
+    Raises:
+        ModelError: A name is unknown or a bound is not above zero.
 
-    @cached_property
-    def _by_row(self) -> tuple[Array, Array, Array]:
-        """Linear, sine and torque parts, the link's row of each θ first, then the motor's."""
-        linear = np.ascontiguousarray(np.swapaxes(self.linear, 0, 1)).reshape(-1, 4)
-        return linear, self.sine.T.ravel(), self.torque.T.ravel()
+    >>> arm_uncertainty(ElasticJointArm(), {"stiffness": 0.2}).names
+    ('stiffness',)
+    """
+    for name in bounds:
+        if name not in ARM_DIRECTIONS:
+            raise ModelError(
+                f"uncertainty: expected some of {', '.join(ARM_DIRECTIONS)}, got {name!r}"
+            )
+    directions = np.zeros((len(bounds), 1, 4, TORQUE + 1))
+    for name, direction in zip(bounds, directions, strict=True):
+        ARM_DIRECTIONS[name](arm, direction[0])
+    return Uncertainty(bounds, directions)
 
-    def arm_with(self, theta: Sequence[float]) -> ElasticJointArm:
-        """Return the physical arm that θ describes, for people to read.
 
-        Raises:
-            ModelError: θ describes an impossible arm, such as one of negative stiffness.
-        """
-        change = dict(zip(self.names, theta, strict=True))
-        arm = self.arm
-        link = 1.0 / (1.0 + change.get("link_inverse_inertia", 0.0))
-        motor = 1.0 / (1.0 + change.get("motor_inverse_inertia", 0.0))
-        return ElasticJointArm(
-            link_inertia=arm.link_inertia * link,
-            motor_inertia=arm.motor_inertia * motor,
-            stiffness=arm.stiffness * (1.0 + change.get("stiffness", 0.0)),
-            gravity_torque=arm.gravity_torque * (1.0 + change.get("gravity", 0.0)),
-            link_damping=arm.link_damping + change.get("link_damping", 0.0),
-            motor_damping=arm.motor_damping + change.get("motor_damping", 0.0),
+def system_uncertainty(
+    model: TSModel, directions: Mapping[str, ArrayLike], bounds: Mapping[str, float]
+) -> Uncertainty:
+    """Return the uncertainty of a T–S system's state matrices, Aᵢ + Σ θ_k E_{k,i}.
+
+    Args:
+        model: The nominal system.
+        directions: E_{k,i} by name, shape (r, n, n); one (n, n) serves every rule.
+        bounds: |θ| at most so much, by the same names.
+
+    Raises:
+        ModelError: The names differ, a direction is zero or of the wrong shape, or a bound is not
+            above zero.
+    """
+    if set(directions) != set(bounds):
+        raise ModelError(
+            f"uncertainty: expected a bound for each of {', '.join(directions) or 'none'}, "
+            f"got {', '.join(bounds) or 'none'}"
         )
+    rules, n = model.rule_count, model.state_count
+    stack = np.zeros((len(bounds), rules, n, n + model.input_count))
+    for name, placed in zip(bounds, stack, strict=True):
+        shape = (n, n) if np.ndim(directions[name]) == 2 else (rules, n, n)
+        matrix = as_matrix(f"direction of {name}", directions[name], shape)
+        if not matrix.any():
+            raise ModelError(f"direction of {name}: expected a matrix other than zero")
+        placed[..., :n] = matrix
+    return Uncertainty(bounds, stack)
 
-    def _stack(self, part: int, shape: tuple[int, ...]) -> Array:
-        parts = [DIRECTIONS[name](self.arm)[part] for name in self.bounds]
-        return np.array(parts, dtype=np.float64).reshape(len(parts), *shape)
+
+def _stiffness(arm: ElasticJointArm, E: Array) -> None:
+    E[LINK_VELOCITY, [0, 2]] = -arm.stiffness / arm.link_inertia, 1.0
+    E[MOTOR_VELOCITY, :4] = -arm.stiffness / arm.motor_inertia * E[LINK_VELOCITY, :4]
+
+
+def _gravity(arm: ElasticJointArm, E: Array) -> None:
+    E[LINK_VELOCITY, SINE] = -arm.gravity_gain
+
+
+def _link_damping(arm: ElasticJointArm, E: Array) -> None:
+    E[LINK_VELOCITY, LINK_VELOCITY] = -1.0 / arm.link_inertia
+
+
+def _motor_damping(arm: ElasticJointArm, E: Array) -> None:
+    E[MOTOR_VELOCITY, MOTOR_VELOCITY] = -1.0 / arm.motor_inertia
+
+
+def _link_inverse_inertia(arm: ElasticJointArm, E: Array) -> None:
+    E[LINK_VELOCITY, :4] = arm.spring_matrix[LINK_VELOCITY]
+    E[LINK_VELOCITY, SINE] = -arm.gravity_gain
+
+
+def _motor_inverse_inertia(arm: ElasticJointArm, E: Array) -> None:
+    E[MOTOR_VELOCITY, :4] = arm.spring_matrix[MOTOR_VELOCITY]
+    E[MOTOR_VELOCITY, TORQUE] = arm.input_matrix[MOTOR_VELOCITY, 0]
+
+
+ARM_DIRECTIONS: Mapping[str, Callable[[ElasticJointArm, Array], None]] = {
+    "stiffness": _stiffness,
+    "gravity": _gravity,
+    "link_damping": _link_damping,
+    "motor_damping": _motor_damping,
+    "link_inverse_inertia": _link_inverse_inertia,
+    "motor_inverse_inertia": _motor_inverse_inertia,
+}
+"""What fills the arm's direction, shape (4, 6), for a relative change of k, of mgl, of 1/J₁ and of
+1/J₂, and for added damping [N m s/rad]."""

@@ -14,11 +14,11 @@ from typing import Generic, NamedTuple, TypeVar
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.uncertainty import ArmUncertainty
+from tsobs_ros.model.uncertainty import SINE, Uncertainty
 
 Number = TypeVar("Number", float, Fraction)
 
-_MOST_DIRECTIONS = 3
+_MAX_DIRECTIONS = 3
 """Uncertain directions besides gravity: k of them make 4·4^k vertices."""
 
 
@@ -50,16 +50,16 @@ class VertexSystem(NamedTuple):
     where: str
 
 
-def linear_directions(uncertainty: ArmUncertainty) -> list[int]:
+def linear_directions(uncertainty: Uncertainty) -> list[int]:
     """Return the places of the directions that act on the state linearly, all but gravity.
 
     Raises:
         ModelError: They are too many for a proof by vertices.
     """
     places = [k for k in range(uncertainty.count) if uncertainty.linear[k].any()]
-    if len(places) > _MOST_DIRECTIONS:
+    if len(places) > _MAX_DIRECTIONS:
         raise ModelError(
-            f"certify_uncertainty: expected at most {_MOST_DIRECTIONS} uncertain parameters "
+            f"certify_uncertainty: expected at most {_MAX_DIRECTIONS} uncertain parameters "
             f"besides gravity, got {', '.join(uncertainty.names[k] for k in places)}"
         )
     return places
@@ -67,7 +67,7 @@ def linear_directions(uncertainty: ArmUncertainty) -> list[int]:
 
 def kick_corners(
     slopes: tuple[Number, Number],
-    uncertainty: ArmUncertainty | None,
+    uncertainty: Uncertainty | None,
     bounds: Sequence[Number] = (),
 ) -> Iterator[KickCorner[Number]]:
     """Yield the corners of half a kick; of those on one line only its two ends.
@@ -85,7 +85,7 @@ def kick_corners(
         return
     linear = linear_directions(uncertainty)
     # A direction that scales gravity adds θ c to the slope; no direction kicks the motor by it.
-    pulls = [bool(uncertainty.sine[k].any()) for k in range(uncertainty.count)]
+    pulls = [bool(uncertainty.directions[k, ..., SINE].any()) for k in range(uncertainty.count)]
     free = [bounds[k] for k in range(uncertainty.count) if k not in linear and pulls[k]]
     for signs in product((-1, 1), repeat=len(linear)):
         theta = tuple(sign * bounds[k] for sign, k in zip(signs, linear, strict=True))
@@ -100,7 +100,7 @@ def kick_corners(
 
 
 def describe(
-    first: KickCorner[float], second: KickCorner[float], uncertainty: ArmUncertainty | None
+    first: KickCorner[float], second: KickCorner[float], uncertainty: Uncertainty | None
 ) -> str:
     """Return a vertex in words, e.g. "slopes (0.7317, 1), stiffness (-0.2, 0.2)"."""
     parts = [f"slopes ({first.slope:.4g}, {second.slope:.4g})"]
