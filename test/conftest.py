@@ -9,7 +9,7 @@
 ``ros_process`` starts an executable of this package, or any command, on that domain::
 
     process = ros_process("observer", parameters={"rate": 50.0})
-    process.wait_for_line("parameters:")
+    process.wait_for_line("certificate holds")
     process.signal(signal.SIGTERM)
     assert process.finish().exit_code == 0
 

@@ -32,7 +32,6 @@ def run(name: str) -> int:
     try:
         module = import_module(f"tsobs_ros.nodes.{name}")
         runtime = import_module("tsobs_ros.nodes.runtime")
-        guard = import_module("tsobs_ros.nodes.exit_guard")
     except ModuleNotFoundError as error:
         advice = missing_library(error)
         if advice is None:
@@ -43,7 +42,7 @@ def run(name: str) -> int:
     stop.install()
     exit_code: int = runtime.run(module.create, stop=stop)
     stop.ignore_further()
-    guard.arm(_FINALISE_TIMEOUT, exit_code)
+    runtime.limit_time_left(_FINALISE_TIMEOUT)
     return exit_code
 
 

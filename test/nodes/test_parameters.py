@@ -13,7 +13,8 @@ from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.nodes.parameters import ParameterBinding, parameter, parameter_group
+from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
+from tsobs_ros.nodes.parameters import parameter, parameter_group
 
 TYPE = Parameter.Type
 
@@ -24,7 +25,7 @@ class Excitation:
 
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(ManagedParameters):
     rate: float = parameter(
         200.0, "Publish rate", unit="Hz", minimum=1.0, maximum=2000.0, read_only=True
     )
@@ -45,15 +46,23 @@ class Parameters:
 
 @pytest.fixture
 def make(ros):
-    """Bind Parameters to a new node with the given overrides."""
+    """Make a node of Parameters with the given overrides, which notes accepted changes."""
 
-    def bind(overrides=None, on_change=None) -> tuple[Node, ParameterBinding[Parameters]]:
+    class Tuned(ManagedNode[Parameters]):
+        def __init__(self, **node_kwargs) -> None:
+            self.changes: list[Parameters] = []
+            super().__init__("parametrised", Parameters, **node_kwargs)
+            self.start()
+
+        def retune(self, parameters: Parameters) -> None:
+            self.changes.append(parameters)
+
+    def bind(overrides=None) -> Tuned:
         given = [
             value if isinstance(value, Parameter) else Parameter(name, value=value)
             for name, value in (overrides or {}).items()
         ]
-        node = ros.node("parametrised", parameter_overrides=given)
-        return node, ParameterBinding(node, Parameters, on_change=on_change)
+        return ros.add(Tuned(context=ros.context, parameter_overrides=given))
 
     return bind
 
@@ -64,20 +73,20 @@ def set_one(node: Node, name: str, value, type_=None):
 
 
 def test_defaults_are_declared_and_bound(make) -> None:
-    node, binding = make()
+    node = make()
 
-    assert binding.value == Parameters()
+    assert node.parameters == Parameters()
     assert node.get_parameter("excitation.amplitude").value == 1.0
     assert list(node.get_parameter("topics").value) == []
     assert node.get_parameter("topics").type_ is TYPE.STRING_ARRAY
 
 
 def test_overrides_replace_defaults(make) -> None:
-    node, binding = make({"kind": "bias_step", "topics": ["/a"], "excitation.amplitude": 3.5})
+    node = make({"kind": "bias_step", "topics": ["/a"], "excitation.amplitude": 3.5})
 
-    assert binding.value.kind == "bias_step"
-    assert binding.value.topics == ("/a",)
-    assert binding.value.excitation.amplitude == 3.5
+    assert node.parameters.kind == "bias_step"
+    assert node.parameters.topics == ("/a",)
+    assert node.parameters.excitation.amplitude == 3.5
     assert node.get_parameter("kind").value == "bias_step"
 
 
@@ -91,9 +100,9 @@ def test_overrides_replace_defaults(make) -> None:
     ],
 )
 def test_overrides_are_converted(make, name: str, given, expected) -> None:
-    node, binding = make({name: given})
+    node = make({name: given})
 
-    assert getattr(binding.value, name) == expected
+    assert getattr(node.parameters, name) == expected
     assert node.get_parameter(name).type_ in (TYPE.DOUBLE, TYPE.DOUBLE_ARRAY)
 
 
@@ -132,61 +141,58 @@ def test_a_bad_override_is_refused_at_start(make, name: str, value, message: str
     [case for case in REFUSED if case[0] not in ("rate", "topics")],
 )
 def test_a_bad_set_is_refused_with_the_reason(make, name: str, value, message: str) -> None:
-    changes: list[Parameters] = []
-    node, binding = make(on_change=changes.append)
+    node = make()
 
     result = set_one(node, name, value)
 
     assert not result.successful
     assert re.search(message, result.reason)
-    assert binding.value == Parameters()
-    assert changes == []
+    assert node.parameters == Parameters()
+    assert node.changes == []
 
 
 def test_a_value_without_type_is_refused(make) -> None:
-    node, binding = make()
+    node = make()
 
     assert "got nothing" in set_one(node, "upper", None).reason
-    assert node.get_parameter("upper").value == binding.value.upper == 1.0
+    assert node.get_parameter("upper").value == node.parameters.upper == 1.0
 
 
 def test_an_accepted_set_is_announced_after_it_took_effect(make) -> None:
-    seen: list[tuple[float, float, Parameters]] = []
+    seen: list[tuple[float, float, float]] = []
+    node = make()
+    node.retune = lambda new: seen.append(
+        (node.get_parameter("upper").value, node.parameters.upper, new.upper)
+    )
 
-    def record(value: Parameters) -> None:
-        seen.append((node.get_parameter("upper").value, binding.value.upper, value))
-
-    node, binding = make(on_change=record)
     assert set_one(node, "upper", 5).successful
 
-    assert [(stored, cached, new.upper) for stored, cached, new in seen] == [(5.0, 5.0, 5.0)]
+    assert seen == [(5.0, 5.0, 5.0)]
     assert node.get_parameter("upper").type_ is TYPE.DOUBLE
 
 
 def test_setting_the_same_value_is_no_change(make) -> None:
-    changes: list[Parameters] = []
-    node, binding = make(on_change=changes.append)
-    before = binding.value
+    node = make()
+    before = node.parameters
 
     assert set_one(node, "upper", 1).successful
 
-    assert binding.value is before
-    assert changes == []
+    assert node.parameters is before
+    assert node.changes == []
 
 
 def test_a_read_only_parameter_keeps_its_value(make) -> None:
-    node, binding = make()
+    node = make()
 
     for name, value in (("rate", 100.0), ("topics", ["/a"])):
         result = set_one(node, name, value)
         assert not result.successful
         assert name in result.reason
-    assert binding.value == Parameters()
+    assert node.parameters == Parameters()
 
 
 def test_an_atomic_set_is_checked_as_a_whole(make) -> None:
-    changes: list[Parameters] = []
-    node, binding = make(on_change=changes.append)
+    node = make()
 
     # Neither order of single sets would pass: 2 is above the old upper end.
     result = node.set_parameters_atomically(
@@ -194,12 +200,12 @@ def test_an_atomic_set_is_checked_as_a_whole(make) -> None:
     )
 
     assert result.successful
-    assert (binding.value.lower, binding.value.upper) == (2.0, 3.0)
-    assert len(changes) == 1
+    assert (node.parameters.lower, node.parameters.upper) == (2.0, 3.0)
+    assert len(node.changes) == 1
 
 
 def test_an_atomic_set_changes_all_or_nothing(make) -> None:
-    node, binding = make()
+    node = make()
 
     result = node.set_parameters_atomically(
         [Parameter("upper", value=3), Parameter("depth", value=0)]
@@ -207,11 +213,11 @@ def test_an_atomic_set_changes_all_or_nothing(make) -> None:
 
     assert not result.successful
     assert "'depth' must be at least 1" in result.reason
-    assert node.get_parameter("upper").value == binding.value.upper == 1.0
+    assert node.get_parameter("upper").value == node.parameters.upper == 1.0
 
 
 def test_descriptors_tell_clients_what_is_allowed(make) -> None:
-    node, _ = make()
+    node = make()
 
     rate = node.describe_parameter("rate")
     assert rate.description == "Publish rate [Hz]"
@@ -235,18 +241,25 @@ def test_unknown_overrides_are_named_in_one_warning(make, capfd) -> None:
     assert "ignored unknown parameters: 'colour', 'rat' (did you mean 'rate'?)" in logged
 
 
-def test_effective_values_are_logged_once(make, capfd) -> None:
-    make({"rate": 100})
+def test_values_other_than_default_are_logged_once(make, capfd) -> None:
+    make({"rate": 100, "depth": 10})
 
     logged = capfd.readouterr().err
-    assert logged.count("parameters:") == 1
-    assert "rate=100.0 Hz" in logged
-    assert "excitation.amplitude=1.0 N m" in logged
-    assert "[WARN]" not in logged
+    assert logged.count("\n") == 1
+    assert "[INFO]" in logged
+    assert logged.endswith("parameters other than default: rate=100.0 Hz\n")
+
+
+def test_all_values_are_logged_for_debugging(ros_process) -> None:
+    process = ros_process("observer", arguments=["--ros-args", "--log-level", "observer:=debug"])
+
+    line = process.wait_for_line("parameters: ")
+    assert "[DEBUG]" in line
+    assert "rate=200.0 Hz, publish_on='tick'" in line
 
 
 def test_remote_clients_set_integers_and_read_reasons(ros, make) -> None:
-    _, binding = make()
+    node = make()
     other = ros.node("client")
     client = AsyncParameterClient(other, "parametrised")
     ros.spin_until(client.services_are_ready, what="the parameter services")
@@ -256,8 +269,8 @@ def test_remote_clients_set_integers_and_read_reasons(ros, make) -> None:
     )
     ros.spin_until(future.done, what="the first answer")
     assert [result.successful for result in future.result().results] == [True, True]
-    assert binding.value.excitation.amplitude == 3.0
-    assert binding.value.gains == (5.0, 6.0)
+    assert node.parameters.excitation.amplitude == 3.0
+    assert node.parameters.gains == (5.0, 6.0)
 
     future = client.set_parameters_atomically(
         [Parameter("upper", value=9), Parameter("kind", value="loud")]
@@ -265,13 +278,13 @@ def test_remote_clients_set_integers_and_read_reasons(ros, make) -> None:
     ros.spin_until(future.done, what="the second answer")
     answer: SetParametersAtomically.Response = future.result()
     assert answer.result.reason == "parameter 'kind' must be one of none, bias_step; got 'loud'"
-    assert binding.value.upper == 1.0
+    assert node.parameters.upper == 1.0
 
 
 def test_a_field_that_is_no_parameter_is_a_programming_error(ros) -> None:
     @dataclass(frozen=True)
-    class Wrong:
+    class Wrong(ManagedParameters):
         table: bytes = parameter(b"", "Not a ROS type")
 
     with pytest.raises(TypeError, match=r"Wrong\.table: .* is not a parameter"):
-        ParameterBinding(ros.node("wrong"), Wrong)
+        ManagedNode("wrong", Wrong, context=ros.context)

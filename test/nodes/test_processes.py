@@ -15,7 +15,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.nodes.stamps import to_nanoseconds
+from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.resources import config_path
 
 SHIPPED = config_path("elastic_joint.design.yaml")

@@ -1,52 +1,43 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Ticks are the executor's or the runtime's, never both, and arrivals are served between them."""
+"""Ticks are the executor's or the runtime's, never both."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState
 
-from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.ticker import Ticker
 
 PERIOD = 0.005
-MANY_PERIODS = 20
 
 
 class Bench:
-    """A ticker with arrivals, and somebody who sends them."""
+    """A ticker, and a clock of executor turns beside it."""
 
     def __init__(self, ros: Any) -> None:
         self.ros = ros
-        self.ticks = 0
-        self.arrived: list[float] = []
+        self.ticks = self.turns = 0
         node = ros.node("ticking")
-        self.subscription = DrainedSubscription(
-            node, JointState, "joints", QoSProfile(depth=10), on_arrival=self._on_arrival
-        )
-        self.ticker = Ticker(node, PERIOD, self._on_tick, self.subscription)
-        self._publisher = node.create_publisher(JointState, "joints", 10)
-        ros.spin_until(lambda: self.subscription.publisher_count == 1, what="the match")
+        self.ticker = Ticker(node, PERIOD, self._on_tick)
+        node.create_timer(PERIOD, self._on_turn)
 
     def _on_tick(self) -> None:
         self.ticks += 1
 
-    def _on_arrival(self) -> None:
-        self.arrived += [each.message.position[0] for each in self.subscription.drain()]
+    def _on_turn(self) -> None:
+        self.turns += 1
 
-    def send(self, value: float) -> None:
-        self._publisher.publish(JointState(position=[value]))
+    def ticks_of_the_executor(self) -> int:
+        """Return how often the executor ticks in twenty periods."""
+        ticks, turns = self.ticks, self.turns
+        self.ros.spin_until(lambda: self.turns >= turns + 20)
+        return self.ticks - ticks
 
-    def run(self, done: Callable[[], bool]) -> None:
-        """Do what the runtime does once it has taken the ticks over."""
-        for _ in range(2000):
-            if done():
-                return
-            self.ticker.rest(self.ticker.run_if_due() * 1e-9)
-        raise AssertionError("it did not happen")
+    def take_over_until(self, ticks: int) -> None:
+        """Do what the runtime does, without its sleep."""
+        self.ticker.take_over()
+        while self.ticks < ticks:
+            assert 0 <= self.ticker.run_if_due() <= PERIOD * 1e9
 
 
 @pytest.fixture
@@ -54,56 +45,29 @@ def bench(ros: Any) -> Bench:
     return Bench(ros)
 
 
-def test_before_the_start_nothing_ticks_and_nothing_arrives(bench: Bench) -> None:
-    bench.send(1.0)
-    other = bench.ros.node("other")
-    turns = []
-    other.create_timer(PERIOD, lambda: turns.append(None))
-    bench.ros.spin_until(lambda: len(turns) > MANY_PERIODS)
-    assert (bench.ticks, bench.arrived) == (0, [])
+def test_only_a_started_ticker_ticks(bench: Bench) -> None:
+    assert bench.ticks_of_the_executor() == 0
     assert not bench.ticker.may_be_taken_over
-
-
-def test_an_executor_ticks_and_serves_arrivals(bench: Bench) -> None:
     bench.ticker.start()
-    bench.send(1.0)
-    bench.send(2.0)
-    bench.ros.spin_until(lambda: bench.ticks > 3 and bench.arrived == [1.0, 2.0])
+    assert bench.ticker.may_be_taken_over
+    assert bench.ticks_of_the_executor() > 3
+    bench.ticker.stop()
+    assert bench.ticks_of_the_executor() == 0
 
 
-def test_taken_over_the_runtime_ticks_and_serves_and_the_executor_does_not(bench: Bench) -> None:
+def test_taken_over_ticks_are_not_the_executors(bench: Bench) -> None:
     bench.ticker.start()
-    bench.ticker.take_over()
-    bench.send(1.0)
-    bench.run(lambda: bench.ticks > 3 and bench.arrived == [1.0])
-    ticks = bench.ticks
-    bench.send(2.0)
-    for _ in range(10):
-        bench.ros.executor.spin_once(timeout_sec=PERIOD)
-    assert (bench.ticks, bench.arrived) == (ticks, [1.0])
+    bench.take_over_until(5)
+    assert bench.ticks_of_the_executor() == 0
     bench.ticker.give_back()
-    bench.ros.spin_until(lambda: bench.ticks > ticks + 3 and bench.arrived == [1.0, 2.0])
+    assert bench.ticks_of_the_executor() > 3
 
 
-def test_a_tick_that_is_to_be_skipped_is_however_often_that_is_said(bench: Bench) -> None:
+def test_a_stop_ends_ticks_that_were_taken_over(bench: Bench) -> None:
     bench.ticker.start()
-    bench.ticker.take_over()
-    bench.ticker.run_if_due()
-    for _ in range(5):
-        bench.ticker.skip_next()
-    # The next tick but one is less than two periods away, and not the fifth.
-    assert PERIOD < bench.ticker.run_if_due() * 1e-9 <= 2 * PERIOD
-    assert bench.ticks == 1
-
-
-def test_a_stop_ends_the_ticks_until_the_next_start(bench: Bench) -> None:
-    bench.ticker.start()
-    bench.ticker.take_over()
-    bench.run(lambda: bench.ticks == 1)
+    bench.take_over_until(1)
     bench.ticker.stop()
     bench.ticker.give_back()
-    for _ in range(10):
-        bench.ros.executor.spin_once(timeout_sec=PERIOD)
-    assert bench.ticks == 1
+    assert bench.ticks_of_the_executor() == 0
     bench.ticker.start()
-    bench.ros.spin_until(lambda: bench.ticks > 3)
+    assert bench.ticks_of_the_executor() > 3

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.nodes.stamps import to_nanoseconds
+from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 BEGIN = 100 * NANOSECONDS

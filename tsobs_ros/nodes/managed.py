@@ -1,8 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle nodes that `ros2 run` alone brings to work, and a lifecycle manager can drive as well.
+"""Lifecycle nodes that work with `ros2 run` alone, and under a lifecycle manager as well.
 
-A node says what it acquires, and nothing of how that is released::
+A node states what it acquires, and nothing of how that is released::
 
     @dataclass(frozen=True)
     class EchoParameters(ManagedParameters):
@@ -23,11 +23,11 @@ A node says what it acquires, and nothing of how that is released::
             if self.active:
                 self._publisher.publish(message)
 
-Whatever publishers, subscriptions, services, clients and timers come into being from `configure`
-on are destroyed by the clean-up, also those of a `configure` that failed half-way. rclpy's
-lifecycle stops only lifecycle publishers, so callbacks ask `active` before they work.
+The clean-up destroys all publishers, subscriptions, services, clients and timers made since
+`configure` began, also those of a `configure` that failed half-way. rclpy's lifecycle stops only
+lifecycle publishers, so callbacks check `active` before they work.
 
-Transitions that fail with a TsobsError say so in the log and leave the node in the state it came
+A transition that fails with a TsobsError logs one line and leaves the node in the state it came
 from; only a clean-up, after which nothing is left to go back to, ends unconfigured all the same.
 Any other exception is a bug: it is logged with its traceback, and the node is cleaned up and
 unconfigured.
@@ -36,16 +36,16 @@ unconfigured.
 import math
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from lifecycle_msgs.srv import ChangeState
 from rclpy.exceptions import NameValidationException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.time_source import TimeSource
+from std_srvs.srv import Trigger
 
 from tsobs_ros.errors import TsobsError
 from tsobs_ros.nodes.parameters import ParameterBinding, parameter
@@ -56,10 +56,13 @@ _FAREWELL = 0.5
 # What a user can mend; the second comes of a joint or a topic that ROS cannot name.
 _EXPECTED = (TsobsError, NameValidationException)
 
+Answer = Callable[[], tuple[bool, str]]
+"""The work of a Trigger service; returns its success and a message."""
+
 
 @dataclass(frozen=True)
 class ManagedParameters:
-    """The parameters of every managed node; their own come after in a subclass."""
+    """The parameters of every managed node; a subclass adds those of one."""
 
     autostart: bool = parameter(
         True, "Configure and activate at start, without a lifecycle manager", read_only=True
@@ -81,8 +84,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         **node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
 
     Attributes:
-        ticker: Set by `configure` where the runtime shall make the node's ticks; None again after
-            the clean-up.
+        ticker: Ticks for `runtime.run` to make, set by `configure`; None after the clean-up.
 
     Raises:
         ParameterError: A parameter has a wrong type or value.
@@ -91,12 +93,12 @@ class ManagedNode(LifecycleNode, Generic[P]):
     ticker: Ticking | None = None
 
     def __init__(self, name: str, schema: type[P], **node_kwargs: Any) -> None:
-        super().__init__(name, **node_kwargs)
+        super().__init__(name, automatically_declare_parameters_from_overrides=True, **node_kwargs)
         self._acquired: ExitStack | None = None
         self._active = False
         self._finalized_at = math.inf
         self._failure: Exception | None = None
-        self._raises = False
+        self._starting = False
         self._refuse_impossible_transitions()
         try:
             self._binding = ParameterBinding(self, schema, on_change=self._retune)
@@ -108,7 +110,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         """Acquire what work needs: files, publishers, subscriptions, services, timers."""
 
     def activate(self) -> None:
-        """Begin to work, or go on; `active` is true from the return on."""
+        """Start to work, or go on; `active` is true from the return on."""
 
     def deactivate(self) -> None:
         """Stop working and keep everything; `active` is already false."""
@@ -117,7 +119,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         """Finish what `configure` began; called before anything is released."""
 
     def retune(self, parameters: P) -> None:
-        """Take over parameters that were changed while configured; `configure` reads them anew."""
+        """Take over parameters that were changed while the node is configured."""
 
     @property
     def parameters(self) -> P:
@@ -131,7 +133,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     @property
     def active(self) -> bool:
-        """Whether the node shall work."""
+        """Whether the node works."""
         return self._active
 
     @property
@@ -144,13 +146,25 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
         Args:
             callback: Releases something acquired by or after `configure`.
-            *args: What to call it with.
+            *args: Its arguments.
         """
         assert self._acquired is not None, "nothing is cleaned up before it is configured"
         self._acquired.callback(callback, *args)
 
+    def offer_triggers(self, answers: Mapping[str, Answer]) -> None:
+        """Offer std_srvs/Trigger services below the node's name, each with its work."""
+        for name, answer in answers.items():
+
+            def callback(
+                _: Trigger.Request, response: Trigger.Response, answer: Answer = answer
+            ) -> Trigger.Response:
+                response.success, response.message = answer()
+                return response
+
+            self.create_service(Trigger, f"~/{name}", callback)
+
     def start(self) -> None:
-        """Configure and activate if `autostart` says so; last in a subclass's constructor.
+        """Configure and activate if `autostart` is true; last in a subclass's constructor.
 
         Raises:
             Exception: Whatever `configure` or `activate` raised; the node is destroyed.
@@ -158,7 +172,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         if not self.parameters.autostart:
             self.get_logger().info("unconfigured: waiting for lifecycle transitions")
             return
-        self._raises = True
+        self._starting = True
         try:
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() != TransitionCallbackReturn.SUCCESS:
@@ -168,7 +182,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.destroy_node()
             raise
         finally:
-            self._raises = False
+            self._starting = False
             self._failure = None
 
     def close(self) -> None:
@@ -187,7 +201,18 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.close()
         finally:
             super().destroy_node()
-            self._state_machine.destroy_when_not_in_use()  # it would keep the node's handle alive
+
+    def declare_parameters(
+        self, namespace: str, parameters: list[Any], ignore_override: bool = False
+    ) -> list[Any]:
+        """Declare parameters; rclpy's constructor does so with the overrides.
+
+        It hands `name: []` over without a value, and refuses to declare that with a fixed type.
+        """
+        for _, value, descriptor in (each for each in parameters if len(each) == 3):
+            descriptor.dynamic_typing = descriptor.dynamic_typing or value is None
+        declared: list[Any] = super().declare_parameters(namespace, parameters, ignore_override)
+        return declared
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer rclpy's lifecycle."""
@@ -251,7 +276,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
                     self._acquired = self.ticker = None
 
     def _entities(self) -> Iterator[tuple[Any, Callable[[Any], object]]]:
-        """Yield what the node owns in ROS, and how to destroy it."""
+        """Yield the node's entities in ROS, each with the function that destroys it."""
         for entities, destroy in (
             (self.timers, self.destroy_timer),
             (self.subscriptions, self.destroy_subscription),
@@ -274,12 +299,12 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.retune(parameters)
 
     def _attempt(self, what: str, step: Callable[[], None]) -> TransitionCallbackReturn:
-        """Take a step; say why it failed, unless whoever asked for it is going to."""
+        """Take a step; log why it failed, unless `start` is going to raise it."""
         try:
             step()
         except Exception as error:
             expected = isinstance(error, _EXPECTED)
-            if self._raises:
+            if self._starting:
                 self._failure = self._failure or error
             else:
                 reason = str(error) if expected else traceback.format_exc()
@@ -295,7 +320,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         def change_state_if_possible(request: Any, response: Any) -> Any:
             try:
                 return change_state(request, response)
-            except rclpy_implementation.RCLError:
+            except RuntimeError:  # rcl's, as no step of ours lets one pass
                 response.success = False
                 return response
 

@@ -1,41 +1,38 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters from frozen dataclasses: declared, validated, atomically changed, cached.
+"""ROS parameters as frozen dataclasses: declared, validated, atomically changed, cached.
 
 A node describes its parameters once, as a frozen dataclass, and reads them as plain attributes::
-
-    @dataclass(frozen=True)
-    class ExcitationParameters:
-        amplitude: float = parameter(1.0, "Torque amplitude", unit="N m", minimum=0.0)
 
     @dataclass(frozen=True)
     class SimulatorParameters:
         rate: float = parameter(200.0, "Publish rate", unit="Hz", minimum=1.0, read_only=True)
         kind: str = parameter("none", "Disturbance kind", choices=("none", "bias_step"))
-        excitation: ExcitationParameters = parameter_group(ExcitationParameters)
+        bias_step: BiasStep = parameter_group(
+            BiasStep, amplitude=parameter(0.1, "Bias", unit="rad"), start=parameter(0.0, "Start")
+        )
 
     binding = ParameterBinding(node, SimulatorParameters, on_change=self._apply)
-    binding.value.excitation.amplitude     # the ROS parameter "excitation.amplitude"
+    binding.value.bias_step.amplitude     # the ROS parameter "bias_step.amplitude"
 
-A ``__post_init__`` that raises ParameterError validates fields against each other; it sees every
-proposed set as a whole.
+A ``__post_init__`` that raises ParameterError or ModelError validates fields against each other; it
+sees every proposed set as a whole.
 
-Integers for doubles: users write ``gain: 3`` and ``ros2 param set … 3``. Declaring with
-``dynamic_typing`` would let them in, but then ``describe`` reports whatever type came last and
-``get`` returns an integer where a double is documented. Parameters are therefore statically typed,
-and integers become doubles before rclpy compares the types: overrides on their way into the
-declaration, sets in a pre-set callback. A value that cannot be converted is replaced there by a
-stand-in of the right type that carries the reason, since only an on-set callback may refuse and
-give one; otherwise clients would read "Wrong parameter type" without a name.
+Integers for doubles: users write ``gain: 3`` and ``ros2 param set … 3``. With ``dynamic_typing``
+``describe`` would report the type that came last and ``get`` would return an integer for a double.
+Parameters are therefore statically typed, and integers become doubles before rclpy compares the
+types: overrides before their declaration, sets in a pre-set callback. A value that cannot be
+converted is replaced there by a stand-in of the right type that carries the reason, since only an
+on-set callback may refuse with one.
 """
 
 import difflib
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import field, fields, is_dataclass
-from typing import Any, Generic, TypeVar, get_type_hints
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import Field, field, fields, is_dataclass
+from typing import Any, Generic, NamedTuple, TypeVar, get_type_hints
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -46,14 +43,12 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tsobs_ros.errors import ParameterError
-from tsobs_ros.nodes.parameter_values import TYPES, Entry, Spec, convert, shown
+from tsobs_ros.errors import ModelError, ParameterError
 
 T = TypeVar("T")
 P = TypeVar("P")
 
 _METADATA_KEY = "tsobs_ros.parameter"
-_SEPARATOR = "."
 _INT64_MAX = 2**63 - 1
 
 # Declared by rclpy or rcl on behalf of every node, so never "unknown".
@@ -61,10 +56,57 @@ _FOREIGN_PREFIXES = ("qos_overrides.",)
 _FOREIGN_NAMES = ("use_sim_time", "start_type_description_service")
 
 
+class _Type(NamedTuple):
+    """The ROS parameter type of a Python annotation, its element and its name for users."""
+
+    ros: Parameter.Type
+    element: type
+    is_array: bool
+    wording: str
+
+
+_TYPES: dict[Any, _Type] = {
+    bool: _Type(Parameter.Type.BOOL, bool, False, "true or false"),
+    int: _Type(Parameter.Type.INTEGER, int, False, "an integer"),
+    float: _Type(Parameter.Type.DOUBLE, float, False, "a number"),
+    str: _Type(Parameter.Type.STRING, str, False, "a string"),
+    tuple[int, ...]: _Type(Parameter.Type.INTEGER_ARRAY, int, True, "a list of integers"),
+    tuple[float, ...]: _Type(Parameter.Type.DOUBLE_ARRAY, float, True, "a list of numbers"),
+    tuple[str, ...]: _Type(Parameter.Type.STRING_ARRAY, str, True, "a list of strings"),
+}
+
+
+class _Rules(NamedTuple):
+    """The arguments of `parameter`, kept in the dataclass field's metadata."""
+
+    description: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    choices: tuple[Any, ...]
+    read_only: bool
+
+
+class _Entry(NamedTuple):
+    """One ROS parameter: its full name, type, rules and default."""
+
+    name: str
+    type: _Type
+    rules: _Rules
+    default: Any
+
+
+class _Group(NamedTuple):
+    """A dataclass and those of its fields that are parameters or groups, by name."""
+
+    make: type
+    members: Mapping[str, Field[Any]]
+
+
 class _RefusedParameter(Parameter):
     """Stands in for a set that cannot be converted until the on-set callback refuses it."""
 
-    def __init__(self, entry: Entry, value: Any, reason: str) -> None:
+    def __init__(self, entry: _Entry, value: Any, reason: str) -> None:
         super().__init__(entry.name, entry.type.ros, _to_ros(value))
         self.reason = reason
 
@@ -82,9 +124,9 @@ def parameter(
     """Declare a dataclass field as a ROS parameter.
 
     Args:
-        default: Value used when the user gives none; must obey the rules below.
+        default: Value if the user gives none; must obey the rules below.
         description: One line for `ros2 param describe`, without the unit.
-        unit: SI unit shown with the description and in the start-up summary, or "".
+        unit: SI unit shown with the description, or "".
         minimum: Least accepted value, in `unit`; of each element of a list.
         maximum: Greatest accepted value, in `unit`; of each element of a list.
         choices: The only accepted values, if not empty; of each element of a list.
@@ -93,21 +135,23 @@ def parameter(
     Returns:
         A dataclass field, typed as the default so that annotations check.
     """
-    spec = Spec(description, unit, minimum, maximum, tuple(choices), read_only)
-    return field(default=default, metadata={_METADATA_KEY: spec})
+    rules = _Rules(description, unit, minimum, maximum, tuple(choices), read_only)
+    return field(default=default, metadata={_METADATA_KEY: rules})
 
 
-def parameter_group(group: Callable[[], T]) -> T:
+def parameter_group(make: Callable[..., T], **members: Any) -> T:
     """Declare a dataclass field that is itself a dataclass of parameters.
 
     Args:
-        group: Frozen dataclass whose fields all have defaults. Its parameters are named
-            "<field>.<name>".
+        make: The frozen dataclass. Its parameters are named "<field>.<name>".
+        **members: If it is not made of `parameter` fields itself, such as one of the core: those of
+            its fields that are parameters, each as a `parameter`. The others keep their defaults.
 
     Returns:
-        A dataclass field holding an instance of the group.
+        A dataclass field that holds an instance.
     """
-    return field(default_factory=group)
+    given = {name: item.default for name, item in members.items()}
+    return field(default_factory=lambda: make(**given), metadata={_METADATA_KEY: members})
 
 
 def check_pattern(name: str, pattern: str) -> None:
@@ -127,41 +171,44 @@ def check_pattern(name: str, pattern: str) -> None:
 class ParameterBinding(Generic[P]):
     """The parameters of one node, bound to one frozen dataclass.
 
-    Bind once per node: overrides the dataclass does not know are reported as unknown unless the
-    node has declared them before.
+    Args:
+        node: Node that owns the parameters and has declared its overrides, as a `ManagedNode` has;
+            those that the dataclass lacks are unknown.
+        schema: Frozen dataclass made of `parameter` and `parameter_group` fields.
+        on_change: Called with the new value after a set took effect; not at start.
+
+    Raises:
+        ParameterError: An override has the wrong type, breaks a rule, or the values contradict
+            each other.
     """
 
     def __init__(
-        self,
-        node: Node,
-        schema: type[P],
-        on_change: Callable[[P], None] | None = None,
+        self, node: Node, schema: type[P], on_change: Callable[[P], None] | None = None
     ) -> None:
-        """Declare every field as a ROS parameter and take the overrides the user gave.
-
-        Args:
-            node: Node that owns the parameters.
-            schema: Frozen dataclass made of `parameter` and `parameter_group` fields.
-            on_change: Called with the new value after a set took effect; not at start.
-
-        Raises:
-            ParameterError: An override has the wrong type, breaks a rule, or the values
-                contradict each other. Nothing has been declared then.
-        """
-        self._node = node
-        self._schema = schema
+        self._group = _group_of(schema)
         self._on_change = on_change
-        self._entries = {entry.name: entry for entry in _entries(schema, "")}
-        overrides: Mapping[str, Parameter] = node._parameter_overrides
+        self._entries = {entry.name: entry for entry in _entries(self._group, "")}
+        given = {
+            name: each.value
+            for name, each in node.get_parameters_by_prefix("").items()
+            if name not in _FOREIGN_NAMES and not name.startswith(_FOREIGN_PREFIXES)
+        }
         self._values = {
-            name: convert(entry, overrides[name].value) if name in overrides else entry.default
+            name: _convert(entry, given[name]) if name in given else entry.default
             for name, entry in self._entries.items()
         }
-        self._value: P = _build(schema, "", self._values)
+        self._value: P = _build(self._group, "", self._values)
+        for name in given:
+            node.undeclare_parameter(name)
         for name, entry in self._entries.items():
             _declare(node, entry, self._values[name])
-        self._warn_of_unknown(overrides)
-        node.get_logger().info(f"parameters: {self._summary()}")
+        if unknown := sorted(given.keys() - self._entries.keys()):
+            listed = ", ".join(_with_suggestion(name, self._entries) for name in unknown)
+            node.get_logger().warning(f"ignored unknown parameters: {listed}")
+        entries = self._entries.values()
+        node.get_logger().debug(f"parameters: {self._listed(entries)}")
+        if changed := [entry for entry in entries if self._values[entry.name] != entry.default]:
+            node.get_logger().info(f"parameters other than default: {self._listed(changed)}")
         node.add_pre_set_parameters_callback(self._convert_proposal)
         node.add_on_set_parameters_callback(self._check_proposal)
         node.add_post_set_parameters_callback(self._take_over)
@@ -179,7 +226,7 @@ class ParameterBinding(Generic[P]):
         if entry is None:
             return proposed
         try:
-            value = convert(entry, proposed.value)
+            value = _convert(entry, proposed.value)
         except ParameterError as error:
             return _RefusedParameter(entry, self._values[entry.name], str(error))
         return Parameter(entry.name, entry.type.ros, _to_ros(value))
@@ -189,7 +236,7 @@ class ParameterBinding(Generic[P]):
         if refusals:
             return SetParametersResult(successful=False, reason="; ".join(refusals))
         try:
-            _build(self._schema, "", self._merged(proposal))
+            _build(self._group, "", self._merged(proposal))
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -199,71 +246,68 @@ class ParameterBinding(Generic[P]):
         if values == self._values:
             return
         self._values = values
-        self._value = _build(self._schema, "", values)
+        self._value = _build(self._group, "", values)
         if self._on_change is not None:
             self._on_change(self._value)
 
     def _merged(self, proposal: Iterable[Parameter]) -> dict[str, Any]:
-        changes = {
-            p.name: convert(self._entries[p.name], p.value)
-            for p in proposal
-            if p.name in self._entries
-        }
-        return {**self._values, **changes}
+        known = [p for p in proposal if p.name in self._entries]
+        return {**self._values, **{p.name: _convert(self._entries[p.name], p.value) for p in known}}
 
-    def _warn_of_unknown(self, overrides: Mapping[str, Parameter]) -> None:
-        unknown = [
-            name
-            for name in overrides
-            if not self._node.has_parameter(name)
-            and name not in _FOREIGN_NAMES
-            and not name.startswith(_FOREIGN_PREFIXES)
-        ]
-        if unknown:
-            listed = ", ".join(_with_suggestion(name, self._entries) for name in sorted(unknown))
-            self._node.get_logger().warning(f"ignored unknown parameters: {listed}")
-
-    def _summary(self) -> str:
+    def _listed(self, entries: Iterable[_Entry]) -> str:
         return ", ".join(
-            f"{name}={shown(self._values[name])}{' ' * bool(entry.spec.unit)}{entry.spec.unit}"
-            for name, entry in self._entries.items()
+            f"{name}={_shown(self._values[name])}{rules.unit and f' {rules.unit}'}"
+            for name, _, rules, _ in entries
         )
 
 
-def _entries(schema: Any, prefix: str) -> Iterable[Entry]:
-    """Flatten a dataclass of parameters and groups, in the order of its fields."""
+def _group_of(schema: Any) -> _Group:
     if not (isinstance(schema, type) and is_dataclass(schema)):
         raise TypeError(f"{schema!r} is not a dataclass of parameters")
-    hints = get_type_hints(schema)
-    for item in fields(schema):
-        name, annotation = f"{prefix}{item.name}", hints[item.name]
-        if is_dataclass(annotation):
-            yield from _entries(annotation, f"{name}{_SEPARATOR}")
-            continue
-        spec = item.metadata.get(_METADATA_KEY)
-        if spec is None or annotation not in TYPES:
+    return _Group(schema, {item.name: item for item in fields(schema)})
+
+
+def _inner(hint: Any, item: Field[Any]) -> _Group | None:
+    """Return the group that a field is, None if it is a parameter."""
+    members = item.metadata.get(_METADATA_KEY)
+    if not isinstance(members, dict):
+        return None
+    return _Group(hint, members) if members else _group_of(hint)
+
+
+def _entries(group: _Group, prefix: str) -> Iterator[_Entry]:
+    """Flatten a dataclass of parameters and groups, in the order of its fields."""
+    hints = get_type_hints(group.make)
+    for name, item in group.members.items():
+        hint, rules = hints[name], item.metadata.get(_METADATA_KEY)
+        if (inner := _inner(hint, item)) is not None:
+            yield from _entries(inner, f"{prefix}{name}.")
+        elif rules is None or hint not in _TYPES:
             raise TypeError(
-                f"{schema.__name__}.{item.name}: {annotation} is not a parameter; use parameter() "
-                f"or parameter_group() with one of {', '.join(map(str, TYPES))}"
+                f"{group.make.__name__}.{name}: {hint} is not a parameter; use parameter() "
+                f"or parameter_group() with one of {', '.join(map(str, _TYPES))}"
             )
-        entry = Entry(name, TYPES[annotation], spec, item.default)
-        yield Entry(name, entry.type, spec, convert(entry, item.default))
-
-
-def _build(schema: Any, prefix: str, values: Mapping[str, Any]) -> Any:
-    """Make the dataclass from flat parameter values; its __post_init__ validates them."""
-    hints = get_type_hints(schema)
-    arguments: dict[str, Any] = {}
-    for item in fields(schema):
-        name, annotation = f"{prefix}{item.name}", hints[item.name]
-        if is_dataclass(annotation):
-            arguments[item.name] = _build(annotation, f"{name}{_SEPARATOR}", values)
         else:
-            arguments[item.name] = values[name]
-    return schema(**arguments)
+            entry = _Entry(f"{prefix}{name}", _TYPES[hint], rules, item.default)
+            yield entry._replace(default=_convert(entry, item.default))
 
 
-def _declare(node: Node, entry: Entry, value: Any) -> None:
+def _build(group: _Group, prefix: str, values: Mapping[str, Any]) -> Any:
+    """Make the dataclass from flat parameter values; its __post_init__ validates them."""
+    hints = get_type_hints(group.make)
+    arguments: dict[str, Any] = {}
+    for name, item in group.members.items():
+        inner = _inner(hints[name], item)
+        full = f"{prefix}{name}"
+        arguments[name] = values[full] if inner is None else _build(inner, f"{full}.", values)
+    try:
+        return group.make(**arguments)
+    except ModelError as error:
+        where = f"parameters '{prefix}*': " if prefix else ""
+        raise ParameterError(f"{where}{error}") from error
+
+
+def _declare(node: Node, entry: _Entry, value: Any) -> None:
     descriptor = _descriptor(entry)
     if value != ():
         node.declare_parameter(entry.name, _to_ros(value), descriptor, ignore_override=True)
@@ -279,33 +323,92 @@ def _declare(node: Node, entry: Entry, value: Any) -> None:
     node.set_descriptor(entry.name, descriptor)
 
 
-def _descriptor(entry: Entry) -> ParameterDescriptor:
-    spec = entry.spec
+def _descriptor(entry: _Entry) -> ParameterDescriptor:
+    rules = entry.rules
     descriptor = ParameterDescriptor(
-        description=f"{spec.description} [{spec.unit}]" if spec.unit else spec.description,
-        read_only=spec.read_only,
+        description=f"{rules.description} [{rules.unit}]" if rules.unit else rules.description,
+        read_only=rules.read_only,
     )
-    if spec.choices:
-        descriptor.additional_constraints = f"one of: {', '.join(map(str, spec.choices))}"
-    if spec.minimum is None and spec.maximum is None:
+    if rules.choices:
+        descriptor.additional_constraints = f"one of: {', '.join(map(str, rules.choices))}"
+    low, high = rules.minimum, rules.maximum
+    if low is None and high is None:
         return descriptor
     if entry.type.is_array:  # ROS ranges bind scalars only
-        low = "" if spec.minimum is None else f" at least {spec.minimum}"
-        high = "" if spec.maximum is None else f" at most {spec.maximum}"
-        descriptor.additional_constraints = f"each element{low}{' and' * bool(low and high)}{high}"
+        bounds = [f"at least {low}"] * (low is not None) + [f"at most {high}"] * (high is not None)
+        descriptor.additional_constraints = f"each element {' and '.join(bounds)}"
     elif entry.type.element is int:
-        low_int = -_INT64_MAX if spec.minimum is None else math.ceil(spec.minimum)
-        high_int = _INT64_MAX if spec.maximum is None else math.floor(spec.maximum)
-        descriptor.integer_range = [IntegerRange(from_value=low_int, to_value=high_int)]
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=-_INT64_MAX if low is None else math.ceil(low),
+                to_value=_INT64_MAX if high is None else math.floor(high),
+            )
+        ]
     else:
         limit = sys.float_info.max
         descriptor.floating_point_range = [
             FloatingPointRange(
-                from_value=-limit if spec.minimum is None else float(spec.minimum),
-                to_value=limit if spec.maximum is None else float(spec.maximum),
+                from_value=-limit if low is None else float(low),
+                to_value=limit if high is None else float(high),
             )
         ]
     return descriptor
+
+
+def _convert(entry: _Entry, value: Any) -> Any:
+    """Turn what came from YAML, a message or a default into the field's type, or refuse it."""
+    if not entry.type.is_array:
+        return _convert_element(entry, value)
+    if value is None:  # how rcl hands over `name: []`
+        return ()
+    if isinstance(value, str | bytes) or not hasattr(value, "__len__"):
+        raise _wrong_type(entry, value)
+    return tuple(_convert_element(entry, item) for item in list(value))
+
+
+def _convert_element(entry: _Entry, value: Any) -> Any:
+    expected: Any = entry.type.element
+    if expected is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value)
+    if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
+        raise _wrong_type(entry, value)
+    rules, each = entry.rules, "each element of " if entry.type.is_array else ""
+    subject = f"{each}parameter '{entry.name}' must be"
+    unit = f" {rules.unit}" if rules.unit else ""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ParameterError(f"{subject} finite, got {value}")
+    if rules.minimum is not None and value < rules.minimum:
+        raise ParameterError(f"{subject} at least {rules.minimum}{unit}, got {value}")
+    if rules.maximum is not None and value > rules.maximum:
+        raise ParameterError(f"{subject} at most {rules.maximum}{unit}, got {value}")
+    if rules.choices and value not in rules.choices:
+        listed = ", ".join(map(str, rules.choices))
+        raise ParameterError(f"{subject} one of {listed}; got {_shown(value)}")
+    return value
+
+
+def _wrong_type(entry: _Entry, value: Any) -> ParameterError:
+    hint = ""
+    if entry.type.is_array and isinstance(value, str) and value.lstrip().startswith("["):
+        # ros2cli sends a list of mixed types as a string, and rcl refuses it in YAML.
+        hint = "; lists must not mix types: write every number with a decimal point"
+    kinds = {bool: "boolean", int: "integer", float: "number", str: "string"}
+    kind = kinds.get(type(value), "list" if hasattr(value, "__len__") else type(value).__name__)
+    came = "nothing" if value is None else f"the {kind} {_shown(value)}"
+    return ParameterError(
+        f"parameter '{entry.name}': expected {entry.type.wording}, got {came}{hint}"
+    )
+
+
+def _shown(value: Any) -> str:
+    """Show a value the way YAML would take it back."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f"'{value}'"
+    if hasattr(value, "__len__"):
+        return f"[{', '.join(_shown(item) for item in value)}]"
+    return repr(value)
 
 
 def _to_ros(value: Any) -> Any:

@@ -1,14 +1,14 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Run nodes in a process that ends cleanly: Ctrl-C, SIGTERM, a finished node, an error.
+"""A process with nodes that ends cleanly: by Ctrl-C, SIGTERM, a finished node or an error.
 
 `run(create)` initialises rclpy, spins what `create` returns on a single-threaded executor, and
-tears everything down in order. Nodes are ordinary rclpy nodes; three optional members are honoured:
+tears everything down in order. Nodes are ordinary rclpy nodes with three optional members:
 
-* ``finished`` (bool property): the loop ends once any node says so;
-* ``ticker`` (Ticking or None): its ticks are made here, between two looks after everything else;
+* ``finished`` (bool property): the loop ends once any node is;
+* ``ticker`` (Ticking or None): its ticks are made here, without the executor;
 * ``close()``: called before any node is destroyed. Bags and whatever must not be lost are closed
-  here, because destroying a participant is the one step that may hang (see `exit_guard`).
+  here, because destroying a participant is the one step that may hang (see `limit_time_left`).
 
 Exit codes: 0 after a signal or a finished node, 1 after a TsobsError or malformed ROS arguments,
 with one line ``error: …`` on stderr. Anything else is a bug and keeps its traceback, after the
@@ -20,11 +20,13 @@ which loses early SIGTERMs and sometimes raises inside take. A flag that the loo
 
 import gc
 import re
+import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import rclpy
 from rclpy.exceptions import NameValidationException
@@ -37,21 +39,19 @@ from rclpy.executors import (
 from rclpy.signals import SignalHandlerOptions
 
 from tsobs_ros.errors import TsobsError, printable
-from tsobs_ros.nodes.exit_guard import exit_guard
 from tsobs_ros.nodes.ticker import Ticking
 from tsobs_ros.stop import StopFlag
 
-# A signal wakes nobody: the longest an idle process takes to notice one.
+# A signal does not wake the executor: the longest time until an idle process notices one [s].
 _SPIN_TIMEOUT = 0.2
-# How often services, parameters and slow timers get their turn where a node's ticks are made here.
-_LOOK_AFTER_PERIOD = 0.1
+# Period of services, parameters and slow timers while a node's ticks are made here [s].
+_SERVE_PERIOD = 0.1
 # Destroying two nodes and shutting the context down takes some 20 ms, .5 s on a loaded machine.
 _TEARDOWN_TIMEOUT = 5.0
 
 
-@runtime_checkable
 class RunnableNode(Protocol):
-    """What `run` needs of a node; rclpy.node.Node has it. `finished` and `close` are optional."""
+    """What `run` needs of a node; rclpy.node.Node has it."""
 
     def destroy_node(self) -> None:
         """Release the node's ROS entities."""
@@ -68,7 +68,7 @@ def run(
         create: Makes the node, or several that share the executor, on the default context. Nodes
             are closed and destroyed in the order given.
         args: Command line including the program's name; `sys.argv` if None.
-        stop: Says whether to end; asked before every wait of at most 0.2 s. If None, SIGINT and
+        stop: Returns whether to end; called before every wait of at most 0.2 s. If None, SIGINT and
             SIGTERM are caught here, which only the main thread may do.
 
     Returns:
@@ -85,11 +85,10 @@ def run(
     exit_code = 0
     try:
         if not stop():
-            created = create()
-            nodes.extend(created if isinstance(created, Sequence) else [created])
+            nodes += _as_sequence(create())
             _spin(nodes, stop)
     except (ExternalShutdownException, ShutdownException):
-        pass  # someone shut the context down: a clean end
+        pass  # the context was shut down from outside: a clean end
     except (TsobsError, NameValidationException) as error:
         exit_code = _report(str(error))
     except BaseException:
@@ -100,6 +99,21 @@ def run(
     return exit_code
 
 
+def limit_time_left(seconds: float) -> None:
+    """End the process by SIGALRM if it still runs after some time [s]; 0 lifts the limit.
+
+    Fast DDS 2.14 sometimes spins for ever while a participant is destroyed (two or three in a
+    thousand processes when two nodes stop together) and holds the GIL, so that no Python code runs.
+    The default action of a signal needs none; the process then ends by signal 14.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()  # a forced end runs no exit handlers
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGALRM])
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
 def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
     executor = SingleThreadedExecutor()
     for node in nodes:
@@ -108,8 +122,8 @@ def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
     gc.collect()
     gc.freeze()
     try:
-        while rclpy.ok() and not stop() and not any(_finished(node) for node in nodes):
-            # Anew each time: nodes make and drop their tickers as they are configured.
+        while rclpy.ok() and not stop() and not any(getattr(n, "finished", False) for n in nodes):
+            # Nodes make and drop their tickers as they are configured.
             tickers = [t for node in nodes if (t := getattr(node, "ticker", None)) is not None]
             if tickers and all(ticker.may_be_taken_over for ticker in tickers):
                 _tick_for_a_while(tickers, stop)
@@ -137,8 +151,8 @@ def _run_what_is_ready(executor: SingleThreadedExecutor) -> None:
 
 
 def _tick_for_a_while(tickers: Sequence[Ticking], stop: Callable[[], bool]) -> None:
-    """Tick and sleep until the executor ought to be looked after."""
-    until = time.monotonic() + _LOOK_AFTER_PERIOD
+    """Tick and sleep until the executor's turn comes."""
+    until = time.monotonic() + _SERVE_PERIOD
     for ticker in tickers:
         ticker.take_over()
     while True:
@@ -146,36 +160,42 @@ def _tick_for_a_while(tickers: Sequence[Ticking], stop: Callable[[], bool]) -> N
         left = until - time.monotonic()
         if left <= 0.0 or stop():
             return
-        # One that also waits for messages can do so only where it is alone.
-        (tickers[0].rest if len(tickers) == 1 else time.sleep)(min(wait, left))
+        time.sleep(min(wait, left))
 
 
-def _finished(node: RunnableNode) -> bool:
-    return bool(getattr(node, "finished", False))
+def _as_sequence(created: RunnableNode | Sequence[RunnableNode]) -> Sequence[RunnableNode]:
+    return created if isinstance(created, Sequence) else [created]
 
 
-def _tear_down(nodes: Sequence[RunnableNode], exit_code: int) -> int:
+def _tear_down(nodes: list[RunnableNode], exit_code: int) -> int:
     """Close all nodes, then destroy them, whatever fails on the way."""
+    exit_code = _call_all(nodes, "close", exit_code)
+    limit_time_left(_TEARDOWN_TIMEOUT)
+    exit_code = _call_all(nodes, "destroy_node", exit_code)
+    # A lifecycle node leaves the graph only when Python's collector has it.
+    nodes.clear()
+    gc.unfreeze()
+    gc.collect()
+    rclpy.try_shutdown()
+    limit_time_left(0.0)
+    return exit_code
+
+
+def _call_all(nodes: Sequence[RunnableNode], name: str, exit_code: int) -> int:
+    """Take a step of the teardown on all nodes; a failure only changes the exit code."""
     for node in nodes:
-        if (close := getattr(node, "close", None)) is not None:
-            exit_code = _attempt(close, exit_code)
-    with exit_guard(_TEARDOWN_TIMEOUT, exit_code):
-        for node in nodes:
-            exit_code = _attempt(node.destroy_node, exit_code)
-        rclpy.try_shutdown()
+        try:
+            getattr(node, name, _nothing)()
+        except TsobsError as error:
+            exit_code = _report(str(error))
+        except Exception:  # a bug
+            traceback.print_exc()
+            exit_code = 1
     return exit_code
 
 
-def _attempt(step: Callable[[], None], exit_code: int) -> int:
-    """Take a step of the teardown, and return the exit code with it: no later step may be lost."""
-    try:
-        step()
-    except TsobsError as error:
-        return _report(str(error))
-    except Exception:  # a bug
-        traceback.print_exc()
-        return 1
-    return exit_code
+def _nothing() -> None:
+    """Stand in for what a node lacks."""
 
 
 def _without_source_lines(message: str) -> str:

@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A fixed-rate tick that costs little where the runtime spins the node, and works everywhere.
+"""A fixed-rate tick that costs little in `runtime.run`, and works in every executor.
 
 An rclpy timer costs two rebuilt wait sets a tick, which at 200 Hz is more than all that an observer
 does. So `runtime.run` takes a node's ticks over: it sleeps until the next one on the monotonic
-clock, and looks after services and parameters in between. In an executor of somebody else's, and
-under simulated time, which only an executor makes pass, the tick is an ordinary timer.
+clock, and serves everything else in between. In another executor, and under simulated time, which
+passes only in an executor, the tick is an ordinary timer.
 """
 
 import time
@@ -15,27 +15,22 @@ from typing import Protocol
 from rclpy.clock import Clock
 from rclpy.node import Node
 
-from tsobs_ros.nodes.draining import DrainedSubscription
-
 
 class Ticking(Protocol):
-    """What `runtime.run` needs of ticks to make them in an executor's place."""
+    """The ticks of a node, as `runtime.run` makes them in place of an executor."""
 
     @property
     def may_be_taken_over(self) -> bool:
         """Whether there are ticks, and a sleep can make them."""
 
     def take_over(self) -> None:
-        """Leave the ticks to whoever calls `run_if_due`."""
+        """Stop the executor's ticks: the caller now calls `run_if_due`."""
 
     def give_back(self) -> None:
-        """Leave the ticks to the executor again."""
+        """Let the executor tick again."""
 
     def run_if_due(self) -> int:
-        """Tick if it is time, and return how long the next tick is away [ns]."""
-
-    def rest(self, seconds: float) -> None:
-        """Sleep so long, or less."""
+        """Tick if it is time, and return the time until the next tick [ns]."""
 
 
 class Ticker:
@@ -45,9 +40,8 @@ class Ticker:
         node: The node whose clock decides.
         period: Time between ticks [s].
         callback: What to do.
-        arrivals: A subscription with `on_arrival`, which is served between the ticks too.
-        executor_clock: What an executor's ticks follow, if not the node's clock, which stands
-            still while simulated time does.
+        executor_clock: The clock of an executor's ticks, if not the node's, which stands still
+            while simulated time does.
     """
 
     def __init__(
@@ -55,63 +49,44 @@ class Ticker:
         node: Node,
         period: float,
         callback: Callable[[], None],
-        arrivals: DrainedSubscription | None = None,
         executor_clock: Clock | None = None,
     ) -> None:
         self._clock = node.get_clock()
         self._callback = callback
-        self._arrivals = arrivals
         self._period_ns = round(period * 1e9)
         self._running = False
         self._due: int | None = None
-        self._skip = False
-        self._timer = node.create_timer(period, self._tick, clock=executor_clock, autostart=False)
-        self._wake_executor(False)
+        self._timer = node.create_timer(period, callback, clock=executor_clock, autostart=False)
 
     @property
     def may_be_taken_over(self) -> bool:
         """Whether there are ticks, and they follow the wall clock, so that a sleep makes them."""
         return self._running and not self._clock.ros_time_is_active
 
-    def now(self) -> int:
-        """Return the time on the node's clock [ns]; where ticks are taken over, at no cost."""
-        if self._due is not None:
-            return time.time_ns()
-        return int(self._clock.now().nanoseconds)
-
     def start(self) -> None:
-        """Begin to tick."""
+        """Start to tick."""
         self._running = True
-        self._wake_executor(True)
+        self._timer.reset()
 
     def stop(self) -> None:
         """Stop ticking, until the next `start`."""
-        self._running = self._skip = False
-        self._due = None
-        self._wake_executor(False)
-
-    def skip_next(self) -> None:
-        """Leave the next tick out: what it would have done has just been done."""
-        if self._due is None:
-            self._skip = True
-        else:
-            past = (time.monotonic_ns() - self._due) // self._period_ns
-            self._due += (past + 2) * self._period_ns
+        self._running, self._due = False, None
+        self._timer.cancel()
 
     def take_over(self) -> None:
-        """Stop the timer; from now on `run_if_due` ticks and `rest` waits."""
+        """Stop the timer; from now on `run_if_due` ticks."""
         if self._due is None:
-            self._wake_executor(False)
+            self._timer.cancel()
             self._due = time.monotonic_ns()
 
     def give_back(self) -> None:
         """Let the timer tick again."""
         if self._due is not None:
             self._due = None
-            self._wake_executor(self._running)
+            self._timer.reset()
 
     def run_if_due(self) -> int:
-        """Tick if it is time, and return how long the next tick is away [ns]."""
+        """Tick if it is time, and return the time until the next tick [ns]."""
         now = time.monotonic_ns()
         assert self._due is not None, "ticks were not taken over"
         if now >= self._due:
@@ -123,26 +98,3 @@ class Ticker:
             # what fell out before that, while the process was held up, is gone.
             self._due += self._period_ns * max(1, (now - self._due) // self._period_ns)
         return max(0, self._due - now)
-
-    def rest(self, seconds: float) -> None:
-        """Sleep, or less if there are arrivals, which are served."""
-        if self._arrivals is None:
-            time.sleep(seconds)
-        else:
-            self._arrivals.serve(seconds)
-
-    def _tick(self) -> None:
-        """Tick from an executor's timer."""
-        if self._skip:
-            self._skip = False
-        else:
-            self._callback()
-
-    def _wake_executor(self, wanted: bool) -> None:
-        """Decide whether an executor makes the ticks, and looks for arrivals."""
-        if wanted:
-            self._timer.reset()
-        else:
-            self._timer.cancel()
-        if self._arrivals is not None:
-            self._arrivals.wakes_executor = wanted

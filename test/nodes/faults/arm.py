@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
-from tsobs_ros.nodes.stamps import to_stamp
+from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.simulation.scenarios import SCENARIOS, Trajectories, simulate
 
 SECONDS = 20.0

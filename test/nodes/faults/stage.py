@@ -18,8 +18,8 @@ from rosgraph_msgs.msg import Clock
 from faults.script import Counts, Event, Sender, steps
 from faults.senders import Senders
 from faults.watcher import Watcher
+from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.nodes.observer import create
-from tsobs_ros.nodes.stamps import to_stamp
 
 _TIMEOUT = 30.0
 TOPIC = "/joint_measurements"

@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from faults.arm import Arm
 from faults.script import Event, Fate, kind
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
-from tsobs_ros.nodes.stamps import to_stamp
+from tsobs_ros.nodes.messages import to_stamp
 
 _FAMILY = "stamp"
 _MS = 1_000_000

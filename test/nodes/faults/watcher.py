@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 
 from faults.arm import Arm
 from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.stamps import to_nanoseconds
+from tsobs_ros.nodes.messages import to_nanoseconds
 
 ESTIMATES = ("joint_states", "error_bound", "disturbance", "disturbance_bound")
 OUTPUTS = (*ESTIMATES, "innovation")

@@ -16,8 +16,8 @@ from sensor_msgs.msg import JointState
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.nodes.messages import to_nanoseconds, to_stamp
 from tsobs_ros.nodes.observer import Observer, create
-from tsobs_ros.nodes.stamps import to_nanoseconds, to_stamp
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 

@@ -14,8 +14,8 @@ from sensor_msgs.msg import JointState
 
 from tsobs_ros.estimation.records import Estimate, Measurement, RejectReason
 from tsobs_ros.nodes.draining import DrainedSubscription
+from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.nodes.observer.io import EstimatePublisher, MeasurementReader
-from tsobs_ros.nodes.stamps import to_stamp
 
 WRONG = RejectReason.WRONG_JOINT
 JOINTS = ("hip", "knee")

@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 
 from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.nodes.stamps import to_stamp
+from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 

@@ -29,8 +29,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.nodes.observer import create
-from tsobs_ros.nodes.stamps import to_stamp
 from tsobs_ros.resources import config_path
 
 

@@ -13,9 +13,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.nodes.plant_simulator import PlantSimulatorNode, create
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
-from tsobs_ros.nodes.stamps import to_nanoseconds
 from tsobs_ros.simulation.plant import Plant, Sample
 
 BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -8,7 +8,7 @@ from typing import Any
 
 from rosgraph_msgs.msg import Clock
 
-from tsobs_ros.nodes.stamps import to_stamp
+from tsobs_ros.nodes.messages import to_stamp
 
 PERIOD = 5_000_000
 SECOND = 1_000_000_000

@@ -9,8 +9,8 @@ from typing import Any
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
+from tsobs_ros.nodes.messages import set_stamp, to_stamp
 from tsobs_ros.nodes.plant_simulator import create
-from tsobs_ros.nodes.stamps import set_stamp, to_stamp
 
 PERIOD = 5_000_000
 SECOND = 1_000_000_000

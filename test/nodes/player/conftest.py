@@ -13,8 +13,8 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
+from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.nodes.player import Player, create
-from tsobs_ros.nodes.stamps import to_nanoseconds
 
 
 class Listener:

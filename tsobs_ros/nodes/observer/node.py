@@ -22,9 +22,9 @@ from tsobs_ros.estimation.records import (
 )
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import WARNINGS
-from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.messages import DiagnosticsPublisher
 from tsobs_ros.nodes.observer.io import MEASUREMENT_QOS, EstimatePublisher, MeasurementReader
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
@@ -39,7 +39,6 @@ from tsobs_ros.nodes.observer.statuses import (
 )
 from tsobs_ros.nodes.observer.tick_meter import TickMeter
 from tsobs_ros.nodes.ticker import Ticker
-from tsobs_ros.nodes.triggers import offer_triggers
 
 _DIAGNOSTICS_PERIOD = 1.0
 _WARNING_PERIOD = 5.0
@@ -74,6 +73,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._told_failures = 0
         self._enabled = True
         self._fresh = True
+        self._just_published = False
         self._last_now = 0
         self._last_output = 0
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
@@ -94,11 +94,11 @@ class Observer(ManagedNode[ObserverParameters]):
             self, {joint.name: joint.learnt for joint in self._joints}
         )
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=", ".join(parameters.joints))
-        offer_triggers(self, {"reset": self._on_reset})
+        self.offer_triggers({"reset": self._on_reset})
         self.create_service(SetBool, "~/enable", self._on_enable)
-        self.ticker = self._ticker = Ticker(
-            self, 1.0 / parameters.rate, self._on_tick, self._measurements if at_once else None
-        )
+        self._ticker = Ticker(self, 1.0 / parameters.rate, self._on_tick)
+        # Only an executor notices arrivals.
+        self.ticker = self._ticker if self._measurements.in_bulk and not at_once else None
         # Not the node's clock: a paused simulation is still worth a diagnosis.
         self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=self._steady)
         self._tell_of_designs()
@@ -136,7 +136,8 @@ class Observer(ManagedNode[ObserverParameters]):
         return sum(joint.received for joint in self._joints)
 
     def _on_tick(self) -> None:
-        now = self._now()
+        now = None if self._just_published else self._now()
+        self._just_published = False
         if now is not None:
             self._meter.begin(now)
             self._take_all(now)
@@ -145,16 +146,15 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _on_arrival(self) -> None:
         """Estimate from measurements as soon as they have come."""
-        now = self._now()
+        now = self._now() if self.active else None
         if now is not None:
             self._meter.begin(now, tick=False)
-            if self._take_all(now) and self._publish(now):
-                self._ticker.skip_next()
+            self._just_published |= self._take_all(now) and self._publish(now)
             self._meter.end()
 
     def _now(self) -> int | None:
-        """Return the time, None before simulated time begins; restart where it went back."""
-        now = self._ticker.now()
+        """Return the time, None before simulated time begins; restart if it went back."""
+        now = int(self.get_clock().now().nanoseconds)
         if now == 0:
             return None
         if now < self._last_now:
@@ -283,7 +283,7 @@ class Observer(ManagedNode[ObserverParameters]):
         if not self.active:
             self._diagnostics.publish([Status("state", Level.WARN, "INACTIVE", {})])
             return
-        now, parameters, joints = self._ticker.now(), self.parameters, self._joints
+        now, parameters, joints = self.get_clock().now().nanoseconds, self.parameters, self._joints
         values = {"resets": str(self._resets)}
         parts: dict[str, list[Status]] = {}
         if len(joints) == 1:

@@ -20,7 +20,6 @@ from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.schedule import SampleSchedule, ScaledTime
 from tsobs_ros.nodes.plant_simulator.topics import CommandLimits, SamplePublisher, TorqueCommands
-from tsobs_ros.nodes.triggers import offer_triggers
 from tsobs_ros.simulation.plant import Plant
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.
@@ -63,7 +62,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self, parameters.joint, publish_clock=parameters.publish_clock
         )
         self._commands = TorqueCommands(self, self._limits_of(parameters))
-        offer_triggers(self, {"reset": self._reset})
+        self.offer_triggers({"reset": self._reset})
         self._schedule = SampleSchedule(parameters.rate)
         self._driven: ScaledTime | None = None
         if parameters.publish_clock:

@@ -15,7 +15,7 @@ from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.bag.messages.estimate_topics import sides
 from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.stamps import set_stamp
+from tsobs_ros.nodes.messages import set_stamp
 from tsobs_ros.simulation.plant import Sample
 
 _ACKNOWLEDGE_TIMEOUT = 1.0

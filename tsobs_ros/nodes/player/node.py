@@ -20,14 +20,13 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from tsobs_ros.bag.playback import BagSource, Event, Playback
 from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.errors import BagReadError, ParameterError
-from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.messages import DiagnosticsPublisher, set_stamp
 from tsobs_ros.nodes.player.pacing import Pacer, SubscriberGate
 from tsobs_ros.nodes.player.parameters import CLOCK, PlayerParameters
 from tsobs_ros.nodes.player.services import offer_services
 from tsobs_ros.nodes.player.status import LagMeter, PlayerState
 from tsobs_ros.nodes.player.topics import PlayedTopics
-from tsobs_ros.nodes.stamps import set_stamp
 
 _MIB = 2**20
 _DIAGNOSTICS_PERIOD = 1.0

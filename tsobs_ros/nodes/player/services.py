@@ -6,8 +6,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tsobs_ros.nodes.triggers import offer_triggers
-
 if TYPE_CHECKING:
     from tsobs_ros.nodes.player import Player
 
@@ -43,4 +41,4 @@ def offer_services(player: Player) -> None:
         "is_paused": is_paused,
         "play_next": player.step,
     }
-    offer_triggers(player, answers)
+    player.offer_triggers(answers)

@@ -20,7 +20,7 @@ from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.qos import QosProfile, QosTime
 from tsobs_ros.bag.reader import BagMessage, TopicInfo
 from tsobs_ros.errors import BagWriteError, NodeError
-from tsobs_ros.nodes.message_types import message_class
+from tsobs_ros.nodes.messages import message_class
 
 # The depth of ROS's default profile: of a publisher whose depth discovery did not tell.
 _USUAL_DEPTH = 10

@@ -12,8 +12,8 @@ from rclpy.clock import Clock, ClockType
 
 from tsobs_ros.bag.recording import BufferedMessage, Recording
 from tsobs_ros.errors import BagWriteError, NodeError
-from tsobs_ros.nodes.diagnostics import DiagnosticsPublisher
 from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.messages import DiagnosticsPublisher
 from tsobs_ros.nodes.recorder.disk import free_disk, output_folder
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 from tsobs_ros.nodes.recorder.services import offer_services

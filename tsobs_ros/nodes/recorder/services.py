@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from tsobs_ros.errors import BagWriteError
-from tsobs_ros.nodes.triggers import Answer, offer_triggers
+from tsobs_ros.nodes.managed import Answer
 
 if TYPE_CHECKING:
     from tsobs_ros.nodes.recorder import Recorder
@@ -55,7 +55,7 @@ def offer_services(recorder: Recorder, snapshot_mode: bool) -> None:
     }
     if snapshot_mode:
         answers["snapshot"] = _attempt(snapshot)
-    offer_triggers(recorder, answers)
+    recorder.offer_triggers(answers)
 
 
 def _attempt(act: Callable[[], str]) -> Answer:

@@ -13,7 +13,7 @@ from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.recording import LossCounter
 from tsobs_ros.errors import BagWriteError, NodeError
-from tsobs_ros.nodes.message_types import message_class
+from tsobs_ros.nodes.messages import message_class
 from tsobs_ros.nodes.recorder.selection import TopicSelection
 from tsobs_ros.nodes.recorder.subscription import RawSubscription, Received
 from tsobs_ros.nodes.recorder.types import to_bag_qos

@@ -1,0 +1,116 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""ROS messages: stamps as integers, diagnostics of the core's statuses, classes by their names."""
+
+import re
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from importlib import import_module
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+
+from tsobs_ros.bag.definitions import share_folders
+from tsobs_ros.errors import NodeError
+from tsobs_ros.estimation.health import Status
+from tsobs_ros.estimation.records import NANOSECONDS
+
+_NAME = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", flags=re.ASCII)
+# Places of the classes that a service or an action sends, within its own class.
+_NESTED = {
+    "srv": {"_Event": "Event"},
+    "action": {
+        "_SendGoal_Event": "Impl.SendGoalService.Event",
+        "_GetResult_Event": "Impl.GetResultService.Event",
+        "_FeedbackMessage": "Impl.FeedbackMessage",
+    },
+}
+
+
+def to_nanoseconds(stamp: Any) -> int:
+    """Return a builtin_interfaces Time (or Duration) as nanoseconds."""
+    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+
+
+def set_stamp(stamp: Any, nanoseconds: int) -> None:
+    """Write nanoseconds since the epoch into a builtin_interfaces Time in place."""
+    stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
+
+
+def to_stamp(nanoseconds: int) -> Any:
+    """Return nanoseconds since the epoch as a new builtin_interfaces Time."""
+    seconds, rest = divmod(nanoseconds, NANOSECONDS)
+    return Time(sec=seconds, nanosec=rest)
+
+
+class DiagnosticsPublisher:
+    """Publishes one DiagnosticStatus a concern, named "<node>: <concern>".
+
+    Args:
+        node: The node.
+        hardware_id: The hardware that its statuses are about.
+    """
+
+    def __init__(self, node: Node, hardware_id: str) -> None:
+        self._node = node
+        self._hardware_id = hardware_id
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def publish(
+        self, statuses: Sequence[Status], parts: Mapping[str, Sequence[Status]] | None = None
+    ) -> None:
+        """Publish statuses, stamped with the node's time.
+
+        Args:
+            statuses: Of the node.
+            parts: Of parts of the hardware by their names, such as joints; published as
+                "<node>: <part>: <concern>" with the part as hardware id.
+        """
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        prefix = f"{self._node.get_fully_qualified_name().lstrip('/')}: "
+        message.status = [_status(prefix, self._hardware_id, status) for status in statuses]
+        for part, own in (parts or {}).items():
+            message.status += [_status(f"{prefix}{part}: ", part, status) for status in own]
+        self._publisher.publish(message)
+
+
+def _status(prefix: str, hardware_id: str, status: Status) -> DiagnosticStatus:
+    return DiagnosticStatus(
+        level=bytes([status.level]),
+        name=prefix + status.name,
+        message=status.message,
+        hardware_id=hardware_id,
+        values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
+    )
+
+
+def message_class(name: str) -> type[Any]:
+    """Return the class of a message type.
+
+    Args:
+        name: The type, `package/msg/Type`, or one that belongs to a service or an action, such as
+            `package/srv/Type_Event`.
+
+    Raises:
+        NodeError: The name is not one of a type, or the type is not installed.
+    """
+    if (match := _NAME.fullmatch(name)) is None:
+        raise NodeError(f"'{name}' is not a message type: expected package/msg/Type")
+    package, kind, type_name = match.groups()
+    # Names come from bags and networks, and importing runs code: of interface packages only.
+    if not any((folder / package / kind).is_dir() for folder in share_folders()):
+        raise NodeError(f"{name} is not installed")
+    path = type_name
+    for suffix, nested in _NESTED.get(kind, {}).items():
+        if type_name.endswith(suffix):
+            path = f"{type_name.removesuffix(suffix)}.{nested}"
+            break
+    try:
+        module: Any = import_module(f"{package}.{kind}")
+        found: type[Any] = reduce(getattr, path.split("."), module)
+    except (ImportError, AttributeError) as error:
+        raise NodeError(f"the Python module of {name} is not installed: {error}") from error
+    return found
