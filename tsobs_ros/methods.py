@@ -16,7 +16,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
 from tsobs_ros.estimation.supervision import SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.paper import arm_observer
+from tsobs_ros.paper.observer import PAPER_WARNING, paper_observer
 
 METHODS = {
     "certified": "the design's observer: certified gain, supervised, learning what is uncertain",
@@ -27,7 +27,7 @@ METHODS = {
 }
 """The methods by name, each with what to know about it."""
 
-WARNINGS = {"paper": arm_observer.PAPER_WARNING}
+WARNINGS = {"paper": PAPER_WARNING}
 """What a user of a method is warned of, once."""
 
 
@@ -170,7 +170,7 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]
         case "proportional_integral":
             return comparison.proportional_integral(request.arm, settings.theta, *common)
         case _:
-            return arm_observer.paper(request.arm, *common)
+            return paper_observer(request.arm, *common)
 
 
 def make_tracker(

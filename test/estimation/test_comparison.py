@@ -13,7 +13,7 @@ from tsobs_ros.estimation.high_gain import HighGainObserver
 from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.paper import arm_observer
+from tsobs_ros.paper.observer import paper_observer
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 ARM = ElasticJointArm()
@@ -65,7 +65,7 @@ def test_the_tracker_takes_the_observers_own_steps() -> None:
 
 
 def test_the_papers_observer_does_not_find_the_arm() -> None:
-    _, errors = follow(arm_observer.paper(ARM, T, 0.028))
+    _, errors = follow(paper_observer(ARM, T, 0.028))
     # It is an open-loop simulation from another start: the error neither decays nor grows.
     early, late = (
         np.sqrt((errors[part, 0] ** 2).mean()) for part in (slice(0, 2000), slice(2000, None))
@@ -75,4 +75,4 @@ def test_the_papers_observer_does_not_find_the_arm() -> None:
 
 def test_the_papers_gains_are_for_its_own_arm() -> None:
     with pytest.raises(ModelError, match="Example 3"):
-        arm_observer.paper(ElasticJointArm(stiffness=11.0), T, 0.028)
+        paper_observer(ElasticJointArm(stiffness=11.0), T, 0.028)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The three propositions, on the examples and on systems made at random."""
+"""The propositions and the conditions, on the examples and on random systems."""
 
 import numpy as np
 import pytest
@@ -12,14 +12,16 @@ from tsobs_ros.model.fuzzy import RuleBase, TSSystem
 from tsobs_ros.paper.analysis import (
     augmented_modes,
     check_autonomous_innovation,
+    check_gradient_law,
     check_matching,
-    innovation_rate,
     uncertainty_factor,
-    worst_uncertainty,
 )
-from tsobs_ros.paper.augmentation import Augmentation
-from tsobs_ros.paper.conditions import check_conditions, least_epsilon
+from tsobs_ros.paper.augmentation import Augmentation, check_conditions
 from tsobs_ros.paper.examples import example_1, example_3
+
+ARM = ElasticJointArm().slope_matrix(1.0)
+STIFFNESS = np.array([[0.0], [1.0], [0.0], [-5.0]])
+VELOCITIES = np.eye(4)[:, [1, 3]]
 
 
 def some_system(seed: int, n: int = 4, p: int = 2, r: int = 3) -> TSSystem:
@@ -47,16 +49,10 @@ def some_P(seed: int, size: int) -> NDArray[np.float64]:
 def test_innovation_is_autonomous_for_every_l(seed: int) -> None:
     aug = some_augmentation(seed)
     assert check_autonomous_innovation(aug).holds
-    np.testing.assert_allclose(aug.C_bar @ aug.E_L_inverse[:, :4], 0.0, atol=1e-10)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_innovation_obeys_its_own_equation(seed: int) -> None:
-    aug = some_augmentation(seed)
     random = np.random.default_rng(seed)
     H1, h = random.normal(size=(3, 6, 2)), np.array([0.2, 0.5, 0.3])
     closed = np.tensordot(h, aug.A1 - H1 @ aug.C_bar, axes=1)
-    F = innovation_rate(aug, H1, h)
+    F = np.linalg.inv(aug.L[4:]) + aug.C_bar @ np.tensordot(h, H1, axes=1)
     np.testing.assert_allclose(aug.C_bar @ closed, -F @ aug.C_bar, atol=1e-9)
 
 
@@ -94,26 +90,29 @@ def test_matching_leaves_all_of_the_uncertainty(seed: int) -> None:
     assert result.number == pytest.approx(1.0, abs=1e-9)
 
 
-def test_matching_needs_a_fair_question() -> None:
-    aug = Augmentation(example_1().system)
-    with pytest.raises(ModelError, match="ΔA: expected at least one rule with an uncertainty"):
-        check_matching(aug, np.eye(6), np.zeros((2, 3, 3)))
-    with pytest.raises(ModelError, match="P: expected a positive definite matrix, got smallest"):
-        check_matching(aug, -np.eye(6), np.ones((2, 3, 3)))
-    skew = np.eye(6)
-    skew[0, 1] = 1.0
-    with pytest.raises(
-        ModelError, match="P: expected a symmetric matrix, got one unsymmetric by 1"
-    ):
-        check_matching(aug, skew, np.ones((2, 3, 3)))
+SKEW = np.eye(6) + np.eye(6, k=5)
+
+
+@pytest.mark.parametrize(
+    ("P", "change", "message"),
+    [
+        (np.eye(6), 0.0, "ΔA: expected at least one rule with an uncertainty"),
+        (-np.eye(6), 1.0, "P: expected a positive definite matrix, got smallest eigenvalue -1"),
+        (SKEW, 1.0, "P: expected a symmetric matrix, got one unsymmetric by 1"),
+    ],
+)
+def test_matching_needs_a_fair_question(P, change, message) -> None:
+    with pytest.raises(ModelError, match=message):
+        check_matching(Augmentation(example_1().system), P, np.full((2, 3, 3), change))
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_uncertainty_factor_is_attained_and_never_exceeded(seed: int) -> None:
     P = some_P(seed, 4)
     factor = uncertainty_factor(P)
-    delta_A, e = worst_uncertainty(P)
-    assert np.linalg.norm(delta_A, 2) == pytest.approx(1.0)
+    values, vectors = np.linalg.eigh(P)
+    e = vectors[:, -1] / np.sqrt(values[-1]) + vectors[:, 0] / np.sqrt(values[0])
+    delta_A = np.outer(P @ e, e) / (np.linalg.norm(P @ e) * np.linalg.norm(e))
     assert e @ P @ delta_A @ e / (e @ P @ e) == pytest.approx(factor, rel=1e-9)
     assert 1.0 < factor < np.sqrt(np.linalg.cond(P))
     random = np.random.default_rng(seed)
@@ -136,27 +135,27 @@ def test_conditions_without_gains_are_those_with_the_best_gains() -> None:
     assert min(numbers) >= alone - 1e-12
 
 
-def test_conditions_see_every_slip() -> None:
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("P symmetric", {"P": np.eye(6) + 1e-6 * np.eye(6, k=1)}),
+        ("P positive definite", {"P": np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0])}),
+        ("(19)", {"M": Augmentation(example_1().system).C_bar.T + 1e-6}),
+        ("(38)", {"epsilon": 1.1}),
+    ],
+)
+def test_conditions_see_every_slip(name, changes) -> None:
     aug = Augmentation(example_1().system)
-    P = np.eye(6)
-    P[0, 1] = 1e-6
-    assert not check_conditions(aug, P, alpha_1=[0, 0])["P symmetric"].holds
-    assert check_conditions(aug, np.eye(6), alpha_1=[0, 0])["P symmetric"].holds
-    indefinite = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1.0])
-    failing = [c.name for c in check_conditions(aug, indefinite, alpha_1=[0, 0]).failing]
-    assert "P positive definite" in failing
-    M = aug.C_bar.T + 1e-6
-    assert not check_conditions(aug, np.eye(6), alpha_1=[0, 0], M=M)["(19)"].holds
-    assert not check_conditions(aug, np.eye(6), alpha_1=[0, 0], epsilon=1.1)["(38)"].holds
-    assert check_conditions(aug, np.eye(6), alpha_1=[0, 0], epsilon=0.9)["(38)"].holds
+    good = {"P": np.eye(6), "alpha_1": [0, 0], "M": aug.C_bar.T, "epsilon": 0.9}
+    assert check_conditions(aug, **good)[name].holds
+    assert name in [each.name for each in check_conditions(aug, **(good | changes)).failing]
+
+
+def test_conditions_ask_for_the_rate_of_each_rule() -> None:
+    aug = Augmentation(example_1().system)
     # With P = I, the term 2α₁P adds 2α₁ to every eigenvalue.
-    numbers = [
-        [
-            check_conditions(aug, np.eye(6), alpha_1=[0.0, a])[f"(37) rule {rule}"].number
-            for rule in (1, 2)
-        ]
-        for a in (0.0, 0.4)
-    ]
+    reports = [check_conditions(aug, np.eye(6), alpha_1=[0.0, a]) for a in (0.0, 0.4)]
+    numbers = [[each[f"(37) rule {rule}"].number for rule in (1, 2)] for each in reports]
     np.testing.assert_allclose(np.diff(numbers, axis=0), [[0.0, 0.8]], atol=1e-12)
     with pytest.raises(ModelError, match=r"P: expected shape \(6, 6\), got \(5, 5\)"):
         check_conditions(aug, np.eye(5), alpha_1=[0, 0])
@@ -164,6 +163,32 @@ def test_conditions_see_every_slip() -> None:
 
 def test_epsilon_needs_room_for_the_uncertainty_it_is_to_cover() -> None:
     aug = Augmentation(example_1().system)
-    assert least_epsilon(aug, [0.0, 0.0], [0.0, 0.0]) == 0.0
+    assert aug.min_epsilon([0.0, 0.0], [0.0, 0.0]) == 0.0
     with pytest.raises(ModelError, match="xi: expected bounds above 0 for every rule with alpha"):
-        least_epsilon(aug, [0.1, 0.1], [0.1, 0.0])
+        aug.min_epsilon([0.1, 0.1], [0.1, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("outputs", "G", "possible", "degree"),
+    [
+        ([0], STIFFNESS, False, 2),
+        ([0, 2], STIFFNESS, False, 2),
+        ([0, 1], STIFFNESS, True, 1),
+        ([0, 1], VELOCITIES, False, None),
+        ([1, 3], VELOCITIES, True, 1),
+        ([0, 1, 2, 3], VELOCITIES, True, 1),
+    ],
+)
+def test_gradient_law_needs_measured_velocities(outputs, G, possible, degree) -> None:
+    C = np.eye(4)[outputs]
+    verdict = check_gradient_law(ARM, C, G)
+    assert (verdict.possible, verdict.relative_degree) == (possible, degree)
+    assert ("can hold" in str(verdict)) == possible
+    # PG = CᵀF would give GᵀPG = (CG)ᵀF, which no P ≻ 0 meets if CG has lost rank.
+    left_over = [
+        np.linalg.norm(C.T @ np.linalg.lstsq(C.T, P @ G, rcond=None)[0] - P @ G)
+        for P in (np.eye(4), some_P(1, 4), some_P(2, 4))
+    ]
+    assert possible or min(left_over) > 0.1
+    with pytest.raises(ModelError, match=r"got \(4, 4\), \(1, 3\)"):
+        check_gradient_law(ARM, np.ones((1, 3)), STIFFNESS)

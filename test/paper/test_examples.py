@@ -10,14 +10,13 @@ import pytest
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.paper import printed
-from tsobs_ros.paper.augmentation import Augmentation
-from tsobs_ros.paper.conditions import check_conditions, least_epsilon
+from tsobs_ros.paper import examples as printed
+from tsobs_ros.paper.augmentation import Augmentation, check_conditions
+from tsobs_ros.paper.claims import ROUNDING, check_printed
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
 
 FIRST = Augmentation(example_1().system)
 SIGNS = [np.array(signs) for signs in itertools.product([1.0, -1.0], repeat=6)]
-ROUNDING = 1e-3
 
 
 def test_printed_matching_matrix_fits_to_rounding() -> None:
@@ -45,17 +44,9 @@ def test_printed_p_fails_rule_2_for_every_reading_of_its_signs() -> None:
 
 
 def test_printed_p_meets_the_other_conditions() -> None:
-    example = example_1()
-    epsilon = least_epsilon(FIRST, example.alpha, example.xi)
-    assert epsilon == pytest.approx(printed.EXAMPLE_1_EPSILON, rel=3e-4)
-    report = check_conditions(
-        FIRST,
-        printed.EXAMPLE_1_P,
-        alpha_1=FIRST.alpha_1(example.alpha),
-        M=printed.EXAMPLE_1_M,
-        epsilon=epsilon,
-        rounding=ROUNDING,
-    )
+    checks = check_printed(example_1(), example_3())
+    report = checks.example_1
+    assert checks.epsilon == pytest.approx(printed.EXAMPLE_1_EPSILON, rel=3e-4)
     assert [condition.name for condition in report.failing] == ["(37) rule 2"]
     assert report["(38)"].number == pytest.approx(printed.EXAMPLE_1_INVERSE_NORM, rel=3e-4)
     assert "(37) rule 2: DOES NOT HOLD" in str(report)

@@ -12,11 +12,9 @@ from scipy.linalg import expm
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.fuzzy import RuleBase, TSSystem
-from tsobs_ros.paper.adaptation import clipped, projected_rate
-from tsobs_ros.paper.analysis import innovation_rate
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import example_1
-from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState
+from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState, clipped, projected_rate
 
 Array = NDArray[np.float64]
 
@@ -117,7 +115,7 @@ def test_innovation_decays_by_its_own_equation() -> None:
     observer = AugmentedObserver(aug, H1[:1], M)
     state = run(observer, 0.5, 0.005)
     start = y_of(0.0) - aug.C_bar @ START
-    expected = expm(-0.5 * innovation_rate(aug, H1[:1], [1.0])) @ start
+    expected = expm(-0.5 * (np.linalg.inv(aug.L[3:]) + aug.C_bar @ H1[0])) @ start
     np.testing.assert_allclose(observer.innovation(state), expected, atol=1e-8)
     assert np.abs(expected).max() > 1e-3
 
@@ -199,22 +197,26 @@ def test_projection_never_raises_the_lyapunov_function(seed: int) -> None:
     np.testing.assert_array_equal(inside, gamma @ gradient)
 
 
-def test_wrong_matrices_are_named() -> None:
-    with pytest.raises(ModelError, match=r"H₁: expected shape \(2, 6, 3\), got \(6, 3\)"):
-        AugmentedObserver(AUG, H1[0], M)
-    with pytest.raises(ModelError, match=r"M: expected shape \(6, 3\), got \(3, 6\)"):
-        AugmentedObserver(AUG, H1, M.T)
-    unsymmetric = GAMMA.copy()
-    unsymmetric[1, 0, 2] = 1.0
-    with pytest.raises(ModelError, match="Γ of rule 2: expected a symmetric matrix"):
-        AugmentedObserver(AUG, H1, M, unsymmetric)
-    with pytest.raises(ModelError, match=r"xi: expected bounds of at least 0, got \[-1"):
-        AugmentedObserver(AUG, H1, M, GAMMA, xi=[-1.0, 1.0])
-    with pytest.raises(ModelError, match="longest_step"):
-        AugmentedObserver(AUG, H1, M, longest_step=0.0)
+UNSYMMETRIC = GAMMA + np.eye(3, k=2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"H1": H1[0]}, r"H₁: expected shape \(2, 6, 3\), got \(6, 3\)"),
+        ({"M": M.T}, r"M: expected shape \(6, 3\), got \(3, 6\)"),
+        ({"Gamma": UNSYMMETRIC}, "Γ of rule 1: expected a symmetric matrix"),
+        ({"xi": [-1.0, 1.0]}, r"xi: expected bounds of at least 0, got \[-1"),
+    ],
+)
+def test_wrong_matrices_are_named(changes, message) -> None:
+    with pytest.raises(ModelError, match=message):
+        AugmentedObserver(**({"augmentation": AUG, "H1": H1, "M": M, "Gamma": GAMMA} | changes))
+
+
+def test_wrong_samples_are_named() -> None:
     observer = AugmentedObserver(AUG, H1, M)
     with pytest.raises(ModelError, match=r"y: expected shape \(..., 3\), got \(2,\)"):
         observer.initial(np.zeros(2))
-    state = observer.initial(np.zeros(3))
     with pytest.raises(ModelError, match=r"z: expected shape \(..., 1\), got \(2,\)"):
-        observer.correct(state, np.zeros(3), z=np.zeros(2))
+        observer.correct(observer.initial(np.zeros(3)), np.zeros(3), z=np.zeros(2))

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.paper.conditions import check_conditions
+from tsobs_ros.paper.analysis import analyse, check_stability
+from tsobs_ros.paper.augmentation import check_conditions
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
-from tsobs_ros.paper.stability import common_lyapunov
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
-from tsobs_ros.paper.verdict import analyse
 
 NO_BOUNDS = np.zeros(2)
 
@@ -86,7 +85,7 @@ def test_innovation_decays_as_was_asked() -> None:
 
 
 def test_undamped_arm_is_refused_with_its_mode() -> None:
-    verdict = common_lyapunov(example_3().system.A, NO_BOUNDS)
+    verdict = check_stability(example_3().system.A, NO_BOUNDS)
     assert not verdict.feasible
     assert verdict.Z is not None
     prove_infeasible(example_3().system.A, verdict.Z)
@@ -137,7 +136,7 @@ def test_verdict_on_any_model_is_one_call_and_readable() -> None:
 
 def test_rules_that_are_stable_alone_but_not_together_are_refuted_by_a_dual() -> None:
     A = np.array([[[-0.1, 1.0], [-10.0, -0.1]], [[-0.1, 10.0], [-1.0, -0.1]]])
-    verdict = common_lyapunov(A, NO_BOUNDS)
+    verdict = check_stability(A, NO_BOUNDS)
     assert not verdict.feasible
     assert verdict.Z is not None
     prove_infeasible(A, verdict.Z)
@@ -146,7 +145,7 @@ def test_rules_that_are_stable_alone_but_not_together_are_refuted_by_a_dual() ->
 
 def test_rules_that_share_a_matrix_are_proved_to() -> None:
     A = example_2().system.A
-    verdict = common_lyapunov(A, [0.2, 0.5])
+    verdict = check_stability(A, [0.2, 0.5])
     assert verdict.feasible
     assert verdict.P is not None
     assert np.linalg.eigvalsh(verdict.P)[0] > 0.0
@@ -171,28 +170,27 @@ def test_answers_at_the_border_are_not_given() -> None:
     for _ in range(30):
         middle = (low + high) / 2
         try:
-            feasible = common_lyapunov(A, [middle, middle]).feasible
+            feasible = check_stability(A, [middle, middle]).feasible
         except DesignError:
             break
         low, high = (middle, high) if feasible else (low, middle)
     assert 0.4 < middle < 0.5582
 
 
-def test_wrong_matrices_are_named() -> None:
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"Gamma": np.eye(3) + 0.5 * np.eye(3, k=1)}, r"Γ of rule 1: .* symmetric .*by 0\.5"),
+        ({"Gamma": np.diag([1.0, -1.0, 1.0])}, r"Γ of rule 1: .* positive definite.*value -1"),
+        ({"Gamma": np.eye(2)}, r"Γ: expected shape \(2, 3, 3\), got \(2, 2, 2\)"),
+        ({"alpha": [0.1, 0.1, 0.1]}, r"alpha: expected shape \(2,\), got \(3,\)"),
+        ({"L": np.zeros((6, 3))}, r"L: expected E_L .* invertible"),
+    ],
+)
+def test_wrong_matrices_are_named(changes, message) -> None:
     example = example_1()
-    gamma = np.eye(3)
-    gamma[0, 1] = 0.5
-    with pytest.raises(ModelError, match=r"Γ of rule 1: expected a symmetric matrix.*by 0\.5"):
-        design_adaptive_observer(example.system, example.alpha, example.xi, Gamma=gamma)
-    with pytest.raises(ModelError, match=r"Γ of rule 1: expected a positive definite.*value -1"):
-        design_adaptive_observer(
-            example.system, example.alpha, example.xi, Gamma=np.diag([1.0, -1.0, 1.0])
-        )
-    with pytest.raises(ModelError, match=r"Γ: expected shape \(2, 3, 3\), got \(2, 2, 2\)"):
-        design_adaptive_observer(example.system, example.alpha, example.xi, Gamma=np.eye(2))
-    with pytest.raises(ModelError, match=r"alpha: expected shape \(2,\), got \(3,\)"):
-        design_adaptive_observer(example.system, [0.1, 0.1, 0.1], example.xi)
-    with pytest.raises(ModelError, match=r"L: expected E_L .* invertible"):
-        design_adaptive_observer(example.system, example.alpha, example.xi, L=np.zeros((6, 3)))
+    given = {"system": example.system, "alpha": example.alpha, "xi": example.xi}
+    with pytest.raises(ModelError, match=message):
+        design_adaptive_observer(**(given | changes))
     with pytest.raises(ModelError, match=r"A: expected one matrix a rule.* got \(3, 3\)"):
-        common_lyapunov(np.eye(3), [0.0])
+        check_stability(np.eye(3), [0.0])

@@ -19,7 +19,7 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Regenerate the published method's figures and the table of its claims."""
-    from tsobs_ros.paper.publish import make_paper_report
+    from tsobs_ros.paper.page import make_paper_report
 
     result = make_paper_report(options.output, progress=True, seeds=options.seeds)
     show(result.as_mapping(), str(result), options.json)

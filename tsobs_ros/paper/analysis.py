@@ -1,11 +1,12 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the adaptive observer's structure allows, for any T–S system; proofs in docs/method.md.
+"""Limits of the adaptive observer's structure for any T–S system; proofs in docs/method.md.
 
 Proposition 1: the innovation is autonomous, e_y' = −L₂⁻¹(I + Σ hᵢH₂ᵢ) e_y without adaptation, and
-the modes of every Aᵢ are unobservable in (A₁ᵢ, C̄). Proposition 3: in the metric of P the effect of
-ΔA is orthogonal to everything M Ξ can be, so the matching assumption holds for ΔA = 0 only.
-Proposition 2, on feasibility, needs a solver: `tsobs_ros.paper.stability`.
+the modes of every Aᵢ are unobservable in (A₁ᵢ, C̄). Proposition 2: (18)/(37) are feasible exactly
+if the Aᵢ share a Lyapunov matrix with decay rates above α₁ᵢ, because on {C̄x̄ = 0} the error moves
+by Aᵢ whatever the gains. Proposition 3: in the metric of P the effect of ΔA is orthogonal to
+everything M Ξ can be, so the matching assumption holds for ΔA = 0 only.
 """
 
 from dataclasses import dataclass
@@ -15,14 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix
+from tsobs_ros.design.lyapunov import common_lyapunov, refutation_margin
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.detectability import HiddenMode, format_mode, hidden_modes
+from tsobs_ros.model.fuzzy import TSSystem
 from tsobs_ros.paper.augmentation import Augmentation
 
+# Relative singular value that counts as zero in the PBH test. A pencil at a computed eigenvalue of
+# a nearly defective matrix is only accurate to the square root of rounding.
 _TOLERANCE = 1e-6
-"""Relative singular value that counts as zero in the PBH test. A pencil at a computed eigenvalue of
-a nearly defective matrix is only accurate to the square root of rounding."""
-
 _DECAYING = -1e-9
 
 
@@ -57,7 +59,7 @@ class Proposition:
 
     Attributes:
         name: E.g. "Proposition 1".
-        statement: What it says about this system.
+        statement: The proposition for this system.
         number: The number that decides it.
         holds: Whether it was confirmed to rounding.
     """
@@ -71,11 +73,106 @@ class Proposition:
         return f"{self.name} ({'confirmed' if self.holds else 'NOT CONFIRMED'}): {self.statement}"
 
 
-def augmented_modes(augmentation: Augmentation, tolerance: float = _TOLERANCE) -> list[RuleModes]:
+@dataclass(frozen=True)
+class StabilityVerdict:
+    """Proposition 2 on one system: is there a common Lyapunov matrix at given decay rates?
+
+    Attributes:
+        feasible: The answer.
+        margin: The eigenvalue that proves it, as in `design.lyapunov.CommonLyapunov`.
+        P: The Lyapunov matrix, shape (n, n); None if there is none.
+        reason: One line for people.
+        Z: The proof that there is none, shape (r, n, n); None if there is one.
+    """
+
+    feasible: bool
+    margin: float
+    P: Array | None
+    reason: str
+    Z: Array | None = None
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """The verdict on one model.
+
+    Attributes:
+        innovation: Proposition 1: the plant's influence on the innovation.
+        modes: PBH test of the augmented pair, rule by rule.
+        stability: Proposition 2: feasibility of the LMIs (37), with the proof.
+        matching: Proposition 3: the part of ΔA that the adaptation can reproduce; None without an
+            uncertainty or without a P.
+    """
+
+    innovation: Proposition
+    modes: tuple[RuleModes, ...]
+    stability: StabilityVerdict
+    matching: Proposition | None
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the method's observer can be designed at all."""
+        return self.stability.feasible
+
+    def __str__(self) -> str:
+        answer = "FEASIBLE" if self.feasible else "INFEASIBLE"
+        lines = [str(self.innovation), *(str(modes) for modes in self.modes)]
+        lines.append(f"Proposition 2: (37) is {answer}: {self.stability.reason}")
+        if self.matching is not None:
+            lines.append(str(self.matching))
+        return "\n".join(lines)
+
+
+def analyse(
+    system: TSSystem,
+    alpha: ArrayLike | None = None,
+    *,
+    delta_A: ArrayLike | None = None,
+    L: ArrayLike | None = None,
+    output_rule: int = 0,
+) -> Analysis:
+    """Return the limits of the adaptive observer for a system with an arbitrary disturbance.
+
+    Args:
+        system: The T–S system.
+        alpha: Bounds ‖ΔAᵢ‖ ≤ αᵢ, shape (r,); zero by default.
+        delta_A: An uncertainty to try the matching assumption on, shape (r, n, n); αᵢI by
+            default, and the answer is the same for all.
+        L: Shape (n + p, p); [0; I] by default.
+        output_rule: Index of the rule whose Cᵢ is the common C.
+
+    Raises:
+        ModelError: A matrix has the wrong shape, or E_L is singular.
+        DesignError: Feasibility is too close to its border to be decided.
+
+    >>> from tsobs_ros.model.arm import ElasticJointArm
+    >>> analyse(ElasticJointArm().ts_system()).feasible
+    False
+    """
+    augmentation = Augmentation(system, output_rule, L)
+    n, r = augmentation.state_count, augmentation.rule_count
+    bounds = np.zeros(r) if alpha is None else np.asarray(alpha, dtype=np.float64)
+    stability = check_stability(system.A, augmentation.alpha_1(bounds))
+    change = bounds[:, None, None] * np.eye(n) if delta_A is None else np.asarray(delta_A)
+    matching = None
+    if stability.P is not None and change.any():
+        # S⁻ᵀ diag(P, I) S⁻¹ with S = [T [0; I]] solves (37) for a P on {C̄x̄ = 0}.
+        lifted = augmentation.C_bar.T @ augmentation.C_bar
+        lifted[:n, :n] += stability.P
+        matching = check_matching(augmentation, lifted, change)
+    return Analysis(
+        innovation=check_autonomous_innovation(augmentation),
+        modes=tuple(augmented_modes(augmentation)),
+        stability=stability,
+        matching=matching,
+    )
+
+
+def augmented_modes(augmentation: Augmentation) -> list[RuleModes]:
     """Return the PBH test of (A₁ᵢ, C̄), rule by rule, with the hidden modes and their shapes."""
     found = []
     for rule, A in enumerate(augmentation.A1):
-        hidden = tuple(hidden_modes(A, augmentation.C_bar, tolerance))
+        hidden = tuple(hidden_modes(A, augmentation.C_bar, _TOLERANCE))
         edge = _DECAYING * max(1.0, float(np.abs(np.linalg.eigvals(A)).max()))
         persistent = tuple(mode for mode in hidden if mode.eigenvalue.real >= edge)
         found.append(RuleModes(rule, hidden, persistent))
@@ -105,27 +202,60 @@ def check_autonomous_innovation(augmentation: Augmentation) -> Proposition:
     )
 
 
-def innovation_rate(augmentation: Augmentation, H1: ArrayLike, weights: ArrayLike) -> Array:
-    """Return F with e_y' = −F e_y without adaptation, F = L₂⁻¹(I + Σ hᵢH₂ᵢ), shape (p, p).
+def check_stability(A: ArrayLike, rates: ArrayLike) -> StabilityVerdict:
+    """Decide Proposition 2's question: has one P ≻ 0 AᵢᵀP + PAᵢ + 2 rateᵢ P ≺ 0 for every rule?
 
     Args:
-        augmentation: The system in augmented form.
-        H1: Gains H₁ᵢ = E_L⁻¹Hᵢ, shape (r, n + p, p).
-        weights: Rule weights h, shape (r,).
+        A: State matrices, shape (r, n, n).
+        rates: Decay rates to exceed, α₁ᵢ, shape (r,) [1/s].
+
+    Raises:
+        ModelError: A matrix has the wrong shape.
+        DesignError: The problem is too close to the border for either proof.
     """
-    r, p = augmentation.rule_count, augmentation.output_count
-    gains = as_matrix("H₁", H1, (r, augmentation.size, p))
-    blended = np.tensordot(as_matrix("weights", weights, (r,)), gains, axes=1)
-    assert augmentation.L is not None
-    lower = np.linalg.inv(augmentation.L[augmentation.state_count :])
-    return np.asarray(lower + augmentation.C_bar @ blended)
+    if np.ndim(A) != 3:
+        raise ModelError(f"A: expected one matrix a rule, shape (r, n, n), got {np.shape(A)}")
+    r, n = np.shape(A)[0], np.shape(A)[-1]
+    decays = as_matrix("rates", rates, (r,))
+    shifted = as_matrix("A", A, (r, n, n)) + decays[:, None, None] * np.eye(n)
+    for rule, matrix in enumerate(shifted):
+        edge = _DECAYING * max(1.0, float(np.linalg.norm(matrix, 2)))
+        # To a sensor without any signal every mode is hidden, which is Proposition 1.
+        modes = hidden_modes(matrix, np.zeros((1, n)), _TOLERANCE)
+        slow = [mode for mode in modes if mode.eigenvalue.real >= edge]
+        if slow:
+            # Rounding must not choose between modes that are equally slow.
+            mode = max(slow, key=lambda m: (round(m.eigenvalue.real, 9), m.eigenvalue.imag))
+            return _refuted_by_mode(shifted, rule, mode, float(decays[rule]))
+    margin, P, Z = common_lyapunov(shifted)
+    if P is not None:
+        reason = f"a common P exists, with largest eigenvalue {margin:.4g} (trace P = {n})"
+        return StabilityVerdict(True, margin, P, reason)
+    reason = (
+        f"every rule decays fast enough alone, but no P serves all {r}: proved by Zᵢ ⪰ 0 with "
+        f"Σ (AᵢZᵢ + ZᵢAᵢᵀ + 2α₁ᵢZᵢ) ⪰ {margin:.2g} and Σ tr Zᵢ = 1"
+    )
+    return StabilityVerdict(False, margin, None, reason, Z)
+
+
+def _refuted_by_mode(shifted: Array, rule: int, mode: HiddenMode, rate: float) -> StabilityVerdict:
+    Z = np.zeros_like(shifted)
+    outer = np.real(np.outer(mode.shape, mode.shape.conj()))
+    Z[rule] = outer / np.trace(outer)
+    own = mode._replace(eigenvalue=mode.eigenvalue - rate)
+    faster = f" faster than α₁ = {rate:.4g} 1/s" if rate > 0.0 else ""
+    reason = (
+        f"rule {rule + 1} has a mode that does not decay{faster}: eigenvalue "
+        f"{format_mode(own, 'x')}"
+    )
+    return StabilityVerdict(False, refutation_margin(shifted, Z), None, reason, Z)
 
 
 def check_matching(augmentation: Augmentation, P: ArrayLike, delta_A: ArrayLike) -> Proposition:
     """Check Proposition 3 on a system: how much of ΔA any Ξ can reproduce through M = P⁻¹C̄ᵀ.
 
     The number is the part of E_L⁻¹ΔĀ that the best Ξ leaves over, in the norm of P, at the rule
-    where it is smallest; the proposition says it is all of it, 1.
+    with the least; by the proposition it is all of it, 1.
 
     Args:
         augmentation: The system in augmented form.
@@ -176,15 +306,6 @@ def uncertainty_factor(P: ArrayLike) -> float:
     return (root + 1.0 / root) / 2.0
 
 
-def worst_uncertainty(P: ArrayLike) -> tuple[Array, Array]:
-    """Return ΔA of unit norm and e for which the bound of `uncertainty_factor` is attained."""
-    values, vectors = np.linalg.eigh(np.asarray(P, dtype=np.float64))
-    e = vectors[:, -1] / np.sqrt(values[-1]) + vectors[:, 0] / np.sqrt(values[0])
-    image = np.asarray(P) @ e
-    delta_A = np.outer(image / np.linalg.norm(image), e / np.linalg.norm(e))
-    return delta_A, np.asarray(e)
-
-
 def _root(P: Array) -> Array:
     """Return R with P = RᵀR."""
     if float(np.abs(P - P.T).max()) > 1e-9 * float(np.abs(P).max()):
@@ -198,3 +319,57 @@ def _root(P: Array) -> Array:
         raise ModelError(
             f"P: expected a positive definite matrix, got smallest eigenvalue {smallest:.6g}"
         ) from error
+
+
+class MatchingVerdict(NamedTuple):
+    """The gradient law's matching condition PG = CᵀF for one system.
+
+    Attributes:
+        rank_directions: Rank of G.
+        rank_seen: Rank of C G.
+        relative_degree: Smallest k with C A^{k−1} G of the rank of G; None if no k ≤ n has it.
+    """
+
+    rank_directions: int
+    rank_seen: int
+    relative_degree: int | None
+
+    @property
+    def possible(self) -> bool:
+        """Whether C G has the rank of G, without which no P matches."""
+        return self.rank_seen == self.rank_directions
+
+    def __str__(self) -> str:
+        degree = self.relative_degree
+        shown = "above the number of states" if degree is None else str(degree)
+        verdict = "can hold" if self.possible else "cannot hold"
+        return (
+            f"the matching condition PG = CᵀF {verdict}: rank(CG) = {self.rank_seen}, "
+            f"rank(G) = {self.rank_directions}, relative degree {shown}"
+        )
+
+
+def check_gradient_law(A: Array, C: Array, G: Array) -> MatchingVerdict:
+    """Check if the published gradient law can adapt at all.
+
+    The law Θ̂' = Γ e_y x̂ᵀ cancels the uncertainty in V = eᵀPe + tr(Θ̃ᵀΓ⁻¹Θ̃) only if PG = C̄ᵀF for
+    some P ≻ 0 and F, with ΔA x = G Θ x. Then FᵀC̄G = GᵀP G, whose rank is that of G; so C̄G has the
+    rank of G: every uncertain direction reaches the output's first derivative.
+
+    Args:
+        A: State matrix, shape (n, n).
+        C: Output matrix, shape (p, n).
+        G: Directions in which the uncertainty enters the state's derivative, shape (n, g).
+
+    Raises:
+        ModelError: The shapes do not fit.
+    """
+    n = A.shape[0]
+    if A.shape != (n, n) or C.ndim != 2 or C.shape[1] != n or G.ndim != 2 or G.shape[0] != n:
+        raise ModelError(
+            f"A, C, G: expected shapes (n, n), (p, n), (n, g), got {A.shape}, {C.shape}, {G.shape}"
+        )
+    directions = int(np.linalg.matrix_rank(G))
+    seen = [int(np.linalg.matrix_rank(C @ np.linalg.matrix_power(A, k) @ G)) for k in range(n)]
+    degree = next((k for k, rank in enumerate(seen, 1) if rank == directions), None)
+    return MatchingVerdict(directions, seen[0], degree)

@@ -1,17 +1,24 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The descriptor augmentation of the adaptive T–S observer: the disturbance as p more states.
+"""Descriptor augmentation of an adaptive T–S observer, and the conditions on its solutions.
 
 With x̄ = [x; ω] and one output matrix C chosen among the Cᵢ, the system reads (the method's (5)–(8))
 
     Ē x̄' = Āᵢ x̄ + B̄ᵢ u + N y − N C̄₀ x̄ ,     y = C̄ x̄ ,     C̄ = [C I],  C̄₀ = [C 0],  N = [0; I]
 
-and L ẏ added on both sides makes E_L = Ē + L C̄ invertible. `Augmentation` holds what follows from
-that choice; A₁ᵢ = E_L⁻¹(Āᵢ − N C̄₀) and its kin are what the design and the observer work with.
+and L ẏ added on both sides makes E_L = Ē + L C̄ invertible. The conditions of Theorems 1 and 2 are
+
+    (18), (37)   A₁ᵢᵀP + P A₁ᵢ − C̄ᵀQᵢᵀ − QᵢC̄ + 2α₁ᵢP ≺ 0 ,  Qᵢ = P H₁ᵢ ,  P = Pᵀ ≻ 0
+    (19)         P M = C̄ᵀ
+    (38)         ‖P⁻¹‖ ≥ ε ,  ε = max α₁ᵢ/(ξᵢ‖C̄‖)
+
+Without gains, (18) is checked on {C̄x̄ = 0}, where Qᵢ drops out: by Finsler's lemma some Qᵢ
+satisfies it if and only if it holds there.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,12 +26,12 @@ from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import RuleBase, TSSystem
+from tsobs_ros.model.fuzzy import TSSystem
 
+# Reciprocal condition number below which E_L counts as singular.
 _SINGULAR = 1e-12
-"""Reciprocal condition number below which E_L counts as singular."""
-
-_PARTITION = 1e-9
+# Relative margin below which a strict inequality cannot be distinguished from equality.
+_STRICT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,7 @@ class Augmentation:
     Attributes:
         system: The T–S system; n states, m inputs, p outputs, r rules.
         output_rule: Index of the rule whose Cᵢ serves as the common C.
-        L: The free matrix, shape (n + p, p); [0; I] if not given.
+        free_matrix: L, shape (n + p, p); [0; I] by default.
 
     Raises:
         ModelError: There is no such rule, L has another shape, or E_L is singular.
@@ -42,7 +49,7 @@ class Augmentation:
 
     system: TSSystem
     output_rule: int = 0
-    L: Array | None = None
+    free_matrix: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         n, p = self.state_count, self.output_count
@@ -50,14 +57,12 @@ class Augmentation:
             raise ModelError(
                 f"output_rule: expected 0 to {self.rule_count - 1}, got {self.output_rule!r}"
             )
-        free = np.vstack([np.zeros((n, p)), np.eye(p)]) if self.L is None else self.L
-        object.__setattr__(self, "L", as_matrix("L", free, (n + p, p)))
         singular = np.linalg.svd(self.E_L, compute_uv=False)
         if singular[-1] < _SINGULAR * singular[0]:
             raise ModelError(
                 f"L: expected E_L = Ē + L C̄ to be invertible, which needs an invertible lower "
                 f"({p}, {p}) block; got E_L with singular values {singular[0]:.3g} to "
-                f"{singular[-1]:.3g} for the lower block {self._lower_L.tolist()}"
+                f"{singular[-1]:.3g} for the lower block {self.L[n:].tolist()}"
             )
 
     @property
@@ -86,6 +91,13 @@ class Augmentation:
         return np.asarray(self.system.C[self.output_rule])
 
     @cached_property
+    def L(self) -> Array:
+        """The free matrix, shape (n + p, p)."""
+        n, p = self.state_count, self.output_count
+        given = np.eye(n + p, p, -n) if self.free_matrix is None else self.free_matrix
+        return as_matrix("L", given, (n + p, p))
+
+    @cached_property
     def C_bar(self) -> Array:
         """C̄ = [C I], shape (p, n + p)."""
         return np.hstack([self.C, np.eye(self.output_count)])
@@ -94,7 +106,6 @@ class Augmentation:
     def E_L(self) -> Array:
         """Ē + L C̄, shape (n + p, n + p)."""
         n, p = self.state_count, self.output_count
-        assert self.L is not None
         return np.asarray(block_diag(np.eye(n), np.zeros((p, p))) + self.L @ self.C_bar)
 
     @cached_property
@@ -102,24 +113,14 @@ class Augmentation:
         """E_L⁻¹, shape (n + p, n + p)."""
         return np.asarray(np.linalg.inv(self.E_L))
 
-    @property
-    def _lower_L(self) -> Array:
-        assert self.L is not None
-        return self.L[self.state_count :]
-
-    @cached_property
-    def A0(self) -> Array:
-        """A₀ᵢ = Āᵢ − N C̄₀, shape (r, n + p, n + p)."""
-        n, p, r = self.state_count, self.output_count, self.rule_count
-        matrices = np.zeros((r, n + p, n + p))
-        matrices[:, :n, :n] = self.system.A
-        matrices[:, n:] = -self.C_bar
-        return matrices
-
     @cached_property
     def A1(self) -> Array:
-        """A₁ᵢ = E_L⁻¹A₀ᵢ, shape (r, n + p, n + p)."""
-        return np.asarray(self.E_L_inverse @ self.A0)
+        """A₁ᵢ = E_L⁻¹A₀ᵢ with A₀ᵢ = Āᵢ − N C̄₀, shape (r, n + p, n + p)."""
+        n, p, r = self.state_count, self.output_count, self.rule_count
+        A0 = np.zeros((r, n + p, n + p))
+        A0[:, :n, :n] = self.system.A
+        A0[:, n:] = -self.C_bar
+        return np.asarray(self.E_L_inverse @ A0)
 
     @cached_property
     def B1(self) -> Array:
@@ -137,7 +138,6 @@ class Augmentation:
 
         It is [0; I] whatever L is: E_L w = L v gives L₂(C̄w − v) = 0, hence C̄w = v and w_x = 0.
         """
-        assert self.L is not None
         return np.asarray(self.E_L_inverse @ self.L)
 
     @cached_property
@@ -164,6 +164,26 @@ class Augmentation:
         if (bounds < 0.0).any():
             raise ModelError(f"alpha: expected bounds of at least 0, got {bounds.tolist()}")
         return np.asarray(np.linalg.norm(self.E_L_inverse, 2) * bounds)
+
+    def min_epsilon(self, alpha: ArrayLike, xi: ArrayLike) -> float:
+        """Return ε = max α₁ᵢ/(ξᵢ‖C̄‖), the start of the method's Remark 3.
+
+        Args:
+            alpha: Bounds ‖ΔAᵢ‖ ≤ αᵢ, shape (r,).
+            xi: Bounds ‖Ξᵢ‖ ≤ ξᵢ, shape (r,); zero only if αᵢ is.
+
+        Raises:
+            ModelError: A shape is wrong, a bound is negative, or ξᵢ = 0 with αᵢ > 0.
+        """
+        alpha_1 = self.alpha_1(alpha)
+        limits = as_matrix("xi", xi, (self.rule_count,))
+        if (limits < 0.0).any() or (limits[alpha_1 > 0.0] == 0.0).any():
+            raise ModelError(
+                "xi: expected bounds above 0 for every rule with alpha above 0, "
+                f"got {limits.tolist()}"
+            )
+        ratios = alpha_1[limits > 0.0] / limits[limits > 0.0]
+        return float(ratios.max(initial=0.0) / np.linalg.norm(self.C_bar, 2))
 
     def recover_disturbance(self, x: Array, omega_0: Array, weights: Array) -> Array:
         """Return ω = ω₀ − Σ hᵢ(Cᵢ − C) x, the (29) of the method, shape (..., p).
@@ -198,29 +218,108 @@ def recover_fault(omega: Array, D_s: ArrayLike) -> Array:
     return np.asarray(omega @ np.linalg.pinv(distribution).T)
 
 
-def require_partition(rule_base: RuleBase, z: ArrayLike) -> None:
-    """Check that memberships given as the weights hᵢ themselves sum to one at given premises.
+class Condition(NamedTuple):
+    """One condition with the number that decides it.
 
-    A `RuleBase` normalises its grades, which would hide a slip in weights that were meant to be
-    normalised already.
+    Attributes:
+        name: Equation number and rule, e.g. "(37) rule 2".
+        number: The computed number.
+        limit: The number it is compared with.
+        upper: True if the number must be below the limit, else it must be at least the limit.
+    """
+
+    name: str
+    number: float
+    limit: float
+    upper: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether the condition holds; false for NaN."""
+        return self.number < self.limit if self.upper else self.number >= self.limit
+
+    def __str__(self) -> str:
+        relation = "<" if self.upper else ">="
+        verdict = "holds" if self.holds else "DOES NOT HOLD"
+        return f"{self.name}: {verdict}, {self.number:.6g} (needs {relation} {self.limit:.6g})"
+
+
+@dataclass(frozen=True)
+class ConditionReport:
+    """All conditions of a solution, in the order of their checks."""
+
+    conditions: tuple[Condition, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether every condition holds."""
+        return not self.failing
+
+    @property
+    def failing(self) -> tuple[Condition, ...]:
+        """The conditions that do not hold."""
+        return tuple(condition for condition in self.conditions if not condition.holds)
+
+    def __getitem__(self, name: str) -> Condition:
+        """Return a condition by its name, else raise `KeyError`."""
+        return {condition.name: condition for condition in self.conditions}[name]
+
+    def __str__(self) -> str:
+        return "\n".join(str(condition) for condition in self.conditions)
+
+
+def check_conditions(
+    augmentation: Augmentation,
+    P: ArrayLike,
+    *,
+    alpha_1: ArrayLike,
+    H1: ArrayLike | None = None,
+    M: ArrayLike | None = None,
+    epsilon: float = 0.0,
+    rounding: float = 1e-9,
+) -> ConditionReport:
+    """Check a solution by eigenvalues; a condition that fails raises nothing.
 
     Args:
-        rule_base: Memberships whose products are meant to be the weights.
-        z: Premise variables to try, shape (..., q).
+        augmentation: The system in augmented form.
+        P: Shape (n + p, n + p).
+        alpha_1: α₁ᵢ, shape (r,).
+        H1: Gains H₁ᵢ, shape (r, n + p, p); without them (18) is checked on {C̄x̄ = 0}.
+        M: Shape (n + p, p); without it (19) is left out.
+        epsilon: ε of (38); zero leaves it out.
+        rounding: Largest ‖P M − C̄ᵀ‖ that counts as zero.
 
     Raises:
-        ModelError: The grades at some z do not sum to one; the text names z and the sum.
+        ModelError: A matrix has the wrong shape.
     """
-    premise = np.asarray(z, dtype=np.float64)
-    grades = [
-        np.prod([mu(premise[..., j]) for j, mu in enumerate(rule)], axis=0)
-        for rule in rule_base.rules
+    size, r, p = augmentation.size, augmentation.rule_count, augmentation.output_count
+    matrix = as_matrix("P", P, (size, size))
+    rates = as_matrix("alpha_1", alpha_1, (r,))
+    asymmetry = float(np.abs(matrix - matrix.T).max())
+    symmetric = 0.5 * (matrix + matrix.T)
+    scale = float(np.linalg.norm(symmetric, 2))
+    smallest = float(np.linalg.eigvalsh(symmetric)[0])
+    conditions = [
+        Condition("P symmetric", asymmetry, max(1e-12 * scale, 1e-300), True),
+        Condition("P positive definite", smallest, _STRICT * scale, False),
     ]
-    total = np.sum(grades, axis=0)
-    wrong = np.argwhere(~(np.abs(total - 1.0) <= _PARTITION))
-    if wrong.size:
-        where = tuple(wrong[0])
-        raise ModelError(
-            f"memberships: expected weights that sum to 1, got {float(total[where])!r} "
-            f"at z = {premise[where].tolist()}"
-        )
+    gains = None if H1 is None else as_matrix("H₁", H1, (r, size, p))
+    blind = np.linalg.qr(augmentation.blind_basis)[0]
+    for rule in range(r):
+        A = augmentation.A1[rule]
+        if gains is not None:
+            A = A - gains[rule] @ augmentation.C_bar
+        product = symmetric @ (A + rates[rule] * np.eye(size))
+        decrease = product + product.T
+        if gains is None:
+            decrease = blind.T @ decrease @ blind
+        margin = -_STRICT * max(scale, float(np.linalg.norm(decrease, 2)))
+        largest = float(np.linalg.eigvalsh(decrease)[-1])
+        conditions.append(Condition(f"(37) rule {rule + 1}", largest, margin, True))
+    if M is not None:
+        residual = symmetric @ as_matrix("M", M, (size, p)) - augmentation.C_bar.T
+        conditions.append(Condition("(19)", float(np.linalg.norm(residual, 2)), rounding, True))
+    if epsilon > 0.0:
+        norm = 1.0 / smallest if smallest > 0.0 else float("nan")
+        conditions.append(Condition("(38)", norm, epsilon, False))
+    return ConditionReport(tuple(conditions))

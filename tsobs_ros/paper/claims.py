@@ -3,44 +3,139 @@
 """The claims of the method's paper, each judged by a number that is computed here.
 
 The verdicts are not written down: each follows from its number by a stated limit, so a change of
-the code that turned one around would turn the table around, and fail the test that is named.
+the code that reversed one would reverse the table, and fail the test that is named.
 """
 
-from collections.abc import Mapping, Sequence
+import enum
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.paper import printed
+from tsobs_ros.paper import examples
 from tsobs_ros.paper.analysis import (
+    StabilityVerdict,
     check_autonomous_innovation,
     check_matching,
     uncertainty_factor,
 )
-from tsobs_ros.paper.claim_table import Claim, Verdict
-from tsobs_ros.paper.comparison import Comparison
-from tsobs_ros.paper.printed_solutions import PrintedChecks
-from tsobs_ros.paper.records import StabilityVerdict
-from tsobs_ros.paper.runs import ExampleRun
+from tsobs_ros.paper.augmentation import Augmentation, ConditionReport, check_conditions
+from tsobs_ros.paper.examples import PaperExample
+from tsobs_ros.paper.runs import SETTLED, ArmComparison, ExampleRun
 
 _ANALYSIS = "test/paper/test_analysis.py::"
 _EXAMPLES = "test/paper/test_examples.py::"
 _DESIGN = "test/paper/test_synthesis.py::"
 _OBSERVER = "test/paper/test_observer.py::"
-_REPORT = "test/paper/test_publish.py::"
+_PAGE = "test/paper/test_page.py::"
+
+ROUNDING = 1e-3
+"""‖P M − C̄ᵀ‖ that four printed decimals can leave."""
+
+
+class Verdict(enum.Enum):
+    """The verdict on a claim."""
+
+    HOLDS = "holds"
+    HOLDS_ONLY_IF = "holds only if"
+    DOES_NOT_HOLD = "does not hold"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A claim and its verdict.
+
+    Attributes:
+        claim: One sentence.
+        verdict: Decided by `number`.
+        condition: The condition of `HOLDS_ONLY_IF`; else a reason, or nothing.
+        number: What was measured, as text with its unit.
+        test: The test that shows it, as pytest takes it.
+    """
+
+    claim: str
+    verdict: Verdict
+    condition: str
+    number: str
+    test: str
+
+    @property
+    def judgement(self) -> str:
+        """Verdict and condition as one phrase."""
+        if self.verdict is Verdict.HOLDS_ONLY_IF:
+            return f"{self.verdict.value} {self.condition}"
+        return f"{self.verdict.value}: {self.condition}" if self.condition else self.verdict.value
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the claim as plain data."""
+        return {**vars(self), "verdict": self.verdict.value}
+
+
+def claims_text(claims: Iterable[Claim], width: int = 96) -> str:
+    """Return the claims for a terminal, each with its verdict in front."""
+    lines = []
+    for each in claims:
+        head = f"{each.verdict.value.upper():<15}{each.claim}"
+        lines += textwrap.wrap(head, width, subsequent_indent=" " * 15)
+        detail = f"{each.condition}; {each.number}" if each.condition else each.number
+        lines += textwrap.wrap(detail, width, initial_indent=" " * 17, subsequent_indent=" " * 17)
+    return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class PrintedChecks:
+    """The printed solutions against their conditions.
+
+    Attributes:
+        example_1: (18) on {C̄x̄ = 0}, (19) and (38) with the printed P and M.
+        example_3: (37) with the printed P and H, one report for each reading: every change of
+            sign of P's coordinates, every one of H's, and H as Hᵢ or as E_L⁻¹Hᵢ.
+        epsilon: ε of Example 1 as recomputed.
+    """
+
+    example_1: ConditionReport
+    example_3: tuple[ConditionReport, ...]
+    epsilon: float
+
+
+def check_printed(example_1: PaperExample, example_3: PaperExample) -> PrintedChecks:
+    """Check every printed solution that is available."""
+    first, third = Augmentation(example_1.system), Augmentation(example_3.system)
+    epsilon = first.min_epsilon(example_1.alpha, example_1.xi)
+    report = check_conditions(
+        first,
+        examples.EXAMPLE_1_P,
+        alpha_1=first.alpha_1(example_1.alpha),
+        M=examples.EXAMPLE_1_M,
+        epsilon=epsilon,
+        rounding=ROUNDING,
+    )
+    signs = examples.sign_changes(4)
+    gains = [change[:, np.newaxis] * examples.EXAMPLE_3_H for change in signs]
+    reports = tuple(
+        check_conditions(
+            third, change[:, np.newaxis] * examples.EXAMPLE_3_P * change, alpha_1=np.zeros(2), H1=H1
+        )
+        for change in signs
+        for H1 in (*gains, *(third.E_L_inverse @ each for each in gains))
+    )
+    return PrintedChecks(report, reports, epsilon)
 
 
 def judge(
     runs: Mapping[str, ExampleRun],
     verdict_3: StabilityVerdict,
     checks: PrintedChecks,
-    comparison: Comparison,
+    comparison: ArmComparison,
 ) -> list[Claim]:
     """Return the table of claims.
 
     Args:
         runs: Of Examples 1 and 2, by name.
-        verdict_3: Whether Example 3's rules share a Lyapunov matrix.
+        verdict_3: Example 3's common Lyapunov matrix, or the proof that there is none.
         checks: The printed solutions against their conditions.
         comparison: Example 3 by every observer.
     """
@@ -76,8 +171,8 @@ def _printed_claims(checks: PrintedChecks) -> list[Claim]:
             "Example 1: the printed P has ‖P⁻¹‖ ≥ ε (38).",
             _verdict(norm.holds),
             "as recomputed; by its own digits it just misses, but P may be scaled at will",
-            f"‖P⁻¹‖ = {norm.number:.4f} (printed {printed.EXAMPLE_1_INVERSE_NORM}), "
-            f"ε = {checks.epsilon:.4f} (printed {printed.EXAMPLE_1_EPSILON})",
+            f"‖P⁻¹‖ = {norm.number:.4f} (printed {examples.EXAMPLE_1_INVERSE_NORM}), "
+            f"ε = {checks.epsilon:.4f} (printed {examples.EXAMPLE_1_EPSILON})",
             _DESIGN + "test_scaling_meets_any_epsilon",
         ),
     ]
@@ -106,10 +201,10 @@ def _design_claims(runs: Mapping[str, ExampleRun], verdict_3: StabilityVerdict) 
         ),
         Claim(
             "(18) bounds the uncertainty: eᵀPΔA e ≤ α eᵀPe.",
-            Verdict.HOLDS if max(factors) <= 1.0 + 1e-9 else Verdict.HOLDS_ONLY_IF,
+            _verdict(max(factors) <= 1.0 + 1e-9, otherwise=Verdict.HOLDS_ONLY_IF),
             "α is multiplied by (√c + 1/√c)/2, c = cond(P)",
-            "factor " + ", ".join(f"{each:.3f}" for each in factors) + " for our P of Examples 1, "
-            f"2; {uncertainty_factor(printed.EXAMPLE_1_P):.2f} for the printed one",
+            f"factor {_list(factors, '.3f')} for our P of Examples 1, 2; "
+            f"{uncertainty_factor(examples.EXAMPLE_1_P):.2f} for the printed one",
             _ANALYSIS + "test_uncertainty_factor_is_attained_and_never_exceeded",
         ),
     ]
@@ -120,21 +215,22 @@ def _convergence_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
     uncertain = [run.settled_rms("adaptive", 1) for run in runs.values()]
     fixed = [run.settled_rms("fixed", 1) for run in runs.values()]
     change = max(float(np.abs(a / b - 1.0).max()) for a, b in zip(uncertain, fixed, strict=True))
-    rises = [_largest_rise(run, 0) for run in runs.values()]
+    energies = [run.lyapunov("adaptive")[:, 0] for run in runs.values()]
+    rise = max(float(max(0.0, np.diff(V).max()) / V[0]) for V in energies)
     return [
         Claim(
             "Without uncertainty (λ = 0), V decreases.",
-            _verdict(max(rises) < 1e-6),
+            _verdict(rise < 1e-6),
             "",
-            f"largest rise in a step {_tiny(max(rises))} of V(0)",
-            _REPORT + "test_lyapunov_function_falls_without_uncertainty",
+            f"largest rise in a step {_tiny(rise)} of V(0)",
+            _PAGE + "test_lyapunov_function_falls_without_uncertainty",
         ),
         Claim(
             "Without uncertainty, state and disturbance errors vanish.",
             Verdict.HOLDS_ONLY_IF if max(exact) < 1e-3 else Verdict.DOES_NOT_HOLD,
             "every Aᵢ is stable, with one Lyapunov matrix (Proposition 2)",
             "largest error from 10 s on, Examples 1, 2: " + _list(exact, ".1e"),
-            _REPORT + "test_errors_vanish_without_uncertainty",
+            _PAGE + "test_errors_vanish_without_uncertainty",
         ),
         Claim(
             "With the printed ΔA (λ = 1), the errors vanish, too.",
@@ -143,15 +239,15 @@ def _convergence_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
             "RMS of x − x̂ from 10 s on: "
             + "; ".join(_list(each, ".4f", " / ") for each in uncertain)
             + f"; without adaptation within {100.0 * change:.0f} %",
-            _REPORT + "test_errors_do_not_vanish_with_uncertainty",
+            _PAGE + "test_errors_do_not_vanish_with_uncertainty",
         ),
     ]
 
 
 def _structure_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
     final = runs["example_1"].estimates["adaptive"].adaptation[-1]
-    moved = max(_moved(run, "noise_fed") for run in runs.values())
-    late = max(_moved(run, "model_only", 10.0) for run in runs.values())
+    moved = max(run.difference("noise_fed") for run in runs.values())
+    late = max(run.difference("model_only", SETTLED) for run in runs.values())
     silent = max(float(run.estimates["consistent"].adaptation.max()) for run in runs.values())
     drive = max(
         check_autonomous_innovation(run.design.augmentation).number for run in runs.values()
@@ -170,7 +266,7 @@ def _structure_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
         ),
         Claim(
             "The state estimate depends on the measurement.",
-            Verdict.HOLDS_ONLY_IF if moved < 1e-10 else Verdict.HOLDS,
+            _verdict(moved >= 1e-10, otherwise=Verdict.HOLDS_ONLY_IF),
             "its premise z = y₁ does: with z given, y may be replaced by noise",
             f"x̂ changes by {moved:.0e} (Examples 1 and 2, no adaptation); from 10 s on it is "
             f"the open-loop model to {late:.0e}",
@@ -194,13 +290,12 @@ def _structure_claims(runs: Mapping[str, ExampleRun]) -> list[Claim]:
     ]
 
 
-def _arm_claims(comparison: Comparison, checks: PrintedChecks) -> list[Claim]:
+def _arm_claims(comparison: ArmComparison, checks: PrintedChecks) -> list[Claim]:
     x3 = {each.name: float(each.motor_angle.mean()) for each in comparison.observers}
+    high_gain = min(x3["PO"], x3["PIO"])
     least = min(
         max(report[f"(37) rule {rule}"].number for rule in (1, 2)) for report in checks.example_3
     )
-    text = ", ".join(f"{name} {value:.3g}" for name, value in x3.items())
-    better = x3["ours"] < min(x3["PO"], x3["PIO"])
     return [
         Claim(
             "Example 3: the printed P and H satisfy (37).",
@@ -211,23 +306,24 @@ def _arm_claims(comparison: Comparison, checks: PrintedChecks) -> list[Claim]:
         ),
         Claim(
             "Example 3: the method's x₃ is better than that of PO and PIO.",
-            _verdict(x3["paper"] < min(x3["PO"], x3["PIO"])),
+            _verdict(x3["paper"] < high_gain),
             "",
-            f"mean RMSE of x₃ over {len(comparison['PO'].rmse)} runs: {text}",
-            _REPORT + "test_printed_gains_lose_to_every_other_observer",
+            f"mean RMSE of x₃ over {len(comparison['PO'].rmse)} runs: "
+            + ", ".join(f"{name} {value:.3g}" for name, value in x3.items()),
+            _PAGE + "test_printed_gains_lose_to_every_other_observer",
         ),
         Claim(
             "Example 3: an observer with a disturbance model beats PO and PIO on x₃.",
-            _verdict(better),
+            _verdict(x3["ours"] < high_gain),
             "the certified T–S observer, with a bias as its disturbance model",
             f"{x3['ours']:.4f} against {x3['PO']:.4f} and {x3['PIO']:.4f} at their best θ",
-            _REPORT + "test_certified_observer_beats_high_gain_observers",
+            _PAGE + "test_certified_observer_beats_high_gain_observers",
         ),
     ]
 
 
-def _verdict(holds: bool) -> Verdict:
-    return Verdict.HOLDS if holds else Verdict.DOES_NOT_HOLD
+def _verdict(holds: bool, otherwise: Verdict = Verdict.DOES_NOT_HOLD) -> Verdict:
+    return Verdict.HOLDS if holds else otherwise
 
 
 def _list(values: Sequence[float] | Array, style: str, separator: str = ", ") -> str:
@@ -236,13 +332,3 @@ def _list(values: Sequence[float] | Array, style: str, separator: str = ", ") ->
 
 def _tiny(value: float) -> str:
     return f"{value:.0e}" if value else "0"
-
-
-def _largest_rise(run: ExampleRun, uncertainty: int) -> float:
-    V = run.lyapunov("adaptive")[:, uncertainty]
-    return float(max(0.0, np.diff(V).max()) / V[0])
-
-
-def _moved(run: ExampleRun, variant: str, since: float = 0.0) -> float:
-    difference = run.estimates["fixed"].states - run.estimates[variant].states
-    return float(np.abs(difference[run.plant.times >= since]).max())

@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The three examples of the method's paper as data, in one reading of its lost signs.
+"""The method's three examples and printed solutions as data, in one reading of the lost signs.
 
 T. V. Dang, W.-J. Wang, L. Luoh, C.-H. Sun, "Adaptive observer design for the uncertain
 Takagi–Sugeno fuzzy system with output disturbance", IET Control Theory & Applications (2011).
 
-The available text has lost its minus signs and every π. What decides the signs here:
+The available text has lost its minus signs and every π. The signs are decided so:
 
 * Example 1's printed P and M satisfy P M = C̄ᵀ to rounding for exactly four patterns of signs,
   and these go into one another when coordinates change sign. One of the four is taken.
@@ -15,6 +15,10 @@ The available text has lost its minus signs and every π. What decides the signs
   S. X. Ding, IEEE Trans. Systems, Man, and Cybernetics B 38, 2008).
 * Example 3 is mechanics, so its signs are known; its printed P and H are not determined beyond a
   change of sign of coordinates, and the conclusions drawn here hold for every such choice.
+
+Available are P and M of Example 1, with ε and ‖P⁻¹‖, and P and Hᵢ of Example 3. Without Q and H of
+Example 1 and any solution of Example 2, their conditions can be checked only as far as they do
+not depend on them; see `tsobs_ros.paper.augmentation.check_conditions`.
 
 ω₃ may have been .4 (sin² 2πt + cos 3πt): `third_frequency` is the factor of t.
 """
@@ -28,7 +32,6 @@ from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, TSSystem
-from tsobs_ros.paper.augmentation import require_partition
 
 Signal = Callable[[Array], Array]
 """A signal of time: t of shape (...) to values of shape (..., channels)."""
@@ -96,25 +99,36 @@ class PaperExample:
         return np.asarray(self.system.derivative(x, u, z) + uncertainty * drift)
 
 
-def _weights_of_first_output() -> RuleBase:
-    # h₂ = y₁² as printed, and 1 where |y₁| > 1, which the paper's y₁ never reaches.
-    def second(y1: Array) -> Array:
-        return np.minimum(y1**2, 1.0)
-
-    rule_base = RuleBase(((lambda y1: 1.0 - second(y1),), (second,)))
-    require_partition(rule_base, np.linspace(-2.0, 2.0, 41)[:, np.newaxis])
-    return rule_base
+def _second_weight(y1: Array) -> Array:
+    # h₂ = y₁² as printed, and 1 for |y₁| > 1, which the paper's y₁ never reaches.
+    return np.minimum(y1**2, 1.0)
 
 
 def _system(A1: list[list[float]], A2: list[list[float]]) -> TSSystem:
+    rules = RuleBase(((lambda y1: 1.0 - _second_weight(y1),), (_second_weight,)))
     # The first row of both C is the first state, which is therefore y₁ without disturbance.
-    return TSSystem.from_rules(
-        [A1, A2], list(_B), list(_C), _weights_of_first_output(), lambda x: x[..., :1]
-    )
+    return TSSystem.from_rules([A1, A2], list(_B), list(_C), rules, lambda x: x[..., :1])
 
 
 def _sine(t: Array) -> Array:
     return np.sin(np.asarray(t))[..., np.newaxis]
+
+
+def _after_2_and_3(first: Signal, second: Signal, third: Signal) -> Signal:
+    """Return three channels: the first begins at 2 s, the second at 3 s, the third at once."""
+
+    def channels(t: Array) -> Array:
+        time = np.asarray(t)
+        return np.stack(
+            [
+                np.where(time >= 2.0, first(time - 2.0), 0.0),
+                np.where(time >= 3.0, second(time - 3.0), 0.0),
+                third(time),
+            ],
+            axis=-1,
+        )
+
+    return channels
 
 
 def example_1(third_frequency: float = 1.0) -> PaperExample:
@@ -123,19 +137,7 @@ def example_1(third_frequency: float = 1.0) -> PaperExample:
     Args:
         third_frequency: Factor of t in ω₃; π in the other reading of the text.
     """
-
-    def disturbance(t: Array) -> Array:
-        time = np.asarray(t)
-        third = third_frequency * time
-        return np.stack(
-            [
-                np.where(time >= 2.0, 0.2 * np.sin(3.0 * (time - 2.0)) ** 2, 0.0),
-                np.where(time >= 3.0, 0.3 * np.cos(4.0 * (time - 3.0)) ** 2, 0.0),
-                0.4 * (np.sin(2.0 * third) ** 2 + np.cos(3.0 * third)),
-            ],
-            axis=-1,
-        )
-
+    f = third_frequency
     return PaperExample(
         name="example_1",
         system=_system(
@@ -148,7 +150,11 @@ def example_1(third_frequency: float = 1.0) -> PaperExample:
         Gamma=np.stack([np.diag([5.0, 1.0, 1.0])] * 2),
         initial_state=np.array([0.5, 0.7, 0.5]),
         torque=_sine,
-        disturbance=disturbance,
+        disturbance=_after_2_and_3(
+            lambda t: 0.2 * np.sin(3.0 * t) ** 2,
+            lambda t: 0.3 * np.cos(4.0 * t) ** 2,
+            lambda t: 0.4 * (np.sin(2.0 * (f * t)) ** 2 + np.cos(3.0 * (f * t))),
+        ),
     )
 
 
@@ -158,19 +164,7 @@ def example_2(third_frequency: float = 1.0) -> PaperExample:
     Args:
         third_frequency: Factor of t in the third fault; π in the other reading of the text.
     """
-
-    def faults(t: Array) -> Array:
-        time = np.asarray(t)
-        third = third_frequency * time
-        return np.stack(
-            [
-                np.where(time >= 2.0, 0.2 * np.sin(3.0 * (time - 2.0)), 0.0),
-                np.where(time >= 3.0, 0.2 * np.sin(4.0 * (time - 3.0)), 0.0),
-                0.4 * (np.sin(2.0 * third) + np.cos(3.0 * third)),
-            ],
-            axis=-1,
-        )
-
+    f = third_frequency
     return PaperExample(
         name="example_2",
         system=_system(
@@ -183,7 +177,11 @@ def example_2(third_frequency: float = 1.0) -> PaperExample:
         Gamma=np.stack([2.0 * np.diag([10.0, 1.0, 1.0])] * 2),
         initial_state=np.array([0.2, 0.3, 0.5]),
         torque=_sine,
-        disturbance=faults,
+        disturbance=_after_2_and_3(
+            lambda t: 0.2 * np.sin(3.0 * t),
+            lambda t: 0.2 * np.sin(4.0 * t),
+            lambda t: 0.4 * (np.sin(2.0 * (f * t)) + np.cos(3.0 * (f * t))),
+        ),
     )
 
 
@@ -201,3 +199,78 @@ def example_3() -> PaperExample:
         torque=_sine,
         disturbance=lambda t: np.zeros((*np.shape(t), 1)),
     )
+
+
+def _symmetric(upper: list[list[float]]) -> Array:
+    n = len(upper)
+    matrix = np.zeros((n, n))
+    for row, values in enumerate(upper):
+        matrix[row, row:] = values
+    return np.asarray(matrix + np.triu(matrix, 1).T)
+
+
+EXAMPLE_1_P = _symmetric(
+    [
+        [1.0840, -0.0017, 0.1464, 0.2751, 0.2769, 0.0556],
+        [1.2450, -0.2543, 0.0017, 0.1158, -0.2306],
+        [0.6544, -0.1464, 0.1079, 0.5807],
+        [1.0840, -0.2769, -0.0556],
+        [0.9664, 0.1750],
+        [0.9025],
+    ]
+)
+"""P of Example 1, shape (6, 6), in the reading of the signs of `example_1`."""
+
+EXAMPLE_1_M = np.array(
+    [
+        [0.7358, 0.7358, -0.27],
+        [0.0, 0.7358, 0.3812],
+        [0.0, 0.0, 1.6248],
+        [0.7358, 0.0, 0.27],
+        [0.0, 0.7358, -0.1113],
+        [0.0, 0.0, 0.2149],
+    ]
+)
+"""M of Example 1, shape (6, 3)."""
+
+EXAMPLE_1_EPSILON = 6.6990
+"""The bound α₁ᵢ/(ξᵢ‖C̄‖) of Example 1 as printed."""
+
+EXAMPLE_1_INVERSE_NORM = 6.6987
+"""‖P⁻¹‖ of Example 1 as printed."""
+
+EXAMPLE_3_P = _symmetric(
+    [
+        [2.2592, -0.2010, -0.5134, -0.0768, 2.7653],
+        [1.0801, -0.0789, 0.1328, 0.2981],
+        [0.1644, -0.0119, -0.1504],
+        [0.0583, -0.0878],
+        [16.3296],
+    ]
+)
+"""P of Example 3, shape (5, 5), up to changes of sign of coordinates."""
+
+EXAMPLE_3_H = np.array(
+    [
+        [[27.8133], [-8.7405], [89.7378], [65.7083], [22.5315]],
+        [[29.2736], [-6.4259], [94.4479], [67.1429], [23.7811]],
+    ]
+)
+"""Hᵢ of Example 3, shape (2, 5, 1), up to the same changes of sign. Of all of them, and of taking
+the numbers for Hᵢ or for E_L⁻¹Hᵢ, this reading violates (37) least where P and H change together,
+and makes the best observer."""
+
+
+def sign_changes(count: int) -> Array:
+    """Return every change of sign of the last `count` of the coordinates after the first.
+
+    The first coordinate of Example 3 is the measured angle; its sign and that of its disturbance
+    are fixed by C̄ = [1 0 0 0 1], so only relative signs of the others are open.
+
+    Returns:
+        Vectors of ±1, shape (2^count, 1 + count), each beginning with +1.
+    """
+    rows = [[1.0]]
+    for _ in range(count):
+        rows = [[*row, sign] for row in rows for sign in (1.0, -1.0)]
+    return np.array(rows)

@@ -1,167 +1,185 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of the method's Examples 1 and 2, laid out as in the paper, and two it lacks."""
+"""The figures of the method's three examples, laid out as in the paper, and some it lacks."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from tsobs_ros.checks import Array
-from tsobs_ros.paper.runs import SETTLED, ExampleRun
-from tsobs_ros.paper.style import (
-    ESTIMATE,
-    FOURTH,
-    LIGHT,
-    MUTED,
-    SECOND,
-    THIRD,
-    TRUTH,
-    label_time,
-    legend,
-    save_figure,
-)
+from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.paper.examples import example_3
+from tsobs_ros.paper.runs import SETTLED, WINDOW_START, ArmComparison, ExampleRun
+from tsobs_ros.report.style import MUTED, STYLE
 
 Panels = Sequence[Sequence[Axes]]
+"""The panels of a figure, [row][column]."""
 
-FIGURES = 6
-"""Figures of an example."""
+LABELS = {
+    "PO": "PO",
+    "PIO": "PIO",
+    "paper": "paper's observer",
+    "ours": "certified T–S observer",
+    "EKF": "EKF",
+    "EKF clean": "EKF without\nbias state",
+}
+"""The observers of Example 3 by name, as figures and tables call them."""
 
-_CASES = ("λ = 0: no uncertainty", "λ = 1: with the printed ΔA")
+_TRUTH, _ESTIMATE, _SECOND, _THIRD, _FOURTH = "#1F2933", "#D1495B", "#00798C", "#EDAE49", "#7A5195"
+_LIGHT, _GREY = "#8CC7D0", "#9AA5B1"
+_COLOURS = dict(zip(LABELS, (_THIRD, _FOURTH, _ESTIMATE, _SECOND, MUTED, _GREY), strict=True))
+_DPI = 130
+_WIDTH = 9.6
 _FLOOR = 1e-17
+_CASES = ("λ = 0: no uncertainty", "λ = 1: with the printed ΔA")
+_HAT = "\N{COMBINING CIRCUMFLEX ACCENT}"
+_LOW = "₁₂₃₄"
 _INNOVATION_SHOWN = 2.5
+_ARM_SHOWN = 20.0
+_UNITS = ("x₁ [rad]", "x₂ [rad/s]", "x₃ [rad/s²]", "x₄ [rad/s³]")
 
 
 class _Figure(NamedTuple):
     key: str
     heading: str
-    fill: Callable[[ExampleRun, Panels], None]
+    fill: Callable[[Panels], None]
     rows: int
-    columns: int = 2
-    row_height: float = 2.3
+    columns: int
+    row_height: float
     share_x: bool = True
 
 
-def draw_example(
-    run: ExampleRun, folder: Path, advance: Callable[[], None] = lambda: None
-) -> list[Path]:
-    """Draw all figures of Example 1 or 2 and return their paths.
+def draw_example(run: ExampleRun, folder: Path) -> list[Path]:
+    """Draw all figures of Example 1 or 2 into a folder and return their paths.
 
-    Args:
-        run: The example's run.
-        folder: Where to.
-        advance: Called after each figure.
+    Raises:
+        OSError: A file cannot be written.
     """
-    name = run.example.name
-    key, what = ("faults", "sensor faults") if _faults(run) else ("disturbances", "disturbances")
-    figures = (
-        _Figure("states", "states and their estimates", _states, 3, row_height=1.7),
-        _Figure(key, f"{what} and their estimates", _disturbances, 3, row_height=1.7),
-        _Figure("errors", "estimation errors", _errors, 2),
-        _Figure("memberships", "membership functions", _memberships, 1, share_x=False),
-        _Figure(
-            "innovation",
-            "the innovation does not hear the plant (not in the paper)",
-            _innovation,
-            1,
-            row_height=2.7,
-        ),
-        _Figure(
-            "noise_fed",
-            "the output replaced by white noise (not in the paper), λ = 0",
-            _noise_fed,
-            3,
-            columns=1,
-            row_height=1.7,
-        ),
+    faults = run.example.name == "example_2"
+    letter, key = ("f", "faults") if faults else ("ω", "disturbances")
+    what = "sensor faults" if faults else "disturbances"
+    adaptive = run.estimates["adaptive"]
+    true_disturbance = np.repeat(run.plant.disturbance[:, np.newaxis], 2, axis=1)
+    states = partial(_pairs, run, "x", run.plant.states, adaptive.states)
+    disturbances = partial(_pairs, run, letter, true_disturbance, adaptive.disturbance)
+    weights = partial(
+        _memberships,
+        run.example.system.rule_base,
+        (1.0, "the premise variable", "y₁"),
+        (run.plant.times, run.plant.weights[:, 0], "the run, λ = 0"),
     )
-    assert len(figures) == FIGURES
+    independence = "the innovation does not depend on the plant (not in the paper)"
+    noise = "the output replaced by white noise (not in the paper), λ = 0"
+    return _draw(
+        run.example.name,
+        folder,
+        _Figure("states", "states and their estimates", states, 3, 2, 1.7),
+        _Figure(key, f"{what} and their estimates", disturbances, 3, 2, 1.7),
+        _Figure("errors", "estimation errors", partial(_errors, run, letter), 2, 2, 2.3),
+        _Figure("memberships", "membership functions", weights, 1, 2, 2.3, share_x=False),
+        _Figure("innovation", independence, partial(_innovation, run), 1, 2, 2.7),
+        _Figure("noise_fed", noise, partial(_noise_fed, run), 3, 1, 1.7),
+    )
+
+
+def draw_arm(comparison: ArmComparison, folder: Path) -> list[Path]:
+    """Draw all figures of Example 3 into a folder and return their paths.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
+    rule_base, runs = example_3().system.rule_base, comparison.trajectories
+    shown = runs.times <= _ARM_SHOWN
+    weights = partial(
+        _memberships,
+        rule_base,
+        (np.pi / 2, "the link's angle", "x₁ [rad]"),
+        (runs.times[shown], rule_base.weights(runs.states[0][shown, :1]), "the first run"),
+    )
+    states, x3 = partial(_arm_states, comparison), partial(_third_state, comparison)
+    printed = "states and the paper's observer with its printed gains"
+    rmse = "RMSE of x₃ and of all states, every run"
+    return _draw(
+        "example_3",
+        folder,
+        _Figure("states", printed, states, 2, 2, 2.2),
+        _Figure(
+            "disturbance",
+            "disturbance and its estimates",
+            partial(_arm_disturbance, comparison),
+            2,
+            1,
+            2.0,
+        ),
+        _Figure("memberships", "membership functions", weights, 1, 2, 2.3, share_x=False),
+        _Figure("x3", "x₃ by PO, PIO, the paper's observer and ours", x3, 2, 1, 2.3),
+        _Figure("rmse", rmse, partial(_rmse, comparison), 1, 2, 2.6, share_x=False),
+    )
+
+
+def _draw(name: str, folder: Path, *figures: _Figure) -> list[Path]:
     paths = []
-    for figure in figures:
-        path = folder / f"{name}_{figure.key}.png"
-        paths.append(
-            save_figure(
-                path,
-                f"Example {name[-1]}: {figure.heading}",
-                _filled(figure, run),
-                rows=figure.rows,
-                columns=figure.columns,
-                row_height=figure.row_height,
-                share_x=figure.share_x,
+    for one in figures:
+        with matplotlib.rc_context(STYLE):
+            size = (_WIDTH, 0.95 + one.rows * one.row_height)
+            figure = Figure(figsize=size, layout="constrained")
+            FigureCanvasAgg(figure)
+            heading = f"Example {name[-1]}: {one.heading}"
+            figure.suptitle(heading, fontsize=11.0, fontweight="bold", x=0.01, ha="left")
+            axes = figure.subplots(
+                one.rows, one.columns, sharex="col" if one.share_x else "none", squeeze=False
             )
-        )
-        advance()
+            one.fill(axes.tolist())
+            paths.append(folder / f"{name}_{one.key}.png")
+            figure.savefig(paths[-1], dpi=_DPI, metadata={"Software": None})
     return paths
 
 
-def _filled(figure: _Figure, run: ExampleRun) -> Callable[[Panels], None]:
-    return lambda axes: figure.fill(run, axes)
+def _label_time(axes: Panels) -> None:
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]")
 
 
-def _faults(run: ExampleRun) -> bool:
-    return run.example.name == "example_2"
+def _legend(panel: Axes, *, columns: int = 2) -> None:
+    """Put a legend into a panel's upper right, with head room so that it covers no line."""
+    low, high = panel.get_ylim()
+    panel.set_ylim(low, high + 0.22 * (high - low))
+    panel.legend(
+        ncols=columns, loc="upper right", borderaxespad=0.2, handlelength=1.8, columnspacing=1.2
+    )
 
 
-def _signal(run: ExampleRun, index: int) -> str:
-    return f"f{_low(index)}" if _faults(run) else f"ω{_low(index)}"
-
-
-def _low(index: int) -> str:
-    return "₁₂₃₄"[index]
-
-
-def _hat(text: str) -> str:
-    return f"{text[0]}\N{COMBINING CIRCUMFLEX ACCENT}{text[1:]}"
-
-
-def _states(run: ExampleRun, axes: Panels) -> None:
-    names = [f"x{_low(row)}" for row in range(3)]
-    truth = run.plant.states.transpose(1, 0, 2)
-    _pairs(run, axes, names, truth, run.estimates["adaptive"].states)
-
-
-def _disturbances(run: ExampleRun, axes: Panels) -> None:
-    names = [_signal(run, row) for row in range(3)]
-    truth = np.repeat(run.plant.disturbance[np.newaxis], 2, axis=0)
-    _pairs(run, axes, names, truth, run.estimates["adaptive"].disturbance)
-
-
-def _pairs(
-    run: ExampleRun, axes: Panels, names: Sequence[str], truth: Array, estimates: Array
-) -> None:
+def _pairs(run: ExampleRun, letter: str, truth: Array, estimates: Array, axes: Panels) -> None:
     times = run.plant.times
-    for row, name in enumerate(names):
-        for case, panel in enumerate(axes[row]):
-            panel.plot(times, truth[case, :, row], color=TRUTH, label=name)
-            estimate = estimates[:, case, row]
-            panel.plot(times, estimate, color=ESTIMATE, linestyle="--", label=_hat(name))
+    for row, panels in enumerate(axes):
+        name, estimate = f"{letter}{_LOW[row]}", f"{letter}{_HAT}{_LOW[row]}"
+        for case, panel in enumerate(panels):
+            panel.plot(times, truth[:, case, row], color=_TRUTH, label=name)
+            values = estimates[:, case, row]
+            panel.plot(times, values, color=_ESTIMATE, linestyle="--", label=estimate)
             panel.set_ylabel(name)
             panel.set_xlim(times[0], times[-1])
             if row == 0:
                 panel.set_title(_CASES[case], loc="left")
             if case == 0:
-                legend(panel)
-    label_time(axes)
+                _legend(panel)
+    _label_time(axes)
 
 
-def _errors(run: ExampleRun, axes: Panels) -> None:
+def _errors(run: ExampleRun, disturbance: str, axes: Panels) -> None:
     times = run.plant.times
-    rows = (
-        ("x − x\N{COMBINING CIRCUMFLEX ACCENT}", "x", run.state_error("adaptive")),
-        (
-            "f − f\N{COMBINING CIRCUMFLEX ACCENT}"
-            if _faults(run)
-            else "ω − ω\N{COMBINING CIRCUMFLEX ACCENT}",
-            "f" if _faults(run) else "ω",
-            run.disturbance_error("adaptive"),
-        ),
-    )
-    for (label, letter, error), panels in zip(rows, axes, strict=True):
+    rows = (("x", run.state_error("adaptive")), (disturbance, run.disturbance_error("adaptive")))
+    for (letter, error), panels in zip(rows, axes, strict=True):
         for case, panel in enumerate(panels):
-            for index, colour in enumerate((TRUTH, ESTIMATE, SECOND)):
-                name = f"{letter}{_low(index)}"
+            for index, colour in enumerate((_TRUTH, _ESTIMATE, _SECOND)):
+                name = f"{letter}{_LOW[index]}"
                 panel.plot(times, error[:, case, index], color=colour, label=name, linewidth=1.1)
             settled = float(np.abs(error[times >= SETTLED, case]).max())
             panel.text(
@@ -172,89 +190,170 @@ def _errors(run: ExampleRun, axes: Panels) -> None:
                 ha="right",
                 color=MUTED,
             )
-            panel.set_ylabel(label)
+            panel.set_ylabel(f"{letter} − {letter}{_HAT}")
             panel.set_xlim(times[0], times[-1])
             if letter == "x":
                 panel.set_title(_CASES[case], loc="left")
-            legend(panel, columns=3)
-    label_time(axes)
+            _legend(panel, columns=3)
+    _label_time(axes)
 
 
-def _memberships(run: ExampleRun, axes: Panels) -> None:
-    over, along = axes[0]
-    z = np.linspace(-1.0, 1.0, 201)
-    weights = run.example.system.rule_base.weights(z[:, np.newaxis])
-    styles = ((TRUTH, "-"), (ESTIMATE, "--"))
-    for rule, (colour, style) in enumerate(styles):
-        label = f"h{_low(rule)}"
-        over.plot(z, weights[:, rule], color=colour, linestyle=style, label=label)
-        along.plot(
-            run.plant.times,
-            run.plant.weights[:, 0, rule],
-            color=colour,
-            linestyle=style,
-            label=label,
-        )
-    over.set_title("over the premise variable", loc="left")
-    over.set_xlabel("y₁")
-    along.set_title("along the run, λ = 0", loc="left")
+def _memberships(
+    rule_base: RuleBase,
+    premise: tuple[float, str, str],
+    history: tuple[Array, Array, str],
+    axes: Panels,
+) -> None:
+    (over, along), (limit, over_what, label), (times, weights, along_what) = (
+        axes[0],
+        premise,
+        history,
+    )
+    z = np.linspace(-limit, limit, 201)
+    grades = rule_base.weights(z[:, np.newaxis])
+    for rule, (colour, style) in enumerate(((_TRUTH, "-"), (_ESTIMATE, "--"))):
+        for panel, x, values in ((over, z, grades), (along, times, weights)):
+            name = f"h{_LOW[rule]}"
+            panel.plot(x, values[:, rule], color=colour, linestyle=style, label=name)
+    over.set_title(f"over {over_what}", loc="left")
+    over.set_xlabel(label)
+    along.set_title(f"along {along_what}", loc="left")
     along.set_xlabel("time [s]")
-    along.set_xlim(run.plant.times[0], run.plant.times[-1])
+    along.set_xlim(times[0], times[-1])
     for panel in (over, along):
         panel.set_ylabel("weight")
-        legend(panel)
+        _legend(panel)
 
 
 def _innovation(run: ExampleRun, axes: Panels) -> None:
-    times = run.plant.times
-    lines = (
-        ("fixed", 0, "fed with y", SECOND, "-", 3.2),
-        ("fixed", 1, "fed with y, plant with ΔA", THIRD, "--", 2.0),
-        ("noise_fed", 0, "fed with white noise", ESTIMATE, ":", 2.0),
-    )
-    left, right = axes[0]
-    for variant, case, label, colour, style, width in lines:
-        size = np.linalg.norm(run.estimates[variant].innovation[:, case], axis=-1)
-        left.semilogy(
-            times, size + _FLOOR, color=colour, linestyle=style, linewidth=width, label=label
-        )
+    times, (left, right) = run.plant.times, axes[0]
+    for variant, case, label, colour, style, width in (
+        ("fixed", 0, "fed with y", _SECOND, "-", 3.2),
+        ("fixed", 1, "fed with y, plant with ΔA", _THIRD, "--", 2.0),
+        ("noise_fed", 0, "fed with white noise", _ESTIMATE, ":", 2.0),
+    ):
+        size = np.linalg.norm(run.estimates[variant].innovation[:, case], axis=-1) + _FLOOR
+        left.semilogy(times, size, color=colour, linestyle=style, linewidth=width, label=label)
     left.set_title("‖y − ŷ‖, no adaptation", loc="left")
-    left.set_ylim(1e-17, 3e1)
     left.set_xlim(0.0, _INNOVATION_SHOWN)
-    left.legend(loc="upper right")
-    fixed, fed = run.estimates["fixed"], run.estimates["noise_fed"]
-    difference = np.abs(fixed.states - fed.states)[:, 0].max(axis=-1)
-    right.semilogy(
-        times, difference + _FLOOR, color=ESTIMATE, linewidth=0.8, label="fed with noise instead"
-    )
-    model = np.abs(fixed.states - run.estimates["model_only"].states)[:, 0].max(axis=-1)
-    right.semilogy(times, model + _FLOOR, color=SECOND, label="no measurement at all, model only")
-    right.set_title("how far x\N{COMBINING CIRCUMFLEX ACCENT} moves away", loc="left")
-    right.set_ylim(1e-17, 3e1)
+    states = run.estimates["fixed"].states
+    for variant, label, colour, width in (
+        ("noise_fed", "fed with noise instead", _ESTIMATE, 0.8),
+        ("model_only", "no measurement at all, model only", _SECOND, 1.3),
+    ):
+        change = np.abs(states - run.estimates[variant].states)[:, 0].max(axis=-1) + _FLOOR
+        right.semilogy(times, change, color=colour, linewidth=width, label=label)
+    right.set_title(f"change of x{_HAT}", loc="left")
     right.set_xlim(times[0], times[-1])
-    right.legend(loc="upper right")
-    label_time(axes)
+    for panel in (left, right):
+        panel.set_ylim(1e-17, 3e1)
+        panel.legend(loc="upper right")
+    _label_time(axes)
 
 
 def _noise_fed(run: ExampleRun, axes: Panels) -> None:
-    times = run.plant.times
+    times, plant = run.plant.times, run.plant
     fixed, fed = run.estimates["fixed"], run.estimates["noise_fed"]
-    noise_shown = fed.disturbance[:, 0, 0] + fed.states[:, 0, 0]
-    top, middle, bottom = (row[0] for row in axes)
-    top.plot(times, noise_shown, color=FOURTH, linewidth=0.4, label="noise that was fed as y₁")
-    top.plot(times, run.plant.outputs[:, 0, 0], color=TRUTH, label="y₁")
+    noise = fed.disturbance[:, 0, 0] + fed.states[:, 0, 0]
+    top, *below = (row[0] for row in axes)
+    top.plot(times, noise, color=_FOURTH, linewidth=0.4, label="noise fed as y₁")
+    top.plot(times, plant.outputs[:, 0, 0], color=_TRUTH, label="y₁")
     top.set_ylabel("output")
-    for row, panel in ((0, middle), (1, bottom)):
-        name = f"x{_low(row)}"
-        panel.plot(times, run.plant.states[:, 0, row], color=TRUTH, label=name)
-        estimate = fixed.states[:, 0, row]
-        panel.plot(times, estimate, color=LIGHT, linewidth=4.0, label=f"{_hat(name)} from y")
-        estimate = fed.states[:, 0, row]
-        panel.plot(
-            times, estimate, color=ESTIMATE, linestyle="--", label=f"{_hat(name)} from noise"
-        )
+    for row, panel in enumerate(below):
+        name, estimate = f"x{_LOW[row]}", f"x{_HAT}{_LOW[row]}"
+        panel.plot(times, plant.states[:, 0, row], color=_TRUTH, label=name)
+        values = fixed.states[:, 0, row]
+        panel.plot(times, values, color=_LIGHT, linewidth=4.0, label=f"{estimate} from y")
+        values = fed.states[:, 0, row]
+        label = f"{estimate} from noise"
+        panel.plot(times, values, color=_ESTIMATE, linestyle="--", label=label)
         panel.set_ylabel(name)
-    for panel in (top, middle, bottom):
+    for panel in (top, *below):
         panel.set_xlim(times[0], times[-1])
-        legend(panel, columns=3)
-    label_time(axes)
+        _legend(panel, columns=3)
+    _label_time(axes)
+
+
+def _arm_states(comparison: ArmComparison, axes: Panels) -> None:
+    times, truth = comparison.trajectories.times, comparison.trajectories.states[0]
+    shown = times <= _ARM_SHOWN
+    panels = [panel for row in axes for panel in row]
+    for index, panel in enumerate(panels):
+        panel.plot(times[shown], truth[shown, index], color=_TRUTH, label="true")
+        estimate = comparison["paper"].example[shown, index]
+        panel.plot(times[shown], estimate, color=_ESTIMATE, linestyle="--", label="estimate")
+        panel.set_ylabel(_UNITS[index])
+        panel.set_xlim(0.0, _ARM_SHOWN)
+    _legend(panels[0])
+    _label_time(axes)
+
+
+def _arm_disturbance(comparison: ArmComparison, axes: Panels) -> None:
+    runs = comparison.trajectories
+    shown = runs.times <= _ARM_SHOWN
+    times, measured = runs.times[shown], runs.measurements[0, shown, 0]
+    # The disturbance of this example is all of y − x₁, so each observer's is y − x̂₁.
+    noise = measured - runs.states[0, shown, 0]
+    for (panel,), name in zip(axes, ("paper", "ours"), strict=True):
+        panel.plot(times, noise, color=_TRUTH, linewidth=0.7, label="d = y − x₁")
+        panel.plot(
+            times,
+            measured - comparison[name].example[shown, 0],
+            color=_COLOURS[name],
+            linewidth=0.7,
+            alpha=0.8,
+            label=f"y − x{_HAT}₁, {LABELS[name]}",
+        )
+        panel.set_ylabel("d [rad]")
+        panel.set_xlim(0.0, _ARM_SHOWN)
+        _legend(panel)
+    _label_time(axes)
+
+
+def _third_state(comparison: ArmComparison, axes: Panels) -> None:
+    runs = comparison.trajectories
+    shown = runs.times <= _ARM_SHOWN
+    times, truth = runs.times[shown], runs.states[0, shown, 2]
+    (above,), (below,) = axes
+    above.plot(times, truth, color=_TRUTH, label="true", linewidth=1.8)
+    for name in ("PO", "PIO", "paper", "ours"):
+        estimate = comparison[name].example[shown, 2]
+        style, colour = "--" if name == "paper" else "-", _COLOURS[name]
+        above.plot(times, estimate, color=colour, linestyle=style, label=LABELS[name])
+        below.plot(times, estimate - truth, color=colour, linestyle=style)
+    above.set_ylabel(_UNITS[2])
+    below.set_ylabel("error of x₃")
+    above.set_ylim(1.6 * float(truth.min()), 1.6 * float(truth.max()))
+    below.set_ylim(-3.0, 3.0)
+    for panel in (above, below):
+        panel.set_xlim(0.0, _ARM_SHOWN)
+    _legend(above, columns=5)
+    _label_time(axes)
+
+
+def _rmse(comparison: ArmComparison, axes: Panels) -> None:
+    observers = comparison.observers
+    names = [LABELS[each.name].replace(" observer", "\nobserver") for each in observers]
+    for panel, values, title in (
+        (axes[0][0], [each.motor_angle for each in observers], "x₃ [rad/s²]"),
+        (axes[0][1], [each.normalised for each in observers], "all states, normalised"),
+    ):
+        for place, (each, errors) in enumerate(zip(observers, values, strict=True)):
+            places = place + np.linspace(-0.18, 0.18, len(errors))
+            panel.semilogy(places, errors, "o", color=_COLOURS[each.name], markersize=3.5)
+            mean = float(errors.mean())
+            panel.hlines(mean, place - 0.32, place + 0.32, color=_TRUTH, linewidth=1.4)
+            panel.annotate(
+                f"{mean:.3g}",
+                (place, float(errors.max())),
+                xytext=(0, 6),
+                textcoords="offset points",
+                ha="center",
+                color=_TRUTH,
+                fontsize=8.5,
+            )
+        panel.set_xticks(range(len(names)), names)
+        panel.tick_params(axis="x", labelsize=7.5)
+        panel.set_title(f"RMSE of {title}, {WINDOW_START:g} s to the end", loc="left")
+        low, high = panel.get_ylim()
+        panel.set_ylim(low, 2.0 * high)

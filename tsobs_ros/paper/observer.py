@@ -8,27 +8,44 @@ Its (9), (30) and (17), (32), divided by E_L, with e_y = y − C̄x̂̄:
     Ξ̂ᵢ' = hᵢ(z) Γᵢ e_y x̂̄ᵀ ,   projected on ‖Ξ̂ᵢ‖ ≤ ξᵢ if bounds are given
 
 The observer's own state is ξ = x̂̄ − E_L⁻¹L y, whose derivative has no ẏ. Between two samples a
-classical Runge–Kutta step is taken with y, z and u linear in time (`advance`, when the next sample
-is known) or held (`predict`, when it is not).
+classical Runge–Kutta step is taken with y, z and u linear in time (`advance`, if the next sample
+is known) or held (`predict`, if it is not).
 
-What this observer can and cannot do is the subject of docs/method.md; it is here to be compared.
+The projection keeps ‖Ξ‖ ≤ ξ without hurting the Lyapunov argument. For Ξ' = Γ Y with
+V = tr(Ξ̃ᵀΓ⁻¹Ξ̃) the projected rate is Γ Y − Γ g ⟨g, ΓY⟩/⟨g, Γg⟩ if Ξ is on the bound and moves out;
+g = u₁v₁ᵀ is the subgradient of the spectral norm. Because the ball is convex, ⟨g, Ξ̂ − Ξ⟩ ≥ 0 for
+every Ξ in it, so the projection adds a term ≤ 0 to V'.
+
+The observer's limits are the subject of docs/method.md; it is here to be compared.
 """
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
-from tsobs_ros.paper.adaptation import checked_gamma, clipped, projected_rate
+from tsobs_ros.estimation.comparison import ComparisonObserver
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper.augmentation import Augmentation
+from tsobs_ros.paper.examples import EXAMPLE_3_H, EXAMPLE_3_P, example_3
+
+PAPER_WARNING = (
+    "method paper: on this undamped arm the method's conditions are infeasible (modes ±4.776j and "
+    "±1.481j are hidden by an arbitrary disturbance). Running the printed gains of its Example 3: "
+    "the estimate is an open-loop simulation whose error does not decay; no bound is published"
+)
+"""Warning for users of the paper's observer, given once."""
+
+_MAX_STEP = 1e-2  # s
+_EDGE = 1e-9
+_ASYMMETRY = 1e-12
 
 
 class AugmentedState(NamedTuple):
-    """Everything the observer carries from one step to the next.
+    """The observer's whole state.
 
     Attributes:
         xi: ξ = x̂̄ − E_L⁻¹L y, shape (..., n + p).
@@ -49,7 +66,7 @@ class AugmentedState(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What the observer knows: x̂, shape (..., n), and ω̂ by (29), shape (..., p)."""
+    """An estimate: x̂, shape (..., n), and ω̂ by (29), shape (..., p)."""
 
     x: Array
     omega: Array
@@ -62,7 +79,8 @@ class AugmentedObserver:
         augmentation: The system in augmented form.
         H1: Gains H₁ᵢ = E_L⁻¹Hᵢ, shape (r, n + p, p).
         M: P⁻¹C̄ᵀ, shape (n + p, p).
-        Gamma: Adaptation gains Γᵢ, shape (r, p, p); None for no adaptation.
+        Gamma: Adaptation gains Γᵢ, shape (r, p, p), or one for all, shape (p, p); None for no
+            adaptation.
         xi: Bounds ξᵢ to project Ξ̂ᵢ on, shape (r,); None for no projection.
 
     Raises:
@@ -76,24 +94,8 @@ class AugmentedObserver:
         M: ArrayLike,
         Gamma: ArrayLike | None = None,
         xi: ArrayLike | None = None,
-        *,
-        premise: Callable[[Array], Array] | None = None,
-        longest_step: float = 1e-2,
     ) -> None:
-        """Take gains that a design made.
-
-        Args:
-            augmentation: The system in augmented form.
-            H1: H₁ᵢ, shape (r, n + p, p).
-            M: Shape (n + p, p).
-            Gamma: Γᵢ, shape (r, p, p), or one for all rules, shape (p, p).
-            xi: ξᵢ, shape (r,).
-            premise: Maps a measurement, shape (..., p), to z, shape (..., q); by default z is
-                the first q measured outputs.
-            longest_step: [s].
-        """
         r, p = augmentation.rule_count, augmentation.output_count
-        premises = augmentation.system.rule_base.premise_count
         self.augmentation = augmentation
         self.H1 = as_matrix("H₁", H1, (r, augmentation.size, p))
         self.M = as_matrix("M", M, (augmentation.size, p))
@@ -101,12 +103,6 @@ class AugmentedObserver:
         self.xi = None if xi is None else as_matrix("xi", xi, (r,))
         if self.xi is not None and (self.xi < 0.0).any():
             raise ModelError(f"xi: expected bounds of at least 0, got {self.xi.tolist()}")
-        self.longest_step = positive("longest_step", longest_step)
-        if premise is None and premises > p:
-            raise ModelError(
-                f"premise: expected a function from the {p} outputs to {premises} premise variables"
-            )
-        self._premise = premise or (lambda y: y[..., :premises])
 
     def initial(
         self, y: ArrayLike, estimate: ArrayLike | None = None, z: ArrayLike | None = None
@@ -116,7 +112,7 @@ class AugmentedObserver:
         Args:
             y: First sample, shape (..., p); its leading axes are the batch.
             estimate: x̂̄(0), shape (..., n + p); zero if not given.
-            z: Premise variables, shape (..., q); taken from y if not given.
+            z: Premise variables, shape (..., q); the first q outputs by default.
         """
         aug = self.augmentation
         sample = self._checked("y", y, aug.output_count)
@@ -133,7 +129,7 @@ class AugmentedObserver:
         Args:
             state: Predicted to the sample's stamp.
             y: Sample, shape (..., p).
-            z: Premise variables, shape (..., q); taken from y if not given.
+            z: Premise variables, shape (..., q); the first q outputs by default.
 
         Returns:
             The state, and the innovation e_y, shape (..., p).
@@ -143,7 +139,7 @@ class AugmentedObserver:
         return taken, self.innovation(taken)
 
     def predict(self, state: AugmentedState, u: ArrayLike, duration: float) -> AugmentedState:
-        """Go on for `duration` [s] with the last sample, its premises and u (..., m) held."""
+        """Predict over `duration` [s] with the last sample, its premises and u (..., m) held."""
         return self.advance(state, u, u, state.y, duration, state.z)
 
     def advance(
@@ -155,7 +151,7 @@ class AugmentedObserver:
         duration: float,
         z_next: ArrayLike | None = None,
     ) -> AugmentedState:
-        """Go on to the next sample, everything between the two taken as linear in time.
+        """Predict to the next sample, everything between the two taken as linear in time.
 
         Args:
             state: At the last sample.
@@ -163,13 +159,13 @@ class AugmentedObserver:
             u_next: Input at the next one.
             y_next: The next sample, shape (..., p).
             duration: Time between them [s], at least 0.
-            z_next: Premise variables there, shape (..., q); taken from y_next if not given.
+            z_next: Premise variables there, shape (..., q); the first q outputs by default.
         """
         sample = self._checked("y", y_next, self.augmentation.output_count)
         start = (np.asarray(u, dtype=np.float64), state.y, state.z)
         end = (np.asarray(u_next, dtype=np.float64), sample, self._premises(sample, z_next))
         slopes = [b - a for a, b in zip(start, end, strict=True)]
-        steps = max(1, math.ceil(duration / self.longest_step - 1e-9))
+        steps = max(1, math.ceil(duration / _MAX_STEP - 1e-9))
         xi, Xi, h = state.xi, state.Xi, duration / steps
         for index in range(steps):
             signals = [
@@ -203,7 +199,7 @@ class AugmentedObserver:
         return np.asarray(state.xi + state.y @ self.augmentation.L1.T)
 
     def estimate(self, state: AugmentedState) -> Estimate:
-        """Return x̂ and ω̂, the latter recovered by (29) where the Cᵢ differ."""
+        """Return x̂ and ω̂, the latter recovered by (29) if the Cᵢ differ."""
         aug, x_bar = self.augmentation, self.augmented_estimate(state)
         x, omega_0 = x_bar[..., : aug.state_count], x_bar[..., aug.state_count :]
         weights = aug.system.rule_base.weights(state.z)
@@ -227,8 +223,8 @@ class AugmentedObserver:
         return xi + (h / 6.0) * (a1 + 2.0 * (a2 + a3) + a4), moved
 
     def _premises(self, y: Array, z: ArrayLike | None) -> Array:
-        premise = self._premise(y) if z is None else z
-        return self._checked("z", premise, self.augmentation.system.rule_base.premise_count)
+        count = self.augmentation.system.rule_base.premise_count
+        return self._checked("z", y[..., :count] if z is None else z, count)
 
     @staticmethod
     def _checked(name: str, value: ArrayLike, length: int) -> Array:
@@ -246,3 +242,91 @@ def _each_rule(matrices: Array, vector: Array) -> Array:
 def _blend(weights: Array, rules: Array) -> Array:
     """Return Σ hᵢ vᵢ: (..., r) and (..., r, a) to (..., a)."""
     return np.asarray((weights[..., np.newaxis, :] @ rules)[..., 0, :])
+
+
+def projected_rate(value: Array, gradient: Array, Gamma: Array, limit: Array) -> Array:
+    """Return Γ Y, without its part that leads out of ‖Ξ‖ ≤ ξ if Ξ is on that bound.
+
+    Args:
+        value: Ξ, shape (..., p, q).
+        gradient: Y, shape (..., p, q).
+        Gamma: Γ ≻ 0, shape (..., p, p).
+        limit: ξ ≥ 0, shape (...).
+    """
+    rate = Gamma @ gradient
+    left, singular, right = np.linalg.svd(value, full_matrices=False)
+    normal = left[..., :, :1] @ right[..., :1, :]
+    outward = np.sum(normal * rate, axis=(-1, -2))
+    steep = Gamma @ normal
+    blocked = (singular[..., 0] >= limit * (1.0 - _EDGE)) & (outward > 0.0)
+    # ⟨g, Γg⟩ is at least the smallest eigenvalue of Γ, since g has unit norm.
+    excess = np.where(blocked, outward / np.sum(normal * steep, axis=(-1, -2)), 0.0)
+    return np.asarray(rate - excess[..., np.newaxis, np.newaxis] * steep)
+
+
+def clipped(value: Array, limit: Array) -> Array:
+    """Return the nearest matrix with ‖Ξ‖ ≤ ξ: singular values cut at ξ.
+
+    It removes what a step of finite length overshoots by.
+
+    Args:
+        value: Ξ, shape (..., p, q).
+        limit: ξ ≥ 0, shape (...).
+    """
+    left, singular, right = np.linalg.svd(value, full_matrices=False)
+    cut = np.minimum(singular, np.asarray(limit)[..., np.newaxis])
+    return np.asarray((left * cut[..., np.newaxis, :]) @ right)
+
+
+def checked_gamma(Gamma: ArrayLike, rules: int, outputs: int) -> Array:
+    """Return Γᵢ as an array of shape (rules, outputs, outputs).
+
+    Raises:
+        ModelError: A shape is wrong, or a Γᵢ is not symmetric or not positive definite; the
+            text names the rule.
+    """
+    given = np.asarray(Gamma, dtype=np.float64)
+    if given.ndim == 2:
+        given = np.repeat(given[np.newaxis], rules, axis=0)
+    checked = as_matrix("Γ", given, (rules, outputs, outputs))
+    for rule, matrix in enumerate(checked, 1):
+        asymmetry = float(np.abs(matrix - matrix.T).max())
+        if asymmetry > _ASYMMETRY * float(np.abs(matrix).max()):
+            raise ModelError(
+                f"Γ of rule {rule}: expected a symmetric matrix, got {matrix.tolist()}, "
+                f"unsymmetric by {asymmetry:.3g}"
+            )
+        smallest = float(np.linalg.eigvalsh(matrix)[0])
+        if smallest <= 0.0:
+            raise ModelError(
+                f"Γ of rule {rule}: expected a positive definite matrix, got smallest "
+                f"eigenvalue {smallest:.6g}"
+            )
+    return checked
+
+
+def printed_observer() -> AugmentedObserver:
+    """Return the method's observer with the gains that it prints for Example 3."""
+    augmentation = Augmentation(example_3().system)
+    M = np.linalg.solve(EXAMPLE_3_P, augmentation.C_bar.T)
+    return AugmentedObserver(augmentation, augmentation.E_L_inverse @ EXAMPLE_3_H, M)
+
+
+def paper_observer(
+    arm: ElasticJointArm, period: float, measurement_std: float
+) -> ComparisonObserver:
+    """Return the method's observer for the arm of its Example 3.
+
+    Raises:
+        ModelError: The arm is another one; the method prints gains for this one only.
+    """
+    if arm != ElasticJointArm():
+        raise ModelError(
+            "method paper: expected the arm of the method's Example 3, for which it prints gains, "
+            f"got {arm}"
+        )
+    inner = printed_observer()
+    start = inner.initial(np.zeros(1))
+    return ComparisonObserver(
+        inner, start, arm, period, measurement_std, lambda state: inner.estimate(state).omega
+    )

@@ -1,20 +1,29 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of the method's Examples 1 and 2: the plant once, then every observer on its record."""
+"""Runs of the method's examples, the plant once and then every observer on its record.
 
-from collections.abc import Callable
-from dataclasses import dataclass
+Examples 1 and 2 run without noise, in five variants of the method's observer. Example 3 is the
+nonlinear arm with a little process noise, u = sin t, and white measurement noise of 5 % of the
+largest angle, in one run a seed; PO and PIO have the best θ of a grid, the paper's observer its
+printed gains.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.estimation.high_gain import integrate
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import DisturbanceTerm
+from tsobs_ros.estimation.high_gain import HighGainObserver, integrate
+from tsobs_ros.estimation.kalman import ExtendedKalmanFilter
+from tsobs_ros.estimation.proportional_integral import ProportionalIntegralObserver
+from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
 from tsobs_ros.paper.examples import PaperExample
-from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState
-from tsobs_ros.paper.records import AdaptiveDesign
-
-Advance = Callable[[], None]
-"""Called once a simulated piece of work, to show progress."""
+from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState, printed_observer
+from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
+from tsobs_ros.simulation.scenarios import SCENARIOS, Trajectories, simulate
 
 PERIOD = 4e-3
 """Step of plant and observer [s]. Between samples y is taken as linear, which is off by
@@ -22,19 +31,28 @@ PERIOD = 4e-3
 
 DURATION = 20.0
 SETTLED = 10.0
+"""Length of Examples 1 and 2, and the time from which their errors count [s]."""
 
 UNCERTAINTIES = (0.0, 1.0)
 """λ of the two plants that are simulated together: without and with the printed ΔA."""
 
-WORK = 4
-"""Pieces of work of `run_example`: the plants, then the observers in three batches."""
-
 _NOISE_SEED = 20110022
+
+THETAS = tuple(round(float(theta), 3) for theta in np.geomspace(0.5, 8.0, 13))
+"""The grid of θ [1/s] of PO and PIO."""
+
+WINDOW_START = 20.0
+"""Time from which the errors of Example 3 count [s]."""
+
+_SCALE = (0.226, 0.60, 3.55, 4.64)  # RMS of the states themselves, in design coordinates
+_FIRST_SEED = 9000
+
+State = TypeVar("State")
 
 
 @dataclass(frozen=True)
 class PlantRecord:
-    """What the plants did.
+    """Signals of the plants.
 
     Attributes:
         times: [s], shape (samples,).
@@ -55,7 +73,7 @@ class PlantRecord:
 
 @dataclass(frozen=True)
 class EstimateRecord:
-    """What one observer made of it.
+    """Estimates of one observer.
 
     Attributes:
         states: x̂, shape (samples, 2, n).
@@ -74,12 +92,12 @@ class EstimateRecord:
 
 @dataclass(frozen=True)
 class ExampleRun:
-    """An example with its plants and the observers that were run on them.
+    """An example with its plants and their observers.
 
     Attributes:
         example: The example.
         design: The gains in use, from (37), re-checked.
-        plant: What the plants did.
+        plant: The plants' signals.
         estimates: By variant, see `run_example`.
     """
 
@@ -100,7 +118,7 @@ class ExampleRun:
     def lyapunov(self, variant: str) -> Array:
         """Return V = ēᵀPē + Σ tr(Ξ̂ᵢᵀΓᵢ⁻¹Ξ̂ᵢ), shape (samples, 2).
 
-        It is the method's V where Ξᵢ = 0, which is at λ = 0.
+        It is the method's V if Ξᵢ = 0, which is so at λ = 0.
         """
         aug, record = self.design.augmentation, self.estimates[variant]
         # ē = x̄ − x̂̄ is T e_x on {C̄x̄ = 0} and e_y across it.
@@ -124,16 +142,16 @@ class ExampleRun:
         error = self.state_error(variant)[self.plant.times >= SETTLED, uncertainty]
         return np.asarray(np.sqrt(np.mean(error**2, axis=0)))
 
+    def difference(self, variant: str, since: float = 0.0) -> float:
+        """Return the largest |x̂ − x̂'| of `fixed` and another variant from `since` [s] on."""
+        difference = self.estimates["fixed"].states - self.estimates[variant].states
+        return float(np.abs(difference[self.plant.times >= since]).max())
+
 
 def run_example(
-    example: PaperExample,
-    design: AdaptiveDesign,
-    *,
-    period: float = PERIOD,
-    duration: float = DURATION,
-    advance: Advance = lambda: None,
+    example: PaperExample, *, period: float = PERIOD, duration: float = DURATION
 ) -> ExampleRun:
-    """Simulate the example with λ = 0 and 1 and run five variants of the observer.
+    """Design the observer of Example 1 or 2 and run five variants of it with λ = 0 and 1.
 
     adaptive: the method's observer with its adaptation, Ξ̂ᵢ projected on ‖Ξ̂ᵢ‖ ≤ ξᵢ.
     fixed: the same without adaptation.
@@ -144,13 +162,13 @@ def run_example(
 
     Args:
         example: Example 1 or 2.
-        design: Its gains.
         period: Step [s].
         duration: [s].
-        advance: Called after each of the `WORK` pieces of work.
     """
+    design = design_adaptive_observer(
+        example.system, example.alpha, example.xi, Gamma=example.Gamma
+    )
     plant = _simulate(example, period, duration)
-    advance()
     fixed = design.observer(adapt=False)
     aug = design.augmentation
     model_only = AugmentedObserver(aug, np.zeros_like(fixed.H1), np.zeros_like(fixed.M))
@@ -168,10 +186,9 @@ def run_example(
         (model_only, {"model_only": (plant.outputs, zero)}),
     ):
         outputs = np.stack([fed for fed, _ in variants.values()], axis=1)
-        start = np.stack([begun for _, begun in variants.values()])
-        records = _observe(example, observer, plant, outputs, start)
+        starts = np.stack([start for _, start in variants.values()])
+        records = _observe(example, observer, plant, outputs, starts)
         estimates.update(zip(variants, records, strict=True))
-        advance()
     return ExampleRun(example, design, plant, estimates)
 
 
@@ -206,26 +223,23 @@ def _observe(
     observer: AugmentedObserver,
     plant: PlantRecord,
     outputs: Array,
-    start: Array,
+    starts: Array,
 ) -> list[EstimateRecord]:
     """Run an observer over several records at once; its premises are the plant's for all.
 
     Args:
-        example: Whose input is used.
+        example: The example, for its input.
         observer: The observer.
-        plant: Whose premises are used.
-        outputs: What is fed to the observer, shape (samples, records, 2, p).
-        start: x̂̄(0), shape (records, 2, n + p).
-
-    Returns:
-        One record of estimates for each record of outputs.
+        plant: The plant, for its premises.
+        outputs: Measurements of each record, shape (samples, records, 2, p).
+        starts: x̂̄(0), shape (records, 2, n + p).
     """
     torques = example.torque(plant.times)
     fed: Array = outputs.copy()
     # ξ(0) = x̂̄(0) − E_L⁻¹L y(0): with a first sample of noise the observer would start elsewhere.
     fed[0] = plant.outputs[0]
     premises: Array = np.broadcast_to(plant.premises[:, np.newaxis], (*fed.shape[:-1], 1))
-    state = observer.initial(fed[0], start, z=premises[0])
+    state = observer.initial(fed[0], starts, z=premises[0])
     states = [state]
     for index, duration in enumerate(np.diff(plant.times), 1):
         u, u_next = torques[index - 1], torques[index]
@@ -242,3 +256,114 @@ def _observe(
         EstimateRecord(*(each[:, one] for each in (*estimate, innovation, norms, energy)))
         for one in range(fed.shape[1])
     ]
+
+
+class SampledObserver(Protocol[State]):
+    """An observer that runs sample by sample; its state's `x` begins with the arm's four states."""
+
+    def correct(self, state: State, y: Array) -> tuple[State, object]: ...
+
+    def predict(self, state: State, u: Array, duration: float) -> State: ...
+
+
+class ObserverErrors(NamedTuple):
+    """Errors of one observer, one row a run.
+
+    Attributes:
+        name: For tables and legends.
+        rmse: Of the four states in design coordinates, shape (runs, 4).
+        theta: Its θ [1/s]; NaN if it has none.
+        example: x̂ of the first run, shape (samples, 4).
+    """
+
+    name: str
+    rmse: Array
+    theta: float
+    example: Array
+
+    @property
+    def motor_angle(self) -> Array:
+        """RMSE of x₃ by run, shape (runs,)."""
+        return np.asarray(self.rmse[:, MOTOR_ANGLE])
+
+    @property
+    def normalised(self) -> Array:
+        """RMS over the states of RMSE over the states' own RMS, by run, shape (runs,)."""
+        return np.asarray(np.sqrt(np.mean((self.rmse / np.array(_SCALE)) ** 2, axis=1)))
+
+
+@dataclass(frozen=True)
+class ArmComparison:
+    """All observers on the same runs of Example 3.
+
+    Attributes:
+        trajectories: The runs.
+        observers: PO, PIO, paper (the paper's), ours, EKF (with our disturbance states) and
+            EKF clean (with none), in this order.
+    """
+
+    trajectories: Trajectories
+    observers: tuple[ObserverErrors, ...]
+
+    def __getitem__(self, name: str) -> ObserverErrors:
+        """Return an observer by its name."""
+        return next(each for each in self.observers if each.name == name)
+
+
+def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -> ArmComparison:
+    """Run every observer on the same noisy arm.
+
+    Args:
+        design: The certified design; its model and noise densities are the EKF's too.
+        seeds: Number of runs.
+        duration: Of a run [s], above `WINDOW_START`.
+    """
+    runs = simulate(SCENARIOS["noise"], range(_FIRST_SEED, _FIRST_SEED + seeds), duration)
+    arm, grid = ElasticJointArm(), np.array(THETAS)[:, np.newaxis]
+    batch = (len(THETAS), seeds)
+    high_gain, integral = HighGainObserver(arm, grid), ProportionalIntegralObserver(arm, grid)
+    paper, ours = printed_observer(), design.observer()
+    observers = [
+        _best("PO", runs, _run(high_gain, high_gain.initial(batch), runs)),
+        _best("PIO", runs, _run(integral, integral.initial(batch), runs)),
+        _errors("paper", runs, _run(paper, paper.initial(runs.measurements[:, 0]), runs)),
+        _errors("ours", runs, _run(ours, ours.initial((seeds,)), runs)),
+    ]
+    without = replace(design.request, disturbance=(DisturbanceTerm("clean"),))
+    for name, request in (("EKF", design.request), ("EKF clean", without)):
+        ekf = ExtendedKalmanFilter(
+            request.flow, request.measurement_covariance, request.initial_covariance
+        )
+        observers.append(_errors(name, runs, _run(ekf, ekf.initial((seeds,)), runs)))
+    return ArmComparison(runs, tuple(observers))
+
+
+def _run(observer: SampledObserver[State], state: State, runs: Trajectories) -> Array:
+    """Return x̂ after each sample, shape (..., runs, samples, 4), from a start state."""
+    period = float(runs.times[1] - runs.times[0])
+    estimates = []
+    for index in range(len(runs.times)):
+        state, _ = observer.correct(state, runs.measurements[:, index])
+        x: Array = state.x  # type: ignore[attr-defined]
+        estimates.append(x[..., :4])
+        state = observer.predict(state, runs.torques[:, index], period)
+    return np.stack(estimates, axis=-2)
+
+
+def _errors(
+    name: str, runs: Trajectories, estimates: Array, theta: float = float("nan")
+) -> ObserverErrors:
+    return ObserverErrors(name, _rmse(runs, estimates), theta, estimates[0])
+
+
+def _best(name: str, runs: Trajectories, estimates: Array) -> ObserverErrors:
+    """Return the errors at the θ with the smallest mean RMSE of x₃."""
+    errors = _rmse(runs, estimates)
+    best = int(np.argmin(errors[..., MOTOR_ANGLE].mean(axis=-1)))
+    return _errors(name, runs, estimates[best], THETAS[best])
+
+
+def _rmse(runs: Trajectories, estimates: Array) -> Array:
+    settled = runs.times >= WINDOW_START
+    error = estimates[..., settled, :] - runs.states[:, settled]
+    return np.asarray(np.sqrt(np.mean(error**2, axis=-2)))

@@ -11,32 +11,36 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.paper.claim_table import Claim, Verdict, claims_text, html_table, markdown_table
-from tsobs_ros.paper.examples import PaperExample, example_1, example_2
-from tsobs_ros.paper.publish import PaperReport, make_paper_report
+from tsobs_ros.paper.claims import Claim, Verdict, claims_text
+from tsobs_ros.paper.examples import example_2
+from tsobs_ros.paper.page import (
+    PaperReport,
+    Results,
+    html_page,
+    make_paper_report,
+    markdown,
+    publish,
+    run_examples,
+)
 from tsobs_ros.paper.runs import ExampleRun, run_example
-from tsobs_ros.paper.synthesis import design_adaptive_observer
 
 ROOT = Path(__file__).resolve().parents[2]
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def make_run(example: PaperExample, period: float = 4e-3, duration: float = 12.0) -> ExampleRun:
-    design = design_adaptive_observer(
-        example.system, example.alpha, example.xi, Gamma=example.Gamma
-    )
-    return run_example(example, design, period=period, duration=duration)
+@pytest.fixture(scope="module")
+def results() -> Results:
+    return run_examples(seeds=4)
 
 
 @pytest.fixture(scope="module")
-def run() -> ExampleRun:
-    return make_run(example_1())
+def run(results: Results) -> ExampleRun:
+    return results.runs["example_1"]
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> PaperReport:
-    folder = tmp_path_factory.mktemp("paper")
-    return make_paper_report(folder / "new" / "folder", progress=False, seeds=4)
+def report(results: Results, tmp_path_factory: pytest.TempPathFactory) -> PaperReport:
+    return publish(results, tmp_path_factory.mktemp("paper"), started=0.0)
 
 
 @pytest.mark.parametrize("name", ["example_1", "example_2"])
@@ -68,27 +72,23 @@ def test_lyapunov_function_falls_without_uncertainty(run: ExampleRun) -> None:
     assert np.diff(V[:, 1]).max() > 1e-6 * V[0, 1]
 
 
-def test_estimates_do_not_hear_the_measurement(run: ExampleRun) -> None:
+def test_estimates_do_not_depend_on_the_measurement(run: ExampleRun) -> None:
     fixed, fed = run.estimates["fixed"], run.estimates["noise_fed"]
     np.testing.assert_allclose(fed.states, fixed.states, atol=1e-12)
     assert np.abs(fed.disturbance - fixed.disturbance).max() > 1.0
-    late = run.plant.times >= 10.0
-    for variant in ("model_only", "consistent"):
-        difference = np.abs(fixed.states - run.estimates[variant].states)[late]
-        assert difference.max() < 2e-5
+    assert max(run.difference(each, 10.0) for each in ("model_only", "consistent")) < 2e-5
     assert run.estimates["consistent"].adaptation.max() < 1e-12
 
 
-def test_step_is_short_enough() -> None:
-    coarse = make_run(example_2(), 8e-3, 4.0)
-    usual = make_run(example_2(), 4e-3, 4.0)
-    np.testing.assert_allclose(coarse.plant.states, usual.plant.states[::2], atol=1e-5)
-    for variant, estimates in coarse.estimates.items():
-        if variant != "noise_fed":
-            finer = usual.estimates[variant].states[::2]
-            np.testing.assert_allclose(estimates.states, finer, atol=3e-4)
-            late = coarse.plant.times > 3.0
-            np.testing.assert_allclose(estimates.states[late], finer[late], atol=3e-5)
+def test_step_is_short_enough(results: Results) -> None:
+    usual, coarse = results.runs["example_2"], run_example(example_2(), period=8e-3, duration=4.0)
+    halved = slice(0, 2 * len(coarse.plant.times) - 1, 2)
+    late = coarse.plant.times > 3.0
+    np.testing.assert_allclose(coarse.plant.states, usual.plant.states[halved], atol=1e-5)
+    for variant in ("adaptive", "consistent", "fixed", "model_only"):
+        difference = coarse.estimates[variant].states - usual.estimates[variant].states[halved]
+        assert np.abs(difference).max() < 3e-4
+        assert np.abs(difference[late]).max() < 3e-5
 
 
 def test_printed_gains_lose_to_every_other_observer(report: PaperReport) -> None:
@@ -152,9 +152,9 @@ def test_no_runs_is_refused(tmp_path: Path) -> None:
 def test_tables_escape_what_would_break_them() -> None:
     claim = Claim("a | b < c", Verdict.HOLDS_ONLY_IF, "x > 0", "|x| = 1", "test/a.py::b")
     row = [claim.claim, claim.judgement, claim.number, claim.test]
-    table = markdown_table(("claim", "verdict", "number", "test"), [row])
-    assert r"| a \| b < c | holds only if x > 0 | \|x\| = 1 |" in table
-    page = html_table(("claim",), [row])
+    parts = [("table", (("claim", "verdict", "number", "test"), [row]))]
+    assert r"| a \| b < c | holds only if x > 0 | \|x\| = 1 |" in markdown(parts)
+    page = html_page(parts)
     assert "a | b &lt; c" in page
     assert '<td class="holds_only_if">holds only if x &gt; 0</td>' in page
     assert claims_text([claim]).startswith("HOLDS ONLY IF  a | b < c\n")

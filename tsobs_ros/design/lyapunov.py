@@ -1,0 +1,154 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Lyapunov matrices of several systems at once, by semidefinite programming (cvxpy with Clarabel).
+
+A common P ≻ 0 with AᵢᵀP + PAᵢ ≺ 0 for every i exists or it does not, and either answer is proved
+by a matrix that is re-checked by eigenvalues:
+
+    yes:  P itself
+    no:   Zᵢ ⪰ 0, not all zero, with Σ AᵢZᵢ + ZᵢAᵢᵀ ⪰ 0, because then
+          Σ tr Zᵢ(AᵢᵀP + PAᵢ) = tr P Σ(AᵢZᵢ + ZᵢAᵢᵀ) ≥ 0 for every P ≻ 0
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cvxpy as cp
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.errors import DesignError
+
+# Relative eigenvalue below which a matrix proves neither answer.
+_UNDECIDED = 1e-7
+
+
+class CommonLyapunov(NamedTuple):
+    """The answer for some matrices, with its proof.
+
+    Attributes:
+        margin: With P, the largest eigenvalue of AᵢᵀP + PAᵢ over all i, negative, with
+            trace P = n; else the smallest eigenvalue of Σ AᵢZᵢ + ZᵢAᵢᵀ with Σ tr Zᵢ = 1, not
+            negative but for rounding.
+        P: The common matrix, shape (n, n); None if there is none.
+        Z: The proof that there is none, shape (r, n, n); None if there is one.
+    """
+
+    margin: float
+    P: Array | None
+    Z: Array | None
+
+
+class LyapunovGains(NamedTuple):
+    """A solution of `smallest_lyapunov`.
+
+    Attributes:
+        P: Shape (n, n).
+        Q: Shape (r, n, p).
+        status: The solver's status.
+        iterations: The solver's iterations.
+    """
+
+    P: Array
+    Q: Array
+    status: str
+    iterations: int
+
+
+def common_lyapunov(A: Array) -> CommonLyapunov:
+    """Decide whether one P ≻ 0 has AᵢᵀP + PAᵢ ≺ 0 for every i.
+
+    Args:
+        A: Shape (r, n, n).
+
+    Raises:
+        DesignError: The solver failed, or the problem is too close to the border for a proof.
+
+    >>> common_lyapunov(np.array([[[-1.0, 0.5], [0.0, -2.0]]])).P is not None
+    True
+    """
+    n = A.shape[-1]
+    variable = cp.Variable((n, n), symmetric=True)
+    largest = cp.Variable()
+    decreases = []
+    for matrix in A:
+        product = variable @ matrix
+        decreases.append(largest * np.eye(n) - product - product.T >> 0)
+    constraints = [variable >> 0, cp.trace(variable) == n, *decreases]
+    _solve(cp.Problem(cp.Minimize(largest), constraints), "common Lyapunov matrix")
+    P, duals = variable.value, [each.dual_value for each in decreases]
+    if P is None or any(each is None for each in duals):
+        raise DesignError("common Lyapunov matrix: the solver returned no solution")
+    P = 0.5 * (P + P.T)
+    products = P @ A
+    margin = float(np.linalg.eigvalsh(products + products.transpose(0, 2, 1)).max())
+    size = float(np.linalg.norm(A, 2, axis=(1, 2)).max())
+    if np.linalg.eigvalsh(P)[0] > 0.0 and margin < -_UNDECIDED * size:
+        return CommonLyapunov(margin, P, None)
+    Z = _positive([0.5 * (each + each.T) for each in duals])
+    refutation = refutation_margin(A, Z)
+    if refutation > -_UNDECIDED * size:
+        return CommonLyapunov(refutation, None, Z)
+    raise DesignError(
+        f"common Lyapunov matrix: undecided, the solver's P gives {margin:.3g} (needs < 0) and its "
+        f"Zᵢ give {refutation:.3g} (needs >= 0); change the decay rates a little"
+    )
+
+
+def refutation_margin(A: Array, Z: Array) -> float:
+    """Return the smallest eigenvalue of Σ AᵢZᵢ + ZᵢAᵢᵀ; both of shape (r, n, n)."""
+    total = (A @ Z + Z @ A.transpose(0, 2, 1)).sum(axis=0)
+    return float(np.linalg.eigvalsh(0.5 * (total + total.T))[0])
+
+
+def smallest_lyapunov(M: Array, C: Array, D: Array, weight: float = 1e-2) -> LyapunovGains:
+    """Return P ⪰ I and Qᵢ with sym(P Mᵢ − Qᵢ C) + D ⪯ 0 and the least tr P + w Σ ‖Qᵢ‖².
+
+    Here sym(X) = X + Xᵀ. Qᵢ enters only through QᵢC and could grow without bound, which the
+    weight prevents.
+
+    Args:
+        M: Shape (r, n, n).
+        C: Shape (p, n).
+        D: Symmetric, the margin of the inequalities, shape (n, n).
+        weight: w > 0.
+
+    Raises:
+        DesignError: The solver failed or found no solution.
+
+    >>> smallest_lyapunov(-np.eye(2)[None], np.eye(1, 2), 0.1 * np.eye(2)).P.round(3)
+    array([[1., 0.],
+           [0., 1.]])
+    """
+    n, p = M.shape[-1], C.shape[0]
+    P = cp.Variable((n, n), symmetric=True)
+    Q = [cp.Variable((n, p)) for _ in M]
+    constraints = [P >> np.eye(n)]
+    for matrix, gain in zip(M, Q, strict=True):
+        product = P @ matrix - gain @ C
+        constraints.append(product + product.T + D << 0)
+    effort = sum(cp.sum_squares(each) for each in Q)
+    problem = cp.Problem(cp.Minimize(cp.trace(P) + weight * effort), constraints)
+    _solve(problem, "smallest Lyapunov matrix")
+    if P.value is None:
+        raise DesignError(f"smallest Lyapunov matrix: the solver answered {problem.status!r}")
+    return LyapunovGains(
+        P=0.5 * (P.value + P.value.T),
+        Q=np.array([each.value for each in Q]),
+        status=str(problem.status),
+        iterations=int(problem.solver_stats.num_iters or 0),
+    )
+
+
+def _solve(problem: cp.Problem, what: str) -> None:
+    try:
+        problem.solve(solver=cp.CLARABEL)
+    except cp.SolverError as error:
+        raise DesignError(f"{what}: the solver failed: {error}") from error
+
+
+def _positive(Z: Sequence[Array]) -> Array:
+    """Return Zᵢ ⪰ 0 with Σ tr Zᵢ = 1: rounding leaves eigenvalues just below zero."""
+    values, vectors = np.linalg.eigh(np.array(Z))
+    parts = vectors * np.maximum(values, 0.0)[:, None, :] @ vectors.transpose(0, 2, 1)
+    return np.asarray(parts / np.trace(parts, axis1=1, axis2=2).sum())
