@@ -1,5 +1,126 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""State and sensor-disturbance estimation for a robot arm with an elastic joint."""
+"""State and sensor-disturbance estimation for a robot arm with an elastic joint.
+
+    import tsobs_ros as ts
+
+    design = ts.load_design()  # the shipped one; or ts.load_design("my_arm.design.yaml")
+    run = ts.simulate(design, duration=10.0, disturbance="bias_step")
+    estimates = ts.estimate(design, run.time, run.angle, run.torque)  # arrays in, arrays out
+    observer = design.observer()  # or step by step: initial, correct, predict, readout
+
+Models and designs:
+    ElasticJointArm   physical parameters of the arm
+    TSModel           any Takagi-Sugeno system, by its matrices and memberships
+    DesignRequest     the arm, its sensor and disturbance, and the domain to certify
+    load_request      a request from a YAML file
+    synthesise        a certified gain for a request (needs cvxpy)
+    Design            a gain with its proof; makes observers
+    load_design       a design from its file, its certificate checked again
+    save_design       a design into a file
+
+Estimates:
+    simulate          measurements and truth of an arm, as arrays
+    estimate          estimates from arrays, as the observer node makes them
+    Estimates         their record: states, bounds, disturbance, innovations, counts
+    ObserverSettings  method, gates and timeouts, with the node's defaults
+    make_tracker      estimates at any time from stamped measurements in any order
+    Tracker           its class
+    Measurement       one stamped sample for it
+
+Bags and logs:
+    estimate_bag      estimates of a bag or a CSV log
+    compare           all observers on the same bag or log
+    BagReader         the messages of an MCAP bag, without ROS
+    BagWriter         a new bag that every rosbag2 tool reads
+
+    TsobsError        root of all errors that are raised on purpose
+
+Importing tsobs_ros loads none of this; each name is imported when it is first used.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tsobs_ros.api import (
+        Estimates,
+        compare,
+        estimate,
+        estimate_bag,
+        load_design,
+        simulate,
+    )
+    from tsobs_ros.bag.reader import BagReader
+    from tsobs_ros.bag.writer import BagWriter
+    from tsobs_ros.design.file import load_request, save_design
+    from tsobs_ros.design.record import Design
+    from tsobs_ros.design.request import DesignRequest
+    from tsobs_ros.design.synthesis import synthesise
+    from tsobs_ros.errors import TsobsError
+    from tsobs_ros.estimation.records import Measurement
+    from tsobs_ros.estimation.tracker import Tracker
+    from tsobs_ros.methods import ObserverSettings, make_tracker
+    from tsobs_ros.model.arm import ElasticJointArm
+    from tsobs_ros.model.ts_model import TSModel
 
 __version__ = "0.1.0"
+
+# A signal must be caught while the heavy modules load (see executables.py), hence by name only.
+_HOMES = {
+    "BagReader": "bag.reader",
+    "BagWriter": "bag.writer",
+    "Design": "design.record",
+    "DesignRequest": "design.request",
+    "ElasticJointArm": "model.arm",
+    "Estimates": "api",
+    "Measurement": "estimation.records",
+    "ObserverSettings": "methods",
+    "TSModel": "model.ts_model",
+    "Tracker": "estimation.tracker",
+    "TsobsError": "errors",
+    "compare": "api",
+    "estimate": "api",
+    "estimate_bag": "api",
+    "load_design": "api",
+    "load_request": "design.file",
+    "make_tracker": "methods",
+    "save_design": "design.file",
+    "simulate": "api",
+    "synthesise": "design.synthesis",
+}
+
+__all__ = [
+    "BagReader",
+    "BagWriter",
+    "Design",
+    "DesignRequest",
+    "ElasticJointArm",
+    "Estimates",
+    "Measurement",
+    "ObserverSettings",
+    "TSModel",
+    "Tracker",
+    "TsobsError",
+    "compare",
+    "estimate",
+    "estimate_bag",
+    "load_design",
+    "load_request",
+    "make_tracker",
+    "save_design",
+    "simulate",
+    "synthesise",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -174,18 +174,30 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]
 
 
 def make_tracker(
-    design: Design, settings: ObserverSettings, estimator: Estimator[Any] | None = None
+    design: Design,
+    settings: ObserverSettings | None = None,
+    estimator: Estimator[Any] | None = None,
 ) -> Tracker[Any]:
-    """Return a tracker that runs the observer that the settings name.
+    """Return a tracker: stamped measurements in any order in, estimates at any stamp out.
 
     Args:
         design: The design.
-        settings: How it is run.
+        settings: Method, gates and timeouts; the node's defaults if None.
         estimator: The observer, if it is made already: joints with the same design share it.
 
     Raises:
         ModelError: The method cannot observe this arm, or a time is negative.
+
+    >>> import numpy as np
+    >>> import tsobs_ros as ts
+    >>> tracker = ts.make_tracker(ts.load_design())
+    >>> for stamp in range(5_000_000, 1_000_000_000, 5_000_000):  # ns
+    ...     measurement = ts.Measurement(stamp, y=np.array([0.3]), u=np.array([0.0]))
+    ...     outcome = tracker.offer(measurement, now=stamp)
+    >>> tracker.estimate(stamp).state.shape
+    (4,)
     """
+    settings = settings or ObserverSettings()
     options = TrackerOptions(
         x_max=design.request.x_max,
         history=settings.history,

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 # Repeated here, so that the parser needs no numpy.
 METHODS = ("certified", "ekf", "high_gain", "proportional_integral", "paper")
-_LOGS = (".csv", ".tsv", ".txt")
 
 
 def add_parser(commands: Commands) -> None:
@@ -107,11 +106,18 @@ def estimate(
     options: argparse.Namespace, output: Path | None, *, estimates_only: bool = False
 ) -> int:
     """Run the observers that the options name, show the result, and return the exit code."""
-    from tsobs_ros.replay.estimate import make_runs, run_all
+    from tsobs_ros.replay.estimate import make_runs, open_source, run_all
 
     begin = time.monotonic()
     settings = _settings(options)
-    source = _source(options, settings)
+    source = open_source(
+        options.bag,
+        topic=options.topic,
+        joints=options.joints,
+        columns=options.columns,
+        units=options.units,
+        assume_zero_torque=settings.assume_zero_torque,
+    )
     observers = _observers(options, settings, source.joints)
     as_live = options.rate is None and options.at != "measurements"
     runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
@@ -145,19 +151,6 @@ def _settings(options: argparse.Namespace) -> "ObserverSettings":
     # The other parameters decide when and where estimates are published.
     in_file = {name: value for name, value in found.items() if name in SETTING_NAMES}
     return ObserverSettings().with_parameters({**in_file, **given})
-
-
-def _source(options: argparse.Namespace, settings: "ObserverSettings") -> "Source":
-    from tsobs_ros.replay.log import LogSource
-    from tsobs_ros.replay.source import BagSource
-
-    joints, no_torque = options.joints, settings.assume_zero_torque
-    if options.bag.is_file() and options.bag.suffix.lower() in _LOGS:
-        columns, units = options.columns, options.units
-        return LogSource(
-            options.bag, columns=columns, units=units, joints=joints, assume_zero_torque=no_torque
-        )
-    return BagSource(options.bag, topic=options.topic, joints=joints, assume_zero_torque=no_torque)
 
 
 def _observers(

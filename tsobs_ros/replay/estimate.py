@@ -8,7 +8,7 @@ of what they cost one by one.
 
 import heapq
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, repeat
 from operator import itemgetter
@@ -28,6 +28,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
+from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.replay import (
     Estimated,
     Estimates,
@@ -39,11 +40,14 @@ from tsobs_ros.replay.replay import (
     at_rate,
     at_samples,
 )
-from tsobs_ros.replay.source import Live, Source
+from tsobs_ros.replay.source import BagSource, Live, Source
 from tsobs_ros.replay.table import Agreement, EstimateTable, Recorded
 
 Record: TypeAlias = tuple[str, str, bytes, int, int]
 """A `BagMessage` as a plain tuple, whose class would cost more than the rest of it."""
+
+LOGS = (".csv", ".tsv", ".txt")
+"""Suffixes of logs."""
 
 _BLOCK = 1024
 _ANGLES, _RATES = [0, 2], [1, 3]
@@ -94,10 +98,12 @@ class Run:
         ]
         stale_after = observer.settings.stale_after
         self.replay = Replay(JointTrackers(trackers), source.samples, schedule, stale_after)
-        self.table = EstimateTable(schedule.count, source.samples.count, len(source.joints))
+        names = map(observer.settings.learnt, observer.designs)
+        learnt = dict(zip(source.joints, names, strict=True))
+        most = max(map(len, learnt.values()), default=0)
+        self.table = EstimateTable(schedule.count, source.samples.count, len(learnt), most)
         self._recorded = None if live is None else Recorded(live, schedule)
-        learnt = zip(source.joints, map(observer.settings.learnt, observer.designs), strict=True)
-        self._publisher = _Publisher(f"{source.namespace}/{observer.name}/", dict(learnt))
+        self._publisher = _Publisher(f"{source.namespace}/{observer.name}/", learnt)
         self.topics = self._publisher.topics
 
     def records(self, progress: Callable[[int], None]) -> Iterator[Record]:
@@ -161,6 +167,37 @@ class Run:
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if the run was made by them."""
         return None if self._recorded is None else self._recorded.compare(self.table, self._samples)
+
+
+def open_source(
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    joints: Sequence[str] = (),
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    assume_zero_torque: bool = False,
+) -> Source:
+    """Open a bag, or a log if the suffix is one of `LOGS`.
+
+    Args:
+        path: The file or folder.
+        topic: Of a bag, see `BagSource`.
+        joints: Names of the joints; all that were measured if empty.
+        columns: Of a log, see `LogSource`.
+        units: Of a log, see `LogSource`.
+        assume_zero_torque: Take measurements without torque as torque 0.
+
+    Raises:
+        BagReadError: The bag cannot be read, or does not have the measurements.
+        LogError: The log cannot be read.
+    """
+    path, no_torque = Path(path), assume_zero_torque
+    if path.is_file() and path.suffix.lower() in LOGS:
+        return LogSource(
+            path, columns=columns, units=units, joints=joints, assume_zero_torque=no_torque
+        )
+    return BagSource(path, topic=topic, joints=joints, assume_zero_torque=no_torque)
 
 
 def make_runs(

@@ -31,6 +31,7 @@ class EstimateTable:
         ticks: m.
         messages: n.
         joints: J.
+        parameters: k, the largest number of parameters that a joint learns.
 
     Attributes:
         done: Whether there is an estimate of any joint, shape (m,).
@@ -39,14 +40,21 @@ class EstimateTable:
         state_bounds: 1σ bound of each, NaN without one, shape (m, J, 4).
         disturbances: Disturbance and its rate (rad, rad/s), NaN without, shape (m, J, 2).
         disturbance_bounds: 1σ bound of the disturbance [rad], NaN without, shape (m, J, 1).
+        parameters: Learnt parameters, NaN without, shape (m, J, k).
+        parameter_bounds: 1σ of each, shape (m, J, k).
+        flags: Whether an estimate is certified, its parameters are valid, and it is in the
+            certificate's domain, shape (m, J, 3).
     """
 
-    def __init__(self, ticks: int, messages: int, joints: int) -> None:
+    def __init__(self, ticks: int, messages: int, joints: int, parameters: int = 0) -> None:
         self._values = np.full((ticks, joints, _COUNT), np.nan)
         self.states = self._values[..., _COLUMNS["state"]]
         self.state_bounds = self._values[..., _COLUMNS["state_bound"]]
         self.disturbances = self._values[..., 8:10]
         self.disturbance_bounds = self._values[..., _COLUMNS["disturbance_bound"]]
+        self.parameters = np.full((ticks, joints, parameters), np.nan)
+        self.parameter_bounds = self.parameters.copy()
+        self.flags = np.zeros((ticks, joints, 3), np.bool_)
         self.done = np.zeros(ticks, np.bool_)
         self.innovations = np.full((messages, joints), np.nan)
 
@@ -63,6 +71,12 @@ class EstimateTable:
                 if arrays and len(arrays[0]):
                     numbers = np.concatenate(arrays).reshape(len(rows), -1)
                     self._values[rows, joint, columns] = numbers
+            self.flags[rows, joint] = [
+                (one.certified, one.parameters_valid, one.in_domain) for one in own
+            ]
+            if own and (count := len(own[0].parameters)):
+                self.parameters[rows, joint, :count] = [one.parameters for one in own]
+                self.parameter_bounds[rows, joint, :count] = [one.parameter_bound for one in own]
 
     def add_innovations(self, message: int, outcomes: Sequence[object]) -> None:
         """Enter the innovations of a message."""

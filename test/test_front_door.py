@@ -1,0 +1,207 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The front door: a light import, names that are there, and arrays in and out of the same core."""
+
+import ast
+import doctest
+import inspect
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tsobs_ros as ts
+from tsobs_ros.design.record import Design
+from tsobs_ros.simulation.signals import BiasStep
+
+ROOT = Path(__file__).resolve().parents[1]
+LOG = ROOT / "docs" / "examples" / "arm_log.csv"
+WITH_EXAMPLES = [
+    path for path in sorted((ROOT / "tsobs_ros").rglob("*.py")) if ">>> " in path.read_text("utf-8")
+]
+
+
+def test_the_import_is_light() -> None:
+    code = "import sys, tsobs_ros, tsobs_ros.stop; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    modules = {name.partition(".")[0] for name in run.stdout.split()}
+
+    assert "tsobs_ros" in modules
+    assert modules.isdisjoint({"numpy", "scipy", "yaml", "mcap", "rclpy", "msgspec", "numba"})
+
+
+def test_every_name_is_there_and_explained() -> None:
+    assert set(ts.__all__) <= set(dir(ts))
+    for name in ts.__all__:
+        value = getattr(ts, name)
+        assert inspect.getdoc(value), name
+        assert f"\n    {name} " in (ts.__doc__ or ""), f"help(tsobs_ros) does not explain {name}"
+        # An imported module of this name would take the place of the lazy one.
+        assert not list((ROOT / "tsobs_ros").glob(f"{name}*/")), f"{name} is a folder, too"
+    with pytest.raises(AttributeError, match="no attribute 'observe'"):
+        _ = ts.observe
+
+
+def test_editors_and_mypy_see_the_same_names() -> None:
+    (block,) = (n for n in ast.parse(inspect.getsource(ts)).body if isinstance(n, ast.If))
+    seen = {
+        alias.name: node.module
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+    assert sorted(seen) == sorted(ts.__all__)
+    for name, module in seen.items():
+        assert getattr(import_module(str(module)), name) is getattr(ts, name)
+
+
+@pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: path.stem)
+def test_the_examples_in_docstrings_hold(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    module = import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
+
+    result = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
+
+    assert result.attempted
+    assert not result.failed
+
+
+@pytest.mark.parametrize("name", ["estimate", "estimate_bag", "simulate", "compare", "load_design"])
+def test_what_a_user_calls_first_has_an_example(name: str) -> None:
+    assert ">>> import tsobs_ros as ts" in (getattr(ts, name).__doc__ or "")
+
+
+def test_a_simulation_is_reproducible_and_in_physical_units(design: Design) -> None:
+    run = ts.simulate(design, duration=1.0, seed=3, noise_std=0.0, torque=2.0)
+    again = ts.simulate(design.request.arm, duration=1.0, seed=3, noise_std=0.0, torque=lambda t: 2)
+
+    assert np.array_equal(run.state, again.state)
+    assert np.array_equal(run.angle, run.state[:, 0])
+    assert run.torque.tolist() == [2.0] * 201
+    # Angles and velocities fit: the trapezoidal rule's error at 5 ms is of 1e-4.
+    moved = np.cumsum((run.state[1:, 1::2] + run.state[:-1, 1::2]) / 2 * 0.005, axis=0)
+    assert moved == pytest.approx(run.state[1:, 0::2] - run.state[0, 0::2], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "disturbance",
+    [
+        {"bias_step": {"amplitude": 0.2, "start": 0.5}},
+        (BiasStep(0.2, 0.5),),
+    ],
+)
+def test_a_disturbance_is_named_or_passed(disturbance) -> None:
+    run = ts.simulate(duration=1.0, disturbance=disturbance)
+
+    assert run.disturbance.tolist() == [0.0] * 100 + [0.2] * 101
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"disturbance": "bias"}, "disturbance kind: expected none or a sum of"),
+        ({"disturbance": {"ramp": {"slope": 1.0}}}, "disturbance ramp: expected some of rate"),
+        ({"mismatch": {"mass": 0.1}}, "mismatch: expected some of link_inertia"),
+        ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
+        ({"rate": -1.0}, "rate"),
+    ],
+)
+def test_a_wrong_simulation_is_refused(options, match) -> None:
+    with pytest.raises(ts.TsobsError, match=match):
+        ts.simulate(**{"duration": 1.0, **options})
+
+
+def test_estimates_from_arrays_are_those_of_a_tracker(design: Design) -> None:
+    run = ts.simulate(design, duration=2.0, seed=2)
+
+    estimates = ts.estimate(design, run.time + 5.0, run.angle.tolist(), run.torque)
+
+    tracker = ts.make_tracker(design)
+    for row in range(401):
+        stamp = 5_000_000_000 + row * 5_000_000
+        sample = ts.Measurement(stamp, run.angle[row, np.newaxis], run.torque[row, np.newaxis])
+        tracker.offer(sample, stamp)
+        one = tracker.estimate(stamp)
+        assert estimates.state[row].tolist() == one.state.tolist()
+        assert estimates.state_bound[row].tolist() == one.state_bound.tolist()
+        assert estimates.disturbance[row] == one.disturbance[0]
+        assert estimates.disturbance_bound[row] == one.disturbance_bound[0]
+        assert estimates.certified[row] == one.certified
+    assert (estimates.used, estimates.rejected) == (401, {})
+    assert np.isfinite(estimates.innovation).all()
+    assert estimates.parameters.shape == (401, 0)
+
+
+def test_a_log_is_estimated_as_its_arrays_are(design: Design) -> None:
+    time, angle, torque = np.loadtxt(LOG, delimiter=",", skiprows=1).T
+
+    (whole,) = ts.estimate_bag(LOG, design).joints.values()
+    arrays = ts.estimate(design, time, angle * (np.pi / 180), torque)
+
+    for name in ("time", "state", "state_bound", "disturbance", "innovation", "certified"):
+        assert np.array_equal(getattr(whole, name), getattr(arrays, name)), name
+
+
+def test_bad_measurements_are_rejected_and_counted(design: Design) -> None:
+    run = ts.simulate(design, duration=2.0)
+    time, angle = run.time.copy(), run.angle.copy()
+    angle[50] = np.nan
+    time[100], time[200] = time[99], time[201]
+    time[300] = 0.0
+
+    estimates = ts.estimate(design, time, angle, run.torque)
+
+    assert estimates.rejected == {"non-finite": 1, "duplicate stamp": 2, "too old": 1}
+    assert estimates.used == 397
+    assert np.flatnonzero(np.isnan(estimates.innovation)).tolist() == [50, 100, 201, 300]
+    # The row of a lost measurement is a prediction.
+    assert np.isfinite(estimates.state[50]).all()
+
+
+@pytest.mark.parametrize(
+    ("time", "angle", "torque", "match"),
+    [
+        ([0.0, np.nan], [0, 0], 0, r"time\[1\]: expected finite seconds"),
+        ([0.0, 1e10], [0, 0], 0, r"time\[1\]: expected finite seconds"),
+        ([], [], 0, r"time: expected shape \(n,\) with n > 0, got \(0,\)"),
+        ([0.0, 0.1], [0, 0, 0], 0, r"angle: expected shape .* there are 2 times, got \(3,\)"),
+        ([0.0, 0.1], [0, 0], [0], r"torque: expected shape .* there are 2 times, got \(1,\)"),
+        ([0.0, 0.1], ["a", "b"], 0, "angle: expected real numbers"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(design: Design, time, angle, torque, match) -> None:
+    with pytest.raises(ts.TsobsError, match=match):
+        ts.estimate(design, time, angle, torque)
+
+
+def test_an_adaptive_design_learns_its_parameters() -> None:
+    design = ts.load_design(str(ROOT / "config" / "elastic_joint_adaptive.design.yaml"))
+    run = ts.simulate(design, duration=10.0, mismatch={"stiffness": 0.2})
+
+    estimates = ts.estimate(design, run.time, run.angle, run.torque)
+
+    assert estimates.parameters.shape == (2001, len(design.request.uncertainty))
+    stiffness = list(design.request.uncertainty).index("stiffness")
+    assert estimates.parameters[-1, stiffness] > 0.1
+    assert estimates.parameters_valid[-1]
+
+
+def test_a_bag_of_estimates_is_reproduced(tmp_path: Path, design: Design) -> None:
+    ts.estimate_bag(LOG, rate=150.0, output=tmp_path / "bag")
+
+    again = ts.estimate_bag(str(tmp_path / "bag"), design)
+
+    assert again.reproduced == 1.0
+    (estimates,) = again.joints.values()
+    assert estimates.state.shape[0] > 400
+    assert np.isfinite(estimates.state[-1]).all()
+
+
+def test_a_comparison_is_a_table() -> None:
+    assert "innovation" in str(ts.compare(LOG, methods=["certified", "ekf"]))
+    with pytest.raises(ts.TsobsError, match="method: expected one of"):
+        ts.compare(LOG, methods=["magic"])

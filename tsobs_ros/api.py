@@ -1,0 +1,491 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The front door's functions: simulate, estimate and compare, on plain arrays and whole bags."""
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tsobs_ros.checks import Array, shown
+from tsobs_ros.design import file, ts_file
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import DesignRequest
+from tsobs_ros.design.ts_design import TSDesign
+from tsobs_ros.design.ts_request import TSRequest
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Innovation, Measurement
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.simulation.excitation import Excitation
+from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.scenario import Mismatch, Scenario
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import KINDS, Component, parse_kinds
+
+if TYPE_CHECKING:
+    from tsobs_ros.replay.estimate import Run
+    from tsobs_ros.replay.source import Source
+    from tsobs_ros.report.comparison import ObserverErrors
+
+Flags = NDArray[np.bool_]
+Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Component]
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A simulated run of n samples: what an arm measures, and the truth.
+
+    Attributes:
+        time: Time since the start [s], shape (n,).
+        angle: Measured link angle [rad], NaN for a lost sample, shape (n,).
+        torque: Torque applied from each sample to the next [N m], shape (n,).
+        state: True [q₁, q̇₁, q₂, q̇₂] of link and motor (rad, rad/s), shape (n, 4).
+        disturbance: True disturbance of the sensor, white noise and outliers not included [rad],
+            shape (n,).
+    """
+
+    time: Array
+    angle: Array
+    torque: Array
+    state: Array
+    disturbance: Array
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Estimates at n instants; NaN in a row without an estimate.
+
+    Shapes are those of an arm. Disturbance and innovation have the shape of the measurement that
+    was passed; those of a T–S system with p outputs are (n, p), and its states are the model's.
+
+    Attributes:
+        time: Instants [s], shape (n,).
+        state: Estimated [q₁, q̇₁, q₂, q̇₂] of link and motor (rad, rad/s), shape (n, 4).
+        state_bound: 1σ bound of each, shape (n, 4).
+        disturbance: Estimated disturbance of the sensor [rad], shape (n,).
+        disturbance_bound: 1σ bound of it [rad], shape (n,).
+        innovation: y − ŷ of the measurement of the row, NaN if it was not used [rad], shape (n,).
+        parameters: Learnt changes θ of the model's parameters, shape (n, k).
+        parameter_bound: 1σ of each, shape (n, k).
+        parameters_valid: Whether the motion was rich enough for them to be relied on, shape (n,).
+        certified: Whether the bounds are the certificate's; else they are the larger of that and
+            the covariance along the estimate, shape (n,).
+        in_domain: Whether the estimated link angle is in the certificate's domain, shape (n,).
+        used: Number of measurements used.
+        rejected: Number of measurements not used, by reason; those of all joints of a bag.
+    """
+
+    time: Array
+    state: Array
+    state_bound: Array
+    disturbance: Array
+    disturbance_bound: Array
+    innovation: Array
+    parameters: Array
+    parameter_bound: Array
+    parameters_valid: Flags
+    certified: Flags
+    in_domain: Flags
+    used: int
+    rejected: dict[str, int]
+
+
+def load_design(path: str | Path | None = None) -> Design | TSDesign:
+    """Read a design file, of an arm or of a T–S system, and check its certificate again.
+
+    Args:
+        path: The file; None for the design that comes with the package.
+
+    Raises:
+        DesignFileError: The file is missing or no design; the text names the entry.
+        CertificateError: The certificate does not hold; the text names each inequality.
+
+    >>> import tsobs_ros as ts
+    >>> ts.load_design().certificate.holds
+    True
+    """
+    chosen = config_path(SHIPPED_DESIGN) if path is None else Path(path)
+    return (ts_file.load_ts_design if ts_file.is_ts_file(chosen) else file.load_design)(chosen)
+
+
+def simulate(
+    arm: ElasticJointArm | Design | None = None,
+    *,
+    duration: float = 20.0,
+    rate: float | None = None,
+    seed: int = 0,
+    noise_std: float | None = None,
+    disturbance: Disturbance = "none",
+    torque: Excitation | Callable[[float], float] | ArrayLike | None = None,
+    mismatch: Mapping[str, float] | None = None,
+) -> Simulation:
+    """Simulate an arm with an elastic joint and its sensor.
+
+    Args:
+        arm: The arm, or a design, whose arm, rate and noise are taken; the default arm if None.
+        duration: Length of the run [s].
+        rate: Samples a second [Hz]; the design's, or 200.
+        seed: Seed of everything random: the same seed gives the same numbers.
+        noise_std: 1σ of the sensor's white noise [rad]; the design's, or 0.028.
+        disturbance: Of the sensor: "none", a kind or a sum of kinds such as "bias_step+ramp", a
+            mapping of kinds to their parameters, or components of `simulation.signals`.
+        torque: A number, one number a sample, or a function of the time [s], in N m; sin t if None.
+        mismatch: Relative changes of the true arm's parameters, such as {"stiffness": 0.2}.
+
+    Raises:
+        ModelError: A number is out of range, a kind or parameter is unknown, or there is not one
+            torque a sample.
+
+    >>> import tsobs_ros as ts
+    >>> run = ts.simulate(duration=2.0, disturbance={"bias_step": {"amplitude": 0.1, "start": 1.0}})
+    >>> run.angle.shape, run.state.shape, float(run.disturbance[-1])
+    ((401,), (401, 4), 0.1)
+    """
+    if isinstance(arm, Design):
+        request = arm.request
+        arm, rate = request.arm, rate or request.rate
+        noise_std = request.measurement_std if noise_std is None else noise_std
+    scenario = Scenario(
+        arm=arm or ElasticJointArm(),
+        mismatch=_changed("mismatch", Mismatch(), mismatch or {}),
+        rate=rate or Scenario.rate,
+        duration=duration,
+        disturbance=_components(disturbance),
+        sensor=Sensor() if noise_std is None else Sensor(noise_std=noise_std),
+    )
+    plant, count = Plant(scenario, seed), scenario.sample_count
+    torques = _torques(torque, np.arange(count) / scenario.rate)
+    samples = [plant.step(one) for one in torques]
+    return Simulation(
+        time=np.array([one.time for one in samples]),
+        angle=np.array([one.measurement[0] for one in samples]),
+        torque=np.array([one.torque[0] for one in samples]),
+        state=np.array([one.physical for one in samples]),
+        disturbance=np.array([one.disturbance[0] for one in samples]),
+    )
+
+
+def estimate(
+    design: Design | TSDesign,
+    time: ArrayLike,
+    angle: ArrayLike,
+    torque: ArrayLike,
+    *,
+    settings: ObserverSettings | None = None,
+) -> Estimates:
+    """Estimate from arrays, by the code of the observer node and of `tsobs estimate`.
+
+    Row k is the estimate at `time[k]` from the rows up to k. Measurements that are not finite,
+    come twice, or are later than `settings.history` allows are rejected and counted; late ones
+    within it are put in their place.
+
+    Args:
+        design: From `load_design` or `synthesise`.
+        time: Sampling times [s], n of them.
+        angle: Measured link angles [rad], shape (n,); outputs of a T–S system, shape (n, p).
+        torque: Torque applied from each sample to the next [N m], a number or shape (n,); inputs
+            and scheduled signals of a T–S system, shape (n, m + s).
+        settings: Method, gates and timeouts; the node's defaults if None. Of a T–S system the
+            supervision is not used.
+
+    Raises:
+        ModelError: A time is not finite, or the arrays are not of the same length or of a shape
+            that the design asks for.
+
+    >>> import tsobs_ros as ts
+    >>> design = ts.load_design()
+    >>> run = ts.simulate(design, duration=2.0, seed=1)
+    >>> estimates = ts.estimate(design, run.time, run.angle, run.torque)
+    >>> bool(abs(estimates.state - run.state)[-1, 0] < 3 * estimates.state_bound[-1, 0])
+    True
+    >>> estimates.used, estimates.rejected
+    (401, {})
+    """
+    times = _numbers("time", time)
+    flow = design.request.flow
+    outputs = flow.output_matrix.shape[0]
+    y = _columns("angle", angle, len(times), outputs)
+    u = _columns("torque", torque, len(times), _input_count(design.request))
+    stamps, tracker = _stamps(times), _tracker(design, settings or ObserverSettings())
+    innovations = np.full(y.shape, np.nan)
+    found: list[Estimate | None] = []
+    now = 0
+    for row, stamp in enumerate(stamps):
+        now = max(now, stamp)
+        outcome = tracker.offer(Measurement(stamp, y[row], u[row]), now)
+        if isinstance(outcome, Innovation):
+            innovations[row] = outcome.value
+        found.append(tracker.estimate(stamp))
+    outputs_shape = y.shape[1:] if np.ndim(angle) == 2 else ()
+    return Estimates(
+        time=times,
+        innovation=innovations.reshape(-1, *outputs_shape),
+        **_stacked(found, flow.state_count - flow.disturbance.state_count, outputs_shape),
+        used=tracker.used,
+        rejected={reason.value: n for reason, n in tracker.rejected.items()},
+    )
+
+
+class BagEstimates(NamedTuple):
+    """Estimates of a bag or a log.
+
+    Attributes:
+        joints: Estimates by the joints' names; `time` is that of the stamps, since the epoch, and
+            row k of `innovation` that of the measurement with the same stamp.
+        reproduced: Share of the live observer's recorded estimates that are the same to the last
+            bit; None without any.
+        remarks: Notes on the recording, such as damage up to which was estimated.
+    """
+
+    joints: dict[str, Estimates]
+    reproduced: float | None
+    remarks: tuple[str, ...]
+
+
+def estimate_bag(
+    path: str | Path,
+    design: Design | str | Path | None = None,
+    *,
+    rate: float | None = None,
+    joints: Sequence[str] = (),
+    settings: ObserverSettings | None = None,
+    output: str | Path | None = None,
+) -> BagEstimates:
+    """Estimate over a bag or a CSV log, as `tsobs estimate`.
+
+    Where a bag has the estimates of a live observer, they are made at the same instants and
+    compared; else at every measurement.
+
+    Args:
+        path: A bag's folder, an MCAP file, or a log with the suffix .csv, .tsv or .txt.
+        design: A design or its file; the shipped design if None.
+        rate: Estimate at this rate [Hz] instead.
+        joints: Names of the joints; all that were measured if empty.
+        settings: Method, gates and timeouts; the node's defaults if None.
+        output: Folder of a new bag with the estimates, which must not exist; None to write none.
+
+    Raises:
+        BagReadError: The bag cannot be read, or does not have the measurements.
+        LogError: The log cannot be read.
+        BagWriteError: The new bag exists or cannot be written.
+
+    >>> import tsobs_ros as ts
+    >>> estimates = ts.estimate_bag("docs/examples/arm_log.csv")
+    >>> estimates.joints["elastic_joint"].state.shape
+    (600, 4)
+    """
+    source, (run,) = _run(path, design, [settings or ObserverSettings()], rate, joints, output)
+    agreement = run.agreement()
+    return BagEstimates(
+        joints={name: _joint(source, run, place) for place, name in enumerate(source.joints)},
+        reproduced=agreement and agreement.reproduced / agreement.recorded,
+        remarks=(*source.remarks, *([str(source.damage)] if source.damage else [])),
+    )
+
+
+class Comparison(tuple["ObserverErrors", ...]):
+    """Errors of observers on the same recording, one entry each; as text a table."""
+
+    def __str__(self) -> str:
+        from tsobs_ros.report.comparison import render_comparison
+
+        return render_comparison(self)
+
+
+def compare(
+    path: str | Path,
+    design: Design | str | Path | None = None,
+    *,
+    methods: Sequence[str] = tuple(METHODS),
+    joints: Sequence[str] = (),
+) -> Comparison:
+    """Compare observers on the same bag or log, as `tsobs compare`.
+
+    Args:
+        path: As for `estimate_bag`.
+        design: A design or its file; the shipped design if None.
+        methods: Names of the observers.
+        joints: Names of the joints; all that were measured if empty.
+
+    Raises:
+        ModelError: There is no such method, or it cannot observe this arm.
+        BagReadError: The bag cannot be read, or does not have the measurements.
+        LogError: The log cannot be read.
+
+    >>> import tsobs_ros as ts
+    >>> rows = ts.compare("docs/examples/arm_log.csv", methods=["certified", "high_gain"])
+    >>> [row.observer for row in rows]
+    ['certified', 'high_gain']
+    """
+    from tsobs_ros.report.comparison import compare_runs
+
+    settings = [ObserverSettings(method=method) for method in methods]
+    source, runs = _run(path, design, settings, None, joints, None)
+    return Comparison(compare_runs(source, runs))
+
+
+def _run(
+    path: str | Path,
+    design: Design | str | Path | None,
+    settings: Sequence[ObserverSettings],
+    rate: float | None,
+    joints: Sequence[str],
+    output: str | Path | None,
+) -> "tuple[Source, list[Run]]":
+    # Not needed for arrays, and slow to import.
+    from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
+
+    chosen = design if isinstance(design, Design) else load_design(design)
+    if not isinstance(chosen, Design):
+        raise ModelError(f"{design}: expected the design of an arm, got one of a T-S system")
+    no_torque = all(each.assume_zero_torque for each in settings)
+    source = open_source(path, joints=joints, assume_zero_torque=no_torque)
+    single = len(settings) == 1
+    observers = [
+        Observer("observer" if single else one.method, one, (chosen,) * len(source.joints))
+        for one in settings
+    ]
+    runs = make_runs(source, observers, rate=rate, as_live=rate is None)
+    run_all(source, runs, None if output is None else Path(output))
+    return source, runs
+
+
+def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
+    table, stamps = run.table, run.schedule.stamps
+    used = ~np.isnan(table.innovations[:, joint])
+    by_stamp = dict(
+        zip(source.samples.stamps[used].tolist(), table.innovations[used, joint], strict=True)
+    )
+    return Estimates(
+        time=stamps / NANOSECONDS,
+        state=table.states[:, joint],
+        state_bound=table.state_bounds[:, joint],
+        disturbance=table.disturbances[:, joint, 0],
+        disturbance_bound=table.disturbance_bounds[:, joint, 0],
+        innovation=np.array([by_stamp.get(stamp, np.nan) for stamp in stamps.tolist()]),
+        parameters=table.parameters[:, joint],
+        parameter_bound=table.parameter_bounds[:, joint],
+        certified=table.flags[:, joint, 0],
+        parameters_valid=table.flags[:, joint, 1],
+        in_domain=table.flags[:, joint, 2],
+        used=int(used.sum()),
+        rejected={reason.value: n for reason, n in run.replay.rejected.items()},
+    )
+
+
+def _components(disturbance: Disturbance) -> tuple[Component, ...]:
+    if isinstance(disturbance, str):
+        return tuple(KINDS[kind] for kind in parse_kinds(disturbance))
+    if not isinstance(disturbance, Mapping):
+        return tuple(disturbance)
+    kinds = parse_kinds("+".join(disturbance) or "none")
+    return tuple(_changed(f"disturbance {k}", KINDS[k], disturbance[k]) for k in kinds)
+
+
+def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
+    """Return a dataclass record with some of its numbers changed."""
+    known = [item.name for item in fields(record)]
+    if unknown := [key for key in values if key not in known]:
+        raise ModelError(f"{name}: expected some of {', '.join(known)}, got {unknown[0]!r}")
+    return replace(record, **values)
+
+
+def _torques(torque: Any, times: Array) -> Sequence[float | None]:
+    if torque is None:
+        return [None] * len(times)
+    function = getattr(torque, "torque", torque)
+    if callable(function):
+        return [float(function(time)) for time in times.tolist()]
+    values: list[float] = _columns("torque", torque, len(times), 1)[:, 0].tolist()
+    return values
+
+
+def _tracker(design: Design | TSDesign, settings: ObserverSettings) -> Tracker[Any]:
+    if isinstance(design, Design):
+        return make_tracker(design, settings)
+    learns = settings.adapt and design.request.uncertainty is not None
+    observer = design.adaptive_observer if learns else design.observer
+    # The domain of a T–S system is not an interval of its first state.
+    options = TrackerOptions(
+        x_max=sys.float_info.max,
+        history=settings.history,
+        future_tolerance=settings.future_tolerance,
+        restart_after=settings.stale_after,
+    )
+    return Tracker(observer(settings.settle_time), options)
+
+
+def _input_count(request: DesignRequest | TSRequest) -> int:
+    if isinstance(request, DesignRequest):
+        return 1
+    return int(request.model.input_count + request.model.schedule.shape[1])
+
+
+def _stacked(
+    found: Sequence[Estimate | None], states: int, outputs: tuple[int, ...]
+) -> dict[str, Any]:
+    """Return the fields of `Estimates` that those of single instants have, with NaN for None."""
+    known = np.array([one is not None for one in found])
+    own = [one for one in found if one is not None]
+    stacked: dict[str, Any] = {}
+    for name, shape in (
+        ("state", (states,)),
+        ("state_bound", (states,)),
+        ("disturbance", outputs),
+        ("disturbance_bound", outputs),
+        ("parameters", own[0].parameters.shape if own else (0,)),
+        ("parameter_bound", own[0].parameters.shape if own else (0,)),
+    ):
+        array = np.full((len(found), *shape), np.nan)
+        values = np.array([getattr(one, name) for one in own])
+        if values.size:
+            array[known] = values.reshape(-1, *shape)
+        stacked[name] = array
+    for name in ("parameters_valid", "certified", "in_domain"):
+        flags = np.zeros(len(found), np.bool_)
+        flags[known] = [getattr(one, name) for one in own]
+        stacked[name] = flags
+    return stacked
+
+
+def _numbers(name: str, value: ArrayLike) -> Array:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{name}: expected real numbers, got {shown(value)}") from error
+
+
+def _columns(name: str, value: ArrayLike, rows: int, columns: int) -> Array:
+    """Return shape (rows, columns) of a number, of (rows,) for one column, or of the same."""
+    array = _numbers(name, value)
+    if array.ndim == 0 or (array.ndim == 1 and columns == 1 and len(array) == rows):
+        array = np.broadcast_to(array.reshape(-1, 1), (rows, columns))
+    if array.shape != (rows, columns):
+        plain = f"({rows},) or " if columns == 1 else ""
+        raise ModelError(
+            f"{name}: expected shape {plain}({rows}, {columns}) as there are {rows} times, "
+            f"got {array.shape}"
+        )
+    return np.ascontiguousarray(array)
+
+
+def _stamps(times: Array) -> list[int]:
+    """Return the times in ns; a stamp of zero means none, so they are moved to begin at 1 s."""
+    if times.ndim != 1 or not len(times):
+        raise ModelError(f"time: expected shape (n,) with n > 0, got {times.shape}")
+    wrong = np.flatnonzero(~(np.abs(times) < 2**31))
+    if len(wrong):
+        raise ModelError(
+            f"time[{wrong[0]}]: expected finite seconds below 2^31, got {times[wrong[0]]}"
+        )
+    stamps = np.round(times * NANOSECONDS).astype(np.int64)
+    first = int(stamps.min())
+    shifted: list[int] = (stamps + (0 if first > 0 else NANOSECONDS - first)).tolist()
+    return shifted
