@@ -31,9 +31,8 @@ from common import design_of, parser, show, use_one_thread
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.estimation.high_gain import HighGainObserver
+from tsobs_ros.estimation.baselines import HighGainObserver, ProportionalIntegralObserver
 from tsobs_ros.estimation.observer import GainMode
-from tsobs_ros.estimation.proportional_integral import ProportionalIntegralObserver
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _CONTENDERS = (

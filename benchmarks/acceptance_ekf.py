@@ -9,7 +9,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.kalman import ExtendedKalmanFilter, KalmanState
+from tsobs_ros.estimation.baselines import ExtendedKalmanFilter, KalmanState
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.adaptive import AdaptiveObserver
+from tsobs_ros.estimation.baselines import HighGainObserver, ProportionalIntegralObserver
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.high_gain import HighGainObserver
 from tsobs_ros.estimation.observer import GainMode
-from tsobs_ros.estimation.proportional_integral import ProportionalIntegralObserver
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.simulation.scenario import Scenario

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.high_gain import HighGainObserver
+from tsobs_ros.estimation.baselines import HighGainObserver
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, Trajectories, simulate

@@ -11,10 +11,10 @@ from tsobs_ros.checks import shown
 from tsobs_ros.design.plain import read_yaml
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError, ParameterError
-from tsobs_ros.estimation import comparison
+from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
-from tsobs_ros.estimation.supervision import SupervisionOptions
+from tsobs_ros.estimation.supervised import SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.paper.observer import PAPER_WARNING, paper_observer
 
@@ -166,9 +166,9 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]
         case "ekf":
             return design.observer(gain_mode=GainMode.RICCATI, torque_rate=settings.torque_rate)
         case "high_gain":
-            return comparison.high_gain(request.arm, settings.theta, *common)
+            return baselines.high_gain(request.arm, settings.theta, *common)
         case "proportional_integral":
-            return comparison.proportional_integral(request.arm, settings.theta, *common)
+            return baselines.proportional_integral(request.arm, settings.theta, *common)
         case _:
             return paper_observer(request.arm, *common)
 

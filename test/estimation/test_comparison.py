@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation import comparison
-from tsobs_ros.estimation.high_gain import HighGainObserver
+from tsobs_ros.estimation import baselines
+from tsobs_ros.estimation.baselines import HighGainObserver
 from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.arm import ElasticJointArm
@@ -36,7 +36,7 @@ def follow(estimator: Any) -> tuple[Tracker[Any], np.ndarray[Any, Any]]:
     return tracker, np.array(errors)
 
 
-@pytest.mark.parametrize("make", [comparison.high_gain, comparison.proportional_integral])
+@pytest.mark.parametrize("make", [baselines.high_gain, baselines.proportional_integral])
 def test_high_gain_observers_follow_the_arm(make: Any) -> None:
     tracker, errors = follow(make(ARM, 2.5, T, 0.028))
     assert tracker.used == len(RUN.times)
@@ -49,7 +49,7 @@ def test_high_gain_observers_follow_the_arm(make: Any) -> None:
 def test_the_tracker_takes_the_observers_own_steps() -> None:
     own, tracker = (
         HighGainObserver(ARM, 2.5),
-        Tracker(comparison.high_gain(ARM, 2.5, T, 0.028), TrackerOptions(x_max=0.75)),
+        Tracker(baselines.high_gain(ARM, 2.5, T, 0.028), TrackerOptions(x_max=0.75)),
     )
     state = own.initial()
     for k in range(50):

@@ -10,10 +10,13 @@ from scipy.linalg import expm
 
 from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.high_gain import HighGainObserver, place_single_output
-from tsobs_ros.estimation.kalman import ExtendedKalmanFilter
+from tsobs_ros.estimation.baselines import (
+    ExtendedKalmanFilter,
+    HighGainObserver,
+    ProportionalIntegralObserver,
+    place_single_output,
+)
 from tsobs_ros.estimation.observer import CertifiedGain, GainMode, TSObserver
-from tsobs_ros.estimation.proportional_integral import ProportionalIntegralObserver
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.simulation.integrator import ArmIntegrator
 

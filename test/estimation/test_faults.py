@@ -11,9 +11,8 @@ import pytest
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.fault_evidence import Repeats, Whiteness
 from tsobs_ros.estimation.fault_shapes import shape_of
-from tsobs_ros.estimation.faults import Fault, FaultKind, FaultMonitor
+from tsobs_ros.estimation.faults import Fault, FaultKind, FaultMonitor, Repeats, Whiteness
 from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.resources import config_path

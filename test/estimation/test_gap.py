@@ -15,7 +15,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.observer import CertifiedGain, TSObserver
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.model.gap_flow import narrowed
+from tsobs_ros.model.flow import GapFlow
 from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -136,7 +136,7 @@ def test_a_batch_goes_through_a_gap_as_each_of_it() -> None:
     u = np.array([[0.5], [-1.0]])
     together = observer.predict(observer.predict(together, u, 0.3), u, T)
     assert together.gap is not None
-    assert (together.covariance == narrowed(together.gap)).all()
+    assert (together.covariance == GapFlow.narrow(together.gap)).all()
     for place in range(2):
         alone = observer.initial()._replace(x=x[place])
         alone = observer.predict(observer.predict(alone, u[place], 0.3), u[place], T)

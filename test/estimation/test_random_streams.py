@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import NANOSECONDS, Innovation, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
@@ -82,33 +81,6 @@ def test_the_books_balance_and_a_reset_tracker_is_a_new_one(
         stream = arrivals(other, arm, BEGIN + NANOSECONDS, MANY)
         assert fed(used, stream) == fed(fresh, stream)
     assert books(used) == books(fresh)
-
-
-@PROPERTY
-@given(each=st.lists(mixes(), min_size=3, max_size=3))
-def test_joints_side_by_side_are_each_as_if_alone(each: list[Mix]) -> None:
-    arm = Arm(BEGIN)
-    together = JointTrackers([tracker() for _ in each])
-    alone = [tracker() for _ in each]
-    streams = [arrivals(mix._replace(period=each[0].period), arm, BEGIN, 150) for mix in each]
-    with np.errstate(all="ignore"):
-        for row in zip(*streams, strict=True):
-            now = max(arrival.at for arrival in row)
-            samples = [arrival.measurement for arrival in row]
-            came = together.offer(samples, now)
-            wanted = [
-                None if sample is None else one.offer(sample, now)
-                for one, sample in zip(alone, samples, strict=True)
-            ]
-            assert list(map(bits, came)) == list(map(bits, wanted))
-            fresh = [one.newest is not None and now - one.newest < NANOSECONDS for one in alone]
-            estimates = together.estimate(now, fresh)
-            expected = [
-                one.estimate(now) if asked else None
-                for one, asked in zip(alone, fresh, strict=True)
-            ]
-            assert list(map(bits, estimates)) == list(map(bits, expected))
-    assert [books(one) for one in together.trackers] == [books(one) for one in alone]
 
 
 def test_memory_does_not_grow_with_the_stream() -> None:

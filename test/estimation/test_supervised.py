@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.supervised import SupervisedObserver
-from tsobs_ros.estimation.supervision import SupervisionOptions
+from tsobs_ros.estimation.supervised import SupervisedObserver, SupervisionOptions
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenario import Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate

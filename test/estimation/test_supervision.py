@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.supervision import SupervisionOptions, Verdict, Watch, elapse, judge
+from tsobs_ros.estimation.supervised import SupervisionOptions, Verdict, Watch, judge
 
 PROPERTY = settings(max_examples=200)
 PERIOD = 0.005
@@ -25,11 +25,11 @@ def follow(
     values: Iterable[float], watch: Watch | None = None, options: SupervisionOptions = OPTIONS
 ) -> tuple[Watch, list[Verdict]]:
     """Judge innovations a period apart, long after the start unless told otherwise."""
-    watch = elapse(Watch(), LONG_AGO) if watch is None else watch
+    watch = Watch(age=LONG_AGO) if watch is None else watch
     verdicts = []
     for value in values:
         watch, verdict = judge(watch, value, PERIOD, options)
-        watch = elapse(watch, PERIOD)
+        watch = watch.after(PERIOD)
         verdicts.append(verdict)
     return watch, verdicts
 
@@ -144,7 +144,7 @@ def test_the_window_itself_does_not_count_as_before() -> None:
 
 @pytest.mark.parametrize(("age", "jumped"), [(0.0, False), (7.9, False), (8.0, True)])
 def test_no_jump_is_looked_for_soon_after_a_start(age: float, jumped: bool) -> None:
-    _, verdicts = follow(LEANING, elapse(Watch(), age))
+    _, verdicts = follow(LEANING, Watch(age=age))
     assert bool(jumps(verdicts)) == jumped
 
 
@@ -154,7 +154,7 @@ def test_a_jump_forgets_the_averages_and_waits_for_its_duration() -> None:
     assert first == 7
     assert others == []
     # 1.5 s after the first one the next is looked for.
-    _, verdicts = follow(LEANING * 20, elapse(Watch(age=LONG_AGO, jumps=(LONG_AGO,)), 1.5))
+    _, verdicts = follow(LEANING * 20, Watch(age=LONG_AGO, jumps=(LONG_AGO,)).after(1.5))
     assert jumps(verdicts) == [7]
     after, verdict = judge(follow(LEANING[:7])[0], 3.0, PERIOD, OPTIONS)
     assert verdict.jumped
@@ -164,7 +164,7 @@ def test_a_jump_forgets_the_averages_and_waits_for_its_duration() -> None:
 
 
 def test_at_most_three_jumps_in_twenty_seconds() -> None:
-    watch, found, time = elapse(Watch(), LONG_AGO), [], 0.0
+    watch, found, time = Watch(age=LONG_AGO), [], 0.0
     while time < 60.0:
         watch, verdicts = follow([*LEANING, *[0.0] * 412], watch)
         found += [round(time, 1) for _ in jumps(verdicts)]

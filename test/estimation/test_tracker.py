@@ -19,8 +19,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Correction, Estimator, Readout
 from tsobs_ros.estimation.observer import TSObserver
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
-from tsobs_ros.estimation.supervised import SupervisedObserver
-from tsobs_ros.estimation.supervision import SupervisionOptions
+from tsobs_ros.estimation.supervised import SupervisedObserver, SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate

@@ -96,12 +96,12 @@ def test_a_burst_of_dense_stamps_takes_neither_memory_nor_a_rewind_without_bound
     for k in range(200):
         t.offer(sample(k, BEGIN + k * dense), END)
     assert t.forgotten == 150
-    assert len(t._history) == 50
+    assert len(t._history._steps) == 50
     assert t.offer(sample(7, BEGIN + 149 * dense), END) is RejectReason.TOO_OLD
     inside = sample(7, BEGIN + 170 * dense + 1)
     assert not isinstance(t.offer(inside, END), RejectReason)
     assert t.rewinds == 1
-    assert len(t._history) == 50
+    assert len(t._history._steps) == 50
 
 
 def test_a_sparse_history_is_forgotten_by_time_alone():

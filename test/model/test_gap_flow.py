@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What an arm may do while nothing is heard of its torque."""
+"""Prediction of an arm whose torque is unknown."""
 
 import math
 
@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.model.gap_flow import MEMORY, GapFlow, narrowed, widened
+from tsobs_ros.model.flow import GAP_MEMORY, GapFlow
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 FLOW = load_design(config_path(SHIPPED_DESIGN)).request.flow
@@ -22,7 +22,9 @@ START = np.diag(np.linspace(1e-4, 5e-4, N))
 @pytest.mark.parametrize("duration", [0.0, 0.004, 0.0123, 0.3, 2.0])
 def test_the_expected_motion_is_that_of_the_last_torque(duration: float) -> None:
     x, u = np.array([0.3, -0.2, 2.0, 1.0, 0.1]), np.array([1.5])
-    moved, _ = GAP_FLOW.predict_with_covariance(widened(x), GAP_FLOW.begun(START), u, duration)
+    moved, _ = GAP_FLOW.predict_with_covariance(
+        GapFlow.widen(x), GAP_FLOW.begin(START), u, duration
+    )
     np.testing.assert_allclose(moved[:N], FLOW.predict(x, u, duration), rtol=1e-10, atol=1e-12)
     assert (moved[N:] == 0.0).all()
 
@@ -30,20 +32,20 @@ def test_the_expected_motion_is_that_of_the_last_torque(duration: float) -> None
 @pytest.mark.parametrize("duration", [0.02, 0.5, 5.0])
 def test_the_torque_wanders_as_it_is_said_to(duration: float) -> None:
     x = np.zeros(N)
-    _, spread = GAP_FLOW.predict_with_covariance(
-        widened(x), GAP_FLOW.begun(START), np.zeros(1), duration
+    _, covariance = GAP_FLOW.predict_with_covariance(
+        GapFlow.widen(x), GAP_FLOW.begin(START), np.zeros(1), duration
     )
-    turns = duration / MEMORY
-    variance = 2.0 * (RATE * MEMORY) ** 2 * (turns - 1.0 + math.exp(-turns))
-    np.testing.assert_allclose(spread[-2, -2], variance, rtol=1e-9)
-    np.testing.assert_allclose(spread[-1, -1], RATE**2, rtol=1e-9)
+    turns = duration / GAP_MEMORY
+    variance = 2.0 * (RATE * GAP_MEMORY) ** 2 * (turns - 1.0 + math.exp(-turns))
+    np.testing.assert_allclose(covariance[-2, -2], variance, rtol=1e-9)
+    np.testing.assert_allclose(covariance[-1, -1], RATE**2, rtol=1e-9)
 
 
 @pytest.mark.parametrize("duration", [0.02, 0.5, 3.0])
 def test_its_covariance_is_that_of_the_linear_system(duration: float) -> None:
     """Hanging at rest, where the error system is linear and constant."""
-    x, u = widened(np.zeros(N)), np.zeros(1)
-    _, spread = GAP_FLOW.predict_with_covariance(x, GAP_FLOW.begun(START), u, duration)
+    x, u = GapFlow.widen(np.zeros(N)), np.zeros(1)
+    _, covariance = GAP_FLOW.predict_with_covariance(x, GAP_FLOW.begin(START), u, duration)
     A = GAP_FLOW.drift.copy()
     A[:N, :N] = FLOW.slope_matrix(1.0)
     W = np.zeros_like(A)
@@ -51,23 +53,23 @@ def test_its_covariance_is_that_of_the_linear_system(duration: float) -> None:
     W[1, 1] = process.link
     W[3, 3] = process.motor * (FLOW.arm.stiffness / FLOW.arm.link_inertia) ** 2
     W[4:N, 4:N] = FLOW.disturbance.G @ FLOW.disturbance.G.T
-    W[-1, -1] = 2.0 * RATE**2 / MEMORY
+    W[-1, -1] = 2.0 * RATE**2 / GAP_MEMORY
     # After Van Loan, by parts short enough for the exponential of −A.
-    exact, parts = GAP_FLOW.begun(START), round(duration / 0.02)
+    exact, parts = GAP_FLOW.begin(START), round(duration / 0.02)
     both = expm(np.block([[-A, W], [np.zeros_like(A), A.T]]) * duration / parts)
     phi = both[len(A) :, len(A) :].T
     for _ in range(parts):
         exact = phi @ exact @ phi.T + phi @ both[: len(A), len(A) :]
     scale = np.sqrt(np.outer(exact.diagonal(), exact.diagonal()))
-    assert (np.abs(spread - exact) <= 1e-3 * scale).all()
+    assert (np.abs(covariance - exact) <= 1e-3 * scale).all()
 
 
 def test_without_a_rate_it_is_the_arm_with_a_known_torque() -> None:
     x, u = np.array([0.3, -0.2, 2.0, 1.0, 0.1]), np.array([1.5])
     still = GapFlow(FLOW, 0.0)
-    _, spread = still.predict_with_covariance(widened(x), still.begun(START), u, 0.7)
+    _, covariance = still.predict_with_covariance(GapFlow.widen(x), still.begin(START), u, 0.7)
     _, known = FLOW.predict_with_covariance(x, START, u, 0.7)
-    np.testing.assert_allclose(narrowed(spread), known, rtol=1e-8, atol=1e-15)
+    np.testing.assert_allclose(GapFlow.narrow(covariance), known, rtol=1e-8, atol=1e-15)
 
 
 def test_what_is_measured_does_not_depend_on_the_torque() -> None:

@@ -21,10 +21,8 @@ import numpy as np
 from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.estimation.estimator import Correction, Readout
 from tsobs_ros.estimation.observer import ObserverState, TSObserver
-from tsobs_ros.estimation.output_model import OutputModel
-from tsobs_ros.estimation.regression import Explained, Memory, Regression, exceeds, spread_of
-from tsobs_ros.model.gap_flow import UNHEARD, narrowed, widened
-from tsobs_ros.model.products import product, transposed
+from tsobs_ros.model.flow import UNKNOWN_TORQUE, GapFlow
+from tsobs_ros.model.linear_flow import matvec
 from tsobs_ros.model.sensitivity import sensitivity
 from tsobs_ros.model.uncertainty import Uncertainty
 
@@ -36,7 +34,8 @@ class AdaptationOptions:
     Attributes:
         initial_std: 1σ of each θ before any measurement; caps the gain ever after.
         random_walk_density: Growth of each θ's variance, which keeps the gain alive [1/s].
-        start: Adaptation begins so long after a (re)start [s]; the start itself leans.
+        start: Adaptation begins so long after a (re)start [s], when the innovations are not
+            one-sided any more.
         memory: Time constant of the measure of excitation [s].
         excitation: Smallest eigenvalue of the excitation from which θ counts as valid.
     """
@@ -74,16 +73,19 @@ class AdaptiveState(NamedTuple):
     gram: Array
     age: float
 
-    @property
-    def memory(self) -> Memory:
-        """What is learnt, as arrays."""
-        return Memory(self.theta, self.gamma, self.upsilon.T, self.gram)
 
-    def corrected(self, observer: ObserverState, memory: Memory, x: Array) -> "AdaptiveState":
-        """Return the state after a sample: the observer's own with x̂ in it, and what is learnt."""
-        theta, gamma, rows, gram = memory
-        inner = ObserverState(x, *observer[1:])
-        return AdaptiveState(inner, theta, gamma, rows.T, gram, self.age)
+class Regression(NamedTuple):
+    """The share of θ's uncertainty in an innovation.
+
+    Attributes:
+        omega: Ω = C̄Υ, shape (k,), or (p, k) for several outputs.
+        cross: ΓΩᵀ, shape (k,) or (k, p).
+        variance: ΩΓΩᵀ, shape (1,) or (p, p).
+    """
+
+    omega: Array
+    cross: Array
+    variance: Array
 
 
 class AdaptiveObserver:
@@ -110,18 +112,13 @@ class AdaptiveObserver:
         self.options = options or AdaptationOptions()
         k = uncertainty.count
         self._C = observer.flow.output_matrix
+        self._single_output = len(self._C) == 1
         self._initial_gamma = np.eye(k) * self.options.initial_std**2
-        # None for several outputs, which take a general and slower way.
-        self.regression = (
-            Regression(self._C[0], -uncertainty.limits, uncertainty.limits)
-            if len(self._C) == 1
-            else None
-        )
         self._limits: list[float] = uncertainty.limits.tolist()
-        self._wander = np.eye(k) * self.options.random_walk_density
+        self._random_walk = np.eye(k) * self.options.random_walk_density
         self._sensitivity = sensitivity(observer.flow, uncertainty)
         gap_flow = observer.gap_flow
-        self._in_gap = None if gap_flow is None else sensitivity(gap_flow, uncertainty)
+        self._gap_sensitivity = None if gap_flow is None else sensitivity(gap_flow, uncertainty)
 
     @property
     def period(self) -> float:
@@ -158,16 +155,17 @@ class AdaptiveObserver:
         observer = self.observer.end_gap(state.observer)
         return state if observer is state.observer else state._replace(observer=observer)
 
-    def reset_adaptation(self, state: AdaptiveState) -> AdaptiveState:
-        """Return the state with the adaptation begun again from the present θ."""
-        upsilon = np.zeros_like(state.upsilon)
-        return state._replace(gamma=self._initial_gamma, upsilon=upsilon)
+    def reset_adaptation(self, state: AdaptiveState, *, nominal: bool = False) -> AdaptiveState:
+        """Return the state with the adaptation restarted.
 
-    def nominal(self, state: AdaptiveState) -> AdaptiveState:
-        """Return the state with nominal parameters and nothing learnt."""
-        return self.reset_adaptation(state)._replace(
-            theta=np.zeros_like(state.theta), gram=np.zeros_like(state.gram)
-        )
+        Args:
+            state: Before.
+            nominal: Whether θ̂ and its excitation are reset as well, not only gain and regressor.
+        """
+        reset = state._replace(gamma=self._initial_gamma, upsilon=np.zeros_like(state.upsilon))
+        if not nominal:
+            return reset
+        return reset._replace(theta=np.zeros_like(state.theta), gram=np.zeros_like(state.gram))
 
     def at_limit(self, state: AdaptiveState) -> bool:
         """Return whether a parameter sits at the end of its known range."""
@@ -181,23 +179,18 @@ class AdaptiveObserver:
         return self.apply(state, correction), correction
 
     def expect(self, state: AdaptiveState, y: Array) -> Correction:
-        """Return the innovation, what is expected of it, and the gain; nothing is changed."""
+        """Return the innovation of a measurement, its covariance and the gain for it."""
         known = self.observer.expect(state.observer, y)
-        if self.regression is not None:
-            explained = self.regression.explained(state.upsilon.T, state.gamma)
-            return self.expected(known, explained)
-        omega = self._C @ state.upsilon
-        cross = state.gamma @ omega.T
-        learning = (omega, cross, omega @ cross)
-        return Correction(
-            known.innovation, known.innovation_covariance + learning[2], known.gain, 1.0, learning
-        )
-
-    @staticmethod
-    def expected(known: Correction, explained: Explained) -> Correction:
-        """Return what is expected of one output, from that for known parameters."""
-        spread = known.innovation_covariance + explained.variance
-        return Correction(known.innovation, spread, known.gain, 1.0, explained)
+        if self._single_output:
+            omega = matvec(state.upsilon.T, self._C[0])
+            cross = matvec(state.gamma, omega)
+            regression = Regression(omega, cross, matvec(omega[np.newaxis], cross))
+        else:
+            omega = self._C @ state.upsilon
+            cross = state.gamma @ omega.T
+            regression = Regression(omega, cross, omega @ cross)
+        innovation_covariance = known.innovation_covariance + regression.variance
+        return Correction(known.innovation, innovation_covariance, known.gain, 1.0, regression)
 
     def apply(
         self, state: AdaptiveState, correction: Correction, weight: float = 1.0, adapt: bool = True
@@ -211,30 +204,26 @@ class AdaptiveObserver:
             adapt: Whether θ may learn from it.
         """
         observer = self.observer.apply(state.observer, correction, weight)
-        adapt = adapt and self.learns(state, weight)
-        take = self._apply_many if self.regression is None else self._apply_one
-        return take(state, observer, correction, adapt)
-
-    def learns(self, state: AdaptiveState, weight: float) -> bool:
-        """Return whether θ learns from a correction of which a share is applied."""
-        return weight >= 1.0 and state.age >= self.options.start
+        adapt = adapt and weight >= 1.0 and state.age >= self.options.start
+        learn = self._learn_from_one if self._single_output else self._learn_from_many
+        return learn(state, observer, correction, adapt)
 
     def covariance_inflation(self, state: AdaptiveState) -> float:
-        """Return κ ≥ 1, by how much the estimate is less certain than it will be."""
+        """Return κ ≥ 1, the present error covariance relative to the certified bound."""
         return max(1.0, self.observer.covariance_ratio(state.observer))
 
-    def _apply_many(
+    def _learn_from_many(
         self, state: AdaptiveState, observer: ObserverState, correction: Correction, adapt: bool
     ) -> AdaptiveState:
-        """Do the rest of `apply` for any number of outputs."""
-        omega, cross, explained = correction.learning
-        own_spread = correction.innovation_covariance - explained
+        """Return the state after a sample of any number of outputs."""
+        omega, cross, explained = correction.regression
+        known = correction.innovation_covariance - explained
         upsilon = state.upsilon - correction.gain @ omega
-        gram = state.gram + omega.T @ _solved(own_spread, omega)
+        gram = state.gram + omega.T @ np.linalg.solve(known, omega)
         if not adapt:
             return AdaptiveState(observer, state.theta, state.gamma, upsilon, gram, state.age)
-        spread = own_spread * self.covariance_inflation(state) + explained
-        gain = _solved(spread, cross.T).T
+        innovation_covariance = known * self.covariance_inflation(state) + explained
+        gain = np.linalg.solve(innovation_covariance, cross.T).T
         limits = self.uncertainty.limits
         theta = np.clip(state.theta + gain @ correction.innovation, -limits, limits)
         x = observer.x + upsilon @ (theta - state.theta)
@@ -243,128 +232,135 @@ class AdaptiveObserver:
             observer._replace(x=x), theta, 0.5 * (gamma + gamma.T), upsilon, gram, state.age
         )
 
-    def _apply_one(
+    def _learn_from_one(
         self, state: AdaptiveState, observer: ObserverState, correction: Correction, adapt: bool
     ) -> AdaptiveState:
-        """Do the same for one output, quicker: quotients stand for inverses."""
-        assert self.regression is not None
-        doubt = self.covariance_inflation(state) if adapt else None
-        memory, x = self.regression.applied(
-            state.memory, observer.x, correction, correction.learning, doubt
-        )
-        return state.corrected(observer, memory, x)
+        """Return the same for one output, quicker: quotients stand for inverses."""
+        omega, cross, explained = correction.regression
+        known = correction.innovation_covariance[0] - explained
+        rows = state.upsilon.T - omega[:, np.newaxis] * correction.gain[np.newaxis, :, 0]
+        gram = state.gram + _square(omega / np.sqrt(known))
+        if not adapt:
+            return AdaptiveState(observer, state.theta, state.gamma, rows.T, gram, state.age)
+        variance = known * self.covariance_inflation(state) + explained
+        moved = state.theta + cross * (correction.innovation / variance)
+        limits = self.uncertainty.limits
+        theta = np.minimum(np.maximum(moved, -limits), limits)
+        gamma = state.gamma - _square(cross / np.sqrt(variance))
+        x = observer.x + matvec(rows.T, theta - state.theta)
+        observer = ObserverState(x, *observer[1:])
+        return AdaptiveState(observer, theta, gamma, rows.T, gram, state.age)
 
     def predict(self, state: AdaptiveState, u: Array, duration: float) -> AdaptiveState:
         """Predict over `duration` [s] with the inputs u, shape (m,), held."""
-        observer, upsilon = self._flow(state, u, duration, stay_certified=True)
-        forgotten = math.exp(-duration / self.options.memory)
+        observer, upsilon = self._flow(state, u, duration, between_samples=False)
         return AdaptiveState(
             observer,
             state.theta,
-            self._capped(state.gamma + self._wander * duration),
+            self._capped(state.gamma + self._random_walk * duration),
             upsilon,
-            state.gram * forgotten,
+            state.gram * math.exp(-duration / self.options.memory),
             state.age + duration,
         )
 
     def extrapolate(self, state: AdaptiveState, u: Array, duration: float) -> AdaptiveState:
-        """Predict to a time between samples, for reading only."""
-        observer, upsilon = self._flow(state, u, duration, stay_certified=False)
+        """Predict to a time between samples; the result is read and not stepped on."""
+        observer, upsilon = self._flow(state, u, duration, between_samples=True)
         return state._replace(observer=observer, upsilon=upsilon)
 
     def valid(self, state: AdaptiveState) -> bool:
-        """Return whether the motion has been rich enough for θ to be believed."""
+        """Return whether the motion has been rich enough for θ̂ to count."""
         return self.uncertainty.count > 0 and exceeds(state.gram.tolist(), self.options.excitation)
 
     def readout(self, state: AdaptiveState) -> Readout:
-        """Return the estimate; its bound has what the uncertain parameters add to it."""
-        return self.reported(
-            state,
-            self.observer.readout(state.observer),
-            *added_variances(state.upsilon.T, state.gamma, self.observer.output),
-        )
+        """Return the estimate; its bounds include the uncertainty of the parameters.
 
-    def reported(
-        self, state: AdaptiveState, readout: Readout, added: Array, added_disturbance: Array
-    ) -> Readout:
-        """Return the readout of the observer with what is learnt.
-
-        Args:
-            state: What is read.
-            readout: Of the observer underneath.
-            added: Variance of x̂ from the uncertain parameters, shape (n,).
-            added_disturbance: That of the disturbance, shape (p,).
+        For x − x̂ is the observer's own error plus Υ(θ − θ̂), of covariance ΥΓΥᵀ.
         """
-        added_std = self.observer.flow.to_physical(np.sqrt(added))
+        inner, output = self.observer.readout(state.observer), self.observer.output
+        rows, gamma = state.upsilon.T, state.gamma
+        disturbance_rows = output.exosystem(rows).dot(output.H.T)
+        added = self.observer.flow.to_physical(np.sqrt(_variances(rows, gamma)))
         return Readout(
-            readout.state,
-            np.hypot(readout.state_bound, added_std),
-            readout.disturbance,
-            readout.disturbance_rate,
-            np.sqrt(readout.disturbance_bound**2 + added_disturbance),
-            certified=readout.certified and self.covered,
+            inner.state,
+            np.hypot(inner.state_bound, added),
+            inner.disturbance,
+            inner.disturbance_rate,
+            np.sqrt(inner.disturbance_bound**2 + _variances(disturbance_rows, gamma)),
+            certified=inner.certified and self.covered,
             parameters=state.theta,
-            parameter_bound=np.sqrt(state.gamma.diagonal()),
+            parameter_bound=np.sqrt(gamma.diagonal()),
             parameters_valid=self.valid(state),
         )
 
     def events(self, state: AdaptiveState) -> dict[str, int]:
-        """Return no counts: this observer judges nothing."""
+        """Return no counts: this observer is not supervised."""
         return {}
 
     def _capped(self, gamma: Array) -> Array:
         """Return Γ shrunk so that no variance exceeds the initial one."""
         variance = gamma.diagonal()
-        most = self.options.initial_std**2
-        if max(variance.tolist(), default=0.0) <= most:
+        largest = self.options.initial_std**2
+        if max(variance.tolist(), default=0.0) <= largest:
             return gamma
-        shrink = np.sqrt(np.minimum(1.0, most / variance))
+        shrink = np.sqrt(np.minimum(1.0, largest / variance))
         return np.asarray(gamma * np.outer(shrink, shrink))
 
     def _flow(
-        self, state: AdaptiveState, u: Array, duration: float, *, stay_certified: bool
+        self, state: AdaptiveState, u: Array, duration: float, *, between_samples: bool
     ) -> tuple[ObserverState, Array]:
         """Return observer state and Υ after the flow with θ̂ in its kicks."""
-        observer, inner = state.observer, self.observer
-        certified = inner.stays_certified(observer, duration, between_samples=not stay_certified)
-        gap = None if certified else inner.gap(observer, duration)
-        covariance: Array | None
-        if gap is not None and self._in_gap is not None:
-            upsilon = widened(state.upsilon.T).T
-            x, upsilon, gap = self._in_gap.carry(
-                widened(observer.x), upsilon, gap, state.theta, u, duration
+        before, inner, hand_over = state.observer, self.observer, not between_samples
+        if inner.stays_certified(before, duration, between_samples=between_samples):
+            x, upsilon, _ = self._sensitivity.carry(
+                before.x, state.upsilon, None, state.theta, u, duration
             )
-            assert gap is not None
-            covariance, x, upsilon = narrowed(gap), x[:-UNHEARD], upsilon[:-UNHEARD]
-            moved = inner.moved(observer, x, covariance, duration, False, stay_certified, gap)
-            return moved, upsilon
-        covariance = None if certified else observer.covariance
-        x, upsilon, covariance = self._sensitivity.carry(
-            observer.x, state.upsilon, covariance, state.theta, u, duration
+            return inner.certified_state(x), upsilon
+        gap = inner.gap_before(before, duration)
+        if gap is None or self._gap_sensitivity is None:
+            x, upsilon, covariance = self._sensitivity.carry(
+                before.x, state.upsilon, before.covariance, state.theta, u, duration
+            )
+            assert covariance is not None
+            after = inner.uncertified_state(before, x, covariance, duration, hand_over=hand_over)
+            return after, upsilon
+        x, upsilon, gap = self._gap_sensitivity.carry(
+            GapFlow.widen(before.x),
+            GapFlow.widen(state.upsilon.T).T,
+            gap,
+            state.theta,
+            u,
+            duration,
         )
-        if covariance is None:
-            covariance = observer.covariance
-        return inner.moved(observer, x, covariance, duration, certified, stay_certified), upsilon
+        assert gap is not None
+        after = inner.uncertified_state(
+            before, x[:-UNKNOWN_TORQUE], GapFlow.narrow(gap), duration, gap, hand_over=hand_over
+        )
+        return after, upsilon[:-UNKNOWN_TORQUE]
 
 
-def _solved(spread: Array, right: Array) -> Array:
-    """Return spread⁻¹ right; for one output a division, which takes a tenth of the time."""
-    if spread.shape == (1, 1):
-        return np.asarray(right / spread[0, 0])
-    return np.asarray(np.linalg.solve(spread, right), dtype=np.float64)
+def _square(vector: Array) -> Array:
+    """Return v vᵀ, shape (k, k)."""
+    return vector[:, np.newaxis] * vector
 
 
-def added_variances(rows: Array, gamma: Array, output: OutputModel) -> tuple[Array, Array]:
-    """Return what θ's uncertainty adds to the variances of x̂ and of the disturbance.
+def _variances(rows: Array, gamma: Array) -> Array:
+    """Return diag(Υ Γ Υᵀ) for the rows Υᵀ, without rounding errors below zero."""
+    return np.asarray(np.maximum(np.add.reduce(gamma.dot(rows) * rows, axis=-2), 0.0))
 
-    For x − x̂ is the observer's own error plus Υ(θ − θ̂). A stack has a leading axis.
 
-    Args:
-        rows: Υᵀ, shape (k, n).
-        gamma: Γ, shape (k, k).
-        output: Of the observer.
-    """
-    exosystem = rows[..., rows.shape[-1] - output.H.shape[-1] :]
-    # No variance of a rounding error below zero.
-    added = np.maximum(spread_of(rows, gamma), 0.0)
-    return added, np.maximum(spread_of(product(exosystem, transposed(output.H)), gamma), 0.0)
+def exceeds(matrix: list[list[float]], level: float) -> bool:
+    """Return whether every eigenvalue of a symmetric matrix is at least `level`, by its pivots."""
+    rows = [
+        [number - level if i == j else number for j, number in enumerate(row)]
+        for i, row in enumerate(matrix)
+    ]
+    for first, pivot_row in enumerate(rows):
+        pivot = pivot_row[first]
+        if not pivot > 0.0:  # which NaN is not either
+            return pivot == 0.0 and not any(any(row[first:]) for row in rows[first:])
+        for row in rows[first + 1 :]:
+            share = row[first] / pivot
+            for column in range(first, len(row)):
+                row[column] -= share * pivot_row[column]
+    return True

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What every estimator of one joint offers, so that one tracker and one node run them all."""
+"""The interface that all estimators of one joint share, so that one tracker and node run them."""
 
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -12,21 +12,21 @@ S = TypeVar("S")
 
 
 class Correction(NamedTuple):
-    """What a measurement did.
+    """The effect of one measurement.
 
     Attributes:
         innovation: y − ŷ before the correction, shape (..., p).
-        innovation_covariance: Covariance expected of the innovation, shape (..., p, p) or (p, p).
+        innovation_covariance: Expected covariance of the innovation, shape (..., p, p) or (p, p).
         gain: The gain that was used, shape (..., n, p) or (n, p).
         weight: The share of the correction that was applied; 0 if the measurement was not used.
-        learning: What an observer that learns has computed of the innovation for its own use.
+        regression: Of an adaptive observer, the share of the parameters' uncertainty.
     """
 
     innovation: Array
     innovation_covariance: Array
     gain: Array
     weight: float = 1.0
-    learning: Any = None
+    regression: Any = None
 
 
 class Readout(NamedTuple):
@@ -41,7 +41,7 @@ class Readout(NamedTuple):
         certified: Whether the bounds are the certificate's.
         parameters: Estimated changes θ of the model's parameters, shape (k,).
         parameter_bound: 1σ of each, shape (k,).
-        parameters_valid: Whether the motion was rich enough for them to be believed.
+        parameters_valid: Whether the motion was rich enough for them to count.
     """
 
     state: Array
@@ -56,7 +56,7 @@ class Readout(NamedTuple):
 
 
 class Estimator(Protocol[S]):
-    """Pure steps of an estimator; the state S holds all it remembers and is never changed."""
+    """Pure steps of an estimator; the state S is all of its memory and is never changed."""
 
     @property
     def period(self) -> float:
@@ -84,5 +84,5 @@ class Estimator(Protocol[S]):
         ...
 
     def events(self, state: S) -> dict[str, int]:
-        """Return counts of what the estimator noticed, by name, for diagnostics."""
+        """Return counts of outliers, jumps and the like, by name, for diagnostics."""
         ...

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""From a stream of stamped measurements to estimates at any stamp: order, reject, rewind.
+"""The tracker: from a stream of stamped measurements to estimates at any stamp.
 
 Everything here is a function of stamps and measurements: the wall clock takes part only as the
 `now` that a caller passes to have measurements from the future refused. A late measurement is
@@ -9,15 +9,16 @@ one that arrival in order would have given.
 """
 
 import math
+from bisect import bisect_left, bisect_right
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.estimation.estimator import Correction, Estimator, Readout, S
-from tsobs_ros.estimation.history import History, Step
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -26,13 +27,8 @@ from tsobs_ros.estimation.records import (
     RejectReason,
 )
 
-NUMERICAL_FAILURES = (ArithmeticError, np.linalg.LinAlgError)
-"""What may be raised where numbers leave what floats can hold, besides those that come out NaN."""
-
-
-def quiet() -> np.errstate:
-    """Return a decorator for where numbers may do so: what comes of it is counted as a failure."""
-    return np.errstate(over="ignore", invalid="ignore", divide="ignore")
+_NUMERICAL_FAILURES = (ArithmeticError, np.linalg.LinAlgError)
+"""What may be raised when numbers overflow, besides those that come out NaN."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +39,9 @@ class TrackerOptions:
         x_max: Half width of the certificate's domain [rad].
         history: How far back a late measurement may reach [s].
         future_tolerance: How far ahead of `now` a stamp may lie [s].
-        restart_after: A gap in the measurements longer than this restarts [s]; no estimate
-            is given further than this from a measurement.
-        max_steps: How many measurements the history holds at most, however dense their stamps.
+        restart_after: A gap in the measurements longer than this restarts the estimator [s]; no
+            estimate is given further than this from a measurement.
+        max_steps: Largest number of measurements in the history, however dense their stamps.
     """
 
     x_max: float
@@ -88,8 +84,8 @@ class Tracker(Generic[S]):
         self._accepted = 0
         self._refused: Counter[RejectReason] = Counter()
         self._bad_outputs = 0
-        self._history = History(self._span, self.options.max_steps)
-        self._coasted: tuple[Step, int, S] | None = None
+        self._history = _History(self._span, self.options.max_steps)
+        self._coasted: tuple[_Step, int, S] | None = None
 
     @property
     def newest(self) -> int | None:
@@ -110,7 +106,7 @@ class Tracker(Generic[S]):
 
     @property
     def restarts(self) -> int:
-        """Number of fresh starts after a gap or a numerical failure."""
+        """Number of restarts after a gap or a numerical failure."""
         return self._history.last.restarts if self._history.last else 0
 
     @property
@@ -120,7 +116,7 @@ class Tracker(Generic[S]):
 
     @property
     def events(self) -> dict[str, int]:
-        """What the estimator noticed up to the newest measurement, by name."""
+        """The estimator's counts up to the newest measurement, by name."""
         last = self._history.last
         return self.estimator.events(last.state) if last is not None else {}
 
@@ -128,9 +124,9 @@ class Tracker(Generic[S]):
         """Count a measurement that the caller could not even read."""
         self._refused[reason] += 1
 
-    @quiet()
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def offer(self, measurement: Measurement, now: int) -> Innovation | RejectReason:
-        """Use a measurement, or say why not.
+        """Use a measurement, or refuse it.
 
         Args:
             measurement: May be late by up to the history.
@@ -150,29 +146,14 @@ class Tracker(Generic[S]):
         for waiting in later:
             self._advance(waiting)
         self.rewinds += late
-        return self._used(measurement, correction)
+        self._accepted += 1
+        self.forgotten += self._history.trim()
+        if correction.weight == 0.0:
+            return RejectReason.GATED
+        expected_std = np.sqrt(correction.innovation_covariance.diagonal())
+        return Innovation(measurement.stamp, correction.innovation, expected_std)
 
-    def plain_step(self, measurement: Measurement, now: int) -> tuple[S, Array, float] | None:
-        """Return the state, the torque [N m] and the time [s] to predict a measurement from.
-
-        Returns:
-            None if there is more to it: it is refused, late or the first one after a gap.
-        """
-        last = self._history.last
-        if last is None or self._refusal(measurement, now) is not None:
-            return None
-        gap = measurement.stamp - last.measurement.stamp
-        if not 0 < gap <= self._restart_after:
-            return None
-        return last.state, last.measurement.u, gap / NANOSECONDS
-
-    def take(
-        self, measurement: Measurement, state: S, correction: Correction
-    ) -> Innovation | RejectReason:
-        """Go on with a plain step that was computed elsewhere; see `offer` for what is returned."""
-        return self._used(measurement, self._keep(measurement, state, correction, 0))
-
-    @quiet()
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def estimate(self, stamp: int) -> Estimate | None:
         """Return the estimate at a stamp [ns].
 
@@ -180,41 +161,14 @@ class Tracker(Generic[S]):
             None before the first measurement, too long after the last, or if the estimate is not
             finite, which is counted.
         """
-        basis = self.basis(stamp)
-        if basis is None:
-            return None
-        state, u, elapsed = basis
-        try:
-            if elapsed > 0.0:
-                state = self.estimator.extrapolate(state, u, elapsed)
-            readout = self.estimator.readout(state)
-        except NUMERICAL_FAILURES:
-            self._bad_outputs += 1
-            return None
-        return self.published(stamp, readout)
-
-    def basis(self, stamp: int) -> tuple[S, Array, float] | None:
-        """Return the state, the torque [N m] and the time [s] to extrapolate to a stamp from.
-
-        The caller sees to it that numbers which overflow are `quiet`.
-
-        Returns:
-            None where there is no estimate; see `estimate`.
-        """
         step = self._history.until(stamp)
         if step is None or stamp - step.measurement.stamp > self._restart_after:
             return None
         try:
-            state, elapsed = self._coast(step, stamp)
-        except NUMERICAL_FAILURES:
-            self._bad_outputs += 1
-            return None
-        return state, step.measurement.u, elapsed
-
-    def published(self, stamp: int, readout: Readout) -> Estimate | None:
-        """Return the estimate that a readout at a stamp makes; see `estimate`."""
-        step = self._history.until(stamp)
-        if step is None or not _is_finite(*readout[:5], *readout[6:8]):
+            readout = self._read(step, stamp)
+        except _NUMERICAL_FAILURES:
+            readout = None
+        if readout is None or not _is_finite(*readout[:5], *readout[6:8]):
             self._bad_outputs += 1
             return None
         in_domain = abs(float(readout.state[0])) <= self.options.x_max
@@ -242,85 +196,183 @@ class Tracker(Generic[S]):
 
     def _advance(self, measurement: Measurement) -> Correction:
         """Predict to the measurement from the step before it, correct, and remember."""
-        previous = self._history.last
-        gap = 0 if previous is None else measurement.stamp - previous.measurement.stamp
-        restarts = int(previous is not None and gap > self._restart_after)
+        last = self._history.last
+        gap = 0 if last is None else measurement.stamp - last.measurement.stamp
+        gated, restarts, failures = (0, 0, 0) if last is None else last[2:]
+        restart = last is not None and gap > self._restart_after
         try:
-            if previous is None or restarts:
+            if last is None or restart:
                 predicted = self.estimator.initial()
             else:
-                u = previous.measurement.u
-                predicted = self.estimator.predict(previous.state, u, gap / NANOSECONDS)
+                predicted = self.estimator.predict(
+                    last.state, last.measurement.u, gap / NANOSECONDS
+                )
             state, correction = self.estimator.correct(predicted, measurement.y)
-        except NUMERICAL_FAILURES:
-            return self._keep_afresh(measurement, restarts)
-        return self._keep(measurement, state, correction, restarts)
-
-    def _keep(
-        self, measurement: Measurement, state: S, correction: Correction, restarts: int
-    ) -> Correction:
-        """Remember a step, restarted if it is not finite; return its correction."""
-        if not _is_finite(correction.innovation, correction.innovation_covariance.ravel()):
-            return self._keep_afresh(measurement, restarts)
-        self._remember(measurement, state, correction, restarts, 0)
+            failed = not _is_finite(correction.innovation, correction.innovation_covariance.ravel())
+        except _NUMERICAL_FAILURES:
+            failed = True
+        if failed:
+            state, correction = self._restart(measurement)
+        self._history.append(
+            _Step(
+                measurement,
+                state,
+                gated + (correction.weight == 0.0),
+                restarts + restart + failed,
+                failures + failed,
+            )
+        )
         return correction
 
-    def _keep_afresh(self, measurement: Measurement, restarts: int) -> Correction:
-        """Begin afresh with a measurement, or where it is to blame itself, without it."""
+    def _restart(self, measurement: Measurement) -> tuple[S, Correction]:
+        """Return the initial state, corrected unless the measurement itself is to blame."""
         initial = self.estimator.initial()
         try:
-            state, correction = self.estimator.correct(initial, measurement.y)
-        except NUMERICAL_FAILURES:
+            return self.estimator.correct(initial, measurement.y)
+        except _NUMERICAL_FAILURES:
             nothing = np.zeros(0)
-            state, correction = initial, Correction(nothing, nothing, nothing, weight=0.0)
-        self._remember(measurement, state, correction, restarts + 1, 1)
-        return correction
+            return initial, Correction(nothing, nothing, nothing, weight=0.0)
 
-    def _remember(
-        self,
-        measurement: Measurement,
-        state: S,
-        correction: Correction,
-        restarts: int,
-        failures: int,
-    ) -> None:
-        gated, last = int(correction.weight == 0.0), self._history.last
-        if last is not None:
-            gated += last.gated
-            restarts += last.restarts
-            failures += last.failures
-        self._history.append(Step(measurement, state, gated, restarts, failures))
+    def _read(self, step: "_Step", stamp: int) -> Readout:
+        """Return the estimate at a stamp after a step.
 
-    def _used(self, measurement: Measurement, correction: Correction) -> Innovation | RejectReason:
-        """Count an accepted measurement and return what `offer` does."""
-        self._accepted += 1
-        self.forgotten += self._history.trim()
-        if correction.weight == 0.0:
-            return RejectReason.GATED
-        expected_std = np.sqrt(correction.innovation_covariance.diagonal())
-        return Innovation(measurement.stamp, correction.innovation, expected_std)
-
-    def _coast(self, step: Step, stamp: int) -> tuple[S, float]:
-        """Return the state at the last whole period before `stamp`, and what remains [s].
-
-        Whole periods are remembered from one call to the next; without that every tick of a
-        long gap would predict through the whole gap again.
+        Whole periods of a gap are remembered from one call to the next; without that every tick
+        of a long gap would predict through the whole gap again.
         """
-        period = self.estimator.period
-        duration = (stamp - step.measurement.stamp) / NANOSECONDS
-        whole = int(duration // period)
-        if duration <= 2.0 * period:
-            return step.state, duration
-        taken, state = 0, step.state
-        if self._coasted is not None and self._coasted[0] is step and self._coasted[1] <= whole:
-            _, taken, state = self._coasted
-        if taken == 0:
-            # At once, which tells the estimator that this is no regular step.
-            taken, state = 2, self.estimator.predict(state, step.measurement.u, 2.0 * period)
-        for _ in range(whole - taken):
-            state = self.estimator.predict(state, step.measurement.u, period)
-        self._coasted = (step, whole, state)
-        return state, duration - whole * period
+        period, u, state = self.estimator.period, step.measurement.u, step.state
+        remaining = (stamp - step.measurement.stamp) / NANOSECONDS
+        if remaining > 2.0 * period:
+            whole, taken = int(remaining // period), 0
+            if self._coasted is not None and self._coasted[0] is step and self._coasted[1] <= whole:
+                _, taken, state = self._coasted
+            if taken == 0:
+                # Two at once, so that it is no regular step for the estimator.
+                taken, state = 2, self.estimator.predict(state, u, 2.0 * period)
+            for _ in range(whole - taken):
+                state = self.estimator.predict(state, u, period)
+            self._coasted = (step, whole, state)
+            remaining -= whole * period
+        if remaining > 0.0:
+            state = self.estimator.extrapolate(state, u, remaining)
+        return self.estimator.readout(state)
+
+
+class JointTrackers:
+    """The trackers of k independent joints, side by side.
+
+    Attributes:
+        trackers: One a joint, with its counts and events.
+    """
+
+    def __init__(self, trackers: Sequence[Tracker[Any]]) -> None:
+        self.trackers = tuple(trackers)
+
+    def reset(self) -> None:
+        """Forget everything; afterwards every tracker is as a new one."""
+        for tracker in self.trackers:
+            tracker.reset()
+
+    def offer(
+        self, measurements: Sequence[Measurement | None], now: int
+    ) -> list[Innovation | RejectReason | None]:
+        """Offer each joint its measurement, if there is one; see `Tracker.offer`.
+
+        Raises:
+            ValueError: There are not as many entries as joints.
+        """
+        pairs = zip(self.trackers, measurements, strict=True)
+        return [one and tracker.offer(one, now) for tracker, one in pairs]
+
+    def estimate(self, stamp: int, wanted: Sequence[bool] | None = None) -> list[Estimate | None]:
+        """Return the estimate of each joint, or of those that are wanted; see `Tracker.estimate`.
+
+        Raises:
+            ValueError: There are not as many entries as joints.
+        """
+        asked = [True] * len(self.trackers) if wanted is None else wanted
+        pairs = zip(self.trackers, asked, strict=True)
+        return [tracker.estimate(stamp) if one else None for tracker, one in pairs]
+
+
+class _Step(NamedTuple):
+    """A measurement, the state after it, and counts up to it since the last reset.
+
+    The counts are kept with the steps, so that a rewind takes them back too.
+    """
+
+    measurement: Measurement
+    state: Any
+    gated: int
+    restarts: int
+    failures: int
+
+
+class _History:
+    """Steps in the order of their stamps, and the one before them to begin a rewind from.
+
+    Args:
+        span: How far it reaches back from its newest step [ns].
+        max_steps: Largest number of steps; a burst of stamps must not take memory without bound,
+            nor a rewind time.
+
+    Attributes:
+        last: The newest step, None before the first.
+    """
+
+    def __init__(self, span: int, max_steps: int) -> None:
+        self._span, self._max_steps = span, max_steps
+        self.last: _Step | None = None
+        self._base: _Step | None = None
+        self._steps: list[_Step] = []
+        self._stamps: list[int] = []
+
+    def append(self, step: _Step) -> None:
+        """Add a step that is newer than all others."""
+        self.last = step
+        self._steps.append(step)
+        self._stamps.append(step.measurement.stamp)
+
+    def until(self, stamp: int) -> _Step | None:
+        """Return the newest step at a stamp [ns] or before it."""
+        last = self.last
+        if last is None or last.measurement.stamp <= stamp:
+            return last
+        place = bisect_right(self._stamps, stamp) - 1
+        if place >= 0:
+            return self._steps[place]
+        base = self._base
+        return base if base is not None and base.measurement.stamp <= stamp else None
+
+    def reaches(self, stamp: int) -> bool:
+        """Return whether a measurement with a stamp [ns] can still be put in its place."""
+        if self._base is not None and stamp <= self._base.measurement.stamp:
+            return False
+        return self.last is None or stamp >= self.last.measurement.stamp - self._span
+
+    def holds(self, stamp: int) -> bool:
+        """Return whether there is a step with exactly this stamp [ns]."""
+        place = bisect_left(self._stamps, stamp)
+        return place < len(self._stamps) and self._stamps[place] == stamp
+
+    def rewind(self, stamp: int) -> list[Measurement]:
+        """Take out the steps after a stamp [ns]; return their measurements."""
+        place = bisect_left(self._stamps, stamp)
+        later = [step.measurement for step in self._steps[place:]]
+        del self._stamps[place:], self._steps[place:]
+        self.last = self._steps[-1] if self._steps else self._base
+        return later
+
+    def trim(self) -> int:
+        """Forget what is out of reach; return how many were it for their number alone."""
+        oldest = self._stamps[-1] - self._span
+        if self._stamps[0] >= oldest and len(self._steps) <= self._max_steps:
+            return 0
+        expired = bisect_left(self._stamps, oldest)
+        forgotten = max(0, len(self._steps) - expired - self._max_steps)
+        keep_from = expired + forgotten
+        self._base = self._steps[keep_from - 1]
+        del self._stamps[:keep_from], self._steps[:keep_from]
+        return forgotten
 
 
 def _is_finite(*arrays: Array) -> bool:

@@ -16,6 +16,7 @@ the estimate that serves as premise.
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,8 +26,7 @@ from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps
-from tsobs_ros.model.transition import Transition, predicted, predicted_with_covariance
+from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps, matvec
 from tsobs_ros.model.uncertainty import Uncertainty
 from tsobs_ros.model.vertices import (
     KickCorner,
@@ -38,6 +38,30 @@ from tsobs_ros.model.vertices import (
 
 _REMEMBERED = 16
 """Transitions to keep: stamps from a grid repeat the same few durations."""
+
+UNKNOWN_TORQUE = 2
+"""Number of states that a `GapFlow` has behind the others: δ [N m] and its rate [N m/s]."""
+
+GAP_MEMORY = 1.0
+"""Correlation time of the torque's rate in a gap [s]: that of motions that take some seconds."""
+
+
+class Transition(NamedTuple):
+    """The linear flow over one step.
+
+    Attributes:
+        duration: T [s].
+        phi: State transition Φ(T), shape (n, n).
+        gamma: Effect of a held torque Γ(T), shape (n, 1).
+        noise: Covariance the process noise adds, shape (n, n).
+        half_kick: (T/2) mgl/J₁ [1/s].
+    """
+
+    duration: float
+    phi: Array
+    gamma: Array
+    noise: Array
+    half_kick: float
 
 
 @dataclass(frozen=True)
@@ -142,7 +166,9 @@ class ArmFlow:
         Raises:
             ModelError: The duration is negative or not finite.
         """
-        return predicted(x, u, self.steps(duration))
+        for step in self.steps(duration):
+            x = _advance(x, u, step)
+        return x
 
     def predict_with_covariance(
         self, x: Array, covariance: Array, u: Array, duration: float
@@ -164,7 +190,15 @@ class ArmFlow:
         Raises:
             ModelError: The duration is negative or not finite.
         """
-        return predicted_with_covariance(x, covariance, u, self.steps(duration))
+        if covariance.ndim <= x.ndim:
+            covariance = np.broadcast_to(covariance, (*x.shape, x.shape[-1]))
+        for step in self.steps(duration):
+            covariance = _shear(covariance, step.half_kick * np.cos(x.T[LINK_ANGLE].T))
+            covariance = step.phi @ covariance @ step.phi.T + step.noise
+            x = _advance(x, u, step)
+            # The second half kick has left the angle as it was.
+            covariance = _shear(covariance, step.half_kick * np.cos(x.T[LINK_ANGLE].T))
+        return x, covariance
 
     def vertices(
         self,
@@ -222,6 +256,88 @@ class ArmFlow:
         return self.arm.to_physical(np.asarray(x, dtype=np.float64)[..., :4])
 
 
+class GapFlow(ArmFlow):
+    """Prediction of an arm through a gap, in which the torque is unknown.
+
+    The torque is u + δ there, u being the last known one: δ begins at zero and moves at a rate that
+    is Gauss–Markov, N(0, r²) at any time and correlated over `GAP_MEMORY`. Both are states, so that
+    x̄ = [x; w; δ; δ'] and their effect on the arm is correlated with all else as it is along the
+    flow, not white.
+
+    Args:
+        flow: Of the arm.
+        torque_rate: r, 1σ of the torque's rate [N m/s].
+    """
+
+    def __init__(self, flow: ArmFlow, torque_rate: float) -> None:
+        self._torque_rate = torque_rate
+        super().__init__(flow.arm, flow.disturbance, flow.process_noise, flow.period)
+
+    @property
+    def state_count(self) -> int:
+        """Length of the augmented state with the unknown torque and its rate."""
+        return super().state_count + UNKNOWN_TORQUE
+
+    @cached_property
+    def output_matrix(self) -> Array:
+        """Augmented state to measured angle, shape (1, n)."""
+        own = np.hstack([self.arm.output_matrix, self.disturbance.H])
+        return np.pad(own, ((0, 0), (0, UNKNOWN_TORQUE)))
+
+    @cached_property
+    def drift(self) -> Array:
+        """Continuous augmented matrix without gravity, shape (n, n)."""
+        drift = block_diag(super().drift, np.array([[0.0, 1.0], [0.0, -1.0 / GAP_MEMORY]]))
+        drift[:4, -UNKNOWN_TORQUE] = self.arm.input_matrix[:, 0]
+        return np.asarray(drift)
+
+    def _noise_density(self) -> Array:
+        own = np.diag([0.0, 2.0 * self._torque_rate**2 / GAP_MEMORY])
+        return np.asarray(block_diag(super()._noise_density(), own))
+
+    def begin(self, covariance: Array) -> Array:
+        """Return the covariance at a sample, shape (..., n, n), given that of x and w alone."""
+        n = self.state_count
+        wide = np.zeros((*covariance.shape[:-2], n, n))
+        wide[..., :-UNKNOWN_TORQUE, :-UNKNOWN_TORQUE] = covariance
+        wide[..., -1, -1] = self._torque_rate**2
+        return wide
+
+    @staticmethod
+    def widen(x: Array) -> Array:
+        """Return [x; w; δ; δ'] of x̄ = [x; w] with the expected torque, the last known one."""
+        return np.concatenate([x, np.zeros((*x.shape[:-1], UNKNOWN_TORQUE))], axis=-1)
+
+    @staticmethod
+    def narrow(covariance: Array) -> Array:
+        """Return the covariance of the arm and its disturbance, shape (..., n − 2, n − 2)."""
+        return covariance[..., :-UNKNOWN_TORQUE, :-UNKNOWN_TORQUE]
+
+
 def slope_range(x_max: float) -> tuple[float, float]:
     """Return the smallest and largest cosine on |q₁| ≤ x_max [rad], x_max at most π."""
     return math.cos(min(x_max, math.pi)), 1.0
+
+
+def _advance(x: Array, u: Array, step: Transition) -> Array:
+    """Return the state, shape (..., n), after kick, drift and kick."""
+    kicked = x.copy()
+    _kick(kicked, step.half_kick)
+    moved = matvec(step.phi, kicked) + u * step.gamma[:, 0]
+    _kick(moved, step.half_kick)
+    return moved
+
+
+def _kick(x: Array, half_kick: float) -> None:
+    """Kick the velocities in place; the transpose has the states first, whatever the batch."""
+    states = x.T
+    states[LINK_VELOCITY] -= half_kick * np.sin(states[LINK_ANGLE])
+
+
+def _shear(covariance: Array, gain: Array) -> Array:
+    """Return K Σ Kᵀ for the kick matrix K of `gain`, by one row and one column operation."""
+    sheared = covariance.copy()
+    gain = np.asarray(gain)[..., np.newaxis]
+    sheared[..., LINK_VELOCITY, :] -= gain * sheared[..., LINK_ANGLE, :]
+    sheared[..., :, LINK_VELOCITY] -= gain * sheared[..., :, LINK_ANGLE]
+    return sheared

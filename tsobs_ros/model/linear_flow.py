@@ -9,16 +9,15 @@ semidefinite terms, so the noise stays a covariance.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from copy import copy
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.products import transposed
 
 Step = TypeVar("Step")
 
@@ -71,19 +70,6 @@ class LinearFlow:
                 f"the model's numbers are too large"
             )
 
-    @classmethod
-    def stack(cls, flows: Sequence["LinearFlow"]) -> "LinearFlow | None":
-        """Return flows as one whose matrices have a leading axis; None if they differ in form."""
-        first, *others = flows
-        for other in others:
-            if (other._series.shape, other._m) != (first._series.shape, first._m):
-                return None
-            if other._reach != first._reach:
-                return None
-        stacked = copy(first)
-        stacked._series = np.array([flow._series for flow in flows])
-        return stacked
-
     def over(self, duration: float) -> tuple[Array, Array, Array]:
         """Return Φ, Γ and Q over `duration` [s] ≥ 0, shapes (n, n), (n, m) and (n, n)."""
         if duration <= self._reach:
@@ -92,20 +78,18 @@ class LinearFlow:
         phi, gamma, noise = self._evaluate(math.ldexp(duration, -doublings))
         for _ in range(doublings):
             gamma = phi @ gamma + gamma
-            noise = phi @ noise @ transposed(phi) + noise
-            noise = 0.5 * (noise + transposed(noise))
+            noise = phi @ noise @ phi.T + noise
+            noise = 0.5 * (noise + noise.T)
             phi = phi @ phi
         return phi, gamma, noise
 
     def _evaluate(self, duration: float) -> tuple[Array, Array, Array]:
         n, m, square = self._n, self._m, self._n * self._n
-        powers = duration**self._orders
-        flat = powers.dot(self._series) if self._series.ndim == 2 else powers @ self._series
-        stack = flat.shape[:-1]
+        flat = (duration**self._orders).dot(self._series)
         return (
-            flat[..., :square].reshape(*stack, n, n),
-            flat[..., square : square + n * m].reshape(*stack, n, m),
-            flat.take(self._noise_entries, axis=-1),
+            flat[:square].reshape(n, n),
+            flat[square : square + n * m].reshape(n, m),
+            flat.take(self._noise_entries),
         )
 
     def _coefficients(self, A: Array, B: Array, W: Array) -> Array:
@@ -164,3 +148,21 @@ def cut_into_steps(
     if whole and 0.0 < rest <= (_STRETCH - 1.0) * period:
         whole, rest = whole - 1, rest + period
     return [nominal] * whole + ([last(rest)] if rest > 0.0 else [])
+
+
+def matvec(matrix: Array, x: Array) -> Array:
+    """Return M x, shape (..., m), for x of shape (..., n) and M of shape (m, n) or (..., m, n)."""
+    if matrix.shape[-1] == 1:
+        # Exact, also in the sign of a zero, which a library is free to choose.
+        return matrix[..., 0] * x
+    if x.ndim == 1:
+        # The method takes a third of the operator's time.
+        return np.asarray(matrix.dot(x))
+    if matrix.ndim == 2:
+        return np.asarray(x @ matrix.T)
+    return np.asarray((matrix @ x[..., np.newaxis])[..., 0])
+
+
+def transposed(matrix: NDArray[np.floating[Any]]) -> Array:
+    """Return Mᵀ of each matrix, shape (..., n, m)."""
+    return np.asarray(matrix.T if matrix.ndim == 2 else matrix.swapaxes(-1, -2))

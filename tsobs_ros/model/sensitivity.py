@@ -13,8 +13,7 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY
-from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.model.gap_flow import UNHEARD, GapFlow
+from tsobs_ros.model.flow import UNKNOWN_TORQUE, ArmFlow, GapFlow
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
 
@@ -75,7 +74,9 @@ class ArmSensitivity:
     def __init__(self, flow: ArmFlow, uncertainty: Uncertainty) -> None:
         self._flow = flow
         self._identity = np.eye(flow.state_count)
-        self._unheard = flow.state_count - UNHEARD if isinstance(flow, GapFlow) else None
+        self._unknown_torque = (
+            flow.state_count - UNKNOWN_TORQUE if isinstance(flow, GapFlow) else None
+        )
         # What θ = 1 adds to both accelerations, by x, by sin x₁ and by u: one row a parameter.
         rows = uncertainty.directions[:, 0, _VELOCITIES]
         parts = (rows[..., :4].reshape(-1, 8), rows[..., SINE], rows[..., TORQUE])
@@ -121,9 +122,9 @@ class ArmSensitivity:
     ) -> Array:
         jacobian = self._identity.copy()
         jacobian[_VELOCITIES, :4] += slopes
-        if self._unheard is not None:
-            # What θ̂ does to the torque, it does to what is not heard of it.
-            jacobian[_VELOCITIES, self._unheard] = total[-2:]
+        if self._unknown_torque is not None:
+            # What θ̂ does to the torque, it does to its unknown part.
+            jacobian[_VELOCITIES, self._unknown_torque] = total[-2:]
         return jacobian
 
 

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.comparison import ComparisonObserver
+from tsobs_ros.estimation.baselines import ComparisonObserver
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import EXAMPLE_3_H, EXAMPLE_3_P, example_3

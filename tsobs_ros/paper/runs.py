@@ -16,9 +16,12 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm
-from tsobs_ros.estimation.high_gain import HighGainObserver, integrate
-from tsobs_ros.estimation.kalman import ExtendedKalmanFilter
-from tsobs_ros.estimation.proportional_integral import ProportionalIntegralObserver
+from tsobs_ros.estimation.baselines import (
+    ExtendedKalmanFilter,
+    HighGainObserver,
+    ProportionalIntegralObserver,
+    integrate,
+)
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
 from tsobs_ros.paper.examples import PaperExample
 from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState, printed_observer

@@ -26,7 +26,7 @@ from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.joints import JointTrackers
+from tsobs_ros.estimation.tracker import JointTrackers
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.replay import (

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.messages.joint_series import JointSeries, Times
-from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -26,6 +25,7 @@ from tsobs_ros.estimation.records import (
     Sample,
     stamp_of,
 )
+from tsobs_ros.estimation.tracker import JointTrackers
 from tsobs_ros.replay.source import Samples, passes, times_of_use
 
 Counts = NDArray[np.intp]

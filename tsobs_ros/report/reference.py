@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.observer import GainMode
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import JointTrackers, Tracker, TrackerOptions
 from tsobs_ros.replay.replay import Estimated, Replay, Schedule, Used
 from tsobs_ros.replay.source import Samples
 from tsobs_ros.replay.table import EstimateTable

@@ -12,7 +12,6 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.estimation.joints import JointTrackers
 from tsobs_ros.estimation.records import (
     Innovation,
     Measurement,
@@ -20,7 +19,7 @@ from tsobs_ros.estimation.records import (
     Sample,
     stamp_of,
 )
-from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.estimation.tracker import JointTrackers, Tracker
 from tsobs_ros.methods import WARNINGS
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode

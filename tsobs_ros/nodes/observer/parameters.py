@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
-from tsobs_ros.estimation.supervision import SupervisionOptions
+from tsobs_ros.estimation.supervised import SupervisionOptions
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import parameter, parameter_group
