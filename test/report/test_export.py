@@ -178,6 +178,21 @@ def test_texts_bytes_and_lists_of_messages(write_bag, tmp_path) -> None:
     assert pq.read_table(tmp_path / "image.parquet")["data"].to_pylist() == [b"\0\xff\x10"]
 
 
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])
+def test_texts_are_no_formulas_and_numbers_stay_numbers(write_bag, tmp_path, text) -> None:
+    frame = header()
+    frame.frame_id = text
+    temperature = made("sensor_msgs/msg/Temperature", header=frame, temperature=-1.5, variance=0.0)
+
+    export_bag(write_bag(t=[temperature]), tmp_path)
+    export_bag(tmp_path / "bag", tmp_path, format="parquet")
+
+    (row,) = rows(tmp_path / "t.csv")
+    assert row["header.frame_id"] == f"'{text}"
+    assert row["temperature [degC]"] == "-1.5"
+    assert pq.read_table(tmp_path / "t.parquet")["header.frame_id"].to_pylist() == [text]
+
+
 @given(st.lists(st.floats(allow_subnormal=True), min_size=1, max_size=5))
 def test_numbers_come_back_to_the_last_bit(tmp_path_factory, numbers) -> None:
     folder = tmp_path_factory.mktemp("export")
@@ -236,7 +251,9 @@ def test_topics_become_paths_and_files_are_not_replaced(write_bag, tmp_path) -> 
         export_bag(tmp_path / "bag", tmp_path / "out", topics=["/c"])
 
 
-@pytest.mark.parametrize("name", ["/../../escaped", "/a/..", "/a/./b", "//a", "/", "", "/a\0b"])
+@pytest.mark.parametrize(
+    "name", ["/../../escaped", "/a/..", "/a/./b", "//a", "/", "", "/a\0b", "/a\nb", "/a\x1b[2Jb"]
+)
 def test_no_topic_leads_out_of_the_folder_or_into_anothers_file(tmp_path, name: str) -> None:
     with BagWriter(tmp_path / "bag") as writer:
         definition = MessageDefinition(JOINT_STATE, "float64[] position\n", "")

@@ -1,17 +1,100 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One topic of a bag as a table: its columns, found in a first pass, and its rows."""
+"""One topic of a bag as a table: columns with units, found in a first pass, and rows.
 
-from collections.abc import Iterator
+Nested fields become columns such as `pose.position.x` or `data[3]`. Units are those of REP 103 and
+of the messages' definitions: a unit belongs to a field of a type and to all fields below it, so a
+Twist's `angular` is a Vector3 in rad/s. A field that is not listed has no unit.
+"""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateDecoder
+from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointState, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import BagReadError, MessageError
-from tsobs_ros.report.export_flatten import Cell, flatten, flatten_joint_state
 
-_TIMES = (("time", "s"), ("log_time", "ns"), ("publish_time", "ns"))
+MAX_COLUMNS = 64
+"""Arrays that are ever longer stay in one column, as lists."""
+
+_FIRST = (("time", "s"), ("log_time", "ns"), ("publish_time", "ns"))
+_TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+_NANOSECONDS = 1_000_000_000
+
+_POINT = {"x": "m", "y": "m", "z": "m"}
+
+_UNITS: Mapping[str, Mapping[str, str]] = {
+    "builtin_interfaces/Time": {"sec": "s", "nanosec": "ns"},
+    "builtin_interfaces/Duration": {"sec": "s", "nanosec": "ns"},
+    "geometry_msgs/Accel": {"linear": "m/s^2", "angular": "rad/s^2"},
+    "geometry_msgs/Inertia": {
+        "m": "kg",
+        "com": "m",
+        **dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "kg m^2"),
+    },
+    "geometry_msgs/Point": _POINT,
+    "geometry_msgs/Point32": _POINT,
+    "geometry_msgs/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
+    "geometry_msgs/Transform": {"translation": "m", "rotation": ""},
+    "geometry_msgs/Twist": {"linear": "m/s", "angular": "rad/s"},
+    "geometry_msgs/Wrench": {"force": "N", "torque": "N m"},
+    "nav_msgs/MapMetaData": {"resolution": "m"},
+    "sensor_msgs/BatteryState": {
+        "voltage": "V",
+        "current": "A",
+        "charge": "A h",
+        "capacity": "A h",
+        "design_capacity": "A h",
+        "temperature": "degC",
+        "cell_voltage": "V",
+        "cell_temperature": "degC",
+    },
+    "sensor_msgs/FluidPressure": {"fluid_pressure": "Pa"},
+    "sensor_msgs/Illuminance": {"illuminance": "lx"},
+    "sensor_msgs/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
+    # Of revolute joints; bags do not distinguish prismatic ones.
+    "sensor_msgs/JointState": {"position": "rad", "velocity": "rad/s", "effort": "N m"},
+    "sensor_msgs/LaserScan": {
+        "angle_min": "rad",
+        "angle_max": "rad",
+        "angle_increment": "rad",
+        "time_increment": "s",
+        "scan_time": "s",
+        "range_min": "m",
+        "range_max": "m",
+        "ranges": "m",
+    },
+    "sensor_msgs/MagneticField": {"magnetic_field": "T"},
+    "sensor_msgs/NavSatFix": {"latitude": "deg", "longitude": "deg", "altitude": "m"},
+    "sensor_msgs/Range": {
+        "field_of_view": "rad",
+        "min_range": "m",
+        "max_range": "m",
+        "range": "m",
+    },
+    "sensor_msgs/Temperature": {"temperature": "degC"},
+    "trajectory_msgs/JointTrajectoryPoint": {
+        "positions": "rad",
+        "velocities": "rad/s",
+        "accelerations": "rad/s^2",
+        "effort": "N m",
+    },
+}
+
+
+class Cell(NamedTuple):
+    """One value of a row.
+
+    Attributes:
+        column: Its column's name.
+        unit: Its unit, empty for none.
+        value: A number, text, bytes, or a list if the array stays in one column.
+    """
+
+    column: str
+    unit: str
+    value: Any
 
 
 @dataclass
@@ -22,8 +105,8 @@ class Column:
         name: Its name, without unit.
         unit: Its unit, empty for none.
         kind: The type of its values.
-        item: The type of what is in them, where they are lists.
-        largest: The largest of its values, where they are whole numbers.
+        item: The type of their items if they are lists.
+        largest: The largest value if they are whole numbers.
     """
 
     name: str
@@ -33,7 +116,7 @@ class Column:
     largest: int = 0
 
     def see(self, value: Any) -> None:
-        """Take in one of the values."""
+        """Note the type and size of one of the values."""
         self.kind = type(value)
         if self.kind is int:
             self.largest = max(self.largest, value)
@@ -55,8 +138,8 @@ class Table:
     Attributes:
         topic: The topic.
         columns: Its columns.
-        count: How many rows there are.
-        damage: Where reading ended early, if it did.
+        count: Number of rows.
+        damage: The place where reading ended early, if it did.
 
     Raises:
         BagReadError: The topic's messages cannot be decoded at all: their definition is malformed
@@ -72,7 +155,7 @@ class Table:
         self.columns = self._survey()
 
     def rows(self) -> Iterator[list[Any]]:
-        """Yield the rows; None where a message has nothing for a column."""
+        """Yield the rows; None if a message has nothing for a column."""
         places = {column.name: place for place, column in enumerate(self.columns)}
         start = self._reader.start_time or 0
         for log_time, publish_time, cells in self._messages():
@@ -84,7 +167,7 @@ class Table:
 
     def _survey(self) -> list[Column]:
         """Read all messages once to find the columns."""
-        found = {name: Column(name, unit) for name, unit in _TIMES}
+        found = {name: Column(name, unit) for name, unit in _FIRST}
         for log_time, publish_time, cells in self._messages():
             self.count += 1
             found["log_time"].see(log_time)
@@ -114,7 +197,7 @@ class Table:
             return self._joint_states()
         messages = self._reader.decoded([self.topic])  # without a decoder it fails here
         return (
-            (message.log_time, message.publish_time, flatten(message.message, self._whole))
+            (message.log_time, message.publish_time, _flatten_message(message.message, self._whole))
             for message in messages
         )
 
@@ -128,4 +211,60 @@ class Table:
                     f"{self._reader.path}: the message of {self.topic} at {raw.log_time} ns is "
                     f"not a {JOINT_STATE}: {error}"
                 ) from error
-            yield raw.log_time, raw.publish_time, flatten_joint_state(state)
+            yield raw.log_time, raw.publish_time, _flatten_joint_state(state)
+
+
+def _flatten_message(message: Any, whole: Collection[str] = ()) -> Iterator[Cell]:
+    """Yield the cells of a message as decoded, but for the arrays of the `whole` columns."""
+    type_ = _type_of(message)
+    for field in message.__slots__:
+        unit = _unit_of(type_, field)
+        yield from _flatten(getattr(message, field), field, unit, whole)
+
+
+def _flatten_joint_state(message: JointState) -> Iterator[Cell]:
+    """Yield the cells of a JointState; its numbers have the names of their joints."""
+    yield Cell("header.stamp", "ns", message.stamp)
+    yield Cell("header.frame_id", "", message.frame_id)
+    names = message.names
+    for field in ("position", "velocity", "effort"):
+        unit = _unit_of("sensor_msgs/JointState", field)
+        for place, value in enumerate(getattr(message, field)):
+            column = f"{field}.{names[place]}" if place < len(names) else f"{field}[{place}]"
+            yield Cell(column, unit, value)
+
+
+def _flatten(value: Any, column: str, unit: str, whole: Collection[str]) -> Iterator[Cell]:
+    if isinstance(value, list | tuple):
+        yield from _flatten_array(value, column, unit, whole)
+    elif (type_ := _type_of(value)) in _TIMES:
+        yield Cell(column, "ns", value.sec * _NANOSECONDS + value.nanosec)
+    elif type_:
+        for field in value.__slots__:
+            below = _unit_of(type_, field, unit)
+            yield from _flatten(getattr(value, field), f"{column}.{field}", below, whole)
+    elif isinstance(value, bytearray | memoryview):
+        yield Cell(column, unit, bytes(value))
+    else:
+        yield Cell(column, unit, value)
+
+
+def _flatten_array(
+    values: Sequence[Any], column: str, unit: str, whole: Collection[str]
+) -> Iterator[Cell]:
+    nested = bool(values) and bool(_type_of(values[0]))
+    if not nested and (len(values) > MAX_COLUMNS or column in whole):
+        yield Cell(column, unit, list(values))
+        return
+    for place, value in enumerate(values):
+        yield from _flatten(value, f"{column}[{place}]", unit, whole)
+
+
+def _type_of(value: Any) -> str:
+    """Return the type of a decoded message as `package/Type`, empty for anything else."""
+    return str(getattr(value, "_type", ""))
+
+
+def _unit_of(type_: str, field: str, inherited: str = "") -> str:
+    """Return the unit of a field of a type `package/Type` that is part of something with a unit."""
+    return "" if "covariance" in field else _UNITS.get(type_, {}).get(field, inherited)
