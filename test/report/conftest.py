@@ -14,9 +14,8 @@ from rosbags.typesys import Stores, get_typestore
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design
-from tsobs_ros.report.reference import rerun
-from tsobs_ros.report.run import RecordedRun
-from tsobs_ros.report.series import Series
+from tsobs_ros.report.comparison import rerun
+from tsobs_ros.report.run import RecordedRun, Series
 from tsobs_ros.simulation.scenario import Scenario
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.signals import BiasStep

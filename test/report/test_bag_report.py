@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.report.bag_report import ReportError, expected_innovation, make_bag_report
+from tsobs_ros.report.bag_report import ReportError, make_bag_report
+from tsobs_ros.report.comparison import compare_with_ekf, expected_innovation
 from tsobs_ros.report.metrics import MetricsOptions, measure
-from tsobs_ros.report.reference import compare_with_ekf
 
 
 def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, tmp_path) -> None:

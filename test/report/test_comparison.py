@@ -5,8 +5,7 @@
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.report.bag_report import expected_innovation
-from tsobs_ros.report.comparison import compare_runs, render_comparison
+from tsobs_ros.report.comparison import compare_runs, expected_innovation, render_comparison
 from tsobs_ros.report.metrics import MetricsOptions, measure
 from tsobs_ros.report.run import read_run
 

@@ -17,8 +17,8 @@ from tsobs_ros.report import panels as content
 from tsobs_ros.report.figures import draw_run
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.page import write_html
-from tsobs_ros.report.panels import LARGEST_CURVE, Curve, panels, settling_spans, thin, time_range
-from tsobs_ros.report.series import Series
+from tsobs_ros.report.panels import MAX_CURVE, Curve, panels, settling_spans, thin, time_range
+from tsobs_ros.report.run import Series
 
 
 def has_colour(path: Path, colour: str) -> bool:
@@ -79,14 +79,14 @@ def test_a_figure_survives_what_a_bag_may_lack(robot, tmp_path) -> None:
 
 
 def test_long_curves_are_thinned_evenly() -> None:
-    times = np.arange(3 * LARGEST_CURVE + 1, dtype=float)
+    times = np.arange(3 * MAX_CURVE + 1, dtype=float)
 
     thinned = thin(Curve(times, 2.0 * times))
 
-    assert LARGEST_CURVE / 2 < len(thinned.times) <= LARGEST_CURVE
+    assert MAX_CURVE / 2 < len(thinned.times) <= MAX_CURVE
     assert set(np.diff(thinned.times)) == {4.0}
     np.testing.assert_array_equal(thinned.values, 2.0 * thinned.times)
-    short = Curve(times[:LARGEST_CURVE], times[:LARGEST_CURVE])
+    short = Curve(times[:MAX_CURVE], times[:MAX_CURVE])
     np.testing.assert_array_equal(thin(short).times, short.times)
 
 

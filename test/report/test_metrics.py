@@ -13,10 +13,9 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.report.comparison import compare_with_ekf, render_metrics, rerun
 from tsobs_ros.report.metrics import QUANTITIES, MetricsOptions, measure
-from tsobs_ros.report.reference import compare_with_ekf, rerun
-from tsobs_ros.report.series import Series
-from tsobs_ros.report.table import render_metrics
+from tsobs_ros.report.run import Series
 
 PERIOD = 5_000_000
 START = 1_000_000_000

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.report.run import read_run
-from tsobs_ros.report.series import Series, align, hold, interpolate_motion
+from tsobs_ros.report.run import Series, align, hold, interpolate_motion, read_run
 
 SECOND = 1_000_000_000
 

@@ -8,14 +8,16 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import TsobsError
+from tsobs_ros.report.comparison import (
+    EkfComparison,
+    compare_with_ekf,
+    expected_innovation,
+    render_metrics,
+)
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
-from tsobs_ros.report.reference import EkfComparison, compare_with_ekf
 from tsobs_ros.report.run import RecordedRun, read_run
-from tsobs_ros.report.table import render_metrics
 
 
 class ReportError(TsobsError, RuntimeError):
@@ -30,8 +32,8 @@ class BagReport:
         bag: The bag it is on.
         metrics: Of the recorded estimates.
         comparison: With an EKF on the same measurements, if asked for.
-        files: What was written, in order of interest.
-        remarks: What the reader should know about the report itself.
+        files: The files that were written, in order of interest.
+        remarks: Limits of the report itself.
     """
 
     bag: Path
@@ -103,13 +105,6 @@ def make_bag_report(
     return report
 
 
-def expected_innovation(design: Design) -> float:
-    """Return the 1σ that a design's certificate expects of an innovation [rad]."""
-    C = design.request.flow.output_matrix
-    spread = C @ design.covariance_bound @ C.T + design.request.measurement_covariance
-    return float(np.sqrt(spread[0, 0]))
-
-
 def _files(output: Path, page: bool) -> tuple[Path, ...]:
     names = ["report.png", *(["report.html"] if page else []), "report.json"]
     return tuple(output / name for name in names)
@@ -129,7 +124,7 @@ def _remarks(run: RecordedRun, metrics: RunMetrics, page_missing: bool) -> tuple
 
 
 def _write(report: BagReport, run: RecordedRun, innovation_std: float | None) -> None:
-    # Here, so that plotly is needed only where a page is written.
+    # Here, so that matplotlib and plotly are needed only for what they draw.
     from tsobs_ros.report.figures import draw_run
 
     try:

@@ -1,35 +1,89 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Observers that were run over the same measurements, side by side in a table."""
+"""Observers over the same measurements, side by side, as numbers and as text for terminals.
 
+The reference is a plain EKF with the model, disturbance states and noise densities of the design;
+only its gain is the Kalman gain along its own estimate for ever. It has no gates and no health
+logic.
+"""
+
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.bag.messages.joint_series import JointSeries
+from tsobs_ros.design.record import Design
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.observer import GainMode
+from tsobs_ros.estimation.tracker import JointTrackers, Tracker, TrackerOptions
 from tsobs_ros.replay.estimate import Run
-from tsobs_ros.replay.source import Source, Truth, passes
-from tsobs_ros.report.bag_report import expected_innovation
-from tsobs_ros.report.metrics import QUANTITIES, MetricsOptions, RunMetrics, measure
-from tsobs_ros.report.metrics import root_mean_square as rms
-from tsobs_ros.report.reference import estimates_of
-from tsobs_ros.report.run import RecordedRun
-from tsobs_ros.report.series import Series
-from tsobs_ros.report.table import aligned, number
+from tsobs_ros.replay.replay import Estimated, Replay, Schedule, Used
+from tsobs_ros.replay.source import Samples, Source, Truth, passes
+from tsobs_ros.replay.table import EstimateTable
+from tsobs_ros.report.metrics import (
+    QUANTITIES,
+    SIGMAS,
+    MetricsOptions,
+    RunMetrics,
+    measure,
+    root_mean_square,
+)
+from tsobs_ros.report.run import RecordedRun, Series, Stamps
+
+DIVERGED = 1e6
+"""No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
+
+_NOTHING = "–"
+_ABOUT_THE_EKF = "EKF: same model, data and windows, plain: it does not look for outliers or jumps"
+
+
+@dataclass(frozen=True)
+class EkfComparison:
+    """Errors of a run's observer next to an EKF's on the same data and windows.
+
+    Attributes:
+        observer: Metrics of the recorded estimates.
+        ekf: Metrics of the EKF.
+    """
+
+    observer: RunMetrics
+    ekf: RunMetrics
+
+    @property
+    def ratios(self) -> dict[str, float | None]:
+        """RMSE of the observer over that of the EKF, by quantity; None without truth."""
+        pairs = zip(self.observer.quantities, self.ekf.quantities, strict=True)
+        return {ours.key: _ratio(ours.rmse, theirs.rmse) for ours, theirs in pairs}
+
+    @property
+    def normalised_ratio(self) -> float | None:
+        """Normalised RMSE of the observer over that of the EKF; None without truth."""
+        return _ratio(self.observer.normalised_rmse, self.ekf.normalised_rmse)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the EKF's errors and the ratios as plain data."""
+        return {
+            "rmse": {one.key: one.rmse for one in self.ekf.quantities},
+            "normalised_rmse": self.ekf.normalised_rmse,
+            "ratio": self.ratios,
+            "normalised_ratio": self.normalised_ratio,
+        }
 
 
 @dataclass(frozen=True)
 class ObserverErrors:
-    """How good one observer was at one joint.
+    """Errors of one observer at one joint.
 
     Attributes:
         observer: Its name.
         joint: The joint's name.
         innovation_rms: Of all innovations [rad]; None without any.
-        metrics: Errors against the truth where it is known, and the innovations' consistency;
+        metrics: Errors against the truth if it is known, and the innovations' consistency;
             None without estimates.
     """
 
@@ -48,86 +102,84 @@ class ObserverErrors:
         }
 
 
+def expected_innovation(design: Design) -> float:
+    """Return the 1σ of an innovation that a design's certificate expects [rad]."""
+    C = design.request.flow.output_matrix
+    covariance = C @ design.covariance_bound @ C.T + design.request.measurement_covariance
+    return float(np.sqrt(covariance[0, 0]))
+
+
+def compare_with_ekf(
+    run: RecordedRun, design: Design, options: MetricsOptions | None = None
+) -> EkfComparison:
+    """Run an EKF over the measurements of a run and measure both over the same windows.
+
+    Args:
+        run: The recorded run.
+        design: The design, for the model, disturbance states and noise densities of the EKF.
+        options: Options of the measures.
+    """
+    ekf = rerun(run, design.observer(gain_mode=GainMode.RICCATI), design.request.x_max)
+    return EkfComparison(measure(run, options), measure(ekf, options))
+
+
+def rerun(run: RecordedRun, observer: Estimator[Any], x_max: float) -> RecordedRun:
+    """Return the run with the estimates that another observer makes of its measurements.
+
+    The measurements are offered in their order of arrival and the estimates asked for at the
+    recorded stamps, each after the measurements up to its stamp.
+
+    Args:
+        run: The recorded run.
+        observer: The other observer.
+        x_max: Half width of its domain [rad].
+    """
+    # Without those that no estimate could know of.
+    known = run.measurements.stamps <= run.stamps[-1]
+    stamps, values = (array[known] for array in run.measurements)
+    there = np.ones((len(stamps), 1), np.bool_)
+    y, u = values[:, :1], values[:, 1:]
+    samples = Samples(stamps, stamps, stamps, y, u, named=there, complete=there)
+    trackers = JointTrackers([Tracker(observer, TrackerOptions(x_max=x_max))])
+    counts = np.searchsorted(np.maximum.accumulate(stamps), run.stamps, side="right")
+    schedule = Schedule(
+        stamps=run.stamps,
+        now=run.stamps,
+        min_known=counts,
+        max_known=counts,
+        reset_after=np.full(len(run.stamps), -1),
+        log_times=run.stamps,
+        publish_times=run.stamps,
+    )
+    table = EstimateTable(len(run.stamps), samples.count, 1)
+    for event in Replay(trackers, samples, schedule, stale_after=math.inf).run():
+        match event:
+            case Estimated(tick, estimates):
+                table.add([tick], [estimates])
+            case Used(_, message, outcomes):
+                table.add_innovations(message, outcomes)
+    return replace(run, **_estimates_of(table, stamps))
+
+
 def compare_runs(
     source: Source, runs: Sequence[Run], options: MetricsOptions | None = None
 ) -> list[ObserverErrors]:
-    """Measure finished runs over the same measurements.
-
-    Where time restarted, the longest pass is measured.
-    """
-    truth = source.truth()
-    return [
-        _errors(source, run, joint, truth, options or MetricsOptions())
-        for joint in range(len(source.joints))
-        for run in runs
-    ]
-
-
-def render_comparison(rows: Sequence[ObserverErrors]) -> str:
-    """Return a table for each joint: errors where the truth is known, and the innovations."""
-    parts = []
-    joints = list(dict.fromkeys(row.joint for row in rows))
-    for joint in joints:
-        own = [row for row in rows if row.joint == joint]
-        title = [joint] if len(joints) > 1 else []
-        parts.append("\n".join([*title, *aligned(_cells(own)), "", *_notes(own)]))
-    return "\n\n".join(parts)
+    """Measure finished runs over the same measurements; if time restarted, the longest pass."""
+    truth, options = source.truth(), options or MetricsOptions()
+    errors = []
+    for joint, name in enumerate(source.joints):
+        for run in runs:
+            recorded = _recorded_run(source, run, joint, truth)
+            metrics = None
+            if recorded is not None:
+                std = expected_innovation(run.observer.designs[joint])
+                metrics = measure(recorded, replace(options, innovation_std=std))
+            innovation = root_mean_square(run.table.innovations[:, joint])
+            errors.append(ObserverErrors(run.observer.name, name, innovation, metrics))
+    return errors
 
 
-def _cells(rows: Sequence[ObserverErrors]) -> list[list[str]]:
-    measured = [row.metrics for row in rows]
-    cells = [["RMSE", "unit", *(row.observer for row in rows)]]
-
-    def add(name: str, unit: str, value: Callable[[RunMetrics], float | None]) -> None:
-        cells.append(
-            [name, unit, *(number(None if each is None else value(each)) for each in measured)]
-        )
-
-    if any(metrics is not None and _is_judged(metrics) for metrics in measured):
-        for key, name, unit in QUANTITIES:
-            add(name, unit, partial(_rmse, key=key))
-        add("all states, normalised", "", lambda metrics: metrics.normalised_rmse)
-    cells.append(["innovation", "rad", *(number(row.innovation_rms) for row in rows)])
-    add("innovation² / expected", "", lambda metrics: metrics.nis)
-    return cells
-
-
-def _rmse(metrics: RunMetrics, key: str) -> float | None:
-    return metrics[key].rmse
-
-
-def _notes(rows: Sequence[ObserverErrors]) -> list[str]:
-    first = next((row.metrics for row in rows if row.metrics is not None), None)
-    if first is None:
-        return ["no estimates"]
-    if not first.windows:
-        return ["the recording is too short to have a settled part, so there are no errors"]
-    if not _is_judged(first):
-        return ["the recording has no ground truth, so there are innovations but no errors"]
-    return [f"errors over the {first.settled_time:.1f} s that count as settled"]
-
-
-def _is_judged(metrics: RunMetrics) -> bool:
-    return any(one.rmse is not None for one in metrics.quantities)
-
-
-def _errors(
-    source: Source, run: Run, joint: int, truth: Truth, options: MetricsOptions
-) -> ObserverErrors:
-    recorded = recorded_run(source, run, joint, truth)
-    metrics = None
-    if recorded is not None:
-        design = run.observer.designs[joint]
-        metrics = measure(recorded, replace(options, innovation_std=expected_innovation(design)))
-    return ObserverErrors(
-        observer=run.observer.name,
-        joint=source.joints[joint],
-        innovation_rms=rms(run.table.innovations[:, joint]),
-        metrics=metrics,
-    )
-
-
-def recorded_run(source: Source, run: Run, joint: int, truth: Truth) -> RecordedRun | None:
+def _recorded_run(source: Source, run: Run, joint: int, truth: Truth) -> RecordedRun | None:
     """Return a joint's part of a run as if it had been recorded; None without estimates."""
     ticks = np.flatnonzero(np.isfinite(run.table.states[:, joint, 0]))
     if not len(ticks):
@@ -146,12 +198,36 @@ def recorded_run(source: Source, run: Run, joint: int, truth: Truth) -> Recorded
         truth=_series(truth.states, 2 * joint, 2),
         true_disturbance=_series(truth.disturbance, joint, 1),
         passes=len(spans),
-        **estimates_of(run.table, samples.stamps, joint, ticks),
+        **_estimates_of(run.table, samples.stamps, joint, ticks),
     )
 
 
+def _estimates_of(
+    table: EstimateTable,
+    stamps: Stamps,
+    joint: int = 0,
+    ticks: slice | NDArray[np.intp] = slice(None),
+) -> dict[str, Any]:
+    """Return the estimates of a joint at some ticks as the fields of a `RecordedRun`.
+
+    Args:
+        table: The estimates.
+        stamps: Of the measurements [ns].
+        joint: Index of the joint.
+        ticks: Some of the ticks.
+    """
+    used = ~np.isnan(table.innovations[:, joint])
+    return {
+        "states": table.states[ticks, joint],
+        "state_bounds": table.state_bounds[ticks, joint],
+        "disturbance": table.disturbances[ticks, joint, 0],
+        "disturbance_bounds": table.disturbance_bounds[ticks, joint, 0],
+        "innovations": Series(stamps[used], table.innovations[used, joint, np.newaxis]).ordered(),
+    }
+
+
 def _series(series: JointSeries | None, begin: int, names: int) -> Series | None:
-    """Return some neighbouring names of a topic, None if it says nothing of them."""
+    """Return some neighbouring names of a topic, None if no message has them."""
     if series is None:
         return None
     chosen = slice(begin, begin + names)
@@ -160,3 +236,114 @@ def _series(series: JointSeries | None, begin: int, names: int) -> Series | None
         return None
     values = series.values[there, chosen]
     return Series(series.stamps[there], values.reshape(len(values), -1)).ordered()
+
+
+def _ratio(ours: float | None, theirs: float | None) -> float | None:
+    return None if ours is None or not theirs else ours / theirs
+
+
+def render_comparison(rows: Sequence[ObserverErrors]) -> str:
+    """Return a table for each joint: errors if the truth is known, and the innovations."""
+    parts = []
+    joints = list(dict.fromkeys(row.joint for row in rows))
+    for joint in joints:
+        own = [row for row in rows if row.joint == joint]
+        title = [joint] if len(joints) > 1 else []
+        parts.append("\n".join([*title, *_aligned(_cells(own)), "", _note(own)]))
+    return "\n\n".join(parts)
+
+
+def _cells(rows: Sequence[ObserverErrors]) -> list[list[str]]:
+    cells = [["RMSE", "unit", *(row.observer for row in rows)]]
+
+    def add(name: str, unit: str, value: Callable[[RunMetrics], float | None]) -> None:
+        measured = [None if row.metrics is None else value(row.metrics) for row in rows]
+        cells.append([name, unit, *map(_number, measured)])
+
+    def rmse(metrics: RunMetrics, key: str) -> float | None:
+        return metrics[key].rmse
+
+    if any(row.metrics is not None and row.metrics.has_truth for row in rows):
+        for key, name, unit in QUANTITIES:
+            add(name, unit, partial(rmse, key=key))
+        add("all states, normalised", "", lambda metrics: metrics.normalised_rmse)
+    cells.append(["innovation", "rad", *(_number(row.innovation_rms) for row in rows)])
+    add("innovation² / expected", "", lambda metrics: metrics.nis)
+    return cells
+
+
+def _note(rows: Sequence[ObserverErrors]) -> str:
+    first = next((row.metrics for row in rows if row.metrics is not None), None)
+    if first is None:
+        return "no estimates"
+    if not first.windows:
+        return "the recording is too short to have a settled part, so there are no errors"
+    if not first.has_truth:
+        return "the recording has no ground truth, so there are innovations but no errors"
+    return f"errors over the {first.settled_time:.1f} s that count as settled"
+
+
+def render_metrics(metrics: RunMetrics, comparison: EkfComparison | None = None) -> str:
+    """Return the metrics as a table with a line on the run above and on its events below.
+
+    Args:
+        metrics: Of the recorded estimates.
+        comparison: With an EKF on the same data; adds two columns.
+    """
+    rows = [["", "unit", "RMSE", "bound (1σ)", "RMSE/bound", f"inside {SIGMAS:g}σ"]]
+    for quantity in QUANTITIES:
+        one = metrics[quantity.key]
+        inside = _NOTHING if one.inside is None else f"{100.0 * one.inside:.1f} %"
+        numbers = [_number(one.rmse), _number(one.bound), _quotient(one.ratio), inside]
+        rows.append([quantity.name, quantity.unit, *numbers])
+    rows.append(["all states, normalised", "", _number(metrics.normalised_rmse), "", "", ""])
+    below = _events(metrics)
+    if comparison is not None:
+        errors = [one.rmse for one in comparison.ekf.quantities]
+        errors.append(comparison.ekf.normalised_rmse)
+        ratios = [*comparison.ratios.values(), comparison.normalised_ratio]
+        rows[0] += ["EKF RMSE", "RMSE/EKF"]
+        for row, error, ratio in zip(rows[1:], errors, ratios, strict=True):
+            row += [_number(error), _quotient(ratio)]
+        below.append(_ABOUT_THE_EKF)
+    above = (
+        f"{metrics.measurements} measurements, {metrics.estimates} estimates in "
+        f"{metrics.duration:.1f} s; errors over the {metrics.settled_time:.1f} s that count as "
+        "settled"
+    )
+    return "\n".join([above, "", *_aligned(rows), "", *below])
+
+
+def _events(metrics: RunMetrics) -> list[str]:
+    lines = []
+    for event in metrics.events if metrics.has_truth else ():
+        if event.settled_after is not None:
+            settled = f"errors settled after {event.settled_after:.2f} s"
+        else:
+            settled = "settling not seen"
+        what = "start" if event.what == "start" else f"jump of {event.size:+.3g} rad"
+        lines.append(f"{what} at {event.time:.2f} s: {settled}")
+    if metrics.nis is not None:
+        lines.append(f"innovations: mean square {metrics.nis:.3g} × what the design expects")
+    return lines
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table: a head with a rule below it, two columns of text, numbers."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for row in rows:
+        cells = [cell.ljust(width) for cell, width in zip(row[:2], widths[:2], strict=True)]
+        cells += [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
+        lines.append("  ".join(cells).rstrip())
+    return [lines[0], "─" * max(map(len, lines)), *lines[1:]]
+
+
+def _number(value: float | None) -> str:
+    if value is None:
+        return _NOTHING
+    return "diverged" if value > DIVERGED else f"{value:#.3g}"
+
+
+def _quotient(value: float | None) -> str:
+    return _NOTHING if value is None else f"{value:.2f}"

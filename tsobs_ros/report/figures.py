@@ -4,7 +4,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 import numpy as np
@@ -18,28 +17,15 @@ from matplotlib.ticker import MaxNLocator
 from tsobs_ros.checks import Array
 from tsobs_ros.report import panels as content
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
-from tsobs_ros.report.panels import Panel
+from tsobs_ros.report.panels import MAX_BAND, Panel
 from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.report.style import MUTED, STYLE
 
 _WIDTH = 10.0
 _DPI = 140
 _TALL, _FLAT = 1.72, 1.35
 _TOP, _BOTTOM = 1.0, 0.52
-_LARGEST_BAND = 1500
 _FAINT, _STRONG = 0.13, 0.32
-_STYLE: Any = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.edgecolor": "#C4C9D0",
-    "axes.linewidth": 0.8,
-    "axes.labelcolor": content.INK,
-    "text.color": content.INK,
-    "xtick.color": content.MUTED,
-    "ytick.color": content.MUTED,
-    "grid.color": "#E3E6EA",
-    "grid.linewidth": 0.7,
-    "svg.hashsalt": "tsobs_ros",  # the same run gives the same file
-}
 
 
 def draw_run(
@@ -59,7 +45,7 @@ def draw_run(
     Raises:
         OSError: A file cannot be written.
     """
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = _figure(run, metrics, content.panels(run, metrics, innovation_std))
         for target in [path] if isinstance(path, Path) else path:
             # Without the date the same run gives the same SVG.
@@ -116,15 +102,12 @@ def _head(figure: Figure, run: RecordedRun, metrics: RunMetrics, height: float) 
         return 1.0 - inches / height
 
     figure.text(0.02, at(0.14), run.name, fontsize=13, fontweight="bold", va="top")
-    figure.text(
-        0.02, at(0.40), content.headline(run, metrics), fontsize=9, color=content.MUTED, va="top"
-    )
+    figure.text(0.02, at(0.40), content.headline(run, metrics), fontsize=9, color=MUTED, va="top")
     figure.legend(
         handles=_legend(run),
         loc="upper left",
         bbox_to_anchor=(0.013, at(0.58)),
         ncols=6,
-        frameon=False,
         handlelength=1.6,
         columnspacing=1.6,
         borderpad=0.0,
@@ -173,9 +156,7 @@ def _draw_values(axes: Axes, panel: Panel) -> None:
         axes.plot(*panel.estimate, color=content.ESTIMATE_COLOUR, lw=1.1, zorder=5)
     if panel.level is not None:
         for sign in (-1.0, 1.0):
-            axes.axhline(
-                sign * panel.level[0], color=content.MUTED, lw=0.9, ls=(0, (5, 3)), zorder=4
-            )
+            axes.axhline(sign * panel.level[0], color=MUTED, lw=0.9, ls=(0, (5, 3)), zorder=4)
 
 
 def _draw_error(axes: Axes, panel: Panel) -> None:
@@ -193,7 +174,7 @@ def _draw_error(axes: Axes, panel: Panel) -> None:
 
 
 def _draw_bound(axes: Axes, times: Array, centre: Array, bound: Array) -> None:
-    step = -(-len(times) // _LARGEST_BAND)
+    step = -(-len(times) // MAX_BAND)
     times, centre, bound = times[::step], centre[::step], bound[::step]
     for sigmas, alpha in ((SIGMAS, _FAINT), (1.0, _STRONG - _FAINT)):
         axes.fill_between(
@@ -209,9 +190,6 @@ def _draw_bound(axes: Axes, times: Array, centre: Array, bound: Array) -> None:
 
 def _prepare(axes: Axes) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
-    axes.grid(True)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(length=0)
 
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run as an interactive page: the figure's panels, to zoom into and to read values from."""
 
+import html
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,12 @@ from plotly.subplots import make_subplots
 from tsobs_ros.checks import Array
 from tsobs_ros.report import panels as content
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
-from tsobs_ros.report.panels import Panel
+from tsobs_ros.report.panels import MAX_BAND, Panel
 from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.report.style import INK, MUTED
 
 _ROW = 210
 _HEAD = 130
-_LARGEST_BAND = 1500
 _CELL: dict[str, Any] = {}
 
 
@@ -27,8 +28,8 @@ def write_html(
 ) -> None:
     """Write a page that needs nothing but itself: no network, no second file.
 
-    plotly.js is inlined, which is most of the page's 6 MB. A script beside it would be smaller
-    for many pages in one folder, but then a page that is sent or moved alone is blank.
+    plotly.js is inlined, which is most of the page's 6 MB: with a script beside it, a page that is
+    sent or moved alone would be blank.
 
     Args:
         run: The recorded run, with or without truth.
@@ -47,7 +48,7 @@ def write_html(
         div_id="run",  # a random one would make each page of the same run another
         config={"displaylogo": False, "responsive": True},
     )
-    title = f"<head><title>{_escaped(run.name)}</title>"
+    title = f"<head><title>{html.escape(run.name)}</title>"
     path.write_text(text.replace("<head>", title, 1), encoding="utf-8")
 
 
@@ -73,10 +74,10 @@ def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> A
         template="plotly_white",
         height=_HEAD + _ROW * len(panels),
         margin={"l": 80, "r": 30, "t": _HEAD, "b": 50},
-        font={"color": content.INK, "size": 12},
+        font={"color": INK, "size": 12},
         title={
-            "text": f"<b>{_escaped(run.name)}</b><br><span style='font-size:13px;"
-            f"color:{content.MUTED}'>{content.headline(run, metrics)}</span>",
+            "text": f"<b>{html.escape(run.name)}</b><br><span style='font-size:13px;"
+            f"color:{MUTED}'>{content.headline(run, metrics)}</span>",
             "x": 0.01,
             "xanchor": "left",
         },
@@ -119,7 +120,7 @@ def _add_values(figure: Any, panel: Panel, row: int) -> None:
                 sign * panel.level[0],
                 row=row,
                 col=1,
-                line={"color": content.MUTED, "dash": "dash", "width": 1},
+                line={"color": MUTED, "dash": "dash", "width": 1},
             )
     figure.update_yaxes(
         title_text=f"{panel.title}<br>[{panel.unit}]", range=panel.limits, row=row, col=1
@@ -158,7 +159,7 @@ def _add_error(figure: Any, panel: Panel, row: int) -> None:
 def _add_bound(
     figure: Any, times: Array, centre: Array, bound: Array, row: int, column: int
 ) -> None:
-    step = -(-len(times) // _LARGEST_BAND)
+    step = -(-len(times) // MAX_BAND)
     times, centre, bound = times[::step], centre[::step], bound[::step]
     known = np.isfinite(centre) & np.isfinite(bound)
     times, centre, bound = times[known], centre[known], bound[known]
@@ -205,7 +206,3 @@ def _mark_events(figure: Any, run: RecordedRun, metrics: RunMetrics) -> None:
         if event.what == "jump":
             line = {"color": content.EVENT_COLOUR, "dash": "dot", "width": 1}
             figure.add_vline(event.time, line=line)
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

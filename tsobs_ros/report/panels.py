@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a figure of a run shows, whatever draws it: panels of curves on one time axis."""
+"""Panels of curves on one time axis: the content of a run's figure and of its page."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -8,12 +8,21 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.report.metrics import QUANTITIES, SIGMAS, Quantity, RunMetrics, errors
+from tsobs_ros.report.metrics import (
+    QUANTITIES,
+    SIGMAS,
+    Quantity,
+    RunMetrics,
+    errors,
+    inside_windows,
+)
 from tsobs_ros.report.run import RecordedRun
-from tsobs_ros.report.settling import inside_windows
 
-LARGEST_CURVE = 5000
+MAX_CURVE = 5000
 """Longer curves are thinned: more points than pixels only make files large."""
+
+MAX_BAND = 1500
+"""Longer bands are thinned further, for they are drawn as polygons."""
 
 # Errors after a jump may leave the picture, so that the bound keeps a tenth of its height.
 _LARGEST_TRANSIENT = 10.0
@@ -23,8 +32,6 @@ ESTIMATE_COLOUR = "#0072B2"
 TRUTH_COLOUR = "#E69F00"
 MEASUREMENT_COLOUR = "#8A8F98"
 EVENT_COLOUR = "#D55E00"
-INK = "#24292F"
-MUTED = "#6B7280"
 SETTLING_COLOUR = "#F1F3F5"
 
 
@@ -86,8 +93,8 @@ def panels(
 
 
 def thin(curve: Curve) -> Curve:
-    """Return every k-th point, so that at most `LARGEST_CURVE` are left."""
-    step = -(-len(curve.times) // LARGEST_CURVE) or 1
+    """Return every k-th point, so that at most `MAX_CURVE` are left."""
+    step = -(-len(curve.times) // MAX_CURVE) or 1
     return Curve(curve.times[::step], curve.values[::step])
 
 
