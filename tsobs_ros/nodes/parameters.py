@@ -139,6 +139,11 @@ def parameter(
     return field(default=default, metadata={_METADATA_KEY: rules})
 
 
+def fixed_parameter(default: T, description: str, **rules: Any) -> T:
+    """Declare a field as a ROS parameter that is fixed once the node has started: `parameter`."""
+    return parameter(default, description, read_only=True, **rules)
+
+
 def parameter_group(make: Callable[..., T], **members: Any) -> T:
     """Declare a dataclass field that is itself a dataclass of parameters.
 

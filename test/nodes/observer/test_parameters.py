@@ -29,7 +29,7 @@ from tsobs_ros.nodes.observer import create
         ("coast_after", "soon", "expected a number"),
         ("coast_after", float("nan"), "finite"),
         ("fault.warn", -0.1, "at least"),
-        ("fault.warn", 0.6, "fault.error: expected at least fault.warn"),
+        ("fault.warn", 0.6, "disturbance error level: expected at least"),
     ],
 )
 def test_senseless_or_structural_changes_are_refused_with_a_reason(
@@ -63,7 +63,7 @@ def test_integers_are_taken_for_doubles_at_start_and_later(ros: Any) -> None:
         ({"joints": ["hip", "knee", "hip"]}, "joints: expected each name once"),
         ({"joints": ["hip", "knee"], "joint_designs": [""]}, "one for each of the 2 joints"),
         ({"gain_mode": "certain"}, "gain_mode"),
-        ({"fault.warn": 0.6}, "fault.error"),
+        ({"fault.warn": 0.6}, "disturbance error level"),
         ({"coast_after": 6.0}, "coast_after"),
     ],
 )

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.nodes.observer.tick_meter import TickMeter
+from tsobs_ros.nodes.observer.statuses import TickMeter
 
 
 def wait(seconds: float) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One joint of the observer node: its design, its tracker and what watches over both."""
+"""One joint of the observer node: its design, its tracker and its monitors."""
 
 import hashlib
 import math
@@ -14,8 +14,14 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.faults import FaultMonitor
-from tsobs_ros.estimation.health import DisturbanceLimits, InnovationMonitor, Phase, phase_of
-from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Innovation, Measurement
+from tsobs_ros.estimation.health import InnovationMonitor, Phase, phase_of
+from tsobs_ros.estimation.records import (
+    NANOSECONDS,
+    Estimate,
+    Innovation,
+    RejectReason,
+    Sample,
+)
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
@@ -27,12 +33,12 @@ _NOTHING = np.zeros(0)
 
 
 class LoadedDesign(NamedTuple):
-    """A design whose certificate holds, and where it comes from.
+    """A design whose certificate holds, and its origin.
 
     Attributes:
         path: The file.
-        identity: Beginning of the SHA-256 of its bytes, which `sha256sum` shows too.
-        design: What it says.
+        identity: Beginning of the SHA-256 of its bytes, as `sha256sum` prints it.
+        design: The design.
     """
 
     path: Path
@@ -62,12 +68,12 @@ class ObservedJoint:
     Attributes:
         name: The joint's name.
         loaded: Its design.
-        learnt: Names of the parameters that are learnt.
-        tracker: Puts its measurements in order and estimates.
+        learnt: Names of the learnt parameters.
+        tracker: Orders its measurements and estimates.
         received: Number of its samples since the start: used + rejected.
-        estimate: The last one, None before the first.
-        innovations: Whether they are as large as the design expects.
-        faults: Which fault its sensor has.
+        latest: The latest estimate, None before the first.
+        innovations: Compares their size with the design's.
+        faults: Recognises faults of its sensor.
     """
 
     def __init__(
@@ -82,61 +88,83 @@ class ObservedJoint:
         settings = parameters.settings
         self.learnt = settings.learnt(loaded.design)
         self.tracker: Tracker[Any] = make_tracker(loaded.design, settings, estimator)
-        self._limits = _limits(parameters)
-        self._stale_after = round(parameters.stale_after * NANOSECONDS)
+        self._limits = parameters.fault
+        self._coast_after, self._stale_after = parameters.coast_after, parameters.stale_after
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was computed from data, but for the tracker, which is not reset here."""
+        """Forget everything that was computed from data."""
+        self.tracker.reset()
         self.received = 0
-        self.estimate: Estimate | None = None
+        self.latest: Estimate | None = None
         self.innovations = InnovationMonitor()
         self.faults = FaultMonitor(self.loaded.design.request.measurement_std, self._limits)
 
     def retune(self, parameters: ObserverParameters) -> None:
-        """Take over parameters that may be changed while it runs."""
-        self._limits = self.faults.limits = _limits(parameters)
+        """Take over parameters that were changed while the node runs."""
+        self._coast_after = parameters.coast_after
+        self._limits = self.faults.limits = parameters.fault
         if isinstance(self.tracker.estimator, SupervisedObserver):
-            self.tracker.estimator.options = parameters.supervision.options()
+            self.tracker.estimator.options = parameters.supervision
 
     def age(self, now: int) -> float | None:
         """Return the age of the newest measurement in use [s], None before the first."""
         newest = self.tracker.newest
         return None if newest is None else max(0, now - newest) / NANOSECONDS
 
-    def fresh(self, now: int) -> bool:
-        """Return whether it is TRACKING or COASTING."""
-        newest = self.tracker.newest
-        return newest is not None and now - newest <= self._stale_after
-
-    def phase(self, now: int, parameters: ObserverParameters) -> Phase:
+    def phase(self, now: int) -> Phase:
         """Return how fresh its measurements are."""
-        return phase_of(self.age(now), parameters.coast_after, parameters.stale_after)
+        return phase_of(self.age(now), self._coast_after, self._stale_after)
 
-    def used(self, sample: Measurement, innovation: Innovation) -> None:
-        """Take in a sample that was used."""
-        value, expected_std = float(innovation.value[0]), float(innovation.expected_std[0])
-        self.innovations.update(innovation.stamp, value / expected_std)
-        self.faults.measured(innovation.stamp, float(sample.y[0]), value, expected_std)
+    def offer(self, sample: Sample, now: int) -> Innovation | RejectReason | None:
+        """Use a sample.
 
-    def gated(self, sample: Measurement) -> None:
-        """Take in a sample that the estimator did not believe."""
-        self.faults.unused(sample.stamp, float(sample.y[0]))
+        Args:
+            sample: A measurement, or the reason why it cannot be read, which is counted.
+            now: Time on the node's clock [ns].
 
-    def estimated(self, estimate: Estimate) -> None:
-        """Take in a new estimate."""
-        self.estimate = estimate
-        if estimate.disturbance.size:
-            bound = estimate.disturbance_bound
-            self.faults.estimated(
-                estimate.stamp,
-                float(estimate.disturbance[0]),
-                float(bound[0]) if bound.size else math.inf,
-            )
+        Returns:
+            The innovation, the reason of the rejection, or None if there is no sample.
+        """
+        if sample is None:
+            return None
+        self.received += 1
+        if isinstance(sample, RejectReason):
+            self.tracker.reject(sample)
+            return sample
+        outcome, y = self.tracker.offer(sample, now), float(sample.y[0])
+        if isinstance(outcome, Innovation):
+            value, expected_std = float(outcome.value[0]), float(outcome.expected_std[0])
+            self.innovations.update(outcome.stamp, value / expected_std)
+            self.faults.measured(outcome.stamp, y, value, expected_std)
+        elif outcome is RejectReason.GATED:
+            self.faults.unused(sample.stamp, y)
+        return outcome
 
-    def held(self) -> Estimate | None:
-        """Return the last estimate without its bounds, none of which holds for ever."""
-        return self.estimate and self.estimate._replace(
+    def estimate(self, now: int, *, hold: bool) -> Estimate | None:
+        """Return the estimate to publish, None if there is none.
+
+        Args:
+            now: Time on the node's clock [ns].
+            hold: Whether a stale joint keeps its latest estimate, without bounds.
+        """
+        if self.phase(now) in (Phase.WAITING, Phase.STALE):
+            # To predict through a long silence would take long, and tell nothing.
+            return self._held() if hold else None
+        estimate = self.tracker.estimate(now)
+        if estimate is not None:
+            self.latest = estimate
+            if estimate.disturbance.size:
+                bound = estimate.disturbance_bound
+                self.faults.estimated(
+                    estimate.stamp,
+                    float(estimate.disturbance[0]),
+                    float(bound[0]) if bound.size else math.inf,
+                )
+        return estimate
+
+    def _held(self) -> Estimate | None:
+        return self.latest and self.latest._replace(
             state_bound=_NOTHING, disturbance_bound=_NOTHING, parameters_valid=False
         )
 
@@ -157,8 +185,3 @@ def observed_joints(parameters: ObserverParameters) -> list[ObservedJoint]:
         ObservedJoint(joint, loaded[path], estimators[path], parameters)
         for joint, path in paths.items()
     ]
-
-
-def _limits(parameters: ObserverParameters) -> DisturbanceLimits:
-    fault = parameters.fault
-    return DisturbanceLimits(fault.warn, fault.error, fault.hold)

@@ -1,16 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the observer node says of itself in diagnostics, as functions of its parts."""
+"""The observer node's diagnostics, as functions of its joints and a meter of its ticks."""
 
+import math
+import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
 
 from tsobs_ros.estimation.health import Level, Phase, Status
 from tsobs_ros.estimation.records import Estimate, RejectReason
-from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.observer.joints import LoadedDesign, ObservedJoint
-from tsobs_ros.nodes.observer.parameters import ObserverParameters
 
 _LEVEL_OF_PHASE = {
     Phase.TRACKING: Level.OK,
@@ -20,22 +19,54 @@ _LEVEL_OF_PHASE = {
 }
 _FROM_BEST_TO_WORST = list(_LEVEL_OF_PHASE)
 _MANY_REJECTED = 0.01
+_MANY_MISSED = 0.05
+# The clock has jumped if it went on by more than this [ns], so much faster than time passes.
+_JUMP = 1_000_000_000
+_FASTEST = 100
+_ROUNDING = 1e-3
 
 
-def worst_phase(phases: Iterable[Phase]) -> Phase:
-    """Return the worst of some phases."""
-    return max(phases, key=_FROM_BEST_TO_WORST.index)
-
-
-def state_status(phase: Phase, values: dict[str, str], *, enabled: bool, failed: bool) -> Status:
-    """Return the state of a joint, or of the node, which is that of its worst joint.
+def of_node(
+    joints: Sequence[ObservedJoint],
+    meter: "TickMeter",
+    now: int,
+    method: str,
+    *,
+    resets: int,
+    enabled: bool,
+    failed: bool,
+) -> tuple[list[Status], dict[str, list[Status]]]:
+    """Return the statuses of the node and, if it has several joints, of each joint.
 
     Args:
-        phase: How fresh its measurements are.
-        values: What else there is to say.
-        enabled: Whether the node works at all.
-        failed: Whether there was a numerical failure since the last status.
+        joints: The joints.
+        meter: The meter of the node's ticks, which starts a new interval.
+        now: Time on the node's clock [ns].
+        method: The node's `method`.
+        resets: Number of restarts of the whole node.
+        enabled: Whether the node works.
+        failed: Whether there was a numerical failure since the last statuses.
     """
+    phase = max((joint.phase(now) for joint in joints), key=_FROM_BEST_TO_WORST.index)
+    values = {"resets": str(resets)}
+    parts: dict[str, list[Status]] = {}
+    if len(joints) == 1:
+        values |= _tracking_values(joints[0], now)
+        further = _estimate_statuses(joints[0], method)
+    else:
+        for joint in joints:
+            own = _tracking_values(joint, now)
+            parts[joint.name] = [
+                _state_status(joint.phase(now), own, enabled=enabled, failed=False),
+                _measurement_status([joint]),
+                *_estimate_statuses(joint, method),
+            ]
+        further = [_summary_status(parts)]
+    state = _state_status(phase, values, enabled=enabled, failed=failed)
+    return [state, _measurement_status(joints), meter.status(), *further], parts
+
+
+def _state_status(phase: Phase, values: dict[str, str], *, enabled: bool, failed: bool) -> Status:
     if not enabled:
         return Status("state", Level.WARN, "DISABLED", values)
     if failed:
@@ -43,8 +74,7 @@ def state_status(phase: Phase, values: dict[str, str], *, enabled: bool, failed:
     return Status("state", _LEVEL_OF_PHASE[phase], phase.value, values)
 
 
-def tracking_values(joint: ObservedJoint, now: int) -> dict[str, str]:
-    """Return how fresh the measurements of a joint are, and what befell its tracker."""
+def _tracking_values(joint: ObservedJoint, now: int) -> dict[str, str]:
     values = {
         "restarts": str(joint.tracker.restarts),
         "numerical failures": str(joint.tracker.failures),
@@ -56,8 +86,9 @@ def tracking_values(joint: ObservedJoint, now: int) -> dict[str, str]:
     return values
 
 
-def measurement_status(trackers: Sequence[Tracker[Any]], received: int) -> Status:
-    """Return what became of the samples of joints: received = used + rejected, by reason."""
+def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
+    """Return the counts of samples: received = used + rejected, by reason."""
+    trackers, received = [joint.tracker for joint in joints], sum(j.received for j in joints)
     rejected: Counter[RejectReason] = sum((each.rejected for each in trackers), Counter())
     total = rejected.total()
     values = {
@@ -70,8 +101,23 @@ def measurement_status(trackers: Sequence[Tracker[Any]], received: int) -> Statu
     return Status("measurements", level, f"{total} rejected", values)
 
 
-def domain_status(estimate: Estimate | None, x_max: float) -> Status:
-    """Return whether the estimated link angle lies where the certificate is valid."""
+def _estimate_statuses(joint: ObservedJoint, method: str) -> list[Status]:
+    estimate = joint.latest
+    statuses = [
+        _domain_status(estimate, joint.loaded.design.request.x_max),
+        joint.innovations.status(),
+        joint.faults.status(),
+        _certificate_status(joint.loaded, method, estimate),
+    ]
+    if joint.learnt and estimate is not None:
+        learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
+        values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
+        message = "learnt" if estimate.parameters_valid else "not yet: the motion is too poor"
+        statuses.append(Status("parameters", Level.OK, message, values))
+    return statuses
+
+
+def _domain_status(estimate: Estimate | None, x_max: float) -> Status:
     values = {"x_max [rad]": f"{x_max:.4g}"}
     if estimate is None:
         return Status("premise domain", Level.OK, "no estimate yet", values)
@@ -81,8 +127,7 @@ def domain_status(estimate: Estimate | None, x_max: float) -> Status:
     return Status("premise domain", Level.WARN, "outside: the bound is not certified", values)
 
 
-def certificate_status(loaded: LoadedDesign, method: str, estimate: Estimate | None) -> Status:
-    """Return which design is in use, and whether its bound is the one that is published."""
+def _certificate_status(loaded: LoadedDesign, method: str, estimate: Estimate | None) -> Status:
     if method != "certified":
         return Status("certificate", Level.WARN, f"method {method}: nothing is certified", {})
     certified = estimate is not None and estimate.certified
@@ -99,50 +144,102 @@ def certificate_status(loaded: LoadedDesign, method: str, estimate: Estimate | N
     return Status("certificate", Level.OK, message, values)
 
 
-def parameter_status(names: Sequence[str], estimate: Estimate) -> Status:
-    """Return the parameters that are learnt, and whether they can be believed."""
-    learnt = zip(names, estimate.parameters, estimate.parameter_bound, strict=True)
-    values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
-    if estimate.parameters_valid:
-        return Status("parameters", Level.OK, "learnt", values)
-    return Status("parameters", Level.OK, "not yet: the motion is too poor", values)
-
-
-def estimate_statuses(joint: ObservedJoint, method: str) -> list[Status]:
-    """Return what can be said of a joint's estimate."""
-    estimate = joint.estimate
-    statuses = [
-        domain_status(estimate, joint.loaded.design.request.x_max),
-        joint.innovations.status(),
-        joint.faults.status(),
-        certificate_status(joint.loaded, method, estimate),
-    ]
-    if joint.learnt and estimate is not None:
-        statuses.append(parameter_status(joint.learnt, estimate))
-    return statuses
-
-
-def joint_statuses(
-    joint: ObservedJoint, now: int, parameters: ObserverParameters, *, enabled: bool
-) -> list[Status]:
-    """Return all that can be said of one of several joints."""
-    phase, values = joint.phase(now, parameters), tracking_values(joint, now)
-    return [
-        state_status(phase, values, enabled=enabled, failed=False),
-        measurement_status([joint.tracker], joint.received),
-        *estimate_statuses(joint, parameters.method),
-    ]
-
-
-def summary_status(statuses: Mapping[str, Sequence[Status]]) -> Status:
+def _summary_status(statuses: Mapping[str, Sequence[Status]]) -> Status:
     """Return the worst of the statuses of several joints, and the worst level of each joint."""
-    worst = max(
+    joint, worst = max(
         ((joint, status) for joint, own in statuses.items() for status in own),
         key=lambda item: item[1].level,
     )
-    level = worst[1].level
-    message = (
-        "all well" if level is Level.OK else f"{worst[0]}: {worst[1].name}: {worst[1].message}"
-    )
+    message = f"{joint}: {worst.name}: {worst.message}" if worst.level else "all well"
     values = {joint: max(status.level for status in own).name for joint, own in statuses.items()}
-    return Status("joints", level, message, values)
+    return Status("joints", worst.level, message, values)
+
+
+class TickMeter:
+    """Measures how regular ticks are and how long they take; `status` starts a new interval.
+
+    Attributes:
+        missed: Number of ticks that fell out since the start.
+        jumps: Number of jumps of the clock ahead, which make no ticks fall out.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._period_ns = 1e9 / rate
+        self._rate = rate
+        self.missed = 0
+        self.jumps = 0
+        self._latest: int | None = None
+        self._latest_was_tick = True
+        self._late = 0.0
+        self._began = 0
+        self._work_began: int | None = None
+        self._periods: list[int] = []
+        self._durations: list[int] = []
+        self._latencies: list[int] = []
+        self._missed_before = 0
+
+    def begin(self, now: int, *, tick: bool = True) -> None:
+        """Note the start of work.
+
+        Args:
+            now: Time on the node's clock [ns].
+            tick: Whether a tick starts it; ticks are missed only between two of them.
+        """
+        steady = time.monotonic_ns()
+        if self._latest is not None:
+            period = now - self._latest
+            if period > _JUMP and period > _FASTEST * (steady - self._began):
+                self.jumps += 1
+            else:
+                self._periods.append(period)
+                if tick and self._latest_was_tick:
+                    self._note_lateness(period)
+        self._latest, self._latest_was_tick = now, tick
+        self._began = self._work_began = steady
+
+    def _note_lateness(self, period: int) -> None:
+        """Count whole periods that fell out; what a late tick lacks, the next one may make good."""
+        self._late = max(0.0, self._late + period / self._period_ns - 1.0)
+        missed = int(self._late + _ROUNDING)
+        self.missed += missed
+        self._late -= missed
+
+    def end(self) -> None:
+        """Note the end of work."""
+        if self._work_began is not None:
+            self._durations.append(time.monotonic_ns() - self._work_began)
+            self._work_began = None
+
+    def answered(self, latency: int) -> None:
+        """Note the time from an input's arrival to the first output that uses it [ns]."""
+        self._latencies.append(latency)
+
+    def restart(self) -> None:
+        """Forget the last tick: the clock jumped, or there was a pause."""
+        self._latest = None
+        self._late = 0.0
+
+    def status(self) -> Status:
+        """Return achieved rate, missed ticks, tick time and latency since the last call."""
+        durations, self._durations = sorted(self._durations), []
+        periods, self._periods = self._periods, []
+        latencies, self._latencies = sorted(self._latencies), []
+        missed, self._missed_before = self.missed - self._missed_before, self.missed
+        values = {"wanted rate [Hz]": f"{self._rate:g}", "missed ticks": str(self.missed)}
+        if self.jumps:
+            values["clock jumps ahead"] = str(self.jumps)
+        if not durations:
+            return Status("timing", Level.STALE, "no ticks", values)
+        if sum(periods) > 0:
+            values["achieved rate [Hz]"] = f"{len(periods) * 1e9 / sum(periods):.1f}"
+        for name, times in (("tick time", durations), ("latency", latencies)):
+            if times:
+                values[f"{name} p50 [ms]"] = f"{_percentile(times, 0.50) * 1e-6:.3f}"
+                values[f"{name} p99 [ms]"] = f"{_percentile(times, 0.99) * 1e-6:.3f}"
+        late = missed > _MANY_MISSED * (len(durations) + missed)
+        level = Level.WARN if late else Level.OK
+        return Status("timing", level, f"missed {missed} ticks" if missed else "on time", values)
+
+
+def _percentile(ordered: list[int], fraction: float) -> int:
+    return ordered[min(len(ordered) - 1, math.ceil(fraction * len(ordered)) - 1)]

@@ -2,55 +2,89 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of the plant simulator node, and the scenario they describe."""
 
-from dataclasses import asdict, dataclass
+import math
+from dataclasses import dataclass
+from typing import Any
 
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import parameter, parameter_group
-from tsobs_ros.nodes.plant_simulator.disturbance import DisturbanceParameters
+from tsobs_ros.nodes.parameters import fixed_parameter, parameter, parameter_group
 from tsobs_ros.simulation.excitation import Chirp, Excitation, Multisine, NoTorque, Sine, Square
 from tsobs_ros.simulation.scenario import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import (
+    BiasStep,
+    Component,
+    GaussMarkov,
+    Ramp,
+    Sinusoid,
+    StuckSensor,
+    TwoTone,
+    parse_kinds,
+)
+
+
+def _start() -> Any:
+    return parameter(0.0, "Start, counted from when the disturbance was put in", unit="s")
 
 
 @dataclass(frozen=True)
-class ArmParameters:
-    """The nominal arm."""
+class StuckParameters:
+    """A measured value that freezes."""
 
-    link_inertia: float = parameter(1.0, "Link inertia J1", unit="kg m^2", read_only=True)
-    motor_inertia: float = parameter(2.0, "Motor inertia J2", unit="kg m^2", read_only=True)
-    stiffness: float = parameter(10.0, "Joint stiffness k", unit="N m/rad", read_only=True)
-    gravity_torque: float = parameter(
-        10.0, "Torque mgl that holds the link horizontal", unit="N m", read_only=True
-    )
-    link_damping: float = parameter(0.0, "Link damping b1", unit="N m s/rad", read_only=True)
-    motor_damping: float = parameter(0.0, "Motor damping b2", unit="N m s/rad", read_only=True)
+    start: float = _start()
+    duration: float = parameter(1.0, "How long; 0 for ever", unit="s", minimum=0.0)
 
 
 @dataclass(frozen=True)
-class MismatchParameters:
-    """Relative changes that make the true arm of the nominal one."""
+class DisturbanceParameters:
+    """What the sensor adds to the angle besides white noise."""
 
-    link_inertia: float = parameter(0.0, "Relative change of J1; 0.2 is 20 % more", read_only=True)
-    motor_inertia: float = parameter(0.0, "Relative change of J2", read_only=True)
-    stiffness: float = parameter(0.0, "Relative change of k", read_only=True)
-    gravity_torque: float = parameter(0.0, "Relative change of mgl", read_only=True)
-    link_damping: float = parameter(0.0, "Relative change of b1", read_only=True)
-    motor_damping: float = parameter(0.0, "Relative change of b2", read_only=True)
-
-
-@dataclass(frozen=True)
-class ProcessNoiseParameters:
-    """Random accelerations."""
-
-    link_acceleration_density: float = parameter(
-        1e-4, "White acceleration of the link", unit="rad^2/s^3", minimum=0.0, read_only=True
+    kind: str = parameter(
+        "none",
+        "none, or a sum of bias_step, sinusoid, ramp, two_tone, gauss_markov and stuck, "
+        "such as bias_step+sinusoid; changing it injects a fault",
     )
-    motor_acceleration_density: float = parameter(
-        1e-5, "White acceleration of the motor", unit="rad^2/s^3", minimum=0.0, read_only=True
+    bias_step: BiasStep = parameter_group(
+        BiasStep, amplitude=parameter(0.1, "Bias", unit="rad"), start=_start()
     )
+    sinusoid: Sinusoid = parameter_group(
+        Sinusoid,
+        amplitude=parameter(0.2, "Amplitude", unit="rad"),
+        frequency=parameter(3.0, "Frequency", unit="rad/s"),
+        start=_start(),
+    )
+    ramp: Ramp = parameter_group(
+        Ramp, rate=parameter(0.004, "Growth", unit="rad/s"), start=_start()
+    )
+    two_tone: TwoTone = parameter_group(
+        TwoTone,
+        amplitude=parameter(0.4, "Amplitude of a (sin 2t + cos 3t)", unit="rad"),
+        start=_start(),
+    )
+    gauss_markov: GaussMarkov = parameter_group(
+        GaussMarkov,
+        std=parameter(0.1, "Stationary standard deviation", unit="rad", minimum=0.0),
+        time_constant=parameter(20.0, "Time constant", unit="s"),
+        start=_start(),
+    )
+    stuck: StuckParameters = parameter_group(StuckParameters)
+
+    def build(self) -> tuple[Component, ...]:
+        """Return the components of the chosen kinds; the numbers of all kinds are checked."""
+        stuck = StuckSensor(self.stuck.start, self.stuck.duration or math.inf)
+        components: tuple[Component, ...] = (
+            self.bias_step,
+            self.sinusoid,
+            self.ramp,
+            self.two_tone,
+            self.gauss_markov,
+            stuck,
+        )
+        kinds = {component.kind: component for component in components}
+        return tuple(kinds[name] for name in parse_kinds(self.kind))
 
 
 @dataclass(frozen=True)
@@ -98,6 +132,18 @@ class DropoutParameters:
 
 
 @dataclass(frozen=True)
+class ProcessNoiseParameters:
+    """Random accelerations."""
+
+    link_acceleration_density: float = fixed_parameter(
+        1e-4, "White acceleration of the link", unit="rad^2/s^3", minimum=0.0
+    )
+    motor_acceleration_density: float = fixed_parameter(
+        1e-5, "White acceleration of the motor", unit="rad^2/s^3", minimum=0.0
+    )
+
+
+@dataclass(frozen=True)
 class PlantSimulatorParameters(ManagedParameters):
     """All parameters of the node.
 
@@ -105,38 +151,24 @@ class PlantSimulatorParameters(ManagedParameters):
         ParameterError: They do not describe a plant.
     """
 
-    joint: str = parameter("elastic_joint", "Name of the joint", read_only=True)
-    rate: float = parameter(
-        200.0, "Samples a second", unit="Hz", minimum=1.0, maximum=5000.0, read_only=True
-    )
+    joint: str = fixed_parameter("elastic_joint", "Name of the joint")
+    rate: float = fixed_parameter(200.0, "Samples a second", unit="Hz", minimum=1.0, maximum=5000.0)
     seed: int = parameter(0, "Seed of everything random, used from the next reset on", minimum=0)
-    duration: float = parameter(
-        0.0,
-        "Simulated time after which the process ends; 0: never",
-        unit="s",
-        minimum=0.0,
-        read_only=True,
+    duration: float = fixed_parameter(
+        0.0, "Simulated time after which the process ends; 0: never", unit="s", minimum=0.0
     )
-    wait_for_subscribers: int = parameter(
-        0,
-        "Subscriptions of joint_measurements to wait for before t = 0",
-        minimum=0,
-        read_only=True,
+    wait_for_subscribers: int = fixed_parameter(
+        0, "Subscriptions of joint_measurements to wait for before t = 0", minimum=0
     )
-    wait_timeout: float = parameter(
-        10.0,
-        "Longest wait for them, then start anyway; 0: no limit",
-        unit="s",
-        minimum=0.0,
-        read_only=True,
+    wait_timeout: float = fixed_parameter(
+        10.0, "Longest wait for them, then start anyway; 0: no limit", unit="s", minimum=0.0
     )
-    publish_clock: bool = parameter(False, "Drive /clock with the simulated time", read_only=True)
-    real_time_factor: float = parameter(
+    publish_clock: bool = fixed_parameter(False, "Drive /clock with the simulated time")
+    real_time_factor: float = fixed_parameter(
         1.0,
         "Pace of the simulated time when publish_clock is set",
         minimum=0.001,
         maximum=1000.0,
-        read_only=True,
     )
     command_timeout: float = parameter(
         0.5, "How long a torque command holds; 0: until the next one", unit="s", minimum=0.0
@@ -144,22 +176,36 @@ class PlantSimulatorParameters(ManagedParameters):
     torque_limit: float = parameter(
         100.0, "Commands saturate at plus and minus this torque", unit="N m", minimum=0.0
     )
-    initial_state: tuple[float, ...] = parameter(
+    initial_state: tuple[float, ...] = fixed_parameter(
         (0.3, 0.0, 0.2, 0.0),
         "Link angle, link velocity, motor angle, motor velocity at t = 0 (rad, rad/s)",
-        read_only=True,
     )
-    initial_spread: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0, 0.0),
-        "Standard deviation of each of them (rad, rad/s)",
-        minimum=0.0,
-        read_only=True,
+    initial_spread: tuple[float, ...] = fixed_parameter(
+        (0.0, 0.0, 0.0, 0.0), "Standard deviation of each of them (rad, rad/s)", minimum=0.0
     )
     noise_std: float = parameter(
         0.028, "Standard deviation of the measurement noise", unit="rad", minimum=0.0
     )
-    arm: ArmParameters = parameter_group(ArmParameters)
-    mismatch: MismatchParameters = parameter_group(MismatchParameters)
+    arm: ElasticJointArm = parameter_group(
+        ElasticJointArm,
+        link_inertia=fixed_parameter(1.0, "Link inertia J1", unit="kg m^2"),
+        motor_inertia=fixed_parameter(2.0, "Motor inertia J2", unit="kg m^2"),
+        stiffness=fixed_parameter(10.0, "Joint stiffness k", unit="N m/rad"),
+        gravity_torque=fixed_parameter(
+            10.0, "Torque mgl that holds the link horizontal", unit="N m"
+        ),
+        link_damping=fixed_parameter(0.0, "Link damping b1", unit="N m s/rad"),
+        motor_damping=fixed_parameter(0.0, "Motor damping b2", unit="N m s/rad"),
+    )
+    mismatch: Mismatch = parameter_group(
+        Mismatch,
+        link_inertia=fixed_parameter(0.0, "Relative change of J1; 0.2 is 20 % more"),
+        motor_inertia=fixed_parameter(0.0, "Relative change of J2"),
+        stiffness=fixed_parameter(0.0, "Relative change of k"),
+        gravity_torque=fixed_parameter(0.0, "Relative change of mgl"),
+        link_damping=fixed_parameter(0.0, "Relative change of b1"),
+        motor_damping=fixed_parameter(0.0, "Relative change of b2"),
+    )
     process_noise: ProcessNoiseParameters = parameter_group(ProcessNoiseParameters)
     excitation: ExcitationParameters = parameter_group(ExcitationParameters)
     disturbance: DisturbanceParameters = parameter_group(DisturbanceParameters)
@@ -169,10 +215,10 @@ class PlantSimulatorParameters(ManagedParameters):
     def __post_init__(self) -> None:
         if not self.joint:
             raise ParameterError("parameter 'joint' must not be empty")
-        try:
-            self.scenario()
-        except ModelError as error:
-            raise ParameterError(str(error)) from error
+        for name in ("initial_state", "initial_spread"):
+            if len(getattr(self, name)) != 4:
+                raise ModelError(f"{name}: expected four numbers, got {getattr(self, name)}")
+        self.scenario()
 
     def scenario(self) -> Scenario:
         """Return what the parameters describe.
@@ -180,23 +226,21 @@ class PlantSimulatorParameters(ManagedParameters):
         Raises:
             ModelError: They do not describe a plant.
         """
-        for name in ("initial_state", "initial_spread"):
-            if len(getattr(self, name)) != 4:
-                raise ModelError(f"{name}: expected four numbers, got {getattr(self, name)}")
-        arm = ElasticJointArm(**asdict(self.arm))
         start, spread = (
-            tuple(arm.from_physical(q).tolist()) for q in (self.initial_state, self.initial_spread)
+            tuple(self.arm.from_physical(q).tolist())
+            for q in (self.initial_state, self.initial_spread)
         )
+        densities = self.process_noise
         return Scenario(
-            arm=arm,
-            mismatch=Mismatch(**asdict(self.mismatch)),
+            arm=self.arm,
+            mismatch=self.mismatch,
             rate=self.rate,
             duration=self.duration,
             initial_state=start,
             initial_spread=spread,
             process_noise=ProcessNoise(
-                link=self.process_noise.link_acceleration_density,
-                motor=self.process_noise.motor_acceleration_density,
+                link=densities.link_acceleration_density,
+                motor=densities.motor_acceleration_density,
             ),
             excitation=self.excitation.build(),
             disturbance=self.disturbance.build(),
