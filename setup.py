@@ -52,6 +52,7 @@ def data_files() -> list[tuple[str, list[str]]]:
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.*ml")))),
+        (f"share/{NAME}/examples", sorted(map(str, Path("examples").glob("*.py")))),
     ]
     # colcon puts the console scripts themselves into lib/tsobs_ros.
     if {"bdist_wheel", "editable_wheel"} & set(sys.argv):

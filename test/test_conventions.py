@@ -19,7 +19,9 @@ HEADER = "# Copyright 2026 The tsobs_ros contributors\n# SPDX-License-Identifier
 SOURCES = [
     Path("setup.py"),
     *sorted(
-        p.relative_to(ROOT) for top in ("tsobs_ros", "test") for p in (ROOT / top).rglob("*.py")
+        p.relative_to(ROOT)
+        for top in ("tsobs_ros", "test", "examples")
+        for p in (ROOT / top).rglob("*.py")
     ),
 ]
 

@@ -133,6 +133,7 @@ def test_estimates_from_arrays_are_those_of_a_tracker(design: Design) -> None:
         assert estimates.certified[row] == one.certified
     assert (estimates.used, estimates.rejected) == (401, {})
     assert np.isfinite(estimates.innovation).all()
+    assert np.array_equal(estimates.innovation_time, run.time + 5.0)
     assert estimates.parameters.shape == (401, 0)
 
 
@@ -157,7 +158,9 @@ def test_bad_measurements_are_rejected_and_counted(design: Design) -> None:
 
     assert estimates.rejected == {"non-finite": 1, "duplicate stamp": 2, "too old": 1}
     assert estimates.used == 397
-    assert np.flatnonzero(np.isnan(estimates.innovation)).tolist() == [50, 100, 201, 300]
+    used = np.ones(401, bool)
+    used[[50, 100, 201, 300]] = False
+    assert np.array_equal(estimates.innovation_time, time[used])
     # The row of a lost measurement is a prediction.
     assert np.isfinite(estimates.state[50]).all()
 

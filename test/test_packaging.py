@@ -11,9 +11,10 @@ from zipfile import ZipFile
 import pytest
 
 import tsobs_ros
+from tsobs_ros.extras import LIBRARIES, missing_library
 
 ROOT = Path(__file__).resolve().parents[1]
-EXECUTABLES = ("observer", "plant_simulator", "recorder", "tsobs")
+EXECUTABLES = ("observer", "plant_simulator", "recorder", "player", "tsobs")
 STEM = f"tsobs_ros-{tsobs_ros.__version__}"
 DATA = f"{STEM}.data/data"
 
@@ -23,7 +24,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy what a build needs, since it writes next to the sources."""
     copy = tmp_path_factory.mktemp("sources")
     ignored = shutil.ignore_patterns("__pycache__")
-    for name in ("tsobs_ros", "config", "resource"):
+    for name in ("tsobs_ros", "config", "examples", "resource"):
         shutil.copytree(ROOT / name, copy / name, ignore=ignored)
     for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE"):
         shutil.copy(ROOT / name, copy)
@@ -57,8 +58,8 @@ def test_a_wheel_carries_what_ros_looks_for(kind: str, request: pytest.FixtureRe
 
     assert f"{DATA}/share/ament_index/resource_index/packages/tsobs_ros" in names
     assert f"{DATA}/share/tsobs_ros/package.xml" in names
-    for path in (ROOT / "config").glob("*.yaml"):
-        assert f"{DATA}/share/tsobs_ros/config/{path.name}" in names
+    for path in (*(ROOT / "config").glob("*.yaml"), *(ROOT / "examples").glob("*.py")):
+        assert f"{DATA}/share/tsobs_ros/{path.parent.name}/{path.name}" in names
     for name in EXECUTABLES:
         assert f"{DATA}/lib/tsobs_ros/{name}" in names
 
@@ -101,3 +102,30 @@ def test_a_launcher_runs_the_installed_script(wheel: ZipFile, tmp_path: Path, na
 
     assert entry.external_attr >> 16 & 0o111, "pip keeps it executable only if the wheel does"
     assert (done.returncode, done.stdout) == (3, f"ran {name} with two words\n")
+
+
+def test_the_advice_on_a_missing_library_is_what_the_package_requires(wheel: ZipFile) -> None:
+    metadata = wheel.read(f"{STEM}.dist-info/METADATA").decode()
+    required = {
+        line.removeprefix("Requires-Dist: ").partition(";")[0].strip()
+        for line in metadata.splitlines()
+        if line.startswith("Requires-Dist:")
+    }
+    advised = {library for libraries in LIBRARIES.values() for library in libraries}
+
+    assert advised <= required
+
+
+@pytest.mark.parametrize(
+    ("module", "advice"),
+    [
+        ("cvxpy.error", "cvxpy is not installed: {} -m pip install cvxpy clarabel"),
+        ("mcap", "mcap is not installed: {} -m pip install 'mcap>=1.5'"),
+        ("rclpy.node", "rclpy is not installed: source ROS 2 Jazzy, or {} -m pip install"),
+        ("colour", None),
+    ],
+)
+def test_a_missing_library_is_advised_on(module: str, advice: str | None) -> None:
+    found = missing_library(ModuleNotFoundError(f"No module named {module!r}", name=module))
+
+    assert found is None if advice is None else found.startswith(advice.format(sys.executable))

@@ -71,7 +71,8 @@ class Estimates:
         state_bound: 1σ bound of each, shape (n, 4).
         disturbance: Estimated disturbance of the sensor [rad], shape (n,).
         disturbance_bound: 1σ bound of it [rad], shape (n,).
-        innovation: y − ŷ of the measurement of the row, NaN if it was not used [rad], shape (n,).
+        innovation: y − ŷ of the i measurements that were used [rad], shape (i,).
+        innovation_time: Their sampling times [s], shape (i,).
         parameters: Learnt changes θ of the model's parameters, shape (n, k).
         parameter_bound: 1σ of each, shape (n, k).
         parameters_valid: Whether the motion was rich enough for them to be relied on, shape (n,).
@@ -88,6 +89,7 @@ class Estimates:
     disturbance: Array
     disturbance_bound: Array
     innovation: Array
+    innovation_time: Array
     parameters: Array
     parameter_bound: Array
     parameters_valid: Flags
@@ -113,6 +115,29 @@ def load_design(path: str | Path | None = None) -> Design | TSDesign:
     """
     chosen = config_path(SHIPPED_DESIGN) if path is None else Path(path)
     return (ts_file.load_ts_design if ts_file.is_ts_file(chosen) else file.load_design)(chosen)
+
+
+def load_request(path: str | Path) -> DesignRequest | TSRequest:
+    """Read a request, of an arm or of a T–S system; what is left out keeps its default.
+
+    Raises:
+        DesignFileError: The file is missing or no request; the text names the entry.
+
+    >>> import tsobs_ros as ts
+    >>> ts.load_request("config/elastic_joint.request.yaml").rate
+    200.0
+    """
+    path = Path(path)
+    return (ts_file.load_ts_request if ts_file.is_ts_file(path) else file.load_request)(path)
+
+
+def synthesise(request: DesignRequest | TSRequest) -> Design | TSDesign:
+    """Design the certified gain for a request; see `design.synthesis.synthesise`."""
+    from tsobs_ros.design import synthesis, ts_synthesis
+
+    if isinstance(request, DesignRequest):
+        return synthesis.synthesise(request)
+    return ts_synthesis.synthesise_ts(request)
 
 
 def simulate(
@@ -214,19 +239,21 @@ def estimate(
     y = _columns("angle", angle, len(times), outputs)
     u = _columns("torque", torque, len(times), _input_count(design.request))
     stamps, tracker = _stamps(times), _tracker(design, settings or ObserverSettings())
-    innovations = np.full(y.shape, np.nan)
+    innovations, used = [], []
     found: list[Estimate | None] = []
     now = 0
     for row, stamp in enumerate(stamps):
         now = max(now, stamp)
         outcome = tracker.offer(Measurement(stamp, y[row], u[row]), now)
         if isinstance(outcome, Innovation):
-            innovations[row] = outcome.value
+            innovations.append(outcome.value)
+            used.append(row)
         found.append(tracker.estimate(stamp))
     outputs_shape = y.shape[1:] if np.ndim(angle) == 2 else ()
     return Estimates(
         time=times,
-        innovation=innovations.reshape(-1, *outputs_shape),
+        innovation=np.array(innovations).reshape(-1, *outputs_shape),
+        innovation_time=times[used],
         **_stacked(found, flow.state_count - flow.disturbance.state_count, outputs_shape),
         used=tracker.used,
         rejected={reason.value: n for reason, n in tracker.rejected.items()},
@@ -237,8 +264,7 @@ class BagEstimates(NamedTuple):
     """Estimates of a bag or a log.
 
     Attributes:
-        joints: Estimates by the joints' names; `time` is that of the stamps, since the epoch, and
-            row k of `innovation` that of the measurement with the same stamp.
+        joints: Estimates by the joints' names; times are those of the stamps, since the epoch.
         reproduced: Share of the live observer's recorded estimates that are the same to the last
             bit; None without any.
         remarks: Notes on the recording, such as damage up to which was estimated.
@@ -358,18 +384,16 @@ def _run(
 
 
 def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
-    table, stamps = run.table, run.schedule.stamps
+    table = run.table
     used = ~np.isnan(table.innovations[:, joint])
-    by_stamp = dict(
-        zip(source.samples.stamps[used].tolist(), table.innovations[used, joint], strict=True)
-    )
     return Estimates(
-        time=stamps / NANOSECONDS,
+        time=run.schedule.stamps / NANOSECONDS,
         state=table.states[:, joint],
         state_bound=table.state_bounds[:, joint],
         disturbance=table.disturbances[:, joint, 0],
         disturbance_bound=table.disturbance_bounds[:, joint, 0],
-        innovation=np.array([by_stamp.get(stamp, np.nan) for stamp in stamps.tolist()]),
+        innovation=table.innovations[used, joint],
+        innovation_time=source.samples.stamps[used] / NANOSECONDS,
         parameters=table.parameters[:, joint],
         parameter_bound=table.parameter_bounds[:, joint],
         certified=table.flags[:, joint, 0],

@@ -11,11 +11,11 @@ import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
 
-_RECORDER = ("mcap>=1.5", "zstandard", "lz4")
+_FILES = ("mcap>=1.5", "zstandard", "lz4", "msgspec>=0.18.5")
 _DESIGN = ("cvxpy", "clarabel")
 _REPORT = ("matplotlib", "plotly", "tqdm", "mcap-ros2-support")
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(("mcap", "zstandard", "lz4"), _RECORDER),
+    **dict.fromkeys(("mcap", "zstandard", "lz4", "msgspec"), _FILES),
     **dict.fromkeys(("cvxpy", "clarabel"), _DESIGN),
     **dict.fromkeys(("matplotlib", "plotly", "tqdm", "mcap_ros2"), _REPORT),
     "pyarrow": ("pyarrow", "mcap-ros2-support"),
