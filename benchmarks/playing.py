@@ -43,18 +43,23 @@ def _write_bag(path: Path, seconds: float) -> int:
 
 def _player(lags: Path) -> int:
     """Run the player and keep all lags [ns]; the arguments that are left are the node's."""
-    from tsobs_ros.executables import player
-    from tsobs_ros.nodes.player.status import LagMeter
+    from tsobs_ros import executables
+    from tsobs_ros.nodes import player
 
     kept: list[int] = []
-    add = LagMeter.add
 
-    def add_and_keep(meter: LagMeter, lag: int) -> None:
-        kept.append(lag)
-        add(meter, lag)
+    class Measured(player.Player):
+        def take_lags(self) -> list[int]:
+            lags = super().take_lags()
+            kept.extend(lags)
+            return lags
 
-    LagMeter.add = add_and_keep  # type: ignore[method-assign]
-    exit_code = player()
+        def cleanup(self) -> None:
+            self.take_lags()
+            super().cleanup()
+
+    player.create = Measured  # type: ignore[assignment]
+    exit_code = executables.player()
     lags.write_text(json.dumps(kept), encoding="utf-8")
     return exit_code
 

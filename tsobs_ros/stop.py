@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What SIGINT and SIGTERM do; imports nothing heavy, so it can be in place early.
+"""The actions of SIGINT, SIGTERM and SIGHUP; imports nothing heavy, to be in place early.
 
 Not even typing, which alone takes four times as long as everything else up to the first handler:
 a signal that comes before kills the process.
@@ -16,17 +16,20 @@ if TYPE_CHECKING:
     from types import FrameType, TracebackType
     from typing import Any, Self
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = [signal.SIGINT, signal.SIGTERM]
+# A terminal that closes sends SIGHUP; a process under nohup inherits that it is ignored.
+if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+    _SIGNALS.append(signal.SIGHUP)
 
 
 def end_at_once() -> None:
-    """Let the signals end the process with exit code 0 while nothing has begun."""
+    """Let the signals end the process with exit code 0 while nothing has started."""
     for number in _SIGNALS:
         signal.signal(number, lambda _number, _frame: os._exit(0))
 
 
 class StopFlag:
-    """Callable that is true once SIGINT or SIGTERM came; a context manager in the main thread.
+    """Callable that is true once a signal came; a context manager in the main thread.
 
     Further signals change nothing, so an impatient second Ctrl-C cannot interrupt the teardown.
     """

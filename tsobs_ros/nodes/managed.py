@@ -47,7 +47,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.time_source import TimeSource
 from std_srvs.srv import Trigger
 
-from tsobs_ros.errors import TsobsError
+from tsobs_ros.errors import TsobsError, printable
 from tsobs_ros.nodes.parameters import ParameterBinding, parameter
 from tsobs_ros.nodes.ticker import Ticking
 
@@ -308,7 +308,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 self._failure = self._failure or error
             else:
                 reason = str(error) if expected else traceback.format_exc()
-                self.get_logger().error(f"cannot {what}: {reason}")
+                self.get_logger().error(printable(f"cannot {what}: {reason}"))
             return TransitionCallbackReturn.FAILURE if expected else TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
 

@@ -134,8 +134,12 @@ def test_topics_are_selected(
             "another definition of std_msgs/msg/String",
         ),
         (MessageDefinition("std_srvs/srv/Trigger", "", ""), "it cannot be published"),
+        (
+            MessageDefinition("a\x1b[31m\x07/msg/B", "", ""),
+            r"'a\x1b[31m\x07/msg/B' is not a message",
+        ),
     ],
-    ids=["package", "name", "type", "hash", "service"],
+    ids=["package", "name", "type", "hash", "service", "escapes"],
 )
 def test_what_cannot_be_published_is_left_out_and_said(
     ros: Any, play: Play, listener: Any, tmp_path: Path, capfd: Any,
@@ -155,6 +159,7 @@ def test_what_cannot_be_published_is_left_out_and_said(
     (warning,) = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
     assert "not playing /strange: " in warning
     assert reason in warning
+    assert "\x1b[31m" not in warning
 
 
 def test_services_events_are_played(ros: Any, play: Play, tmp_path: Path) -> None:

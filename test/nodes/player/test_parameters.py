@@ -20,7 +20,7 @@ Play = Callable[..., Any]
 
 
 def test_the_shipped_file_has_every_parameter_at_its_default() -> None:
-    shipped = yaml.safe_load(CONFIG.read_text())["/**"]["player"]["ros__parameters"]
+    shipped = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
 
     defaults = asdict(PlayerParameters())
     assert {k: tuple(v) if isinstance(v, list) else v for k, v in shipped.items()} == defaults

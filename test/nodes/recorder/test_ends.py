@@ -106,7 +106,7 @@ def test_what_was_flushed_survives_a_kill(ros, ros_process, recording, tmp_path:
         BagReader(bag)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_closes_the_bag(ros, ros_process, recording, tmp_path: Path, number: int) -> None:
     bag = tmp_path / "bag"
     process = ros_process("recorder", parameters={"output": str(bag), "topics": ["joints"]})

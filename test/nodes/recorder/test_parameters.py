@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The shipped parameters are the node's, and senseless ones are refused."""
 
-from dataclasses import asdict
+import re
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,33 @@ import yaml
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
-CONFIG = Path(__file__).parents[3] / "config" / "recorder.yaml"
+ROOT = Path(__file__).parents[3]
+CONFIG = ROOT / "config" / "recorder.yaml"
 
 
-def test_the_shipped_file_has_every_parameter_and_its_default_but_for_the_topics() -> None:
-    shipped = yaml.safe_load(CONFIG.read_text())["/**"]["recorder"]["ros__parameters"]
-    values = {k: tuple(v) if isinstance(v, list) else v for k, v in shipped.items()}
-    assert "joint_measurements" in values["topics"]
-    assert values | {"topics": ()} == asdict(RecorderParameters())
+def shipped() -> RecorderParameters:
+    values = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
+    return RecorderParameters(
+        **{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    )
+
+
+def test_the_shipped_file_has_every_parameter_and_its_default_but_for_the_selection() -> None:
+    names = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"].keys()
+    assert names == {field.name for field in fields(RecorderParameters)}
+    assert replace(shipped(), topics=(), regex="") == RecorderParameters()
+
+
+def test_the_shipped_file_selects_what_the_readme_lists_and_awaits_what_always_comes() -> None:
+    rows = re.findall(r"^\| (`.+?) \|", (ROOT / "README.md").read_text(), re.MULTILINE)
+    topics = [
+        f"/arm/{n}".replace("/arm//", "/") for row in rows for n in re.findall("`(.+?)`", row)
+    ]
+    assert {"/arm/observer/disturbance_bound", "/diagnostics"} <= set(topics)
+    selection = shipped().resolved(lambda name: f"/arm/{name}".replace("/arm//", "/"), str)
+    assert [topic for topic in topics if not selection.wants(topic, [])] == []
+    assert not selection.wants("/arm/camera", [])
+    assert "/arm/observer/parameters_estimate" not in selection.listed()
 
 
 @pytest.mark.parametrize(

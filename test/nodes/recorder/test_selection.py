@@ -31,7 +31,7 @@ def full(name: str) -> str:
 
 
 def selected(**parameters: Any) -> set[str]:
-    selection = RecorderParameters(**parameters).selection(full, full)
+    selection = RecorderParameters(**parameters).resolved(full, full)
     return {name for name, type in GRAPH.items() if selection.wants(name, [type])}
 
 
@@ -68,7 +68,7 @@ def test_what_is_selected_is_recorded(parameters: dict[str, Any], expected: set[
 def test_what_is_listed_is_awaited_unless_it_is_excluded_or_all_is_recorded() -> None:
     listed: dict[str, Any] = {"topics": ("joints", "torque"), "services": ("reset", "/go")}
     awaited = ["/arm/joints", "/arm/reset/_service_event", "/arm/torque", "/go/_service_event"]
-    assert RecorderParameters(**listed).selection(full, full).listed == awaited
+    assert RecorderParameters(**listed).resolved(full, full).listed() == awaited
     excluding = RecorderParameters(**listed, exclude_regex="t$", exclude_topics=("torque",))
-    assert excluding.selection(full, full).listed == ["/arm/joints", "/go/_service_event"]
-    assert RecorderParameters(**listed, all=True).selection(full, full).listed == []
+    assert excluding.resolved(full, full).listed() == ["/arm/joints", "/go/_service_event"]
+    assert RecorderParameters(**listed, all=True).resolved(full, full).listed() == []

@@ -6,26 +6,33 @@ from typing import Any
 
 import pytest
 
+from tsobs_ros.bag.recording import BufferedMessage, SnapshotBuffer
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.nodes.recorder.status import (
     RecorderState,
     RecorderStatistics,
-    SnapshotFill,
     TopicStatistics,
     statuses,
 )
 
-GOOD = TopicStatistics(10, 0, True)
-LOSSY = TopicStatistics(90, 3, True, ("/plant", "/sensor"))
+GOOD = TopicStatistics(100, 0, True)
+LOSSY = TopicStatistics(90, 3, True)
 UNKNOWN = TopicStatistics(5, 1, False)
-FILL = SnapshotFill(messages=7, size=3 * 2**20, duration=1.5, refused=0)
+
+
+def buffer(refused: int = 0) -> SnapshotBuffer:
+    """Return one with two messages of 1.5 MiB, 1.5 s apart."""
+    made = SnapshotBuffer(10**10, 4 * 2**20)
+    for size, count in ((3 * 2**19, 2), (2**23, refused)):
+        for k in range(count):
+            made.add(BufferedMessage("/a", bytes(size - 256), k * 1_500_000_000, 0))
+    return made
 
 
 def state(**changes: Any) -> RecorderState:
     topics = changes.pop("topics", {"/a": GOOD})
-    lost = sum(topic.lost for topic in topics.values())
     values: dict[str, Any] = {
-        "statistics": RecorderStatistics(100, lost, topics, 4, 2**20, 2),
+        "statistics": RecorderStatistics(topics, 4, 2**20, 2),
         "rate": 12.34,
         "recording": True,
         "clock_awaited": False,
@@ -43,13 +50,13 @@ def state(**changes: Any) -> RecorderState:
     [
         ({}, Level.OK, "recording"),
         ({"recording": False}, Level.OK, "paused"),
-        ({"snapshot": FILL}, Level.OK, "keeping the last seconds"),
+        ({"snapshot": buffer()}, Level.OK, "keeping the last seconds"),
         ({"waiting_for": ("/b", "/c"), "recording": False}, Level.WARN, "waiting for /b"),
         ({"clock_awaited": True, "waiting_for": ("/b",)}, Level.WARN, "waiting for /clock"),
         ({"sync_age": 9.0}, Level.OK, "recording"),
         ({"sync_age": 11.0}, Level.WARN, "the disk has not kept up for 11 s"),
         ({"free_disk": 511.0, "sync_age": 11.0}, Level.WARN, "511 MiB of disk space are left"),
-        ({"snapshot": FILL._replace(refused=2), "free_disk": 511.0}, Level.WARN,
+        ({"snapshot": buffer(refused=2), "free_disk": 511.0}, Level.WARN,
          "2 messages too large for the snapshot buffer"),
         ({"topics": {"/a": LOSSY}, "free_disk": 511.0}, Level.WARN, "3 messages lost"),
     ],
@@ -60,12 +67,13 @@ def test_the_worst_comes_first(changes: dict[str, Any], level: Level, message: s
 
 
 def test_all_counts_are_given() -> None:
-    recording, _ = statuses(state(snapshot=FILL, waiting_for=("/b", "/c")))
+    recording, _ = statuses(state(snapshot=buffer(), waiting_for=("/b", "/c")))
     assert recording.values == {
         "messages": "100",
         "messages a second": "12.3",
         "MiB": "1.0",
         "lost": "0",
+        "losses unknown of": "",
         "discarded while paused": "4",
         "topics": "1",
         "waiting for": "/b, /c",
@@ -73,7 +81,7 @@ def test_all_counts_are_given() -> None:
         "files": "2",
         "free disk space (MiB)": "10000",
         "last sync (s ago)": "1.0",
-        "snapshot buffer": "7 messages, 1.5 s, 3.0 MiB",
+        "snapshot buffer": "2 messages, 1.5 s, 3.0 MiB",
         "too large for the snapshot buffer": "0",
     }
 
@@ -93,9 +101,12 @@ def test_topics_are_told_apart(
     assert (status.name, status.level, status.message) == ("topics", level, message)
 
 
-def test_a_topics_losses_are_given_with_whose_they_are() -> None:
-    _, status = statuses(state(topics={"/u": UNKNOWN, "/l": LOSSY}))
+def test_a_topics_losses_are_said_to_be_unknown_where_they_are() -> None:
+    topics = {"/u": UNKNOWN, "/l": LOSSY, "/v": UNKNOWN._replace(lost=0)}
+    recording, status = statuses(state(topics=topics))
     assert status.values == {
-        "/l": "90 messages, 3 lost of /plant, /sensor",
+        "/l": "90 messages, 3 lost",
         "/u": "5 messages, at least 1 lost",
+        "/v": "5 messages, losses unknown",
     }
+    assert recording.values["losses unknown of"] == "/u, /v"

@@ -1,9 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `player` node: publishes a recorded bag again, as it was recorded, at the times it was.
+"""The `player` node: a recorded bag on its topics again, at the times it was recorded.
 
-When to publish what is decided in `bag.playback`; the node brings the time, the publishers and the
-ways to interfere: services to pause and to step, the live parameters `rate`, `loop` and `position`.
+`bag.playback` decides when to publish what; the node adds the time, the publishers and the user's
+means: services to pause and to step, named as those of rosbag2's player, and the live parameters
+`rate`, `loop` and `position`.
 """
 
 import sys
@@ -12,20 +13,21 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from tsobs_ros.bag.playback import BagSource, Event, Playback
+from tsobs_ros.bag.playback import Event, Playback
+from tsobs_ros.bag.read_ahead import BagSource
 from tsobs_ros.bag.reader import BagMessage, BagReader
-from tsobs_ros.errors import BagReadError, ParameterError
+from tsobs_ros.errors import BagReadError, ParameterError, printable
+from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher, set_stamp
 from tsobs_ros.nodes.player.pacing import Pacer, SubscriberGate
 from tsobs_ros.nodes.player.parameters import CLOCK, PlayerParameters
-from tsobs_ros.nodes.player.services import offer_services
-from tsobs_ros.nodes.player.status import LagMeter, PlayerState
 from tsobs_ros.nodes.player.topics import PlayedTopics
 
 _MIB = 2**20
@@ -65,7 +67,7 @@ class Player(ManagedNode[PlayerParameters]):
         if not parameters.bag:
             raise ParameterError("parameter 'bag' must name a bag folder or an .mcap file")
         if self.get_parameter("use_sim_time").value:
-            self.get_logger().warning("use_sim_time does not matter: the player makes the time")
+            self._warn("use_sim_time does not matter: the player makes the time")
         reader = BagReader(Path(parameters.bag).expanduser())
         self._bag_start = reader.start_time or 0
         self._length = (reader.end_time or 0) - self._bag_start
@@ -73,21 +75,20 @@ class Player(ManagedNode[PlayerParameters]):
             raise ParameterError(refusal)
         start, end = parameters.window(self._bag_start, self._bag_start + self._length)
         selected = [reader.topics[name] for name in parameters.select(reader.topics)]
-        self._topics = PlayedTopics(
-            self, selected, parameters.queue_depth, lambda text: self.get_logger().warning(text)
-        )
+        self._topics = PlayedTopics(self, selected, parameters.queue_depth, self._warn)
         self._clock_publisher: Any = None
         if parameters.clock:
             self._clock_publisher = self.create_publisher(ClockMessage, CLOCK, 10)
         self._open(reader, start, end)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=str(reader.path))
-        self._lags = LagMeter()
+        self._lags: list[int] = []
+        self._held_back_before = 0
         self.create_timer(
             _DIAGNOSTICS_PERIOD,
             self._publish_diagnostics,
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
-        offer_services(self)
+        self._offer_services()
         self.ticker = self._pacer = Pacer(self, self._play)
         self.get_logger().info(
             f"opened {reader.path}: {sum(topic.count for topic in selected)} messages of "
@@ -95,7 +96,7 @@ class Player(ManagedNode[PlayerParameters]):
         )
 
     def _open(self, reader: BagReader, start: int, end: int) -> None:
-        """Begin to read the bag, in a pause."""
+        """Start to read the bag, in a pause."""
         parameters, topics = self.parameters, self._topics
         read_ahead = round(parameters.read_ahead * _MIB)
         source = BagSource(reader, list(topics.by_name), topics.latched, start, end, read_ahead)
@@ -178,6 +179,11 @@ class Player(ManagedNode[PlayerParameters]):
             return "waiting for subscribers"
         return "ended" if self._playback.ended else "playing"
 
+    def take_lags(self) -> list[int]:
+        """Return how late messages were published since the last call [ns]."""
+        lags, self._lags = self._lags, []
+        return lags
+
     def pause(self) -> None:
         """Stand still until `resume`."""
         self._paused = True
@@ -212,7 +218,7 @@ class Player(ManagedNode[PlayerParameters]):
         burst_end = now + _LONGEST_BURST
         held_back = playback.held_back
         while now < burst_end and (event := playback.take(now)) is not None:
-            self._lags.add(now - event.due)
+            self._lags.append(now - event.due)
             self._publish(event)
             now = time.monotonic_ns()
         if playback.held_back > held_back:
@@ -240,7 +246,7 @@ class Player(ManagedNode[PlayerParameters]):
             self._gate.look(there, now)
             if self._gate.timed_out:
                 wanted = self.parameters.wait_for_subscribers
-                self.get_logger().warning(f"playing to {there} of {wanted} subscriptions")
+                self._warn(f"playing to {there} of {wanted} subscriptions")
         return self._gate.is_open
 
     def _has_arrived(self, now: int) -> bool:
@@ -274,17 +280,51 @@ class Player(ManagedNode[PlayerParameters]):
                 self._seek(parameter.value)
                 self._pacer.wake()
 
+    def _offer_services(self) -> None:
+        def state() -> str:
+            return f"{self.doing} at {self.position:.3f} s"
+
+        def pause() -> tuple[bool, str]:
+            self.pause()
+            return True, state()
+
+        def resume() -> tuple[bool, str]:
+            self.resume()
+            return True, state()
+
+        answers = {
+            "pause": pause,
+            "resume": resume,
+            "toggle_paused": lambda: resume() if self._paused else pause(),
+            "is_paused": lambda: (self._paused, state()),
+            "play_next": self.step,
+        }
+        self.offer_triggers(answers)
+
     def _publish_diagnostics(self) -> None:
-        state = PlayerState(
-            doing=self.doing,
-            position=self.position,
-            length=self._length * 1e-9,
-            rate=self.parameters.rate,
-            paused=self._paused,
-            held_back=self._playback.held_back * 1e-9,
-            messages={topic.name: topic.messages for topic in self._topics.by_name.values()},
-        )
-        self._diagnostics.publish([self._lags.status(state)])
+        lags = self.take_lags()
+        held_back, before = self._playback.held_back, self._held_back_before
+        self._held_back_before = held_back
+        counts = {topic.name: topic.messages for topic in self._topics.by_name.values()}
+        values = {
+            "position [s]": f"{self.position:.3f}",
+            "length [s]": f"{self._length * 1e-9:.3f}",
+            "rate": f"{self.parameters.rate:g}",
+            "paused": str(self._paused).lower(),
+            "held back [s]": f"{held_back * 1e-9:.3f}",
+        }
+        if lags:
+            median, high = np.percentile(lags, (50, 99)) * 1e-6
+            values |= {"lag p50 [ms]": f"{median:.3f}", "lag p99 [ms]": f"{high:.3f}"}
+        values["messages"] = str(sum(counts.values()))
+        values |= {f"messages of {name}": str(count) for name, count in counts.items()}
+        late = held_back > before
+        level, message = (Level.WARN, "too slow for the rate") if late else (Level.OK, self.doing)
+        self._diagnostics.publish([Status("playing", level, message, values)])
+
+    def _warn(self, text: str) -> None:
+        """Log a warning, whatever names from the bag are in it."""
+        self.get_logger().warning(printable(text))
 
 
 def create(**node_kwargs: Any) -> Player:

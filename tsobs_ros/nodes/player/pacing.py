@@ -6,7 +6,6 @@ Where `runtime.run` spins the node, it takes these ticks over as it does a `Tick
 until the next one, which is some 60 µs late, where an rclpy timer costs 200 µs of executor each.
 """
 
-import time
 from collections.abc import Callable
 
 from rclpy.clock import Clock, ClockType
@@ -60,7 +59,7 @@ class Pacer:
             self._schedule(0)
 
     def take_over(self) -> None:
-        """Stop the timer; from now on `run_if_due` ticks and `rest` waits."""
+        """Stop the timer; from now on `run_if_due` ticks."""
         if not self._taken_over:
             self._taken_over = True
             self._timer.cancel()
@@ -74,10 +73,6 @@ class Pacer:
     def run_if_due(self) -> int:
         """Do what is due, and return how long it is until more is [ns]."""
         return self._callback()
-
-    def rest(self, seconds: float) -> None:
-        """Sleep."""
-        time.sleep(seconds)
 
     def _tick(self) -> None:
         wait = self._callback()

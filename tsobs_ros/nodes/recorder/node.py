@@ -1,9 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `recorder` node: records topics to an MCAP bag as rosbag2 does, and counts what it misses."""
+"""The `recorder` node: topics into an MCAP bag as rosbag2 writes it, and a count of what was lost.
 
+Its services are those of rosbag2's recorder by name, with a type that every installation has.
+"""
+
+import shutil
 import time
 from collections.abc import Callable
+from datetime import datetime
+from itertools import chain, count
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -11,33 +17,30 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 
 from tsobs_ros.bag.recording import BufferedMessage, Recording
-from tsobs_ros.errors import BagWriteError, NodeError
-from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.errors import BagWriteError, NodeError, printable
+from tsobs_ros.nodes.managed import Answer, ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher
-from tsobs_ros.nodes.recorder.disk import free_disk, output_folder
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
-from tsobs_ros.nodes.recorder.services import offer_services
 from tsobs_ros.nodes.recorder.status import (
     RecorderState,
     RecorderStatistics,
-    SnapshotFill,
     TopicStatistics,
     disk_is_filling,
     statuses,
 )
-from tsobs_ros.nodes.recorder.subscription import loaded_rcl
-from tsobs_ros.nodes.recorder.topics import RecordedTopic, TopicFinder
+from tsobs_ros.nodes.recorder.topics import TopicFinder
 from tsobs_ros.nodes.ticker import Ticker
 
 _GRAPH_PERIOD = 0.1
 _DIAGNOSTICS_PERIOD = 1.0
+_MIB = 2**20
 
 
 class Recorder(ManagedNode[RecorderParameters]):
     """Records while it is active and not paused.
 
-    Configuring begins the bag and subscribes, activating records, deactivating pauses: what arrives
-    meanwhile is discarded. Cleaning up closes the bag.
+    Configuring creates the bag and subscribes, activating records, deactivating pauses: what
+    arrives meanwhile is discarded. Cleaning up closes the bag.
 
     Args:
         node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
@@ -45,7 +48,7 @@ class Recorder(ManagedNode[RecorderParameters]):
     Raises:
         ParameterError: A parameter has a wrong type or value.
         BagWriteError: The bag exists already or cannot be created.
-        NodeError: The disk is too full to begin, or rcl cannot be called.
+        NodeError: The disk is too full.
     """
 
     def __init__(self, **node_kwargs: Any) -> None:
@@ -54,36 +57,29 @@ class Recorder(ManagedNode[RecorderParameters]):
         self.start()
 
     def configure(self) -> None:
-        """Begin the bag and look for the topics."""
+        """Create the bag and look for the topics."""
         parameters = self.parameters
-        loaded_rcl()  # before there is a bag: without it no topic could be recorded
-        path = output_folder(parameters.output)
-        if free_disk(path) < parameters.minimum_free_disk:
+        path = _bag_folder(parameters.output)
+        if (free := _free_disk(path)) < parameters.minimum_free_disk:
             raise NodeError(
-                f"{path}: {free_disk(path):.0f} MiB of disk space are free, less than "
+                f"{path}: {free:.0f} MiB of disk space are free, less than "
                 f"minimum_free_disk ({parameters.minimum_free_disk} MiB)"
             )
-        self._finder = TopicFinder(
-            self,
-            parameters.selection(self.resolve_topic_name, self.resolve_service_name),
-            {self.resolve_topic_name(name): name for name in parameters.topics if name != "*"},
-            parameters.queue_depth,
-            parameters.include_unpublished,
-            self.get_logger().warning,
-        )
+        self._finder = TopicFinder(self, parameters, self._warn)
         self._recording = Recording(path, parameters.recording_options())
         self.at_cleanup(self._close_recording)
         self._paused = parameters.start_paused
         self._failed = self._free_disk_warned = False
         self._messages_at_diagnostics = 0
-        offer_services(self, parameters.snapshot_mode)
+        self._offer_services(parameters.snapshot_mode)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=str(path))
-        self._chores = [
-            _Chore(_GRAPH_PERIOD, self._look_for_topics),
-            _Chore(parameters.flush_period, self._flush),
-            _Chore(_DIAGNOSTICS_PERIOD, self._publish_diagnostics),
-        ]
-        # Not the node's clock: simulated time may be slow, stop or never begin.
+        self._chores: dict[Callable[[], None], float] = {
+            self._look_for_topics: _GRAPH_PERIOD,
+            self._flush: parameters.flush_period,
+            self._publish_diagnostics: _DIAGNOSTICS_PERIOD,
+        }
+        self._due = dict.fromkeys(self._chores, 0.0)
+        # Not the node's clock: simulated time may be slow, stop or never start.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.ticker = Ticker(self, parameters.drain_period, self._tick, executor_clock=steady)
         self.ticker.start()
@@ -99,11 +95,13 @@ class Recorder(ManagedNode[RecorderParameters]):
             self._record()
 
     def cleanup(self) -> None:
-        """Say what the bag holds that is about to be closed."""
+        """Log what the bag holds before it is closed."""
         statistics = self.statistics
+        unknown = len(statistics.loss_unknown)
         self.get_logger().info(
             f"closing {self.path}: {statistics.messages} messages of {len(statistics.topics)} "
             f"topics, {statistics.lost} lost"
+            + (f", losses of {unknown} topics unknown" if unknown else "")
         )
 
     @property
@@ -123,51 +121,77 @@ class Recorder(ManagedNode[RecorderParameters]):
 
     @property
     def finished(self) -> bool:
-        """Whether the disk is full; a process then ends."""
+        """Whether the disk is full, or the node was shut down; a process then ends."""
         return super().finished or self._full
 
     @property
     def statistics(self) -> RecorderStatistics:
-        """What has been recorded and lost so far."""
+        """The counts of what has been recorded and lost so far."""
         recording = self._recording
-        topics = {
-            topic.name: _statistics(topic, recording.counts[topic.name])
-            for topic in self._finder.recorded.values()
-        }
         return RecorderStatistics(
-            messages=sum(topic.messages for topic in topics.values()),
-            lost=sum(topic.lost for topic in topics.values()),
-            topics=topics,
+            topics={
+                name: TopicStatistics(
+                    recording.counts[name], topic.losses.lost, topic.losses.is_exact
+                )
+                for name, topic in self._finder.recorded.items()
+            },
             discarded=recording.discarded,
             bytes=recording.bytes,
             files=recording.file_count,
         )
 
-    def pause(self) -> None:
-        """Record what has arrived, and discard what arrives from here on."""
+    def pause(self) -> str:
+        """Record what has arrived, discard what arrives from here on, and return the state."""
         self._drain()
         self._paused = True
-        self.get_logger().info("paused")
+        return self._log_state()
 
-    def resume(self) -> None:
-        """Record what arrives from here on, and what was latched meanwhile."""
+    def resume(self) -> str:
+        """Record what arrives from here on, and what was latched meanwhile; return the state."""
         self._drain()
         self._paused = False
-        self.get_logger().info("resumed")
+        return self._log_state()
 
-    def split(self) -> None:
-        """Go on in another file of the bag, unless the current one is empty.
+    def split(self) -> str:
+        """Continue in another file of the bag, unless the current one is empty.
 
         Raises:
             BagWriteError: The disk failed; the bag is closed.
         """
         self._drain()
         self._recording.split()
+        return f"{self._recording.file_count} files"
 
-    def take_snapshot(self) -> int:
-        """Begin to write the last seconds, and return how many messages they are."""
+    def take_snapshot(self) -> str:
+        """Start to write the last seconds, and return how many messages they are."""
         self._drain()
-        return self._recording.take_snapshot()
+        return f"{self._recording.take_snapshot()} messages"
+
+    def _log_state(self) -> str:
+        state = "paused" if self._paused else "recording"
+        self.get_logger().info(state)
+        return state
+
+    def _offer_services(self, snapshot_mode: bool) -> None:
+        def attempt(act: Callable[[], str]) -> Answer:
+            def answer() -> tuple[bool, str]:
+                try:
+                    return True, act()
+                except BagWriteError as error:  # the next tick meets it too, and ends the recording
+                    return False, str(error)
+
+            return answer
+
+        answers: dict[str, Answer] = {
+            "pause": attempt(self.pause),
+            "resume": attempt(self.resume),
+            "toggle_paused": attempt(lambda: self.resume() if self._paused else self.pause()),
+            "is_paused": lambda: (self._paused, "paused" if self._paused else "recording"),
+            "split_bagfile": attempt(self.split),
+        }
+        if snapshot_mode:
+            answers["snapshot"] = attempt(self.take_snapshot)
+        self.offer_triggers(answers)
 
     def _tick(self) -> None:
         now = time.monotonic()
@@ -175,9 +199,10 @@ class Recorder(ManagedNode[RecorderParameters]):
             if self.configured:  # a full disk ends that, and perhaps not yet the ticks
                 self._drain()
                 self._recording.write_pending()
-            for chore in self._chores:
-                if self.configured:
-                    chore.run_if_due(now)
+            for chore, period in self._chores.items():
+                if self.configured and now >= self._due[chore]:
+                    self._due[chore] = now + period
+                    chore()
         except BagWriteError as error:
             self._failed = True
             raise BagWriteError(
@@ -188,7 +213,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         try:
             self._recording.close()
         except BagWriteError:
-            if not self._failed:  # otherwise this has been said, and is why it closes
+            if not self._failed:  # otherwise this has been reported, and is why it closes
                 raise
 
     def _look_for_topics(self) -> None:
@@ -203,10 +228,10 @@ class Recorder(ManagedNode[RecorderParameters]):
             self._discard()
 
     def _discard(self) -> None:
-        for topic in self._finder.recorded.values():
-            for received in topic.drain(self.parameters.queue_depth):
-                message = BufferedMessage(topic.name, received.data, 0, max(received.source_ns, 0))
-                self._recording.discard(message, topic.latched_by(received))
+        for name, topic in self._finder.recorded.items():
+            for data, source_ns, _, latch in topic.drain(self.parameters.queue_depth):
+                message = BufferedMessage(name, data, 0, max(source_ns, 0))
+                self._recording.discard(message, latch)
 
     def _record(self) -> None:
         simulated_ns = None
@@ -216,83 +241,68 @@ class Recorder(ManagedNode[RecorderParameters]):
                 return  # no /clock yet: let messages wait rather than stamp them with 1970
         limit = self.parameters.queue_depth
         batch = [
-            (received.received_ns, received, topic)
-            for topic in self._finder.recorded.values()
+            (received.received_ns, name, received)
+            for name, topic in self._finder.recorded.items()
             for received in topic.drain(limit)
         ]
         # Drained topic by topic, but readers of an unfinished file see it in file order.
         batch.sort(key=itemgetter(0))
         record = self._recording.record
-        for received_ns, received, topic in batch:
+        for received_ns, name, (data, source_ns, _, latch) in batch:
             log_time_ns = received_ns if simulated_ns is None else simulated_ns
-            message = BufferedMessage(
-                topic.name,
-                received.data,
-                log_time_ns or time.time_ns(),
-                max(received.source_ns, 0),
-            )
-            record(message, topic.latched_by(received))
+            message = BufferedMessage(name, data, log_time_ns or time.time_ns(), max(source_ns, 0))
+            record(message, latch)
 
     def _flush(self) -> None:
         self._recording.flush()
-        free, minimum = free_disk(self.path), self.parameters.minimum_free_disk
+        free, minimum = _free_disk(self.path), self.parameters.minimum_free_disk
         if free < minimum:
             self.get_logger().error(f"disk almost full ({free:.0f} MiB free): recording ends here")
             self.close()
             self._full = True
         elif disk_is_filling(free, minimum) and not self._free_disk_warned:
             self._free_disk_warned = True
-            self.get_logger().warning(
-                f"{free:.0f} MiB of disk space are left, recording ends at {minimum} MiB"
-            )
+            self._warn(f"{free:.0f} MiB of disk space are left, recording ends at {minimum} MiB")
 
     def _publish_diagnostics(self) -> None:
-        statistics, snapshot = self.statistics, self._recording.snapshot
-        news = statistics.messages - self._messages_at_diagnostics
-        self._messages_at_diagnostics = statistics.messages
+        statistics, recording = self.statistics, self._recording
+        messages = statistics.messages
+        rate = (messages - self._messages_at_diagnostics) / _DIAGNOSTICS_PERIOD
+        self._messages_at_diagnostics = messages
         clock = self.get_clock()
         state = RecorderState(
             statistics=statistics,
-            rate=news / _DIAGNOSTICS_PERIOD,
+            rate=rate,
             recording=self.active and not self._paused,
             clock_awaited=clock.ros_time_is_active and clock.now().nanoseconds == 0,
             waiting_for=self._finder.missing,
-            free_disk=free_disk(self.path),
+            free_disk=_free_disk(self.path),
             minimum_free_disk=self.parameters.minimum_free_disk,
-            sync_age=self._recording.sync_age,
+            sync_age=recording.sync.age,
             sync_period=self.parameters.sync_period,
-            snapshot=None
-            if snapshot is None
-            else SnapshotFill(
-                len(snapshot), snapshot.size, snapshot.duration_ns * 1e-9, snapshot.refused
-            ),
+            snapshot=recording.snapshot,
         )
         self._diagnostics.publish(statuses(state))
 
-
-class _Chore:
-    """Something to be done every so often, looked after at each tick."""
-
-    def __init__(self, period: float, do: Callable[[], None]) -> None:
-        self._period = period
-        self._do = do
-        self._due = 0.0
-
-    def run_if_due(self, now: float) -> None:
-        if now >= self._due:
-            self._due = now + self._period
-            self._do()
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(printable(text))
 
 
 def create(**node_kwargs: Any) -> Recorder:
-    """Return a recorder that has begun to record; the arguments are those of `Recorder`."""
+    """Return a recorder that records already; the arguments are those of `Recorder`."""
     return Recorder(**node_kwargs)
 
 
-def _statistics(topic: RecordedTopic, messages: int) -> TopicStatistics:
-    losses = topic.losses
-    by_publisher = losses.lost_by_publisher if losses.lost else {}
-    losers = {
-        topic.publishers.get(p, "a node that left") for p, lost in by_publisher.items() if lost
-    }
-    return TopicStatistics(messages, losses.lost, losses.complete, tuple(sorted(losers)))
+def _bag_folder(output: str) -> Path:
+    """Return the bag's folder as an absolute path, a dated one in the current folder if unnamed."""
+    if output:
+        return Path(output).expanduser().absolute()
+    dated = Path(datetime.now().strftime("rosbag2_%Y_%m_%d-%H_%M_%S")).absolute()
+    others = (dated.with_name(f"{dated.name}_{number}") for number in count(2))
+    return next(path for path in chain([dated], others) if not path.exists())
+
+
+def _free_disk(path: Path) -> float:
+    """Return the free space, MiB, on the disk that holds a path or will hold it."""
+    existing = next(folder for folder in (path, *path.parents) if folder.exists())
+    return shutil.disk_usage(existing).free / _MIB

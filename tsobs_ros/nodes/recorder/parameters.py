@@ -1,21 +1,22 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder's parameters; `config/recorder.yaml` shows them with their reasons."""
+"""The recorder's parameters, and the selection of topics by the rules of `ros2 bag record`."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 from tsobs_ros.bag.recording import RecordingOptions
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import check_pattern, parameter
-from tsobs_ros.nodes.recorder.selection import TopicSelection
 
 _MIB = 2**20
+_SERVICE_EVENT = "/_service_event"
 
 
 @dataclass(frozen=True)
 class RecorderParameters(ManagedParameters):
-    """The node's parameters."""
+    """The node's parameters; `config/recorder.yaml` shows them with their reasons."""
 
     topics: tuple[str, ...] = parameter(
         (), "Topics to record, also hidden ones; '*' for all that are not", read_only=True
@@ -109,26 +110,66 @@ class RecorderParameters(ManagedParameters):
             snapshot_size=self.snapshot_size * _MIB,
         )
 
-    def selection(
+    def resolved(
         self, topic_name: Callable[[str], str], service_name: Callable[[str], str]
-    ) -> TopicSelection:
-        """Return which topics are wanted; with nothing selected, all topics and services.
-
-        Args:
-            topic_name: Makes a topic's name as listed a full one.
-            service_name: The same for a service's name.
-        """
-        all_topics, all_services = "*" in self.topics, "*" in self.services or self.all_services
-        if self.all or not (self.topics or self.services or self.regex or all_services):
-            all_topics = all_services = True
-        return TopicSelection(
-            topics=frozenset(topic_name(name) for name in self.topics if name != "*"),
-            services=frozenset(service_name(name) for name in self.services if name != "*"),
-            all_topics=all_topics,
-            all_services=all_services,
-            regex=self.regex,
-            exclude_topics=frozenset(map(topic_name, self.exclude_topics)),
-            exclude_services=frozenset(map(service_name, self.exclude_services)),
-            exclude_regex=self.exclude_regex,
-            include_hidden=self.include_hidden,
+    ) -> "RecorderParameters":
+        """Return the parameters with full names of topics and services in place of those given."""
+        return replace(
+            self,
+            topics=tuple(name if name == "*" else topic_name(name) for name in self.topics),
+            services=tuple(name if name == "*" else service_name(name) for name in self.services),
+            exclude_topics=tuple(map(topic_name, self.exclude_topics)),
+            exclude_services=tuple(map(service_name, self.exclude_services)),
         )
+
+    @property
+    def wants_all_topics(self) -> bool:
+        """Whether every topic is selected, as it is without any selection."""
+        selected = self.topics or self.services or self.regex or self.all_services
+        return self.all or "*" in self.topics or not selected
+
+    @property
+    def wants_all_services(self) -> bool:
+        """Whether every service is selected, as it is without any selection."""
+        selected = self.topics or self.services or self.regex
+        return self.all or self.all_services or "*" in self.services or not selected
+
+    @property
+    def has_patterns(self) -> bool:
+        """Whether topics are selected that are not listed."""
+        return self.wants_all_topics or self.wants_all_services or bool(self.regex)
+
+    def listed(self) -> list[str]:
+        """Return the topics that are selected by name and awaited, also those of services."""
+        topics: set[str] = set()
+        if not self.wants_all_topics:
+            topics |= {topic for topic in self.topics if self.wants(topic, ())}
+        if not self.wants_all_services:
+            topics |= {
+                service + _SERVICE_EVENT
+                for service in self.services
+                if self._decide(service, True, service in self.exclude_services)
+            }
+        return sorted(topics)
+
+    def wants(self, topic: str, types: Sequence[str]) -> bool:
+        """Return whether to record a topic that has these types.
+
+        A service is recorded by the topic of its events; patterns are compared with its name.
+        """
+        if topic.endswith(_SERVICE_EVENT) and any(
+            "/srv/" in name and name.endswith("_Event") for name in types
+        ):
+            service = topic.removesuffix(_SERVICE_EVENT)
+            wanted = self.wants_all_services or service in self.services or topic in self.topics
+            excluded = service in self.exclude_services or topic in self.exclude_topics
+            return self._decide(service, wanted, excluded)
+        wanted = topic in self.topics
+        if not wanted and not self.include_hidden and "/_" in topic:
+            return False
+        return self._decide(topic, wanted or self.wants_all_topics, topic in self.exclude_topics)
+
+    def _decide(self, name: str, wanted: bool, excluded: bool) -> bool:
+        if excluded or (self.exclude_regex and re.search(self.exclude_regex, name)):
+            return False
+        return wanted or bool(self.regex and re.search(self.regex, name))

@@ -1,16 +1,17 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorder has recorded and lost, and what it says of that in /diagnostics."""
+"""A recorder's counts, and its statuses in /diagnostics."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from tsobs_ros.bag.recording import SnapshotBuffer
 from tsobs_ros.estimation.health import Level, Status
 
 _MIB = 2**20
-# How much longer than planned a sync may take before it is worth a warning [s].
+# How much later than planned a sync may end without a warning [s].
 _SYNC_GRACE = 5.0
-# Well before the disk is as full as recording ends at.
+# Free disk space at which to warn, as a multiple of that at which recording ends.
 _FREE_DISK_WARNING = 2.0
 
 
@@ -19,60 +20,68 @@ class TopicStatistics(NamedTuple):
 
     Attributes:
         messages: Messages recorded.
-        lost: Messages known to be lost, from gaps in the publishers' numbering.
-        loss_known: Whether that is all: false where the middleware does not number messages.
-        losers: The nodes whose messages are lost.
+        lost: Messages known to be lost, from gaps in the publisher's numbering.
+        loss_known: Whether that is all: false once the topic has had several publishers at a
+            time, or if the middleware does not number messages.
     """
 
     messages: int
     lost: int
     loss_known: bool
-    losers: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Return the counts as text."""
+        if self.loss_known:
+            return f"{self.messages} messages, {self.lost} lost"
+        lost = f"at least {self.lost} lost" if self.lost else "losses unknown"
+        return f"{self.messages} messages, {lost}"
 
 
 class RecorderStatistics(NamedTuple):
     """Counts of the whole recording, and of each topic by its full name.
 
     Attributes:
-        messages: Messages recorded.
-        lost: Messages known to be lost.
         topics: Counts of each topic.
-        discarded: Messages that came while the recording was paused.
+        discarded: Messages that arrived while the recording was paused.
         bytes: Bytes of the messages recorded.
         files: Files of the bag.
     """
 
-    messages: int
-    lost: int
     topics: Mapping[str, TopicStatistics]
     discarded: int = 0
     bytes: int = 0
     files: int = 1
 
+    @property
+    def messages(self) -> int:
+        """The messages recorded."""
+        return sum(topic.messages for topic in self.topics.values())
 
-class SnapshotFill(NamedTuple):
-    """What is in the snapshot buffer: messages, bytes, seconds, and what was too large for it."""
+    @property
+    def lost(self) -> int:
+        """The messages known to be lost."""
+        return sum(topic.lost for topic in self.topics.values())
 
-    messages: int
-    size: int
-    duration: float
-    refused: int
+    @property
+    def loss_unknown(self) -> list[str]:
+        """The topics whose losses are not all known."""
+        return sorted(name for name, topic in self.topics.items() if not topic.loss_known)
 
 
 class RecorderState(NamedTuple):
-    """All that decides what a recorder says of itself.
+    """All that decides a recorder's statuses.
 
     Attributes:
         statistics: Its counts.
-        rate: Messages a second, lately.
+        rate: Recent rate of messages [1/s].
         recording: Whether it records, rather than being paused or inactive.
         clock_awaited: Whether simulated time has not begun.
-        waiting_for: Listed topics that nobody publishes.
+        waiting_for: Listed topics without a publisher.
         free_disk: Free disk space [MiB].
-        minimum_free_disk: At which recording ends [MiB].
-        sync_age: Time since all that was flushed was forced to the disk [s].
-        sync_period: How long that should be [s].
-        snapshot: What is in the snapshot buffer, in snapshot mode.
+        minimum_free_disk: Free disk space at which recording ends [MiB].
+        sync_age: Time since the disk was last synced [s].
+        sync_period: Planned time between two syncs [s].
+        snapshot: The snapshot buffer, in snapshot mode.
     """
 
     statistics: RecorderStatistics
@@ -84,11 +93,11 @@ class RecorderState(NamedTuple):
     minimum_free_disk: int
     sync_age: float
     sync_period: float
-    snapshot: SnapshotFill | None = None
+    snapshot: SnapshotBuffer | None = None
 
 
 def disk_is_filling(free_disk: float, minimum_free_disk: int) -> bool:
-    """Return whether recording is about to end for want of disk space, both in MiB."""
+    """Return whether recording will soon end for want of disk space, both in MiB."""
     return free_disk < _FREE_DISK_WARNING * minimum_free_disk
 
 
@@ -101,6 +110,7 @@ def statuses(state: RecorderState) -> list[Status]:
         "messages a second": f"{state.rate:.1f}",
         "MiB": f"{counts.bytes / _MIB:.1f}",
         "lost": str(counts.lost),
+        "losses unknown of": ", ".join(counts.loss_unknown),
         "discarded while paused": str(counts.discarded),
         "topics": str(len(counts.topics)),
         "waiting for": ", ".join(state.waiting_for),
@@ -109,16 +119,15 @@ def statuses(state: RecorderState) -> list[Status]:
         "free disk space (MiB)": f"{state.free_disk:.0f}",
         "last sync (s ago)": f"{state.sync_age:.1f}",
     }
-    if (fill := state.snapshot) is not None:
-        values["snapshot buffer"] = (
-            f"{fill.messages} messages, {fill.duration:.1f} s, {fill.size / _MIB:.1f} MiB"
-        )
-        values["too large for the snapshot buffer"] = str(fill.refused)
-    return [Status("recording", level, message, values), _topics(counts.topics)]
+    if (buffer := state.snapshot) is not None:
+        duration, size = buffer.duration_ns * 1e-9, buffer.size / _MIB
+        values["snapshot buffer"] = f"{len(buffer)} messages, {duration:.1f} s, {size:.1f} MiB"
+        values["too large for the snapshot buffer"] = str(buffer.refused)
+    return [Status("recording", level, message, values), _topics(counts)]
 
 
 def _verdict(state: RecorderState) -> tuple[Level, str]:
-    """Return the worst that is to be said."""
+    """Return the most serious thing there is to report."""
     counts = state.statistics
     if counts.lost:
         return Level.WARN, f"{counts.lost} messages lost"
@@ -137,18 +146,11 @@ def _verdict(state: RecorderState) -> tuple[Level, str]:
     return Level.OK, "recording" if state.snapshot is None else "keeping the last seconds"
 
 
-def _topics(topics: Mapping[str, TopicStatistics]) -> Status:
-    lossy = [name for name, topic in topics.items() if topic.lost]
-    unknown = [name for name, topic in topics.items() if not topic.loss_known]
+def _topics(counts: RecorderStatistics) -> Status:
+    topics = dict(sorted(counts.topics.items()))
     level, message = Level.OK, "nothing lost"
-    if lossy:
-        level, message = Level.WARN, f"messages lost of {', '.join(sorted(lossy))}"
-    elif unknown:
-        message = f"losses unknown of {', '.join(sorted(unknown))}"
-    return Status("topics", level, message, {n: _counts(t) for n, t in sorted(topics.items())})
-
-
-def _counts(topic: TopicStatistics) -> str:
-    lost = f"{topic.lost} lost" if topic.loss_known else f"at least {topic.lost} lost"
-    losers = f" of {', '.join(topic.losers)}" if topic.losers else ""
-    return f"{topic.messages} messages, {lost}{losers}"
+    if lossy := [name for name, topic in topics.items() if topic.lost]:
+        level, message = Level.WARN, f"messages lost of {', '.join(lossy)}"
+    elif counts.loss_unknown:
+        message = f"losses unknown of {', '.join(counts.loss_unknown)}"
+    return Status("topics", level, message, {name: str(topic) for name, topic in topics.items()})

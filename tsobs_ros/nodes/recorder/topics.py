@@ -2,30 +2,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics a recorder subscribes to: found in the graph, with the QoS their publishers offer."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
+from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.qos import QosProfile
-from tsobs_ros.bag.recording import LossCounter
+from tsobs_ros.bag.losses import LossCounter
+from tsobs_ros.bag.qos import QosProfile, QosTime
+from tsobs_ros.bag.recording import Latch
 from tsobs_ros.errors import BagWriteError, NodeError
+from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import message_class
-from tsobs_ros.nodes.recorder.selection import TopicSelection
-from tsobs_ros.nodes.recorder.subscription import RawSubscription, Received
-from tsobs_ros.nodes.recorder.types import to_bag_qos
+from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
-# Counting the publishers of a topic tells that one came, but not that one took another's place.
+# The number of a topic's publishers shows that one came, but not that one took another's place.
 _POLLS_PER_FULL_LOOK = 10
-# Of one topic: nodes that are started again and again leave one behind each time.
-_MAX_PUBLISHERS = 1000
+# Messages of a topic remembered at least, to recognise those that arrive by two subscriptions.
+_REMEMBERED = 5000
 
 
 class QosKind(NamedTuple):
-    """What decides whether a subscription hears a publisher, and what it hears."""
+    """The policies that decide which publishers a subscription matches."""
 
     latched: bool
     reliable: bool
@@ -42,26 +43,37 @@ class QosKind(NamedTuple):
         """Return the profile of a subscription that asks for as much as is offered."""
         reliability, durability = ReliabilityPolicy, DurabilityPolicy
         return QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
             depth=depth,
             reliability=reliability.RELIABLE if self.reliable else reliability.BEST_EFFORT,
             durability=durability.TRANSIENT_LOCAL if self.latched else durability.VOLATILE,
         )
 
 
+# Publication time, number and length: of two messages of a topic, one is never the same.
+_Key = tuple[int, int | None, int]
+
+
+class Received(NamedTuple):
+    """A message as it came off the wire; times in ns since the epoch, of the system's clocks."""
+
+    data: bytes
+    source_ns: int
+    received_ns: int
+    latch: Latch | None
+
+
 class RecordedTopic:
     """One topic being recorded.
 
-    There is a subscription for each kind of QoS that a publisher offers, so that each is heard with
-    all it offers. What asks for less also hears those who offer more; the copies are told by their
-    publisher's number and left out.
+    There is a subscription for each kind of QoS that is offered, so that every publisher is
+    recorded with all it offers; one, if all offer the same. A subscription that asks for less also
+    matches those that offer more, and what arrives twice is recorded once.
 
     Attributes:
         name: The full topic name.
         definition: Its type.
         offers: What its publishers offered when it was found.
         losses: What is missing of it.
-        publishers: The nodes that publish it, by their publishers' ids.
     """
 
     def __init__(
@@ -69,92 +81,90 @@ class RecordedTopic:
         name: str,
         definition: MessageDefinition,
         offers: tuple[QosProfile, ...],
-        subscribe: Callable[[QosKind], RawSubscription],
+        subscribe: Callable[[QosKind], DrainedSubscription],
+        find_publishers: Callable[[], Sequence[TopicEndpointInfo]],
     ) -> None:
         self.name = name
         self.definition = definition
         self.offers = offers
         self.losses = LossCounter()
-        self.publishers: dict[bytes, str] = {}
         self._subscribe = subscribe
-        self._subscriptions: dict[QosKind, RawSubscription] = {}
-        self._kinds: dict[bytes, QosKind] = {}
+        self._find_publishers = find_publishers
+        self._subscriptions: dict[QosKind, DrainedSubscription] = {}
+        self._latched_publishers: set[bytes] = set()
+        self._recent: set[_Key] = set()
+        self._older: set[_Key] = set()
 
     @property
     def matched(self) -> bool:
-        """Whether a publisher is heard at the moment."""
+        """Whether a publisher is matched at the moment."""
         return any(s.publisher_count for s in self._subscriptions.values())
 
-    def hear(self, publishers: Sequence[TopicEndpointInfo]) -> None:
-        """Subscribe to those of all the publishers that are not heard yet, as they should be."""
-        if len(self.publishers) > _MAX_PUBLISHERS:
-            self.publishers.clear()
-            self._kinds.clear()
+    def subscribe(self, publishers: Sequence[TopicEndpointInfo]) -> None:
+        """Subscribe to all the publishers there are, as far as that is not done yet."""
         for info in publishers:
             kind = QosKind.of(info.qos_profile)
-            publisher = bytes(info.endpoint_gid)
-            self.publishers[publisher] = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-            self._kinds[publisher] = kind
-            self.hear_kind(kind)
+            if kind.latched:
+                self._latched_publishers.add(bytes(info.endpoint_gid))
+            self.subscribe_to(kind)
+        self.losses.see(_gids(publishers))
 
-    def hear_kind(self, kind: QosKind) -> None:
+    def subscribe_to(self, kind: QosKind) -> None:
         """Subscribe to publishers of a kind."""
         if kind not in self._subscriptions:
             self._subscriptions[kind] = self._subscribe(kind)
-            # Latched ones first: what comes twice is taken for what it is.
-            self._subscriptions = dict(sorted(self._subscriptions.items(), reverse=True))
+            # Latched ones last: when their queue is emptied, a copy has not arrived before.
+            self._subscriptions = dict(sorted(self._subscriptions.items()))
 
     def drain(self, limit: int) -> list[Received]:
         """Take what has arrived for the first time, at most `limit` from each subscription."""
-        is_new, kinds = self.losses.is_new, self._kinds
-        return [
-            message
-            for kind, subscription in self._subscriptions.items()
-            for message in subscription.drain(limit)
-            # Without numbers, only what comes by the subscription that was made for its publisher.
-            if (message.number is not None or kinds.get(message.publisher, kind) == kind)
-            and is_new(message.publisher, message.number)
-        ]
-
-    def latched_by(self, message: Received) -> bytes | None:
-        """Return a message's publisher if what it publishes is for those too who come later."""
-        kind = self._kinds.get(message.publisher)
-        return message.publisher if kind is not None and kind.latched else None
+        taken = [(kind, s, s.take(limit)) for kind, s in self._subscriptions.items()]
+        only_one = len(taken) == 1
+        received: list[Received] = []
+        numbers: list[int | None] = []
+        for kind, subscription, messages in reversed(taken):
+            publishers = 0
+            if kind.latched and messages:
+                publishers = max(subscription.publisher_count, len(self._latched_publishers))
+            for data, info in messages:
+                source_ns, number = info["source_timestamp"], info["publication_sequence_number"]
+                key = (source_ns, number, len(data))
+                if (key in self._recent or key in self._older) and not only_one:
+                    continue
+                self._recent.add(key)
+                latch = Latch(number, publishers) if kind.latched else None
+                received.append(Received(data, source_ns, info["received_timestamp"], latch))
+                numbers.append(number)
+        if numbers:
+            self.losses.add(numbers, lambda: _gids(self._find_publishers()))
+        if len(self._recent) > _REMEMBERED:
+            self._recent, self._older = set(), self._recent
+        return received
 
 
 class TopicFinder:
-    """Subscribes to topics as soon as somebody publishes them.
+    """Subscribes to topics as soon as they have a publisher.
 
     Args:
         node: The node that owns the subscriptions.
-        selection: What to record.
-        remapped: The listed topics' names from before remapping, by their full names:
-            subscribing applies the remappings again.
-        queue_depth: How many messages of a topic may wait to be drained.
-        include_unpublished: Whether to subscribe to topics that nobody publishes.
-        warn: Told once about each topic that cannot be recorded, or not all of it.
+        parameters: What to record.
+        warn: Called once about each topic that cannot be recorded, or not all of it.
 
     Attributes:
         recorded: The topics that have been found, by name.
     """
 
     def __init__(
-        self,
-        node: Node,
-        selection: TopicSelection,
-        remapped: Mapping[str, str],
-        queue_depth: int,
-        include_unpublished: bool,
-        warn: Callable[[str], None],
+        self, node: Node, parameters: RecorderParameters, warn: Callable[[str], object]
     ) -> None:
         self.recorded: dict[str, RecordedTopic] = {}
         self._node = node
-        self._selection = selection
-        self._remapped = remapped
-        self._queue_depth = queue_depth
-        self._include_unpublished = include_unpublished
+        self._selection = parameters.resolved(node.resolve_topic_name, node.resolve_service_name)
+        self._listed = self._selection.listed()
+        # Subscribing applies remappings, so it needs the names from before them.
+        self._given = {node.resolve_topic_name(n): n for n in parameters.topics if n != "*"}
         self._warn = warn
-        # With which types a topic was tried, and what has been said: neither is repeated.
+        # The types a topic was tried with, and the warnings given: neither is repeated.
         self._tried: dict[str, Sequence[str]] = {}
         self._warnings: set[str] = set()
         self._publisher_counts: dict[str, int] = {}
@@ -162,10 +172,10 @@ class TopicFinder:
 
     @property
     def missing(self) -> list[str]:
-        """The listed topics that nobody publishes yet, or that cannot be recorded."""
+        """The listed topics that have no publisher yet, or that cannot be recorded."""
         return [
             name
-            for name in self._selection.listed
+            for name in self._listed
             if name not in self.recorded or not self.recorded[name].matched
         ]
 
@@ -191,8 +201,8 @@ class TopicFinder:
     def _wanted(self) -> dict[str, Sequence[str]]:
         """Return the topics yet to be found, and their types as far as those are known."""
         selection = self._selection
-        wanted: dict[str, Sequence[str]] = dict.fromkeys(selection.listed, ())
-        if selection.has_patterns or self._include_unpublished:
+        wanted: dict[str, Sequence[str]] = dict.fromkeys(self._listed, ())
+        if selection.has_patterns or selection.include_unpublished:
             for name, types in self._node.get_topic_names_and_types():
                 if name in wanted or selection.wants(name, types):
                     wanted[name] = types
@@ -203,7 +213,7 @@ class TopicFinder:
         publishers = self._node.get_publishers_info_by_topic(name)
         if publishers:
             types = sorted({info.topic_type for info in publishers})
-        elif not (self._include_unpublished and types):
+        elif not (self._selection.include_unpublished and types):
             return None
         if not self._selection.wants(name, types) or self._tried.get(name) == types:
             return None
@@ -216,21 +226,30 @@ class TopicFinder:
             name,
             definition,
             tuple(to_bag_qos(info.qos_profile) for info in publishers),
-            lambda kind: RawSubscription(
-                self._node,
-                msg_type,
-                self._remapped.get(name, name),
-                kind.request(self._queue_depth),
-            ),
+            lambda kind: self._subscription(name, msg_type, kind),
+            lambda: self._node.get_publishers_info_by_topic(name),
         )
-        self._check_definition(definition, name, publishers)
-        topic.hear(publishers)
+        hashes = {str(info.topic_type_hash) for info in publishers} - {definition.type_hash}
+        if definition.type_hash and any(text.startswith("RIHS01_") for text in hashes):
+            self._warn(
+                f"{name}: a publisher's definition of {definition.type} is not the installed one"
+            )
+        topic.subscribe(publishers)
         if not publishers:
-            topic.hear_kind(QosKind(latched=False, reliable=True))
+            topic.subscribe_to(QosKind(latched=False, reliable=True))
         return topic
 
+    def _subscription(self, name: str, msg_type: Any, kind: QosKind) -> DrainedSubscription:
+        qos = kind.request(self._selection.queue_depth)
+        try:
+            return DrainedSubscription(
+                self._node, msg_type, self._given.get(name, name), qos, raw=True
+            )
+        except Exception as error:  # such as another type of the same topic in this process
+            raise NodeError(f"{name}: cannot subscribe: {error}") from error
+
     def _look_at(self, topic: RecordedTopic) -> None:
-        """Hear publishers that came later."""
+        """Subscribe to publishers that came later."""
         fitting = []
         for info in self._node.get_publishers_info_by_topic(topic.name):
             if info.topic_type == topic.definition.type:
@@ -241,20 +260,34 @@ class TopicFinder:
                     f"{info.topic_type}, not a {topic.definition.type}"
                 )
         try:
-            topic.hear(fitting)
+            topic.subscribe(fitting)
         except NodeError as error:
             self._warn_once(f"not recording all of {topic.name}: {error}")
-
-    def _check_definition(
-        self, definition: MessageDefinition, name: str, publishers: Iterable[TopicEndpointInfo]
-    ) -> None:
-        published = {str(info.topic_type_hash) for info in publishers} - {definition.type_hash}
-        if definition.type_hash and any(text.startswith("RIHS01_") for text in published):
-            self._warn(
-                f"{name}: a publisher's definition of {definition.type} is not the installed one"
-            )
 
     def _warn_once(self, message: str) -> None:
         if message not in self._warnings:
             self._warnings.add(message)
             self._warn(message)
+
+
+def to_bag_qos(profile: QoSProfile) -> QosProfile:
+    """Return a profile that a publisher offers in the form a bag has it."""
+    return QosProfile(
+        history=profile.history.name.lower(),
+        depth=profile.depth,
+        reliability=profile.reliability.name.lower(),
+        durability=profile.durability.name.lower(),
+        deadline=_to_bag_time(profile.deadline),
+        lifespan=_to_bag_time(profile.lifespan),
+        liveliness=profile.liveliness.name.lower(),
+        liveliness_lease_duration=_to_bag_time(profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )
+
+
+def _to_bag_time(duration: Duration) -> QosTime:
+    return QosTime(*divmod(duration.nanoseconds, 10**9))
+
+
+def _gids(publishers: Sequence[TopicEndpointInfo]) -> frozenset[bytes]:
+    return frozenset(bytes(info.endpoint_gid) for info in publishers)

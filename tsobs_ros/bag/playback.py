@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""When to publish which message of a bag: a function of bag time and steady time, and no clock.
+"""The schedule of a bag being played: a function of bag time and steady time, without a clock.
 
 Bag time is the log time of messages, steady time that of a clock which is never set; both in ns.
 Every deadline is computed from the last change of pace, so that no error adds up, and everything
-that falls due is handed out in the order of its deadlines, however late the caller comes.
+due is returned in the order of its deadlines, however late the caller comes.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,14 +13,14 @@ from typing import NamedTuple
 from tsobs_ros.bag.reader import BagMessage
 
 NEVER = 2**62
-# Whoever was held up for longer goes on from where it was instead of catching up in one burst.
-LONGEST_LAG = 1_000_000_000
+# A player that was held up for longer continues from there instead of catching up in one burst.
+MAX_LAG = 1_000_000_000
 # A loop over a single message would otherwise publish it without end.
-SHORTEST_PASS = 10_000_000
+MIN_PASS = 10_000_000
 
 Read = Callable[[int, bool], Iterator[BagMessage | None]]
-"""Reads a bag from a bag time on, messages in order and None after the last one; if told so, then
-again and again from the start. Messages from before that time are those latched there."""
+"""Reads a bag from a bag time on: messages in order, None after the last one, and, if the second
+argument is true, the same from the start again and again. Messages from before are latched ones."""
 
 
 class Timeline:
@@ -50,13 +50,11 @@ class Timeline:
         numerator, denominator = self._rate
         return self._steady - (self._time - time) * denominator // numerator
 
-    def anchor(self, time: int, steady: int) -> None:
-        """Be at a bag time at a steady time, with the pace as it is."""
+    def anchor(self, time: int, steady: int, rate: float | None = None) -> None:
+        """Be at a bag time at a steady time, and change the rate from there on if one is given."""
         self._time, self._steady = time, steady
-
-    def set_rate(self, rate: float) -> None:
-        """Change the pace, from the anchor on."""
-        self._rate = rate.as_integer_ratio()
+        if rate is not None:
+            self._rate = rate.as_integer_ratio()
 
     def shift(self, amount: int) -> None:
         """Let everything be later by an amount of steady time [ns]."""
@@ -96,12 +94,12 @@ class Ticks:
 
 
 class Event(NamedTuple):
-    """Something to publish.
+    """A message, or without one a stamp of the clock, to publish.
 
     Attributes:
-        due: When it was to be published, in steady time [ns].
+        due: The steady time it was due at [ns].
         time: The bag time then [ns].
-        message: What; None for the clock.
+        message: The message; None for the clock.
     """
 
     due: int
@@ -110,24 +108,23 @@ class Event(NamedTuple):
 
 
 class Playback:
-    """Hands out the messages of a bag, and the clock's stamps, when they are due.
+    """Returns the messages of a bag, and the clock's stamps, when they are due.
 
-    It begins paused, at the start; `seek` must come before anything else.
+    It is paused at first; `seek` must come before anything else.
 
     Args:
         read: Reads the bag; may block, and may raise what reading a bag raises, which `take`,
             `step` and `position` pass on.
-        start: The bag time at which each pass begins [ns].
-        end: The bag time at which a pass ends [ns].
+        start: Bag time at which each pass starts [ns].
+        end: Bag time at which a pass ends [ns].
         rate: Seconds of bag time per second.
-        clock_rate: Clock stamps per second of steady time, also in a pause; 0 for none.
-        loop: Whether to begin again at the end.
+        clock_rate: Clock stamps per second of steady time, also in a pause; 0: none.
+        loop: Whether to start again at the end.
 
     Attributes:
         loop: The same; may be changed at any time.
         ended: Whether the end was reached without a loop.
-        held_back: For how long in total [ns] the end was put off, because the caller came later
-            than `LONGEST_LAG`.
+        held_back: Total delay of the end, as the caller came later than `MAX_LAG` [ns].
     """
 
     def __init__(
@@ -150,7 +147,7 @@ class Playback:
         self._messages: Iterator[BagMessage | None] = iter(())
         self._next: BagMessage | None = None
         self._is_read = True
-        # Where the current pass began, in bag time and in steady time.
+        # The start of the current pass, in bag time and in steady time.
         self._from, self._began = start, 0
 
     @property
@@ -159,7 +156,7 @@ class Playback:
         return self._timeline.paused
 
     def position(self, now: int) -> int:
-        """Return the bag time [ns]; it does not pass a message that has not been handed out."""
+        """Return the bag time [ns]; it does not pass a message that has not been taken."""
         return min(self._timeline.at(now), self._next_time())
 
     def pause(self, now: int) -> None:
@@ -177,12 +174,11 @@ class Playback:
             self._timeline.paused = False
 
     def set_rate(self, rate: float, now: int) -> None:
-        """Let bag time run at another pace from now on."""
-        self._timeline.anchor(self.position(now), now)
-        self._timeline.set_rate(rate)
+        """Let bag time run at another rate from now on."""
+        self._timeline.anchor(self.position(now), now, rate)
 
     def seek(self, time: int, now: int) -> None:
-        """Go to a bag time between start and end, and pause: reading there may take a while.
+        """Go to a bag time between start and end, and pause, as reading there may take a while.
 
         The clock and what is latched there are due at once.
         """
@@ -190,14 +186,14 @@ class Playback:
         self._timeline.paused = True
         self._messages = self._read(time, self.loop)
         self._is_read = False
-        self._begin(time, now)
+        self._start_pass(time, now)
 
     def take(self, now: int) -> Event | None:
         """Return the next event if it is due, and go on to the one after."""
         due = min(self._ticks.due, self._message_due())
         if due > now:
             return None
-        if now - due > LONGEST_LAG:
+        if now - due > MAX_LAG:
             self._hold_back(now - due)
             due = now
         if self._ticks.due == due:
@@ -209,11 +205,11 @@ class Playback:
             self._timeline.anchor(self._end, due)
             self._timeline.paused = self.ended = True
             return None
-        self._begin_again(due)
+        self._start_next_pass(due)
         return self.take(now)
 
     def wait(self, now: int) -> int:
-        """Return how long it is until the next event is due [ns]; `NEVER` may be far away."""
+        """Return the time until the next event is due [ns]; `NEVER` may be far away."""
         return max(0, min(self._ticks.due, self._message_due()) - now)
 
     def step(self, now: int) -> list[Event]:
@@ -224,7 +220,7 @@ class Playback:
         if not self.paused:
             return []
         if self._peek() is None and self.loop:
-            self._begin_again(now)
+            self._start_next_pass(now)
         if (message := self._peek()) is None:
             return []
         self._is_read = False
@@ -250,28 +246,25 @@ class Playback:
             return NEVER
         message = self._peek()
         if message is None:
-            if (due := self._timeline.due(self._end)) == NEVER:
-                return NEVER
-            return max(due, self._began + SHORTEST_PASS) if self.loop else due
+            due = self._timeline.due(self._end)
+            return max(due, self._began + MIN_PASS) if self.loop and due != NEVER else due
         if message.log_time < self._from:
             return self._began
         return self._timeline.due(message.log_time)
 
-    def _begin(self, time: int, now: int) -> None:
+    def _start_pass(self, time: int, now: int) -> None:
         self.ended = False
         self._from, self._began = time, now
         self._timeline.anchor(time, now)
         self._ticks.start(now)
 
-    def _begin_again(self, now: int) -> None:
-        """Begin the next pass; it has been read ahead if there was a loop when reading began."""
-        self._is_read = False
+    def _start_next_pass(self, now: int) -> None:
+        """Start the next pass; it has been read ahead if there was a loop when reading began."""
         self._next = next(self._messages, _NOT_READ_AHEAD)
-        if self._next is _NOT_READ_AHEAD:
+        self._is_read = self._next is not _NOT_READ_AHEAD
+        if not self._is_read:
             self._messages = self._read(self._start, True)
-        else:
-            self._is_read = True
-        self._begin(self._start, now)
+        self._start_pass(self._start, now)
 
     def _hold_back(self, lag: int) -> None:
         if not self.paused:

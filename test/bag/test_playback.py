@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsobs_ros.bag.playback.schedule import (
-    LONGEST_LAG,
+from tsobs_ros.bag.playback import (
+    MAX_LAG,
+    MIN_PASS,
     NEVER,
-    SHORTEST_PASS,
     Event,
     Playback,
     Timeline,
@@ -318,9 +318,9 @@ def test_a_loop_may_be_wanted_or_not_until_the_last_moment() -> None:
 
 @pytest.mark.parametrize("messages", [[], [message(0)]])
 def test_a_loop_of_no_length_takes_its_time(messages: list[BagMessage]) -> None:
-    events = play(Bag(messages).playback(loop=True, rate=100.0), NOW + 10 * SHORTEST_PASS)
+    events = play(Bag(messages).playback(loop=True, rate=100.0), NOW + 10 * MIN_PASS)
 
-    assert [e.due - NOW for e in events] == [k * SHORTEST_PASS for k in range(11)][: len(events)]
+    assert [e.due - NOW for e in events] == [k * MIN_PASS for k in range(11)][: len(events)]
     assert len(events) == 11 * len(messages)
 
 
@@ -328,7 +328,7 @@ def test_a_short_stop_is_caught_up() -> None:
     playback = Bag([message(k * 100 * MS) for k in range(20)]).playback()
     playback.resume(NOW)
 
-    events = [playback.take(NOW + LONGEST_LAG) for _ in range(12)]
+    events = [playback.take(NOW + MAX_LAG) for _ in range(12)]
 
     assert played([e for e in events if e]) == [k * 100 * MS for k in range(11)]
     assert playback.held_back == 0

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tsobs_ros.bag import BagReader, BagWriter
-from tsobs_ros.bag.playback.source import BagSource, ReadAhead
+from tsobs_ros.bag.read_ahead import BagSource, ReadAhead
 from tsobs_ros.errors import BagReadError
 
 STRING = "std_msgs/msg/String"

@@ -1,0 +1,288 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A recording is complete by file, by snapshot and after a pause; latched messages are in each."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Event, get_ident
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader as RosbagsReader
+
+from tsobs_ros.bag import BagReader, BagWriter, QosProfile
+from tsobs_ros.bag.definitions import find_definition
+from tsobs_ros.bag.metadata import read_metadata
+from tsobs_ros.bag.recording import (
+    BackgroundSync,
+    BufferedMessage,
+    Latch,
+    LatchedMessages,
+    Recording,
+    RecordingOptions,
+    SnapshotBuffer,
+)
+from tsobs_ros.bag.verification import verify
+from tsobs_ros.errors import BagWriteError
+
+# std_msgs/String in CDR, with nothing and with a map in it.
+EMPTY = b"\0\1\0\0\1\0\0\0\0"
+MAP = b"\0\1\0\0\4\0\0\0map\0"
+ONE = Latch(number=1, publishers=1)
+LIMIT = 10.0
+
+
+def begin(path: Path, options: RecordingOptions) -> Recording:
+    recording = Recording(path, options)
+    for topic in ("/map", "/a"):
+        definition = find_definition("std_msgs/msg/String")
+        recording.add_topic(topic, definition, [QosProfile()])
+    return recording
+
+
+def message(topic: str, time: int, data: bytes = EMPTY) -> BufferedMessage:
+    return BufferedMessage(topic, data, time, time)
+
+
+def stored(path: Path) -> list[tuple[str, int, int]]:
+    return [(m.topic, m.log_time, m.publish_time) for m in BagReader(path).messages()]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    """Give a path for a bag, and check that it is strictly one, for other readers too."""
+    path = tmp_path / "bag"
+    yield path
+    found = verify(path)
+    assert (found.errors, found.remarks) == ((), ())
+    ours = [(m.topic, m.data) for m in BagReader(path).messages()]
+    with RosbagsReader(path) as reader:
+        assert [(c.topic, bytes(data)) for c, _, data in reader.messages()] == ours
+    theirs = []
+    for file in read_metadata(path).files:
+        with (path / file.path).open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            theirs += [(c.topic, m.data) for _, c, m in reader.iter_messages()]
+    assert theirs == ours
+
+
+@pytest.mark.parametrize("repeat", [0, 1])
+def test_every_file_begins_with_what_is_latched(folder: Path, repeat: int) -> None:
+    recording = begin(folder, RecordingOptions(max_duration_ns=9, repeat_latched=repeat))
+    recording.record(message("/map", 1, MAP), ONE)
+    for time in range(2, 25):
+        recording.record(message("/a", time))
+    recording.split()
+    recording.split()
+    recording.record(message("/map", 30, MAP), ONE)
+    recording.close()
+
+    files = [BagReader(folder / f.path) for f in read_metadata(folder).files]
+    begins = [next((m.topic, m.log_time, m.publish_time) for m in f.messages()) for f in files]
+    repeated = [("/map", 11, 1), ("/map", 21, 1)] if repeat else [("/a", t, t) for t in (11, 21)]
+    assert begins == [("/map", 1, 1), *repeated, ("/map", 30, 30)]
+    assert recording.file_count == 4
+    assert recording.counts == {"/map": 2, "/a": 23}
+
+
+def test_what_is_latched_during_a_pause_comes_after_it(folder: Path) -> None:
+    recording = begin(folder, RecordingOptions())
+    recording.record(message("/a", 1))
+    for topic, latch in (("/a", None), ("/map", ONE), ("/map", ONE)):
+        recording.discard(message(topic, 2, MAP), latch)
+    recording.record(message("/a", 5))
+    recording.record(message("/a", 6))
+    recording.close()
+    assert stored(folder) == [("/a", 1, 1), ("/map", 5, 2), ("/a", 5, 5), ("/a", 6, 6)]
+    assert recording.discarded == 3
+    assert recording.bytes == 3 * len(EMPTY) + len(MAP)
+
+
+def test_snapshots_hold_the_last_seconds_and_what_is_latched(folder: Path) -> None:
+    options = RecordingOptions(snapshot_duration_ns=10, snapshot_size=10**6)
+    recording = begin(folder, options)
+    recording.record(message("/map", 1, MAP), ONE)
+    for time in range(50):
+        recording.record(message("/a", 10 + time))
+    assert recording.take_snapshot() == 12
+    for time in range(100, 103):
+        recording.record(message("/a", time))
+    assert recording.take_snapshot() == 4
+    assert not recording.write_pending()
+    recording.record(message("/a", 200))
+    recording.close()
+
+    first = [("/map", 49, 1)] + [("/a", time, time) for time in range(49, 60)]
+    second = [("/map", 100, 1)] + [("/a", time, time) for time in range(100, 103)]
+    assert stored(folder) == first + second
+
+
+def test_a_large_snapshot_is_written_bit_by_bit_and_to_the_end(folder: Path) -> None:
+    options = RecordingOptions(snapshot_duration_ns=10**9, snapshot_size=10**8)
+    recording = begin(folder, options)
+    for time in range(1, 12_001):
+        recording.record(message("/a", time))
+    assert recording.take_snapshot() == 12_000
+    assert recording.take_snapshot() == 0
+    assert recording.write_pending()
+    recording.close()
+    assert len(stored(folder)) == 12_000
+
+
+def test_a_disk_that_fails_to_sync_ends_the_recording(tmp_path: Path, monkeypatch) -> None:
+    recording = begin(tmp_path / "bag", RecordingOptions(sync_period=0.001))
+    recording.record(message("/a", 1))
+
+    def fail(descriptor: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    def flush_until_it_fails() -> None:
+        while True:
+            recording.flush()
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fdatasync", fail)
+        with pytest.raises(BagWriteError, match="Input/output error"):
+            flush_until_it_fails()
+    recording.close()
+    assert stored(tmp_path / "bag") == [("/a", 1, 1)]
+
+
+def kept(depth: int, *arrivals: tuple[str, int | None, int]) -> list[int]:
+    """Return which messages, by their order of arrival, are kept of publishers and numbers."""
+    latched = LatchedMessages(depth)
+    for k, (_, number, publishers) in enumerate(arrivals):
+        latched.keep(message("/x", k), Latch(number, publishers))
+    return [m.publish_time_ns for m in latched.before(1000)]
+
+
+@pytest.mark.parametrize(
+    ("depth", "arrivals", "expected"),
+    [
+        # One publisher, with numbers and without.
+        (1, [("a", 1, 1), ("a", 2, 1)], [1]),
+        (2, [("a", None, 1)] * 5, [3, 4]),
+        # Two that publish once, whatever numbers they have come to.
+        (1, [("a", 1, 2), ("b", 1, 2)], [0, 1]),
+        (1, [("a", 7, 2), ("b", 8, 2)], [0, 1]),
+        # One of them goes on: unclear whose the first ones are, until the other one does, too.
+        (1, [("a", 1, 2), ("b", 1, 2), ("a", 2, 2)], [0, 1, 2]),
+        (1, [("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("a", 3, 2)], [0, 1, 3]),
+        (1, [("a", 1, 2), ("b", 1, 2), ("a", 2, 2), ("b", 2, 2)], [2, 3]),
+        (2, [("a", 3, 2), ("b", 1, 2), ("a", 4, 2), ("a", 5, 2), ("a", 6, 2)], [0, 1, 3, 4]),
+        # One is restarted: what the first one latched stays.
+        (1, [("a", 8, 1), ("a", 9, 1), ("a", 1, 2), ("a", 2, 2), ("a", 3, 2)], [1, 4]),
+        # Restarted without end.
+        (1, [("a", 1, k) for k in range(1, 101)], list(range(36, 100))),
+    ],
+)
+def test_the_last_of_each_latched_publisher_is_kept(
+    depth: int, arrivals: list[tuple[str, int | None, int]], expected: list[int]
+) -> None:
+    assert kept(depth, *arrivals) == expected
+
+
+# Publishers' turns: each publishes its next number when it is named.
+turns = st.lists(st.sampled_from("abc"), min_size=1, max_size=40)
+
+
+@given(turns, st.integers(1, 3))
+def test_no_publishers_last_messages_are_missing_however_they_take_turns(
+    order: list[str], depth: int
+) -> None:
+    arrivals = [(who, order[: k + 1].count(who), 3) for k, who in enumerate(order)]
+    needed = {k for who in "abc" for k in [i for i, o in enumerate(order) if o == who][-depth:]}
+    assert needed <= set(kept(depth, *arrivals))
+
+
+def test_what_is_logged_later_is_not_repeated_and_what_a_pause_hid_is_logged_once() -> None:
+    latched = LatchedMessages(depth=1)
+    latched.keep(message("/x", 10), Latch(1, 2))
+    latched.keep(message("/x", 20), Latch(1, 2), logged=False)
+    latched.keep(message("/y", 50), ONE)
+    hidden = message("/x", 20)._replace(log_time_ns=30)
+    assert latched.before(10) == [hidden._replace(log_time_ns=10)]
+    assert latched.log(30) == [hidden]
+    assert latched.log(31) == []
+    assert [m.publish_time_ns for m in latched.before(30)] == [10]
+    assert latched.before(31) == [m._replace(log_time_ns=31) for m in (message("/x", 10), hidden)]
+
+
+MESSAGE_SIZE = 256  # of an empty one in a snapshot
+buffered = st.lists(st.tuples(st.integers(0, 1000), st.integers(0, 600)), max_size=60)
+
+
+@given(buffered, st.integers(1, 300), st.integers(0, 4000))
+def test_a_snapshot_holds_the_longest_end_that_fits(
+    arrived: list[tuple[int, int]], duration: int, size: int
+) -> None:
+    times = sorted(time for time, _ in arrived)
+    messages = [message("/x", t, bytes(s)) for t, (_, s) in zip(times, arrived, strict=True)]
+    buffer = SnapshotBuffer(duration, size)
+    fitting = [m for m in messages if MESSAGE_SIZE + len(m.data) <= size]
+    for each in messages:
+        buffer.add(each)
+        assert buffer.size <= size
+
+    def fits(end: list[BufferedMessage]) -> bool:
+        total = sum(MESSAGE_SIZE + len(m.data) for m in end)
+        return total <= size and end[-1].log_time_ns - end[0].log_time_ns <= duration
+
+    ends = [fitting[i:] for i in range(len(fitting)) if fits(fitting[i:])]
+    expected = max(ends, key=len, default=[])
+    assert buffer.refused == len(messages) - len(fitting)
+    assert len(buffer) == len(expected)
+    assert buffer.size == sum(MESSAGE_SIZE + len(m.data) for m in expected)
+    assert buffer.duration_ns == (expected[-1].log_time_ns - expected[0].log_time_ns
+                                  if expected else 0)  # fmt: skip
+    assert list(buffer.take()) == expected
+    assert (len(buffer), buffer.size, buffer.duration_ns) == (0, 0, 0)
+
+
+def test_time_that_goes_back_drops_nothing_too_early() -> None:
+    buffer = SnapshotBuffer(10, 10**6)
+    for time in (100, 105, 3, 4):
+        buffer.add(message("/x", time))
+    assert buffer.duration_ns == 0
+    assert [m.log_time_ns for m in buffer.take()] == [100, 105, 3, 4]
+
+
+def test_a_disk_is_synced_again_and_again_in_another_thread_until_it_fails() -> None:
+    threads: list[int] = []
+    failed = Event()
+
+    def sync() -> None:
+        threads.append(get_ident())
+        if len(threads) == 3:
+            failed.set()
+            raise BagWriteError("disk failed")
+
+    background = BackgroundSync(sync, period=0.001)
+    assert failed.wait(LIMIT)
+    background.stop()
+    background.stop()
+    assert len(threads) == 3
+    assert get_ident() not in threads
+    assert str(background.error) == "disk failed"
+    assert 0.0 <= background.age < LIMIT
+
+
+def test_syncing_while_a_bag_is_written_split_and_closed_does_no_harm(tmp_path: Path) -> None:
+    count = 3_000
+    with BagWriter(tmp_path / "bag", max_duration_ns=count // 20) as writer:
+        background = BackgroundSync(writer.sync, period=0.0)
+        for time in range(count):
+            topic = f"/t{time // 100}"
+            writer.add_topic(topic, "std_msgs/msg/String")
+            writer.write(topic, b"data", time, time)
+            if time % 10 == 0:
+                writer.flush()
+    background.stop()
+    assert background.error is None
+    reader = BagReader(tmp_path / "bag")
+    assert [m.log_time for m in reader.messages()] == list(range(count))
+    assert reader.metadata is not None
+    assert reader.metadata.message_count == count
+    assert len(reader.metadata.topics) == count // 100

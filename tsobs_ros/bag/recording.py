@@ -1,0 +1,391 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A bag being recorded: messages written at once or as snapshots, synced to the disk, with the
+latched ones in every file.
+
+A map or a transform is published once and meant for all who come later. A file that starts an hour
+into a recording, a snapshot of the last minute and what follows a pause make sense only with it.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from threading import Event, Thread
+from typing import NamedTuple
+
+from tsobs_ros.bag.definitions import MessageDefinition
+from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.writer import BagWriter
+from tsobs_ros.errors import BagWriteError
+
+# Messages of a snapshot written in one go: those that arrive meanwhile must not wait too long.
+_SNAPSHOT_SLICE = 5000
+# The memory of a buffered message beyond its data [bytes].
+_OVERHEAD = 256
+# Of one topic, whose latched messages are kept: each start of a node leaves one behind.
+_MAX_PUBLISHERS = 64
+
+
+class BufferedMessage(NamedTuple):
+    """A message as it goes to the bag; times in ns since the epoch."""
+
+    topic: str
+    data: bytes
+    log_time_ns: int
+    publish_time_ns: int
+
+
+class Latch(NamedTuple):
+    """What is known of a latched message's publisher.
+
+    Attributes:
+        number: The publisher's count of its messages; None if the middleware gives none.
+        publishers: The number of latched publishers the topic has had so far.
+    """
+
+    number: int | None
+    publishers: int
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """How to record.
+
+    Attributes:
+        compression: Of the chunks: `none`, `lz4` or `zstd`.
+        max_size: Size at which a file is followed by another [bytes]; 0: none.
+        max_duration_ns: Longest log time in a file [ns]; 0: no limit.
+        repeat_latched: Messages of each latched publisher that every file starts with.
+        sync_period: Pause between two syncs of the disk [s].
+        snapshot_duration_ns: Length of a snapshot [ns]; 0: everything is written.
+        snapshot_size: Memory that a snapshot may take [bytes].
+    """
+
+    compression: str = "zstd"
+    max_size: int = 0
+    max_duration_ns: int = 0
+    repeat_latched: int = 1
+    sync_period: float = 5.0
+    snapshot_duration_ns: int = 0
+    snapshot_size: int = 0
+
+
+class Recording:
+    """Writes and counts messages as they arrive; another thread syncs the disk.
+
+    Args:
+        path: The bag's folder, which must not exist.
+        options: How to record.
+
+    Attributes:
+        path: The bag's folder.
+        counts: The messages recorded, or kept for a snapshot, by topic.
+        bytes: The bytes of these messages.
+        discarded: The number of messages that arrived during pauses.
+        snapshot: The buffer of the last seconds; None if everything is written.
+        sync: The thread that syncs the disk.
+
+    Raises:
+        BagWriteError: The folder exists or cannot be created.
+    """
+
+    def __init__(self, path: Path, options: RecordingOptions) -> None:
+        self.path = path
+        self.counts: dict[str, int] = {}
+        self.bytes = 0
+        self.discarded = 0
+        self.snapshot: SnapshotBuffer | None = None
+        if options.snapshot_duration_ns:
+            self.snapshot = SnapshotBuffer(options.snapshot_duration_ns, options.snapshot_size)
+        self._repeats = options.repeat_latched > 0
+        self._latched = LatchedMessages(max(1, options.repeat_latched))
+        self._has_unlogged = False
+        self._pending: deque[BufferedMessage] = deque()
+        self._writer = BagWriter(
+            path,
+            compression=options.compression,
+            max_size=options.max_size,
+            max_duration_ns=options.max_duration_ns,
+            on_split=self._start_file,
+        )
+        self.sync = BackgroundSync(self._writer.sync, options.sync_period)
+
+    @property
+    def file_count(self) -> int:
+        """The number of files of the bag."""
+        return len(self._writer.metadata().files)
+
+    def add_topic(
+        self, name: str, definition: MessageDefinition, offers: Iterable[QosProfile]
+    ) -> None:
+        """Register a topic, with what its publishers offer, before its first message.
+
+        Raises:
+            BagWriteError: The bag cannot be written.
+        """
+        self._writer.add_topic(name, definition.type, offers, definition=definition)
+        self.counts.setdefault(name, 0)
+
+    def record(self, message: BufferedMessage, latch: Latch | None = None) -> None:
+        """Write a message of a registered topic, or keep it for a snapshot.
+
+        Args:
+            message: The message.
+            latch: Its publisher's, if it is latched.
+
+        Raises:
+            BagWriteError: The bag cannot be written.
+        """
+        if self._has_unlogged:
+            self._has_unlogged = False
+            for hidden in self._latched.log(message.log_time_ns):
+                self._store(hidden)
+        if latch is not None:
+            self._latched.keep(message, latch)
+        self._store(message)
+
+    def discard(self, message: BufferedMessage, latch: Latch | None = None) -> None:
+        """Count a message that is not recorded; a latched one will be with the next that is.
+
+        Args:
+            message: The message; its log time does not matter.
+            latch: Its publisher's, if it is latched.
+        """
+        self.discarded += 1
+        if latch is not None:
+            self._latched.keep(message, latch, logged=False)
+            self._has_unlogged = True
+
+    def split(self) -> None:
+        """Continue in another file, unless the current one is empty.
+
+        Raises:
+            BagWriteError: The bag cannot be written.
+        """
+        self._writer.split()
+
+    def take_snapshot(self) -> int:
+        """Have the buffer written by the next calls of `write_pending`; return its length.
+
+        Latched messages from before are written and counted, too.
+        """
+        assert self.snapshot is not None, "not recording snapshots"
+        messages = self.snapshot.take()
+        before = len(self._pending)
+        if messages:
+            self._pending += self._repeated(messages[0].log_time_ns)
+            self._pending += messages
+        return len(self._pending) - before
+
+    def write_pending(self) -> bool:
+        """Write some of a snapshot, and return whether there is more.
+
+        Raises:
+            BagWriteError: The bag cannot be written.
+        """
+        for _ in range(min(len(self._pending), _SNAPSHOT_SLICE)):
+            self._writer.write(*self._pending.popleft())
+        return bool(self._pending)
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system: it survives a kill.
+
+        Raises:
+            BagWriteError: The bag cannot be written, or the disk failed to sync.
+        """
+        self._writer.flush()
+        if self.sync.error is not None:
+            raise self.sync.error
+
+    def close(self) -> None:
+        """Finish the bag; safe to call twice.
+
+        Raises:
+            BagWriteError: The bag cannot be finished; it can be recovered as far as flushed.
+        """
+        with ExitStack() as stack:
+            stack.callback(self._writer.close)
+            stack.callback(self.sync.stop)
+            while self.write_pending():
+                pass
+
+    def _store(self, message: BufferedMessage) -> None:
+        self.counts[message.topic] += 1
+        self.bytes += len(message.data)
+        if self.snapshot is None:
+            self._writer.write(*message)
+        else:
+            self.snapshot.add(message)
+
+    def _start_file(self, log_time_ns: int) -> None:
+        for message in self._repeated(log_time_ns):
+            self._writer.write(*message)
+
+    def _repeated(self, log_time_ns: int) -> list[BufferedMessage]:
+        return self._latched.before(log_time_ns) if self._repeats else []
+
+
+@dataclass(slots=True)
+class _Latched:
+    message: BufferedMessage
+    number: int | None
+    logged: bool
+
+
+class LatchedMessages:
+    """Keeps the last messages of each latched publisher, without knowing whose each one is.
+
+    Message n of a publisher takes the place of its message n - depth. If several publishers have
+    sent that one, none is dropped before as many have sent message n: an outdated message too many
+    is kept rather than one too few.
+
+    Args:
+        depth: How many of each publisher.
+    """
+
+    def __init__(self, depth: int) -> None:
+        self._depth = depth
+        self._topics: dict[str, list[_Latched]] = {}
+
+    def keep(self, message: BufferedMessage, latch: Latch, logged: bool = True) -> None:
+        """Keep a message, and drop what it replaces.
+
+        Args:
+            message: The message; its log time matters only if it is logged.
+            latch: Its publisher's.
+            logged: Whether it is in the bag already.
+        """
+        number, depth = latch.number, self._depth
+        kept = self._topics.setdefault(message.topic, [])
+        kept.append(_Latched(message, number, logged))
+        surplus = len(kept) - depth * min(latch.publishers, _MAX_PUBLISHERS)
+        if surplus <= 0:
+            return
+        if number is None or latch.publishers == 1:
+            del kept[:surplus]
+            return
+        replaced = [other for other in kept if other.number == number - depth]
+        if len(replaced) <= sum(other.number == number for other in kept):
+            kept[:] = [other for other in kept if other.number != number - depth]
+        del kept[: max(0, len(kept) - depth * _MAX_PUBLISHERS)]
+
+    def before(self, log_time_ns: int) -> list[BufferedMessage]:
+        """Return what was logged before a time, or not yet, in order of publication.
+
+        The log time of all is the given one [ns].
+        """
+        return _in_order(
+            log_time_ns,
+            (m for m in self._all() if not m.logged or m.message.log_time_ns < log_time_ns),
+        )
+
+    def log(self, log_time_ns: int) -> list[BufferedMessage]:
+        """Mark what was not logged as logged at a time [ns], and return it as `before` does."""
+        unlogged = [latched for latched in self._all() if not latched.logged]
+        for latched in unlogged:
+            latched.message = latched.message._replace(log_time_ns=log_time_ns)
+            latched.logged = True
+        return _in_order(log_time_ns, unlogged)
+
+    def _all(self) -> Iterable[_Latched]:
+        return chain.from_iterable(self._topics.values())
+
+
+def _in_order(log_time_ns: int, latched: Iterable[_Latched]) -> list[BufferedMessage]:
+    messages = [each.message._replace(log_time_ns=log_time_ns) for each in latched]
+    return sorted(messages, key=lambda message: message.publish_time_ns)
+
+
+class SnapshotBuffer:
+    """Holds the newest messages, as many as fit into a time and into memory.
+
+    Args:
+        max_duration_ns: Greatest log time between the oldest and the newest [ns].
+        max_size: Memory they may take [bytes].
+
+    Attributes:
+        size: Memory they take, roughly [bytes].
+        refused: Number of messages lost, as they were larger than all the memory.
+    """
+
+    def __init__(self, max_duration_ns: int, max_size: int) -> None:
+        self.size = 0
+        self.refused = 0
+        self._max_duration_ns = max_duration_ns
+        self._max_size = max_size
+        self._messages: deque[BufferedMessage] = deque()
+
+    def __len__(self) -> int:
+        """Return the number of messages."""
+        return len(self._messages)
+
+    @property
+    def duration_ns(self) -> int:
+        """The log time from the oldest to the newest message [ns]; 0 if time went back."""
+        if not self._messages:
+            return 0
+        return max(0, self._messages[-1].log_time_ns - self._messages[0].log_time_ns)
+
+    def add(self, message: BufferedMessage) -> None:
+        """Add the newest message, and drop those that are too old or too many by now."""
+        size = len(message.data) + _OVERHEAD
+        if size > self._max_size:
+            self.refused += 1
+            return
+        messages = self._messages
+        messages.append(message)
+        self.size += size
+        oldest_ns = message.log_time_ns - self._max_duration_ns
+        while self.size > self._max_size or messages[0].log_time_ns < oldest_ns:
+            self.size -= len(messages.popleft().data) + _OVERHEAD
+
+    def take(self) -> deque[BufferedMessage]:
+        """Return the messages, oldest first, and hold none any more."""
+        messages, self._messages = self._messages, deque()
+        self.size = 0
+        return messages
+
+
+class BackgroundSync:
+    """Calls `BagWriter.sync` again and again in a thread, as a disk may take seconds over it.
+
+    Args:
+        sync: What to call; a BagWriteError it raises ends the calls.
+        period: Pause between two calls [s].
+
+    Attributes:
+        error: The error that ended the calls, if one did.
+    """
+
+    def __init__(self, sync: Callable[[], None], period: float) -> None:
+        self.error: BagWriteError | None = None
+        self._sync = sync
+        self._period = period
+        self._synced_at = time.monotonic()
+        self._stopping = Event()
+        self._thread = Thread(target=self._run, name="bag sync", daemon=True)
+        self._thread.start()
+
+    @property
+    def age(self) -> float:
+        """The time since the last call that succeeded was made [s]."""
+        return time.monotonic() - self._synced_at
+
+    def stop(self) -> None:
+        """End the calls and wait for the one in progress; safe to call twice."""
+        self._stopping.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._stopping.wait(self._period):
+            called_at = time.monotonic()
+            try:
+                self._sync()
+            except BagWriteError as error:
+                self.error = error
+                return
+            self._synced_at = called_at
