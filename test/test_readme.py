@@ -19,7 +19,7 @@ def test_the_python_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> No
     (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
     names: dict[str, Any] = {}
     exec(compile(code, "README.md", "exec"), names)
-    assert np.isfinite(names["estimate"].state).all()
+    assert np.isfinite(names["estimates"].state).all()
     assert capsys.readouterr().out
 
 
