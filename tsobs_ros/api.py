@@ -337,11 +337,11 @@ def compare(
     Args:
         path: As for `estimate_bag`.
         design: A design or its file; the shipped design if None.
-        methods: Names of the observers.
+        methods: Names of the observers; of several, those that cannot observe the arm are left out.
         joints: Names of the joints; all that were measured if empty.
 
     Raises:
-        ModelError: There is no such method, or it cannot observe this arm.
+        ModelError: There is no such method, or none can observe this arm.
         BagReadError: The bag cannot be read, or does not have the measurements.
         LogError: The log cannot be read.
 
@@ -366,7 +366,13 @@ def _run(
     output: str | Path | None,
 ) -> "tuple[Source, list[Run]]":
     # Not needed for arrays, and slow to import.
-    from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
+    from tsobs_ros.replay.estimate import (
+        Observer,
+        make_runs,
+        open_source,
+        run_all,
+        without_misfits,
+    )
 
     chosen = design if isinstance(design, Design) else load_design(design)
     if not isinstance(chosen, Design):
@@ -378,6 +384,8 @@ def _run(
         Observer("observer" if single else one.method, one, (chosen,) * len(source.joints))
         for one in settings
     ]
+    if not single:
+        observers, _ = without_misfits(observers)
     runs = make_runs(source, observers, rate=rate, as_live=rate is None)
     run_all(source, runs, None if output is None else Path(output))
     return source, runs

@@ -10,6 +10,7 @@ import pytest
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.messages.joint_states import JointStateEncoder
 from tsobs_ros.cli.main import main
+from tsobs_ros.methods import METHODS
 from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 
 
@@ -131,6 +132,21 @@ def test_compare_prints_all_observers_and_writes_nothing(bag: Path, capsys) -> N
         assert observer in out
     assert "innovation² / expected" in out
     assert [path.name for path in bag.parent.iterdir()] == ["bag"]
+
+
+def test_compare_leaves_out_what_does_not_fit_the_arm_and_says_why(bag, tmp_path, capsys) -> None:
+    text = config_path(SHIPPED_DESIGN).read_text(encoding="utf-8")
+    other = tmp_path / "other.design.yaml"
+    other.write_text(text.replace("stiffness: 10.0", "stiffness: 10.000000001"), encoding="utf-8")
+    command = ["compare", str(bag), "--design", str(other)]
+
+    assert main([*command, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert {row["observer"] for row in result["errors"]} == set(METHODS) - {"paper"}
+    assert any("paper is left out: method paper: expected" in each for each in result["remarks"])
+
+    assert main([*command, "--method", "paper"]) == 1
+    assert "the method's Example 3" in capsys.readouterr().err
 
 
 def test_a_log_is_estimated(arms, tmp_path, capsys) -> None:

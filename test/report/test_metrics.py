@@ -13,7 +13,13 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.report.comparison import compare_with_ekf, render_metrics, rerun
+from tsobs_ros.report.comparison import (
+    ObserverErrors,
+    compare_with_ekf,
+    render_comparison,
+    render_metrics,
+    rerun,
+)
 from tsobs_ros.report.metrics import QUANTITIES, MetricsOptions, measure
 from tsobs_ros.report.run import Series
 
@@ -189,6 +195,22 @@ def test_metrics_are_plain_data(simulated, exact) -> None:
         text = json.dumps(metrics.as_mapping(), allow_nan=False)
         assert list(json.loads(text)["quantities"]) == [one.key for one in QUANTITIES]
     assert json.loads(text)["quantities"]["link_angle"]["rmse"] is None
+
+
+@pytest.mark.parametrize("size", [2e83, 1e200])
+def test_a_diverged_observer_is_called_so_and_stays_plain_data(exact, size) -> None:
+    innovations = Series(exact.stamps, np.full((8001, 1), size))
+    run = replace(with_error(exact, 5.0, 40.0, size), innovations=innovations)
+    metrics = measure(run, MetricsOptions(innovation_std=0.02))
+    rows = [ObserverErrors("high_gain", "elbow", size, metrics)]
+
+    json.dumps(rows[0].as_mapping(), allow_nan=False)
+    table = render_comparison(rows).splitlines()
+    lines = {line.split("  ")[0]: line.split()[-1] for line in table if line}
+    for name in ("link angle", "all states, normalised", "innovation", "innovation² / expected"):
+        assert lines[name] == "diverged"
+    assert lines["link velocity"] == "0.00"
+    assert "diverged" in render_metrics(metrics)
 
 
 def test_unknown_quantities_are_refused(exact) -> None:

@@ -24,4 +24,4 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run observers over a recording and compare them."""
-    return estimate(options, options.output)
+    return estimate(options, options.output, skip_misfits=True)

@@ -103,10 +103,17 @@ def run(options: argparse.Namespace) -> int:
 
 
 def estimate(
-    options: argparse.Namespace, output: Path | None, *, estimates_only: bool = False
+    options: argparse.Namespace,
+    output: Path | None,
+    *,
+    estimates_only: bool = False,
+    skip_misfits: bool = False,
 ) -> int:
-    """Run the observers that the options name, show the result, and return the exit code."""
-    from tsobs_ros.replay.estimate import make_runs, open_source, run_all
+    """Run the observers that the options name, show the result, and return the exit code.
+
+    With `skip_misfits` an observer that cannot observe the arm is left out, with a remark.
+    """
+    from tsobs_ros.replay.estimate import make_runs, open_source, run_all, without_misfits
 
     begin = time.monotonic()
     settings = _settings(options)
@@ -119,11 +126,15 @@ def estimate(
         assume_zero_torque=settings.assume_zero_torque,
     )
     observers = _observers(options, settings, source.joints)
+    remarks = list(source.remarks)
+    if skip_misfits:
+        observers, misfits = without_misfits(observers)
+        remarks += misfits
     as_live = options.rate is None and options.at != "measurements"
     runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
     with progress(source.samples.count * len(runs), " samples", quiet=options.json) as advance:
         run_all(source, runs, output, estimates_only=estimates_only, progress=advance)
-    mapping, text = _result(source, runs, output, time.monotonic() - begin)
+    mapping, text = _result(source, runs, output, time.monotonic() - begin, remarks)
     show(mapping, text, options.json)
     if source.damage is not None:
         complain(f"{source.damage}; estimated up to there")
@@ -197,7 +208,11 @@ def _designs(arguments: Sequence[str], joints: Sequence[str]) -> "dict[str, tupl
 
 
 def _result(
-    source: "Source", runs: "list[Run]", output: Path | None, seconds: float
+    source: "Source",
+    runs: "list[Run]",
+    output: Path | None,
+    seconds: float,
+    remarks: Sequence[str],
 ) -> tuple[dict[str, Any], str]:
     """Return the result for programs and for people."""
     from tsobs_ros.report.comparison import compare_runs, render_comparison
@@ -218,7 +233,7 @@ def _result(
             f"{run.observer.name:<{width}}  {run.table.done.sum():,} estimates from "
             f"{run.replay.used:,} measurements; rejected: {rejected or 'none'}"
         )
-    lines += source.remarks
+    lines += remarks
     lines += [] if agreement is None else [agreement.text()]
     lines += ["", render_comparison(errors)] if errors else []
     lines += [] if output is None else [f"wrote {output}"]
@@ -243,7 +258,7 @@ def _result(
         ],
         "live": None if agreement is None else agreement._asdict(),
         "errors": [one.as_mapping() for one in errors],
-        "remarks": list(source.remarks),
+        "remarks": list(remarks),
         "damage": None if source.damage is None else str(source.damage),
     }
     return mapping, "\n".join(lines)

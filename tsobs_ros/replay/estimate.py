@@ -26,6 +26,7 @@ from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
+from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.tracker import JointTrackers
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.log import LogSource
@@ -67,6 +68,25 @@ class Observer:
     name: str
     settings: ObserverSettings
     designs: tuple[Design, ...]
+
+
+def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list[str]]:
+    """Return the observers that can observe their arms, and remarks on the others.
+
+    Raises:
+        ModelError: None of them can.
+    """
+    fitting, remarks = [], []
+    for one in observers:
+        try:
+            for design in one.designs:
+                make_estimator(design, one.settings)
+            fitting.append(one)
+        except ModelError as error:
+            remarks.append(f"{one.name} is left out: {error}")
+    if not fitting:
+        raise ModelError("; ".join(remarks))
+    return fitting, remarks
 
 
 class Run:
