@@ -22,11 +22,11 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagReader, BagWriter
-from tsobs_ros.bag.bag_file import CHUNK_SIZE
 from tsobs_ros.bag.definitions import find_definition
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.recovery import recover
 from tsobs_ros.bag.verification import verify
+from tsobs_ros.bag.writer import CHUNK_SIZE
 
 _TOPICS = [f"/topic_{k}" for k in range(10)]
 _START = 1_700_000_000_000_000_000

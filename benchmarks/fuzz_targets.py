@@ -13,7 +13,7 @@ import numpy as np
 from fuzz_mutations import mutated_bytes, mutated_text
 from mcap.writer import CompressionType, Writer
 
-from tsobs_ros.bag.messages.joint_states import JointStateDecoder, JointStateEncoder
+from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.recovery import recover
 from tsobs_ros.bag.verification import verify

@@ -22,7 +22,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.bag.messages.estimate_topics import STATES, TOPICS
+from tsobs_ros.bag.estimate_topics import STATES, TOPICS
 from tsobs_ros.design.file import save_design
 from tsobs_ros.design.record import Design
 
@@ -152,7 +152,7 @@ def _sensor(rate: float, joints: int) -> None:
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import JointState
 
-    from tsobs_ros.bag.messages.joint_states import JointStateEncoder
+    from tsobs_ros.bag.joint_states import JointStateEncoder
     from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
     encode = JointStateEncoder(joint_names(joints))
@@ -180,7 +180,7 @@ def _listener() -> None:
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.qos import QoSProfile
 
-    from tsobs_ros.bag.messages.joint_states import JointStateDecoder
+    from tsobs_ros.bag.joint_states import JointStateDecoder
     from tsobs_ros.nodes.draining import DrainedSubscription
 
     rclpy.init()

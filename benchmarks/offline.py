@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from common import design_of, parser, show, timed, use_one_thread
 
-from tsobs_ros.bag.messages.estimate_topics import sides
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.estimate_topics import sides
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design

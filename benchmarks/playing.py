@@ -30,7 +30,7 @@ _SILENCE = 5.0
 
 def _write_bag(path: Path, seconds: float) -> int:
     from tsobs_ros.bag import BagWriter, QosProfile
-    from tsobs_ros.bag.messages.joint_states import JointStateEncoder
+    from tsobs_ros.bag.joint_states import JointStateEncoder
 
     encode, count = JointStateEncoder([f"joint_{k + 1}" for k in range(7)]), 0
     with BagWriter(path) as writer:
@@ -70,7 +70,7 @@ def _receive(count: int) -> dict[str, list[int]]:
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
-    from tsobs_ros.bag.messages.joint_states import JointStateDecoder
+    from tsobs_ros.bag.joint_states import JointStateDecoder
     from tsobs_ros.nodes.draining import DrainedSubscription
 
     node, decode = rclpy.create_node("receiver"), JointStateDecoder()

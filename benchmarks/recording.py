@@ -39,7 +39,7 @@ _LOADS = (_Load("10 topics at 1 kHz", 10, 1000.0), _Load("1 topic at 10 kHz", 1,
 
 def _encoder() -> Callable[[int, int], bytes]:
     """Return what makes message number n of topic k; each has other bytes."""
-    from tsobs_ros.bag.messages.joint_states import JointStateEncoder
+    from tsobs_ros.bag.joint_states import JointStateEncoder
 
     encode = JointStateEncoder(_NAMES)
 

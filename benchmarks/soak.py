@@ -159,7 +159,7 @@ def _sensor(rate: float, share: float) -> None:
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import JointState
 
-    from tsobs_ros.bag.messages.joint_states import JointStateEncoder
+    from tsobs_ros.bag.joint_states import JointStateEncoder
     from tsobs_ros.simulation.plant import Plant
     from tsobs_ros.simulation.scenarios import SCENARIOS
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """metadata.yaml has every key rosbag2 asks for, comes back as written, and is checked."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,22 +12,28 @@ import pytest
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from rosbags.rosbag2.metadata import parse_qos
 
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
+    INFINITE,
+    POLICIES,
     BagMetadata,
     FileMetadata,
-    TopicMetadata,
+    QosProfile,
+    QosTime,
+    TopicInfo,
+    profiles_from_yaml,
+    profiles_to_yaml,
     read_metadata,
     write_metadata,
 )
-from tsobs_ros.bag.qos import QosProfile
 from tsobs_ros.errors import BagReadError, BagWriteError
 
 METADATA = BagMetadata(
     topics=(
-        TopicMetadata("/a", "std_msgs/msg/String", 3, (QosProfile(),), "RIHS01_" + "0" * 64),
-        TopicMetadata("/b", "std_msgs/msg/Empty"),
+        TopicInfo("/a", "std_msgs/msg/String", 3, (QosProfile(),), "RIHS01_" + "0" * 64),
+        TopicInfo("/b", "std_msgs/msg/Empty"),
     ),
     files=(
         FileMetadata("bag_0.mcap", 1_000, 500, 2),
@@ -105,7 +112,7 @@ texts = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_siz
     max_examples=50,
 )
 @given(
-    topics=st.lists(st.builds(TopicMetadata, names, names, st.integers(0, 10**12))),
+    topics=st.lists(st.builds(TopicInfo, names, names, st.integers(0, 10**12))),
     files=st.lists(
         st.builds(FileMetadata, names, st.integers(0, EMPTY_START_NS), st.integers(0, 2**60))
     ),
@@ -113,7 +120,7 @@ texts = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_siz
 )
 def test_metadata_comes_back_as_written(
     tmp_path: Path,
-    topics: list[TopicMetadata],
+    topics: list[TopicInfo],
     files: list[FileMetadata],
     custom_data: dict[str, str] | None,
 ) -> None:
@@ -149,17 +156,26 @@ def _set(*path: Any, to: Any) -> Callable[[Any], None]:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda information: information.pop("files"), "the key 'files' is missing"),
-        (lambda information: information.pop("custom_data"), "the key 'custom_data' is missing"),
+        (lambda information: information.pop("files"), "missing required field `files`"),
+        (
+            lambda information: information.pop("custom_data"),
+            "missing required field `custom_data`",
+        ),
         (_set("version", to=8), "version is 8, only 9 is supported"),
         (
             _set("files", 0, "message_count", to=-1),
-            "message_count is -1, but must be a whole number",
+            r"Expected `int` >= 0 - at `\$\.files\[0\]\.message_count",
         ),
-        (_set("files", 0, "duration", "nanoseconds", to=0.5), "nanoseconds is 0.5, but must be"),
+        (
+            _set("files", 0, "duration", "nanoseconds", to=0.5),
+            "got `float` - at .*nanoseconds",
+        ),
         (_set("files", 0, "path", to="other.mcap"), "but relative_file_paths"),
         (_set("files", to=None), "not the metadata of a bag"),
-        (_set("topics_with_message_count", 0, "message_count", to="3"), "must be a whole number"),
+        (
+            _set("topics_with_message_count", 0, "message_count", to="3"),
+            "Expected `int`, got `str`",
+        ),
         (
             _set("topics_with_message_count", 0, "topic_metadata", "offered_qos_profiles", to="x"),
             "not the metadata of a bag",
@@ -189,3 +205,82 @@ def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path) -> None:
     write_metadata(tmp_path, replace(METADATA, files=(FileMetadata("bag\0.mcap"),)))
     with pytest.raises(BagReadError, match=r"'bag\\x00.mcap' cannot be a file's name"):
         read_metadata(tmp_path)
+
+
+times = st.builds(QosTime, st.integers(0, 9223372036), st.integers(0, 10**9 - 1))
+profiles = st.builds(
+    QosProfile,
+    depth=st.integers(0, 10**6),
+    deadline=times,
+    lifespan=times,
+    liveliness_lease_duration=times,
+    avoid_ros_namespace_conventions=st.booleans(),
+    **{policy: st.sampled_from(names) for policy, names in POLICIES.items()},
+)
+
+
+@given(st.lists(profiles, max_size=3))
+def test_profiles_survive_yaml(offers: list[QosProfile]) -> None:
+    assert profiles_from_yaml(profiles_to_yaml(offers)) == tuple(offers)
+
+
+def test_the_yaml_is_the_one_jazzy_writes() -> None:
+    assert yaml.safe_load(profiles_to_yaml([QosProfile()])) == [
+        {
+            "history": "unknown",
+            "depth": 0,
+            "reliability": "reliable",
+            "durability": "volatile",
+            "deadline": {"sec": 9223372036, "nsec": 854775807},
+            "lifespan": {"sec": 9223372036, "nsec": 854775807},
+            "liveliness": "automatic",
+            "liveliness_lease_duration": {"sec": 9223372036, "nsec": 854775807},
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]
+    assert profiles_to_yaml([]) == "[]"
+
+
+def test_rosbags_understands_the_yaml() -> None:
+    offer = QosProfile(history="keep_last", depth=7, reliability="best_effort")
+    (parsed,) = parse_qos(profiles_to_yaml([offer]))
+    assert (parsed.history.name, parsed.depth) == ("KEEP_LAST", 7)
+    assert (parsed.reliability.name, parsed.durability.name) == ("BEST_EFFORT", "VOLATILE")
+    assert QosTime(parsed.deadline.sec, parsed.deadline.nsec) == INFINITE
+
+
+def test_policies_by_number_are_those_of_the_rmw() -> None:
+    values = QosProfile().to_map() | {"history": 1, "reliability": 2, "durability": 1}
+    assert QosProfile.from_map(values) == QosProfile(
+        history="keep_last", reliability="best_effort", durability="transient_local"
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"reliability": "sometimes"}, "reliability is 'sometimes', but must be one of"),
+        ({"history": 17}, "not a QoS profile"),
+        ({"history": -1}, "got `int` - at .*history"),
+        ({"depth": -1}, "`int` >= 0 - at .*depth"),
+        ({"depth": 9.5}, "got `float` - at .*depth"),
+        ({"deadline": {"sec": -1, "nsec": 0}}, "`int` >= 0 - at .*deadline.sec"),
+        ({"deadline": {"sec": math.inf, "nsec": 0}}, "got `float` - at .*deadline.sec"),
+        ({"avoid_ros_namespace_conventions": 7}, "Expected `bool`, got `int`"),
+        ({"lifespan": {"sec": 1}}, "not a QoS profile: .*`nsec`"),
+        ({"lifespan": None}, "not a QoS profile"),
+    ],
+)
+def test_what_is_no_profile_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        QosProfile.from_map(QosProfile().to_map() | change)
+
+
+@pytest.mark.parametrize("text", ["a: b", "- 1", "[", "- {history: unknown}"])
+def test_what_is_no_list_of_profiles_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="not a"):
+        profiles_from_yaml(text)
+
+
+def test_no_text_means_no_profiles() -> None:
+    assert profiles_from_yaml("") == ()

@@ -103,7 +103,7 @@ def test_the_folder_says_what_the_file_holds(written: list[Entry]) -> None:
         assert metadata.message_count == len(written)
         assert metadata.starting_time_ns == min(times, default=EMPTY_START_NS)
         assert metadata.duration_ns == max(times, default=0) - min(times, default=0)
-        assert {t.name: (t.type, t.message_count) for t in metadata.topics} == {
+        assert {t.name: (t.type, t.count) for t in metadata.topics} == {
             topic: (msgtype, sum(entry.topic == topic for entry in written))
             for topic, msgtype in TOPICS.items()
         }
@@ -182,7 +182,7 @@ def test_the_folder_and_the_file_agree_on_qos(tmp_path: Path) -> None:
         writer.write("/a", b"x", 1, 1)
     reader = BagReader(tmp_path / "bag")
     assert reader.topics["/a"].qos_profiles == tuple(offers)
-    assert read_metadata(tmp_path / "bag").topics[0].offered_qos_profiles == tuple(offers)
+    assert read_metadata(tmp_path / "bag").topics[0].qos_profiles == tuple(offers)
 
 
 def test_custom_data_is_kept(tmp_path: Path) -> None:

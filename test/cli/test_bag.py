@@ -35,8 +35,8 @@ def bag(tmp_path: Path) -> Path:
 def killed(bag: Path) -> Path:
     """The same, cut off inside of its last chunk, and without metadata."""
     path = bag / "run_0.mcap"
-    last = BagReader(path).indexes[0].spans[-1].frame
-    path.write_bytes(path.read_bytes()[: last.end - 20])
+    last = BagReader(path).summaries[0].spans[-1]
+    path.write_bytes(path.read_bytes()[: last.offset + last.size - 20])
     (bag / "metadata.yaml").unlink()
     return bag
 

@@ -12,7 +12,7 @@ import pytest
 
 from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.definitions import MessageDefinition
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all

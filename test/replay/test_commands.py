@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.bag.messages.joint_states import JointStateEncoder
+from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.cli.main import main
 from tsobs_ros.methods import METHODS
 from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.bag.messages.joint_states import JointStateDecoder
+from tsobs_ros.bag.joint_states import JointStateDecoder
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.replay.log import LogSource

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.bag.messages.joint_states import JointStateDecoder, JointStateEncoder
+from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.errors import BagReadError, BagWriteError, ModelError
 from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from tsobs_ros.bag.messages.joint_series import JointSeries
+from tsobs_ros.bag.joint_series import JointSeries
 from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.replay.source import Samples, restarts, samples_of
 

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.definitions import MessageDefinition
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.errors import BagReadError, ExportError
 from tsobs_ros.report.export import export_bag
 

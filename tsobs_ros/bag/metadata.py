@@ -1,49 +1,161 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `metadata.yaml` of a bag folder, version 9: the one Jazzy writes."""
+"""The topics, QoS and files of a bag, and its `metadata.yaml` of version 9, which Jazzy writes."""
 
 import os
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
+import msgspec
 import yaml
 
-from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.errors import BagReadError, BagWriteError
-from tsobs_ros.yaml_files import load_yaml, whole_number
+from tsobs_ros.yaml_files import load_yaml
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
 ROOT_KEY = "rosbag2_bagfile_information"
 EMPTY_START_NS = 2**63 - 1
 TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
-# libyaml's is ten times faster, and metadata is written while messages arrive.
+
+# In the order of the RMW's enumerations: bags from before Jazzy name a policy by its number.
+POLICIES: Mapping[str, tuple[str, ...]] = {
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "liveliness": (
+        "system_default",
+        "automatic",
+        "manual_by_node",
+        "manual_by_topic",
+        "unknown",
+        "best_available",
+    ),
+}
+
+# libyaml's is ten times as fast, and metadata is written while messages arrive.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+_Kind = TypeVar("_Kind")
+_Count = Annotated[int, msgspec.Meta(ge=0)]
 
 
 @dataclass(frozen=True)
-class TopicMetadata:
-    """One recorded topic.
+class QosTime:
+    """A span of time: `sec` seconds and `nsec` nanoseconds."""
+
+    sec: _Count
+    nsec: _Count
+
+
+INFINITE = QosTime(9223372036, 854775807)
+
+
+@dataclass(frozen=True)
+class QosProfile:
+    """One publisher's offer; the defaults are those that Fast DDS reports of a default publisher.
+
+    Attributes:
+        history: A name of `POLICIES["history"]`; `unknown` if discovery does not report it.
+        depth: The history's depth in messages; 0 if discovery does not report it.
+        reliability: A name of `POLICIES["reliability"]`.
+        durability: A name of `POLICIES["durability"]`.
+        deadline: The longest time promised between two messages.
+        lifespan: The age at which a message is dropped.
+        liveliness: A name of `POLICIES["liveliness"]`.
+        liveliness_lease_duration: The longest time between two signs of life.
+        avoid_ros_namespace_conventions: Whether the DDS topic is named without ROS prefixes.
+
+    Raises:
+        ValueError: A policy has no such name, or a depth or time is negative.
+
+    >>> QosProfile(reliability="best_effort").durability
+    'volatile'
+    """
+
+    history: str = "unknown"
+    depth: _Count = 0
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    deadline: QosTime = INFINITE
+    lifespan: QosTime = INFINITE
+    liveliness: str = "automatic"
+    liveliness_lease_duration: QosTime = INFINITE
+    avoid_ros_namespace_conventions: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what a rosbag2 reader would refuse."""
+        for policy, names in POLICIES.items():
+            if (name := getattr(self, policy)) not in names:
+                raise ValueError(f"{policy} is '{name}', but must be one of {', '.join(names)}")
+        times = (self.deadline, self.lifespan, self.liveliness_lease_duration)
+        if min(self.depth, *(t.sec for t in times), *(t.nsec for t in times)) < 0:
+            raise ValueError(f"depth and times of a QoS profile must not be negative: {self}")
+
+    def to_map(self) -> dict[str, Any]:
+        """Return the profile as the map of metadata version 9."""
+        return asdict(self)
+
+    @classmethod
+    def from_map(cls, values: Mapping[str, Any]) -> "QosProfile":
+        """Return the profile that a map describes, with policies by name or by number.
+
+        Raises:
+            ValueError: A key is missing, or a value is not one.
+        """
+        known = dict(_checked(values, dict[str, Any], "a QoS profile"))
+        if missing := [each.name for each in fields(cls) if each.name not in known]:
+            raise ValueError(f"not a QoS profile: it has no {', '.join(missing)}")
+        for policy, names in POLICIES.items():
+            number = known[policy]
+            if type(number) is int and 0 <= number < len(names):
+                known[policy] = names[number]
+        return _checked(known, cls, "a QoS profile")
+
+
+def profiles_to_yaml(profiles: Iterable[QosProfile]) -> str:
+    """Return the offers as the YAML list that is a channel's `offered_qos_profiles`."""
+    maps = [profile.to_map() for profile in profiles]
+    return str(yaml.safe_dump(maps, sort_keys=False)).rstrip("\n")
+
+
+def profiles_from_yaml(text: str) -> tuple[QosProfile, ...]:
+    """Return the offers that a channel's `offered_qos_profiles` lists; none for an empty text.
+
+    Raises:
+        ValueError: The text is not a YAML list of QoS profiles.
+    """
+    try:
+        content = load_yaml(text) or []
+    except ValueError as error:
+        raise ValueError(f"not a list of QoS profiles: {error}") from error
+    return tuple(map(QosProfile.from_map, _checked(content, list[Any], "a list of QoS profiles")))
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """One topic of a bag.
 
     Attributes:
         name: The full topic name.
         type: The message type, `package/msg/Type`.
-        message_count: How many messages of it the bag holds.
-        offered_qos_profiles: What its publishers offered when it was registered.
-        type_description_hash: The RIHS01 hash of its type, or an empty string.
-        serialization_format: How messages are encoded.
+        count: The number of its messages in the bag.
+        qos_profiles: The offers of its publishers when it was registered.
+        type_hash: The RIHS01 hash of its type, or an empty string.
+        definition: The definition of its type; None if only metadata.yaml names the topic.
     """
 
     name: str
     type: str
-    message_count: int = 0
-    offered_qos_profiles: tuple[QosProfile, ...] = ()
-    type_description_hash: str = ""
-    serialization_format: str = "cdr"
+    count: int = 0
+    qos_profiles: tuple[QosProfile, ...] = ()
+    type_hash: str = ""
+    definition: MessageDefinition | None = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -54,7 +166,7 @@ class FileMetadata:
         path: Its name in the bag's folder.
         starting_time_ns: The smallest log time in it, ns since the epoch.
         duration_ns: From there to the largest log time, ns.
-        message_count: How many messages it holds.
+        message_count: The number of its messages.
     """
 
     path: str
@@ -65,17 +177,17 @@ class FileMetadata:
 
 @dataclass(frozen=True)
 class BagMetadata:
-    """What a bag folder says about itself.
+    """The content of a bag's metadata.yaml.
 
     Attributes:
         topics: The recorded topics, in order of registration.
         files: The files, in order of recording.
-        custom_data: What the user wants remembered.
+        custom_data: The user's notes.
         ros_distro: The ROS distribution it was recorded with.
         storage_identifier: The storage format of the files.
     """
 
-    topics: tuple[TopicMetadata, ...]
+    topics: tuple[TopicInfo, ...]
     files: tuple[FileMetadata, ...]
     custom_data: Mapping[str, str] | None = None
     ros_distro: str = "jazzy"
@@ -101,46 +213,89 @@ class BagMetadata:
         return [file for file in self.files if file.message_count]
 
     def to_map(self) -> dict[str, Any]:
-        """Return the content of the root key, every key of it in rosbag2's order."""
-        return {
-            "version": VERSION,
-            "storage_identifier": self.storage_identifier,
-            "duration": {"nanoseconds": self.duration_ns},
-            "starting_time": {"nanoseconds_since_epoch": self.starting_time_ns},
-            "message_count": self.message_count,
-            "topics_with_message_count": [_topic_map(topic) for topic in self.topics],
-            # Empty even with compressed chunks: those are MCAP's own business.
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [file.path for file in self.files],
-            "files": [_file_map(file) for file in self.files],
-            "custom_data": dict(self.custom_data) if self.custom_data else None,
-            "ros_distro": self.ros_distro,
-        }
+        """Return the content of the root key, with every key in rosbag2's order."""
+        information = _Information(
+            version=VERSION,
+            storage_identifier=self.storage_identifier,
+            duration=_Duration(self.duration_ns),
+            starting_time=_Time(self.starting_time_ns),
+            message_count=self.message_count,
+            topics_with_message_count=[
+                _TopicEntry(
+                    _TopicFields(
+                        topic.name,
+                        topic.type,
+                        "cdr",
+                        [qos.to_map() for qos in topic.qos_profiles],
+                        topic.type_hash,
+                    ),
+                    topic.count,
+                )
+                for topic in self.topics
+            ],
+            # Empty even with compressed chunks: those are MCAP's.
+            compression_format="",
+            compression_mode="",
+            relative_file_paths=[file.path for file in self.files],
+            files=[
+                _FileEntry(
+                    file.path,
+                    _Time(file.starting_time_ns),
+                    _Duration(file.duration_ns),
+                    file.message_count,
+                )
+                for file in self.files
+            ],
+            custom_data=dict(self.custom_data) if self.custom_data else None,
+            ros_distro=self.ros_distro,
+        )
+        plain: dict[str, Any] = msgspec.to_builtins(information)
+        return plain
 
     def to_yaml(self) -> str:
-        """Return the content of the root key as YAML: the text an MCAP file carries."""
+        """Return the content of the root key as YAML: the text that an MCAP file carries."""
         return _dump(self.to_map())
 
     @classmethod
-    def from_map(cls, information: Mapping[str, Any]) -> "BagMetadata":
+    def from_map(cls, information: object) -> "BagMetadata":
         """Return the metadata that the content of the root key states.
 
         Raises:
-            KeyError: A key is missing.
-            TypeError: The content is not a map.
-            ValueError: It is of another version than 9, or a value makes no sense.
+            ValueError: It is of another version than 9, a key is missing, or a value makes no
+                sense.
         """
-        if information["version"] != VERSION:
-            raise ValueError(f"version is {information['version']}, only {VERSION} is supported")
-        if information["compression_mode"] not in ("", "NONE"):
+        version = _checked(information, _Version, "the metadata of a bag").version
+        if version != VERSION:
+            raise ValueError(f"version is {version}, only {VERSION} is supported")
+        stated = _checked(information, _Information, "the metadata of a bag")
+        if stated.compression_mode not in ("", "NONE"):
             raise ValueError("bags compressed by file or by message are not supported")
+        files = tuple(
+            FileMetadata(
+                entry.path,
+                entry.starting_time.nanoseconds_since_epoch,
+                entry.duration.nanoseconds,
+                entry.message_count,
+            )
+            for entry in stated.files
+        )
+        if (listed := [file.path for file in files]) != stated.relative_file_paths:
+            raise ValueError(
+                f"files are {listed}, but relative_file_paths {stated.relative_file_paths}"
+            )
+        for name in listed:
+            if "\0" in name:
+                raise ValueError(f"{name!r} cannot be a file's name")
+        custom_data = stated.custom_data
         return cls(
-            topics=tuple(map(_topic_from, information["topics_with_message_count"])),
-            files=_files_from(information["relative_file_paths"], information["files"]),
-            custom_data=_custom_data_from(information["custom_data"]),
-            ros_distro=str(information["ros_distro"]),
-            storage_identifier=str(information["storage_identifier"]),
+            topics=tuple(map(_topic_info, stated.topics_with_message_count)),
+            files=files,
+            # rosbag2 writes texts without quotes, so that YAML may take them for numbers.
+            custom_data=None
+            if custom_data is None
+            else {str(key): str(value) for key, value in custom_data.items()},
+            ros_distro=stated.ros_distro,
+            storage_identifier=stated.storage_identifier,
         )
 
     @classmethod
@@ -150,13 +305,7 @@ class BagMetadata:
         Raises:
             ValueError: The text is not YAML or not the metadata of a bag.
         """
-        content: Any = load_yaml(text)
-        try:
-            return cls.from_map(content)
-        except KeyError as error:
-            raise ValueError(f"the key {error} is missing") from error
-        except TypeError as error:
-            raise ValueError(f"not the metadata of a bag: {error}") from error
+        return cls.from_map(load_yaml(text))
 
 
 def write_metadata(folder: Path, metadata: BagMetadata) -> None:
@@ -164,10 +313,10 @@ def write_metadata(folder: Path, metadata: BagMetadata) -> None:
 
     Args:
         folder: The bag folder, which must exist.
-        metadata: What to write.
+        metadata: Its new content.
 
     Raises:
-        BagWriteError: The file could not be written.
+        BagWriteError: The file cannot be written.
     """
     path = folder / FILE_NAME
     temporary = path.with_suffix(".yaml.tmp")
@@ -185,7 +334,7 @@ def write_metadata(folder: Path, metadata: BagMetadata) -> None:
 
 
 def read_metadata(folder: Path) -> BagMetadata:
-    """Return what a bag folder's metadata.yaml says.
+    """Return the content of a bag folder's metadata.yaml.
 
     Args:
         folder: The bag folder.
@@ -196,17 +345,18 @@ def read_metadata(folder: Path) -> BagMetadata:
     """
     path = folder / FILE_NAME
     try:
-        content: Any = load_yaml(path.read_text(encoding="utf-8"))
+        content = load_yaml(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise BagReadError(f"{folder}: not a bag folder, it has no {FILE_NAME}") from error
     except (OSError, ValueError) as error:  # not UTF-8 is a ValueError as well
         raise BagReadError(f"{path}: cannot read it: {error}") from error
     try:
-        return BagMetadata.from_map(content[ROOT_KEY])
-    except KeyError as error:
-        raise BagReadError(f"{path}: the key {error} is missing") from error
-    except (TypeError, ValueError) as error:
-        raise BagReadError(f"{path}: not the metadata of a bag: {error}") from error
+        root = _checked(content, dict[str, Any], "the metadata of a bag")
+        if ROOT_KEY not in root:
+            raise ValueError(f"not the metadata of a bag: it has no {ROOT_KEY}")
+        return BagMetadata.from_map(root[ROOT_KEY])
+    except ValueError as error:
+        raise BagReadError(f"{path}: {error}") from error
 
 
 def fsync_folder(folder: Path) -> None:
@@ -222,67 +372,80 @@ def fsync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
+class _Version(msgspec.Struct):
+    version: int
+
+
+class _Duration(msgspec.Struct, frozen=True):
+    nanoseconds: _Count
+
+
+class _Time(msgspec.Struct, frozen=True):
+    nanoseconds_since_epoch: _Count
+
+
+class _TopicFields(msgspec.Struct):
+    name: str
+    type: str
+    serialization_format: str
+    offered_qos_profiles: list[dict[str, Any]]
+    type_description_hash: str
+
+
+class _TopicEntry(msgspec.Struct):
+    topic_metadata: _TopicFields
+    message_count: _Count
+
+
+class _FileEntry(msgspec.Struct):
+    path: str
+    starting_time: _Time
+    duration: _Duration
+    message_count: _Count
+
+
+class _Information(msgspec.Struct, kw_only=True):
+    """The content of the root key, in rosbag2's order; further keys are ignored.
+
+    The keys with defaults repeat what `files` states.
+    """
+
+    version: int
+    storage_identifier: str
+    duration: _Duration = _Duration(0)
+    starting_time: _Time = _Time(EMPTY_START_NS)
+    message_count: _Count = 0
+    topics_with_message_count: list[_TopicEntry]
+    compression_format: str = ""
+    compression_mode: str
+    relative_file_paths: list[str]
+    files: list[_FileEntry]
+    custom_data: dict[Any, Any] | None
+    ros_distro: str
+
+
+def _topic_info(entry: _TopicEntry) -> TopicInfo:
+    topic = entry.topic_metadata
+    return TopicInfo(
+        name=topic.name,
+        type=topic.type,
+        count=entry.message_count,
+        qos_profiles=tuple(map(QosProfile.from_map, topic.offered_qos_profiles)),
+        type_hash=topic.type_description_hash,
+    )
+
+
+def _checked(values: object, kind: type[_Kind], what: str) -> _Kind:
+    """Return values as what they should be, every one of them checked.
+
+    Raises:
+        ValueError: One is not; the text has its path.
+    """
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"not {what}: {error}") from error
+
+
 def _dump(content: Mapping[str, Any]) -> str:
     return str(yaml.dump(content, Dumper=_DUMPER, sort_keys=False, allow_unicode=True))
-
-
-def _topic_map(topic: TopicMetadata) -> dict[str, Any]:
-    return {
-        "topic_metadata": {
-            "name": topic.name,
-            "type": topic.type,
-            "serialization_format": topic.serialization_format,
-            "offered_qos_profiles": [qos.to_map() for qos in topic.offered_qos_profiles],
-            "type_description_hash": topic.type_description_hash,
-        },
-        "message_count": topic.message_count,
-    }
-
-
-def _file_map(file: FileMetadata) -> dict[str, Any]:
-    return {
-        "path": file.path,
-        "starting_time": {"nanoseconds_since_epoch": file.starting_time_ns},
-        "duration": {"nanoseconds": file.duration_ns},
-        "message_count": file.message_count,
-    }
-
-
-def _topic_from(values: Mapping[str, Any]) -> TopicMetadata:
-    topic = values["topic_metadata"]
-    return TopicMetadata(
-        name=str(topic["name"]),
-        type=str(topic["type"]),
-        message_count=whole_number(values, "message_count"),
-        offered_qos_profiles=tuple(map(QosProfile.from_map, topic["offered_qos_profiles"])),
-        type_description_hash=str(topic["type_description_hash"]),
-        serialization_format=str(topic["serialization_format"]),
-    )
-
-
-def _files_from(
-    paths: Iterable[str], entries: Iterable[Mapping[str, Any]]
-) -> tuple[FileMetadata, ...]:
-    files = tuple(
-        FileMetadata(
-            path=str(entry["path"]),
-            starting_time_ns=whole_number(entry["starting_time"], "nanoseconds_since_epoch"),
-            duration_ns=whole_number(entry["duration"], "nanoseconds"),
-            message_count=whole_number(entry, "message_count"),
-        )
-        for entry in entries
-    )
-    if (listed := [file.path for file in files]) != list(paths):
-        raise ValueError(f"files are {listed}, but relative_file_paths {list(paths)}")
-    for name in listed:
-        if "\0" in name:
-            raise ValueError(f"{name!r} cannot be a file's name")
-    return files
-
-
-def _custom_data_from(values: object) -> dict[str, str] | None:
-    if values is None:
-        return None
-    if not isinstance(values, dict):
-        raise ValueError(f"custom_data is not a map: {values!r}")
-    return {str(key): str(value) for key, value in values.items()}

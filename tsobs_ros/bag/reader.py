@@ -3,24 +3,46 @@
 """Reading bags: a folder with its metadata.yaml, or a single MCAP file."""
 
 from bisect import bisect_left
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import redirect_stderr
 from dataclasses import replace
 from io import StringIO
+from itertools import chain, pairwise
+from operator import itemgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
-from mcap.records import Schema
+from mcap.records import Channel, Schema
 
-from tsobs_ros.bag.mcap.index import RECOVER_HINT, FileIndex, Span, read_index, read_span
-from tsobs_ros.bag.mcap.messages import LOG_TIME, BagMessage, decode_messages
-from tsobs_ros.bag.mcap.order import Load, in_log_order, last_of_each
-from tsobs_ros.bag.mcap.records import RecordError
-from tsobs_ros.bag.metadata import BagMetadata, read_metadata
-from tsobs_ros.bag.topic_info import TopicInfo, describe_topic
+from tsobs_ros.bag.container import (
+    RECOVER_HINT,
+    RecordError,
+    Span,
+    Summary,
+    read_span,
+    read_summary,
+    split_messages,
+)
+from tsobs_ros.bag.definitions import MessageDefinition
+from tsobs_ros.bag.metadata import BagMetadata, TopicInfo, profiles_from_yaml, read_metadata
 from tsobs_ros.errors import BagReadError
 
-__all__ = ["BagMessage", "BagReader", "DecodedMessage", "TopicInfo"]
+
+class BagMessage(NamedTuple):
+    """One message as recorded: `data` in CDR, times in ns since the epoch."""
+
+    topic: str
+    type: str
+    data: bytes
+    log_time: int
+    publish_time: int
+
+
+# Faster than the attribute, at millions of messages.
+_LOG_TIME = itemgetter(3)
+
+_Load: TypeAlias = Callable[[Span], list[BagMessage]]
+"""Returns the wanted messages of a span, in order of log time."""
 
 
 class DecodedMessage(NamedTuple):
@@ -42,9 +64,9 @@ class BagReader:
     Attributes:
         path: The same, as a path.
         files: The MCAP files, in order of recording.
-        indexes: What the summary of each file tells.
+        summaries: The summary of each file.
         topics: The topics by name, in order of registration.
-        metadata: What the folder says about itself; None for a single file.
+        metadata: The content of metadata.yaml; None for a single file.
         start_time: The smallest log time, ns since the epoch; None without messages.
         end_time: The largest log time, ns since the epoch; None without messages.
 
@@ -69,9 +91,9 @@ class BagReader:
         self.topics: dict[str, TopicInfo] = {}
         self.start_time: int | None = None
         self.end_time: int | None = None
-        self.indexes = tuple(read_index(file, rank) for rank, file in enumerate(self.files))
-        for index in self.indexes:
-            self._add_topics(index)
+        self.summaries = tuple(read_summary(file, rank) for rank, file in enumerate(self.files))
+        for summary in self.summaries:
+            self._add_topics(summary)
 
     def _read_metadata(self) -> BagMetadata:
         try:
@@ -112,12 +134,12 @@ class BagReader:
             if (start_ns is None or span.end >= start_ns)
             and (end_ns is None or span.start < end_ns)
         ]
-        return in_log_order(spans, self._loader(selected, start_ns, end_ns))
+        return _in_log_order(spans, self._loader(selected, start_ns, end_ns))
 
     def last_before(
         self, time_ns: int, topics: Collection[str] | None = None, depth: int = 1
     ) -> list[BagMessage]:
-        """Return the last messages before a time: what a latched topic had to say by then.
+        """Return the last messages before a time, such as those of latched topics.
 
         Args:
             time_ns: They are before this log time, ns since the epoch.
@@ -133,7 +155,7 @@ class BagReader:
         selected = self._select(topics)
         spans = [span for span in self._spans_with(selected) if span.start < time_ns]
         load = self._loader(selected, None, time_ns)
-        return last_of_each(spans, load, lambda span: self._topics_of(span) & selected, depth)
+        return _last_of_each(spans, load, lambda span: self._topics_of(span) & selected, depth)
 
     def decoded(
         self,
@@ -167,44 +189,45 @@ class BagReader:
         return selected
 
     def _spans_with(self, selected: frozenset[str]) -> Iterator[Span]:
-        for index in self.indexes:
-            for span in index.spans:
+        for summary in self.summaries:
+            for span in summary.spans:
                 if self._topics_of(span) & selected:
                     yield span
 
     def _topics_of(self, span: Span) -> set[str]:
-        channels = self.indexes[span.rank].channels
+        channels = self.summaries[span.rank].channels
         ids = channels.keys() if span.channels is None else span.channels & channels.keys()
         return {channels[id_].topic for id_ in ids}
 
-    def _loader(self, selected: frozenset[str], start_ns: int | None, end_ns: int | None) -> Load:
+    def _loader(self, selected: frozenset[str], start_ns: int | None, end_ns: int | None) -> _Load:
+        # Topic and type by channel; None for channels to leave out.
         known = [
             {
-                channel.id: (channel.topic, index.schemas[channel.schema_id].name)
+                id_: (channel.topic, self.topics[channel.topic].type)
                 if channel.topic in selected
                 else None
-                for channel in index.channels.values()
+                for id_, channel in summary.channels.items()
             }
-            for index in self.indexes
+            for summary in self.summaries
         ]
 
         def load(span: Span) -> list[BagMessage]:
             path = self.files[span.rank]
             try:
                 with path.open("rb") as stream:
-                    records = read_span(stream, span.frame)
-                messages = decode_messages(records, known[span.rank])
-                messages.sort(key=LOG_TIME)
+                    records = read_span(stream, span)
+                messages = _messages(records, known[span.rank])
+                messages.sort(key=_LOG_TIME)
                 if messages and not (
                     span.start <= messages[0].log_time and messages[-1].log_time <= span.end
                 ):
-                    raise RecordError(f"the index states other times at byte {span.frame.start}")
+                    raise RecordError(f"the index states other times at byte {span.offset}")
             except (OSError, RecordError) as error:
                 raise BagReadError(
                     f"{path}: the file is damaged: {error}; {RECOVER_HINT}"
                 ) from error
-            first = 0 if start_ns is None else bisect_left(messages, start_ns, key=LOG_TIME)
-            last = None if end_ns is None else bisect_left(messages, end_ns, key=LOG_TIME)
+            first = 0 if start_ns is None else bisect_left(messages, start_ns, key=_LOG_TIME)
+            last = None if end_ns is None else bisect_left(messages, end_ns, key=_LOG_TIME)
             return messages[first:last]
 
         return load
@@ -223,19 +246,20 @@ class BagReader:
             yield DecodedMessage(topic, type_, message, log_time, publish_time)
 
     def _decoder(self, name: str) -> Callable[[bytes], Any]:
-        # Here, because whoever only copies or plays a bag does without the decoder.
+        # Imported here: copying or playing a bag needs no decoder.
         try:
             from mcap_ros2.decoder import DecoderFactory
         except ImportError as error:
             raise BagReadError(
                 f"{self.path}: decoding needs the Python package mcap-ros2-support: {error}"
             ) from error
-        topic = self.topics[name]
+        definition = self.topics[name].definition
+        assert definition is not None
         schema = Schema(
             id=1,
-            name=topic.type,
-            encoding=topic.definition_encoding,
-            data=topic.definition.encode(),
+            name=definition.type,
+            encoding=definition.encoding,
+            data=definition.text.encode(),
         )
         try:
             # The parser also prints what it raises, and with it the hostile text of a bag.
@@ -243,31 +267,111 @@ class BagReader:
                 decoder = DecoderFactory().decoder_for("cdr", schema)
         except Exception as error:  # a parser's errors on a wrong definition are of any kind
             raise BagReadError(
-                f"{self.path}: the definition of {topic.type} is malformed: {error}"
+                f"{self.path}: the definition of {definition.type} is malformed: {error}"
             ) from error
         if decoder is None:
             raise BagReadError(
-                f"{self.path}: {topic.type} is defined in '{topic.definition_encoding}', "
+                f"{self.path}: {definition.type} is defined in '{definition.encoding}', "
                 "but only ros2msg can be decoded"
             )
         return decoder
 
-    def _add_topics(self, index: FileIndex) -> None:
-        file, statistics = index.path, index.statistics
-        if index.profile != "ros2":
+    def _add_topics(self, summary: Summary) -> None:
+        file, statistics = summary.path, summary.statistics
+        if summary.profile != "ros2":
             raise BagReadError(
-                f"{file}: not a bag of ROS 2: its profile is '{index.profile}', expected 'ros2'"
+                f"{file}: not a bag of ROS 2: its profile is '{summary.profile}', expected 'ros2'"
             )
-        for channel in index.channels.values():
-            count = statistics.channel_message_counts.get(channel.id, 0)
-            topic = describe_topic(file, channel, index.schemas.get(channel.schema_id), count)
-            known = self.topics.setdefault(topic.name, replace(topic, count=0))
+        for channel in summary.channels.values():
+            topic = _topic_info(file, channel, summary.schemas.get(channel.schema_id))
+            known = self.topics.setdefault(topic.name, topic)
             if known.type != topic.type:
                 raise BagReadError(
                     f"{file}: {topic.name} is {topic.type} here, but {known.type} before"
                 )
+            count = statistics.channel_message_counts.get(channel.id, 0)
             self.topics[topic.name] = replace(known, count=known.count + count)
         if statistics.message_count:
             start, end = statistics.message_start_time, statistics.message_end_time
             self.start_time = start if self.start_time is None else min(start, self.start_time)
             self.end_time = end if self.end_time is None else max(end, self.end_time)
+
+
+def _topic_info(file: Path, channel: Channel, schema: Schema | None) -> TopicInfo:
+    topic = channel.topic
+    if channel.message_encoding != "cdr":
+        raise BagReadError(
+            f"{file}: {topic} is encoded in '{channel.message_encoding}', not in cdr"
+        )
+    if schema is None:
+        raise BagReadError(f"{file}: {topic} has no type")
+    try:
+        qos_profiles = profiles_from_yaml(channel.metadata.get("offered_qos_profiles", ""))
+    except ValueError as error:
+        raise BagReadError(f"{file}: {topic}: {error}") from error
+    type_hash = channel.metadata.get("topic_type_hash", "")
+    text = schema.data.decode(errors="replace")
+    definition = MessageDefinition(schema.name, text, type_hash, schema.encoding)
+    return TopicInfo(topic, schema.name, 0, qos_profiles, type_hash, definition)
+
+
+def _messages(records: bytes, channels: Mapping[int, tuple[str, str] | None]) -> list[BagMessage]:
+    # Twice as fast as the class itself.
+    new = tuple.__new__
+    try:
+        return [
+            new(BagMessage, (*known, data, log_time, publish_time))
+            for channel, log_time, publish_time, _, data in split_messages(records)
+            if (known := channels[channel])
+        ]
+    except KeyError as error:
+        raise RecordError(f"a message is of channel {error}, which is not described") from error
+
+
+def _in_log_order(spans: Iterable[Span], load: _Load) -> Iterator[BagMessage]:
+    """Yield the messages of spans in order of log time; equal ones in order of recording.
+
+    Each span is loaded when its first message may be due.
+    """
+    ordered = sorted(spans, key=lambda span: (span.start, span.rank, span.offset))
+    loaded: dict[tuple[int, int], list[BagMessage]] = {}
+    for span, following in pairwise(chain[Span | None](ordered, (None,))):
+        assert span is not None
+        loaded[span.rank, span.offset] = load(span)
+        due: list[list[BagMessage]] = []
+        for place, messages in sorted(loaded.items(), key=itemgetter(0)):
+            end = bisect_left(messages, following.start, key=_LOG_TIME) if following else None
+            due.append(messages[:end])
+            del messages[:end]
+            if not messages:
+                del loaded[place]
+        # Sorting is stable, and cheap for what is in order already.
+        yield from due[0] if len(due) == 1 else sorted(chain.from_iterable(due), key=_LOG_TIME)
+
+
+def _last_of_each(
+    spans: Iterable[Span], load: _Load, topics_of: Callable[[Span], Collection[str]], depth: int
+) -> list[BagMessage]:
+    """Return the last messages of each topic, in order of log time.
+
+    Args:
+        spans: Each is loaded only if it can matter.
+        load: Returns the messages of a span.
+        topics_of: Returns the topics that a span may have messages of.
+        depth: The largest number of messages of a topic.
+    """
+    last: dict[str, list[BagMessage]] = {}
+
+    def matters(span: Span, topic: str) -> bool:
+        known = last.get(topic, [])
+        return len(known) < depth or known[0].log_time < span.end
+
+    for span in sorted(spans, key=lambda span: (span.end, span.rank, span.offset), reverse=True):
+        if any(matters(span, topic) for topic in topics_of(span)):
+            earlier: dict[str, list[BagMessage]] = {}
+            for message in load(span):
+                earlier.setdefault(message.topic, []).append(message)
+            for topic, messages in earlier.items():
+                both = sorted(messages[-depth:] + last.get(topic, []), key=_LOG_TIME)
+                last[topic] = both[-depth:]
+    return sorted(chain.from_iterable(last.values()), key=_LOG_TIME)

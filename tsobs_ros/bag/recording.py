@@ -18,7 +18,7 @@ from threading import Event, Thread
 from typing import NamedTuple
 
 from tsobs_ros.bag.definitions import MessageDefinition
-from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.errors import BagWriteError
 

@@ -3,21 +3,29 @@
 """What a bag is about: its files, its times and its topics; also of one that is not finished."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from itertools import chain, groupby
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from tsobs_ros.bag.container import MAX_SIZE, RECORD, Summary
 from tsobs_ros.bag.folder import find_files
-from tsobs_ros.bag.mcap.gaps import largest_gaps
-from tsobs_ros.bag.metadata import BagMetadata
-from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.metadata import BagMetadata, QosProfile
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.recovery.destinations import KnownTopics
 from tsobs_ros.bag.recovery.harvest import harvest
 from tsobs_ros.bag.recovery.survey import survey
 from tsobs_ros.errors import BagReadError
+
+_INDEX_HEAD_SIZE = 6
+"""Bytes of a message index before its entries: the channel and their size."""
 
 
 @dataclass(frozen=True)
@@ -162,14 +170,14 @@ def summarise(bag: str | Path) -> BagSummary:
         reader = BagReader(path)
     except BagReadError as error:
         return _of_damaged(path, error)
-    gaps = largest_gaps(reader.indexes)
+    gaps = _largest_gaps(reader.summaries)
     metadata = reader.metadata
     return BagSummary(
         path=path,
         problem="",
         files=tuple(
             FileSummary(i.path.name, i.path.stat().st_size, i.statistics.message_count)
-            for i in reader.indexes
+            for i in reader.summaries
         ),
         topics=tuple(
             TopicSummary(
@@ -228,6 +236,70 @@ def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
         ros_distro=metadata.ros_distro if metadata else "",
         custom_data=(metadata.custom_data if metadata else None) or {},
     )
+
+
+class _Gap:
+    """The largest gap so far; the times that later chunks may still fall between are kept."""
+
+    def __init__(self) -> None:
+        self.largest = 0
+        self._open: NDArray[np.uint64] = np.empty(0, np.uint64)
+
+    def add(self, times: NDArray[np.uint64], start: int) -> None:
+        """Take a chunk's times, in any order; no later chunk starts before this one's start."""
+        self._open = np.sort(np.concatenate((self._open, times)))
+        settled = int(np.searchsorted(self._open, np.uint64(start), side="right"))
+        self._measure(max(1, settled))
+
+    def finish(self) -> int:
+        """Return the largest gap of all."""
+        self._measure(self._open.size)
+        return self.largest
+
+    def _measure(self, end: int) -> None:
+        if end > 1:
+            self.largest = max(self.largest, int(np.diff(self._open[:end]).max()))
+        self._open = self._open[end - 1 :]
+
+
+def _largest_gaps(summaries: Sequence[Summary]) -> dict[str, int]:
+    """Return the longest time between two messages of each topic, ns, from the indexes alone.
+
+    It is 0 for a topic with one message. Topics of files without message indexes are left out.
+
+    Raises:
+        BagReadError: An index is damaged.
+    """
+    gaps: dict[str, _Gap] = {}
+    unknown: set[str] = set()
+    spans = sorted(chain.from_iterable(each.spans for each in summaries), key=attrgetter("start"))
+    # Files seldom overlap, so each is opened about once, and only one is open at a time.
+    for rank, group in groupby(spans, key=attrgetter("rank")):
+        path = summaries[rank].path
+        topics = {id_: channel.topic for id_, channel in summaries[rank].channels.items()}
+        try:
+            with path.open("rb") as stream:
+                for span in group:
+                    if not span.index_offsets:
+                        unknown.update(topics.values())
+                    for channel, offset in span.index_offsets.items():
+                        times = _index_times(stream, offset)
+                        if channel in topics and times.size:
+                            gaps.setdefault(topics[channel], _Gap()).add(times, span.start)
+        except (OSError, ValueError) as error:
+            raise BagReadError(f"{path}: {error}") from error
+    return {topic: gap.finish() for topic, gap in gaps.items() if topic not in unknown}
+
+
+def _index_times(stream: IO[bytes], offset: int) -> NDArray[np.uint64]:
+    """Return the log times in the message index at an offset, in its order."""
+    stream.seek(offset)
+    opcode, size = RECORD.unpack(stream.read(RECORD.size).ljust(RECORD.size, b"\0"))
+    body = stream.read(min(size, MAX_SIZE))
+    entries = len(body) - _INDEX_HEAD_SIZE
+    if opcode != Opcode.MESSAGE_INDEX or len(body) != size or entries < 0 or entries % 16:
+        raise ValueError(f"the index states a message index at byte {offset}, but there is none")
+    return np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2]
 
 
 def _bytes(size: int) -> str:

@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 
-from tsobs_ros.bag.messages.estimate_topics import PARAMETER_TOPICS, TOPICS
+from tsobs_ros.bag.estimate_topics import PARAMETER_TOPICS, TOPICS
 from tsobs_ros.cli.common import Commands, add_json, positive
 from tsobs_ros.cli.report import report_on
 from tsobs_ros.errors import NodeError

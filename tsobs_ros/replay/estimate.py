@@ -18,11 +18,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.definitions import find_definition
-from tsobs_ros.bag.messages import estimate_topics as topics
-from tsobs_ros.bag.messages.joint_series import Times
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.joint_series import Times
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.bag.definitions import find_definition
-from tsobs_ros.bag.messages.joint_series import Times
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.joint_series import Times
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.checks import Array, shown
 from tsobs_ros.errors import LogError

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.messages.joint_series import JointSeries, Times
+from tsobs_ros.bag.joint_series import JointSeries, Times
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.definitions import MessageDefinition
-from tsobs_ros.bag.messages import estimate_topics as topics
-from tsobs_ros.bag.messages.joint_series import (
+from tsobs_ros.bag.joint_series import (
     Flags,
     JointSeries,
     Times,
@@ -25,8 +25,8 @@ from tsobs_ros.bag.messages.joint_series import (
     require_joint_states,
     until_damage,
 )
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateDecoder
-from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
+from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
@@ -158,7 +158,7 @@ class TopicToCopy:
     name: str
     type: str
     qos_profiles: tuple[QosProfile, ...]
-    definition: MessageDefinition
+    definition: MessageDefinition | None
 
 
 @dataclass(frozen=True)
@@ -336,14 +336,7 @@ class BagSource(Source):
         truth = (f"{self.namespace}/{name}" for name in (TRUE_STATES, TRUE_DISTURBANCE))
         names = [self.topic, *truth]
         return tuple(
-            TopicToCopy(
-                name,
-                info.type,
-                info.qos_profiles,
-                MessageDefinition(
-                    info.type, info.definition, info.type_hash, info.definition_encoding
-                ),
-            )
+            TopicToCopy(name, info.type, info.qos_profiles, info.definition)
             for name, info in self._reader.topics.items()
             if name in names
         )

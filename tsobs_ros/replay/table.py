@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.bag.messages import estimate_topics as topics
-from tsobs_ros.bag.messages.joint_series import Flags, JointSeries, Times
+from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.records import Estimate, Innovation
 from tsobs_ros.replay.replay import Schedule

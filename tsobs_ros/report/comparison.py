@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.messages.joint_series import JointSeries
+from tsobs_ros.bag.joint_series import JointSeries
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.observer import GainMode

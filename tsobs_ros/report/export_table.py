@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointState, JointStateDecoder
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import BagReadError, MessageError
 

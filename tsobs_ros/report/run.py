@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from tsobs_ros.bag.messages import estimate_topics as topics
-from tsobs_ros.bag.messages.joint_series import Wanted, read_joint_series
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE
+from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.joint_series import Wanted, read_joint_series
+from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError

@@ -554,8 +554,8 @@ def test_another_definition_language_is_kept(tmp_path: Path) -> None:
         writer.add_message(writer.register_channel("/a", "cdr", schema), 1, b"x", 1)
         writer.finish()
     recover(path, tmp_path / "new")
-    topic = BagReader(tmp_path / "new").topics["/a"]
-    assert (topic.definition_encoding, topic.definition) == ("ros2idl", "module std_msgs {};")
+    definition = BagReader(tmp_path / "new").topics["/a"].definition
+    assert (definition.encoding, definition.text) == ("ros2idl", "module std_msgs {};")
 
 
 def test_recovering_twice_gives_the_same(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from rosbags.typesys import Stores, get_typestore
 from tsobs_ros.bag import BagWriter, QosProfile
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.mcap.records import FRAME, MAGIC, parse
-from tsobs_ros.bag.qos import profiles_to_yaml
+from tsobs_ros.bag.metadata import profiles_to_yaml
 from tsobs_ros.bag.verification import Verification, verify
 from tsobs_ros.errors import BagReadError
 
@@ -142,7 +142,7 @@ QOS = QosProfile().to_map()
         (lambda v: v.update(storage_identifier="sqlite3"), "storage_identifier is 'sqlite3'"),
         (lambda v: v.update(compression_mode="FILE"), "compression_mode is 'FILE'"),
         (lambda v: v.update(duration={"nanoseconds": 7}), "duration is stated as 7, but is 19"),
-        (lambda v: v.update(duration={"nanoseconds": 7.5}), "duration is stated as 7.5"),
+        (lambda v: v.update(duration={"nanoseconds": 7.5}), r"got `float` - at `\$\.duration"),
         (
             lambda v: v.update(starting_time={"nanoseconds_since_epoch": 4}),
             "starting_time is stated as 4, but is 5",
@@ -171,7 +171,10 @@ QOS = QosProfile().to_map()
             lambda v: v["files"][0].update(duration={"nanoseconds": 1}),
             "duration_ns of bag_0.mcap is stated as 1, but is 10",
         ),
-        (lambda v: v["files"][0].update(message_count=-1), "message_count is -1, but must be"),
+        (
+            lambda v: v["files"][0].update(message_count=-1),
+            "`int` >= 0 - at .*message_count",
+        ),
         (lambda v: v["files"][0].pop("duration"), "the key 'duration' is missing"),
         (lambda v: v.update(custom_data={"a": {"b": "c"}}), "custom_data is not a flat map"),
         (lambda v: v.update(custom_data=[1]), "custom_data is not a"),
@@ -188,7 +191,7 @@ QOS = QosProfile().to_map()
         (lambda v: other_topic(v, offered_qos_profiles=[]), "/a: its QoS is not the one in"),
         (
             lambda v: other_topic(v, offered_qos_profiles=[{**QOS, "depth": -1}]),
-            "depth is -1, but must be",
+            "Expected `int` >= 0 - at .*depth",
         ),
         (
             lambda v: other_topic(v, offered_qos_profiles=[{**QOS, "history": "some"}]),

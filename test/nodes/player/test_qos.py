@@ -11,7 +11,7 @@ from player.bags import LATCHED, Entry, regular, texts, write_bag
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from tsobs_ros.bag.qos import INFINITE, QosProfile, QosTime
+from tsobs_ros.bag.metadata import INFINITE, QosProfile, QosTime
 from tsobs_ros.nodes.player.topics import offered_qos
 
 Play = Callable[..., Any]

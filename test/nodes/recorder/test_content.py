@@ -109,7 +109,7 @@ def test_a_bag_says_with_which_qos_its_topics_were_offered(ros, recording) -> No
     (offer,) = reader.topics["/joints"].qos_profiles
     assert (offer.reliability, offer.durability) == ("best_effort", "volatile")
     assert reader.metadata is not None
-    assert reader.metadata.topics[0].offered_qos_profiles == (offer,)
+    assert reader.metadata.topics[0].qos_profiles == (offer,)
 
 
 def test_the_type_hash_is_the_one_discovery_announces(ros, recording) -> None:

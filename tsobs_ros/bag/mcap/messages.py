@@ -4,23 +4,9 @@
 
 import struct
 from collections.abc import Mapping
-from operator import attrgetter
-from typing import NamedTuple
 
 from tsobs_ros.bag.mcap.records import FRAME, MESSAGE, MESSAGE_OPCODE, RecordError
-
-
-class BagMessage(NamedTuple):
-    """One message as recorded: `data` in CDR, times in ns since the epoch."""
-
-    topic: str
-    type: str
-    data: bytes
-    log_time: int
-    publish_time: int
-
-
-LOG_TIME = attrgetter("log_time")
+from tsobs_ros.bag.reader import BagMessage
 
 
 def decode_messages(

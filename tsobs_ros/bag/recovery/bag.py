@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Self
 
 from tsobs_ros.bag.folder import BagFiles, find_files
-from tsobs_ros.bag.mcap.messages import BagMessage
+from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.recovery.destinations import KnownTopics, Topic
 from tsobs_ros.bag.recovery.harvest import harvest
 from tsobs_ros.bag.recovery.report import FileRecovery, Recovery

@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 from mcap.records import Channel
 
-from tsobs_ros.bag.bag_file import LIBRARY
+from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.messages.layout import MessageLayout, UnknownLayoutError
-from tsobs_ros.bag.metadata import TYPE_HASH, BagMetadata, TopicMetadata
-from tsobs_ros.bag.qos import QosProfile, profiles_from_yaml
+from tsobs_ros.bag.metadata import TYPE_HASH, BagMetadata, QosProfile, TopicInfo, profiles_from_yaml
 from tsobs_ros.bag.recovery.survey import Survey
+from tsobs_ros.bag.writer import LIBRARY
 from tsobs_ros.errors import BagWriteError
 
 
@@ -46,7 +45,7 @@ class KnownTopics:
     def __init__(self, surveys: Iterable[Survey], metadata: BagMetadata | None) -> None:
         self.topics: dict[str, Topic] = {}
         self._definitions: dict[tuple[str, str], MessageDefinition] = {}
-        self._listed: tuple[TopicMetadata, ...] = metadata.topics if metadata else ()
+        self._listed: tuple[TopicInfo, ...] = metadata.topics if metadata else ()
         for survey in surveys:
             if survey.metadata and len(survey.metadata.topics) > len(self._listed):
                 self._listed = survey.metadata.topics
@@ -64,7 +63,7 @@ class KnownTopics:
             # Our files number the channels in the order in which the metadata lists the topics.
             for id_, listed in enumerate(self._listed, start=1):
                 if id_ not in found and (definition := self._definition_of(listed)):
-                    qos = listed.offered_qos_profiles
+                    qos = listed.qos_profiles
                     found[id_] = self._add(Topic(listed.name, definition, qos))
         return found
 
@@ -89,9 +88,9 @@ class KnownTopics:
             return "", f"of {topic.name} as {topic.definition.type}, which is two types"
         return topic.name, topic.definition.type
 
-    def _definition_of(self, listed: TopicMetadata) -> MessageDefinition | None:
+    def _definition_of(self, listed: TopicInfo) -> MessageDefinition | None:
         """Return a definition that is certainly the one the topic had: its hash agrees."""
-        if not (hash_ := listed.type_description_hash):
+        if not (hash_ := listed.type_hash):
             return None
         if known := self._definitions.get((listed.type, hash_)):
             return known

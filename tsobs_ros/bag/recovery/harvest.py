@@ -5,8 +5,9 @@
 from collections import Counter
 from collections.abc import Callable
 
-from tsobs_ros.bag.mcap.messages import BagMessage, decode_messages
+from tsobs_ros.bag.mcap.messages import decode_messages
 from tsobs_ros.bag.metadata import EMPTY_START_NS
+from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.bag.recovery.destinations import Destinations
 from tsobs_ros.bag.recovery.pieces import Content, Damage, Found, MessageCount
 from tsobs_ros.bag.recovery.report import DamagedPart, FileRecovery

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.bag.metadata import FILE_NAME, BagMetadata, FileMetadata
-from tsobs_ros.bag.qos import profiles_from_yaml
+from tsobs_ros.bag.metadata import FILE_NAME, BagMetadata, FileMetadata, profiles_from_yaml
 from tsobs_ros.bag.verification.content import ContentCheck
 from tsobs_ros.bag.verification.file import FileFacts, verify_file
 from tsobs_ros.bag.verification.findings import Finding, Findings
@@ -114,7 +113,7 @@ def _compare(metadata: BagMetadata, facts: dict[str, FileFacts | None], findings
         return
     for topic in metadata.topics:
         count = sum(_count(content, topic.name) for content in contents)
-        findings.expect(FILE_NAME, f"message_count of {topic.name}", topic.message_count, count)
+        findings.expect(FILE_NAME, f"message_count of {topic.name}", topic.count, count)
     for file, found in listed[-1:]:
         if found and found.stated and found.stated != metadata:
             findings.remark(file.path, f"its last record of {FILE_NAME} is another one")
@@ -141,14 +140,14 @@ def _compare_topics(
             continue
         if schema := content.schemas.get(channel.schema_id):
             findings.expect(FILE_NAME, f"type of {topic.name}", topic.type, schema.name)
-        hash_ = channel.metadata.get("topic_type_hash", topic.type_description_hash)
-        if hash_ != topic.type_description_hash:
+        hash_ = channel.metadata.get("topic_type_hash", topic.type_hash)
+        if hash_ != topic.type_hash:
             findings.error(place, f"its type's hash is not the one in {FILE_NAME}")
         try:
             qos = profiles_from_yaml(channel.metadata.get("offered_qos_profiles", ""))
         except ValueError:
             continue
-        if qos != topic.offered_qos_profiles:
+        if qos != topic.qos_profiles:
             findings.error(
                 place, f"its QoS is not the one in {FILE_NAME}: some readers give no messages then"
             )

@@ -4,9 +4,8 @@
 
 from mcap.records import Channel, Metadata, Schema
 
-from tsobs_ros.bag.messages.layout import MessageLayout, UnknownLayoutError
-from tsobs_ros.bag.metadata import EMPTY_START_NS, TYPE_HASH, BagMetadata
-from tsobs_ros.bag.qos import profiles_from_yaml
+from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
+from tsobs_ros.bag.metadata import EMPTY_START_NS, TYPE_HASH, BagMetadata, profiles_from_yaml
 from tsobs_ros.bag.verification.findings import Findings
 from tsobs_ros.bag.verification.folder import TYPE_NAME
 from tsobs_ros.errors import MessageError

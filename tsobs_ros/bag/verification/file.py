@@ -10,8 +10,8 @@ from typing import IO, NamedTuple
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Header, Metadata, Schema
 
+from tsobs_ros.bag.container import RECOVER_HINT
 from tsobs_ros.bag.mcap.chunk import chunk_records, parse_chunk
-from tsobs_ros.bag.mcap.index import RECOVER_HINT
 from tsobs_ros.bag.mcap.records import (
     FRAME,
     INDEX_ENTRY,

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.bag.metadata import FILE_NAME, ROOT_KEY, TYPE_HASH, VERSION, BagMetadata
-from tsobs_ros.bag.qos import QosProfile
+from tsobs_ros.bag.metadata import FILE_NAME, ROOT_KEY, TYPE_HASH, VERSION, BagMetadata, QosProfile
 from tsobs_ros.bag.verification.findings import Findings
 from tsobs_ros.yaml_files import load_yaml
 

@@ -14,8 +14,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from tsobs_ros.bag.messages import estimate_topics as topics
-from tsobs_ros.bag.messages.joint_states import JointStateDecoder, JointStateEncoder
+from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import MessageError
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason, Sample

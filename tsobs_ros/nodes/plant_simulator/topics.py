@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from tsobs_ros.bag.messages.estimate_topics import sides
+from tsobs_ros.bag.estimate_topics import sides
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import set_stamp
 from tsobs_ros.simulation.plant import Sample

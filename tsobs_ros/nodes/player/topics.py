@@ -17,8 +17,8 @@ from rclpy.qos import (
 )
 
 from tsobs_ros.bag.definitions import find_definition
-from tsobs_ros.bag.qos import QosProfile, QosTime
-from tsobs_ros.bag.reader import BagMessage, TopicInfo
+from tsobs_ros.bag.metadata import QosProfile, QosTime, TopicInfo
+from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.messages import message_class
 

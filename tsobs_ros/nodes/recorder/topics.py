@@ -12,7 +12,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.losses import LossCounter
-from tsobs_ros.bag.qos import QosProfile, QosTime
+from tsobs_ros.bag.metadata import QosProfile, QosTime
 from tsobs_ros.bag.recording import Latch
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.draining import DrainedSubscription

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.messages.joint_states import JOINT_STATE, JointStateDecoder, JointStates
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder, JointStates
 from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError

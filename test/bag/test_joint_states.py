@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState as RosJointState
 
-from tsobs_ros.bag.messages.joint_states import JointState, JointStateDecoder, JointStateEncoder
+from tsobs_ros.bag.joint_states import JointState, JointStateDecoder, JointStateEncoder
 from tsobs_ros.errors import MessageError
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)

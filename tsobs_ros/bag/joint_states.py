@@ -1,0 +1,372 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""sensor_msgs/JointState to and from the bytes on the wire, without ROS.
+
+The messages of a topic nearly always have the same names and lengths: only the stamp and the
+numbers change. Encoder and decoder keep the rest as a template, so that a message costs about a
+microsecond, a tenth of what a ROS message object costs; and many at once cost less still.
+"""
+
+import struct
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsobs_ros.bag.cdr import HEADER, CdrReader
+from tsobs_ros.checks import Array
+from tsobs_ros.errors import MessageError
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+_SECONDS = 2**31
+_NO_VALUES = np.zeros((1, 0))
+_HEADER = b"\x00\x01\x00\x00"
+# rclpy.serialize_message() reserves the alignment of empty arrays, and leaves what was there.
+_LARGEST_TAIL = 16
+_MOST_TEMPLATES = 64
+
+NANOSECONDS = 1_000_000_000
+CONSTANT = HEADER + 8
+"""Where what comes after the stamp begins."""
+
+Places = NDArray[np.intp]
+"""Which messages of a sequence, ascending."""
+
+
+class JointState(NamedTuple):
+    """One message.
+
+    Attributes:
+        stamp: Of its header, ns since the epoch.
+        names: The joints.
+        position: Of each joint [rad or m], or empty.
+        velocity: Of each joint [rad/s or m/s], or empty.
+        effort: Of each joint [N m or N], or empty.
+        frame_id: Of its header.
+    """
+
+    stamp: int
+    names: tuple[str, ...]
+    position: tuple[float, ...] = ()
+    velocity: tuple[float, ...] = ()
+    effort: tuple[float, ...] = ()
+    frame_id: str = ""
+
+
+class JointStates(NamedTuple):
+    """Messages that have the same names and lengths, m of them.
+
+    Attributes:
+        places: Which ones they are of those that were decoded together, ascending, shape (m,).
+        names: The joints.
+        stamps: Of their headers, ns since the epoch, shape (m,).
+        position: Shape (m, joints), or (m, 0) where it was left empty.
+        velocity: As `position`.
+        effort: As `position`.
+    """
+
+    places: Places
+    names: tuple[str, ...]
+    stamps: NDArray[np.int64]
+    position: Array
+    velocity: Array
+    effort: Array
+
+
+class _Template:
+    """What messages with the same names and lengths have in common.
+
+    Args:
+        header: The encapsulation header.
+        constant: The bytes between the stamp and the positions.
+        lengths: Of position, velocity and effort.
+        order: The byte order, as `struct` writes it.
+        names: The joints, as `constant` has them.
+        frame_id: Of the message's header, as `constant` has it.
+    """
+
+    def __init__(
+        self,
+        header: bytes,
+        constant: bytes,
+        lengths: tuple[int, int, int],
+        order: str,
+        names: tuple[str, ...],
+        frame_id: str,
+    ) -> None:
+        self._header, self._constant, self._lengths = header, constant, lengths
+        self._order, self._names, self._frame_id = order, names, frame_id
+        layout, self._starts = f"{order}4siI{len(constant)}s", []
+        end = CONSTANT + len(constant)
+        for place, length in enumerate(lengths):
+            if place:
+                # A count, and padding only before an array that is not empty.
+                padding = -(end + 4 - HEADER) % 8 if length else 0
+                layout += f"I{padding}x"
+                end += 4 + padding
+            layout += f"{length}d"
+            self._starts.append(end)
+            end += 8 * length
+        self._struct = struct.Struct(layout)
+        first = 4 + lengths[0]
+        self._position, self._velocity = slice(4, first), slice(first + 1, first + 1 + lengths[1])
+        self._effort = slice(self._velocity.stop + 1, None)
+
+    def pack(
+        self,
+        stamp: int,
+        position: Sequence[float],
+        velocity: Sequence[float],
+        effort: Sequence[float],
+    ) -> bytes:
+        """Return the message with these numbers, as many as the lengths say."""
+        sec, nanosec = divmod(stamp, NANOSECONDS)
+        _, velocities, efforts = self._lengths
+        return self._struct.pack(
+            self._header,
+            sec,
+            nanosec,
+            self._constant,
+            *position,
+            velocities,
+            *velocity,
+            efforts,
+            *effort,
+        )
+
+    def unpack(self, data: bytes) -> JointState | None:
+        """Return the message if the bytes, of which there are enough, fit the template."""
+        fields = self._struct.unpack_from(data)
+        if (
+            fields[0] != self._header
+            or fields[3] != self._constant
+            or fields[self._velocity.start - 1] != self._lengths[1]
+            or fields[self._velocity.stop] != self._lengths[2]
+        ):
+            return None
+        return JointState(
+            fields[1] * NANOSECONDS + fields[2],
+            self._names,
+            fields[self._position],
+            fields[self._velocity],
+            fields[self._effort],
+            self._frame_id,
+        )
+
+    def unpack_all(self, places: Places, data: bytes, size: int) -> JointStates:
+        """Return those of the messages, of `size` bytes each, that fit the template."""
+        rows = np.frombuffer(data, self._dtype(size))
+        fits = (rows["header"] == np.frombuffer(self._header, np.uint8)).all(axis=1)
+        fits &= (rows["constant"] == np.frombuffer(self._constant, np.uint8)).all(axis=1)
+        fits &= (rows["velocities"] == self._lengths[1]) & (rows["efforts"] == self._lengths[2])
+        rows = rows[fits]
+        return JointStates(
+            places[fits],
+            self._names,
+            rows["sec"].astype(np.int64) * NANOSECONDS + rows["nanosec"],
+            *(rows[name].astype(np.float64) for name in ("position", "velocity", "effort")),
+        )
+
+    def pack_all(
+        self, stamps: NDArray[np.int64], position: Array, velocity: Array, effort: Array
+    ) -> list[bytes]:
+        """Return many messages with these numbers, each of as many as the lengths say."""
+        size = self._struct.size
+        rows = np.zeros(len(stamps), self._dtype(size))
+        rows["header"] = np.frombuffer(self._header, np.uint8)
+        rows["sec"], rows["nanosec"] = np.divmod(stamps, NANOSECONDS)
+        rows["constant"] = np.frombuffer(self._constant, np.uint8)
+        rows["velocities"], rows["efforts"] = self._lengths[1:]
+        rows["position"], rows["velocity"], rows["effort"] = position, velocity, effort
+        data = rows.tobytes()
+        return [data[begin : begin + size] for begin in range(0, len(data), size)]
+
+    def _dtype(self, size: int) -> np.dtype[Any]:
+        integer, unsigned, double = (self._order + kind for kind in ("i4", "u4", "f8"))
+        positions, velocities, efforts = self._lengths
+        position, velocity, effort = self._starts
+        fields: dict[str, tuple[Any, int]] = {
+            "header": (("u1", (HEADER,)), 0),
+            "sec": (integer, HEADER),
+            "nanosec": (unsigned, HEADER + 4),
+            "constant": (("u1", (len(self._constant),)), CONSTANT),
+            "position": ((double, (positions,)), position),
+            "velocities": (unsigned, position + 8 * positions),
+            "velocity": ((double, (velocities,)), velocity),
+            "efforts": (unsigned, velocity + 8 * velocities),
+            "effort": ((double, (efforts,)), effort),
+        }
+        return np.dtype(
+            {
+                "names": list(fields),
+                "formats": [form for form, _ in fields.values()],
+                "offsets": [offset for _, offset in fields.values()],
+                "itemsize": size,
+            }
+        )
+
+
+class JointStateEncoder:
+    """Writes messages of the same joints, as rclpy puts them on the wire.
+
+    Args:
+        names: The joints.
+        frame_id: Of the header.
+    """
+
+    def __init__(self, names: Sequence[str], frame_id: str = "") -> None:
+        self._names, self._frame_id = tuple(names), frame_id
+        self._templates: dict[tuple[int, int, int], _Template] = {}
+
+    def __call__(
+        self,
+        stamp: int,
+        position: Sequence[float] = (),
+        velocity: Sequence[float] = (),
+        effort: Sequence[float] = (),
+    ) -> bytes:
+        """Return a message in little-endian CDR.
+
+        Args:
+            stamp: Of its header, ns since the epoch.
+            position: Of each joint [rad or m], or empty.
+            velocity: Of each joint [rad/s or m/s], or empty.
+            effort: Of each joint [N m or N], or empty.
+
+        Raises:
+            MessageError: The stamp does not fit into a message, or a value is not a number.
+        """
+        lengths = (len(position), len(velocity), len(effort))
+        template = self._templates.get(lengths) or self._template(lengths)
+        try:
+            return template.pack(stamp, position, velocity, effort)
+        except struct.error as error:
+            raise MessageError(f"stamp {stamp} ns, {lengths} numbers: {error}") from error
+
+    def encode_all(
+        self,
+        stamps: NDArray[np.int64],
+        position: Array = _NO_VALUES,
+        velocity: Array = _NO_VALUES,
+        effort: Array = _NO_VALUES,
+    ) -> list[bytes]:
+        """Return m messages, each as if encoded on its own.
+
+        Args:
+            stamps: Of the headers, ns since the epoch, shape (m,).
+            position: Shape (m, joints), or (m, 0) or (1, 0) for none.
+            velocity: As `position`.
+            effort: As `position`.
+
+        Raises:
+            MessageError: A stamp does not fit into a message.
+        """
+        seconds = stamps // NANOSECONDS
+        wrong = (seconds < -_SECONDS) | (seconds >= _SECONDS)
+        if wrong.any():
+            raise MessageError(f"stamp {stamps[wrong][0]} ns: its seconds do not fit into 32 bits")
+        lengths = (position.shape[1], velocity.shape[1], effort.shape[1])
+        template = self._templates.get(lengths) or self._template(lengths)
+        return template.pack_all(stamps, position, velocity, effort)
+
+    def _template(self, lengths: tuple[int, int, int]) -> _Template:
+        constant = _constant(self._frame_id, self._names, lengths[0])
+        template = _Template(_HEADER, constant, lengths, "<", self._names, self._frame_id)
+        self._templates[lengths] = template
+        return template
+
+
+class JointStateDecoder:
+    """Reads messages, most quickly such as it has read before."""
+
+    def __init__(self) -> None:
+        self._templates: dict[int, _Template] = {}
+
+    def __call__(self, data: bytes) -> JointState:
+        """Return the message in CDR bytes of either byte order.
+
+        Raises:
+            MessageError: The bytes are not a JointState; the text says which field, where in the
+                message, and what came.
+        """
+        template = self._templates.get(len(data))
+        message = None if template is None else template.unpack(data)
+        if message is None:
+            message, template = _parse(data)
+            if len(self._templates) >= _MOST_TEMPLATES:
+                self._templates.clear()
+            self._templates[len(data)] = template
+        return message
+
+    def decode_all(
+        self, messages: Sequence[bytes]
+    ) -> tuple[list[JointStates], dict[int, MessageError]]:
+        """Decode many messages at once.
+
+        Returns:
+            The messages, those of the same names and lengths together; and by its place each
+            that is none, with the reason.
+        """
+        found: list[JointStates] = []
+        malformed: dict[int, MessageError] = {}
+        sizes = np.fromiter(map(len, messages), np.intp, len(messages))
+        for size in np.unique(sizes).tolist():
+            places = np.flatnonzero(sizes == size)
+            while len(places):
+                first = int(places[0])
+                try:
+                    self(messages[first])
+                except MessageError as error:
+                    malformed[first] = error
+                    places = places[1:]
+                    continue
+                data = b"".join([messages[place] for place in places.tolist()])
+                found.append(self._templates[size].unpack_all(places, data, size))
+                places = np.setdiff1d(places, found[-1].places, assume_unique=True)
+        return found, malformed
+
+
+def _constant(frame_id: str, names: tuple[str, ...], positions: int) -> bytes:
+    """Return the bytes between the stamp and the positions."""
+    body = bytearray(8)
+
+    def count(number: int) -> None:
+        body.extend(bytes(-len(body) % 4) + struct.pack("<I", number))
+
+    def text(string: str) -> None:
+        raw = string.encode() + b"\0"
+        count(len(raw))
+        body.extend(raw)
+
+    text(frame_id)
+    count(len(names))
+    for name in names:
+        text(name)
+    count(positions)
+    if positions:
+        body.extend(bytes(-len(body) % 8))
+    return bytes(body[8:])
+
+
+def _parse(data: bytes) -> tuple[JointState, _Template]:
+    """Read a message field by field; return it and what others like it have in common."""
+    reader = CdrReader(data)
+    at = reader.place
+    reader.skip(8, "header.stamp")
+    sec, nanosec = struct.unpack_from(f"{reader.order}iI", data, at)
+    frame_id = reader.text("header.frame_id")
+    names = tuple(reader.text("name") for _ in range(reader.count("name", 4)))
+    position = reader.doubles("position")
+    begin = reader.place - 8 * len(position)
+    velocity, effort = reader.doubles("velocity"), reader.doubles("effort")
+    if reader.left > _LARGEST_TAIL:
+        raise MessageError(f"{reader.left} bytes are left at {reader.place}, after the effort")
+    stamp = sec * NANOSECONDS + nanosec
+    message = JointState(stamp, names, position, velocity, effort, frame_id)
+    lengths = (len(position), len(velocity), len(effort))
+    # Padding may hold anything, but is usually the same in the next message.
+    constant = bytes(data[CONSTANT:begin])
+    header = bytes(data[:HEADER])
+    return message, _Template(header, constant, lengths, reader.order, names, frame_id)
