@@ -21,11 +21,9 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.observer import ObserverState
-from tsobs_ros.simulation.excitation import Multisine, Sine
-from tsobs_ros.simulation.plant import Plant
-from tsobs_ros.simulation.scenario import Scenario
+from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import GaussMarkov
+from tsobs_ros.simulation.signals import GaussMarkov, Multisine, Sine
 
 _INSTANTS = (0.5, 1.0, 2.0, 5.0, 10.0)
 _ACCEPTED = 1.15

@@ -21,8 +21,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.faults import FaultMonitor
 from tsobs_ros.estimation.supervised import SupervisedObserver
-from tsobs_ros.simulation.plant import Plant
-from tsobs_ros.simulation.scenario import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,

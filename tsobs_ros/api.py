@@ -23,11 +23,9 @@ from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.simulation.excitation import Excitation
-from tsobs_ros.simulation.plant import Plant
-from tsobs_ros.simulation.scenario import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import KINDS, Component, parse_kinds
+from tsobs_ros.simulation.signals import KINDS, Component, Excitation, parse_kinds
 
 if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Run

@@ -16,8 +16,7 @@ from tsobs_ros.estimation.faults import Fault, FaultKind, FaultMonitor, Repeats,
 from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.resources import config_path
-from tsobs_ros.simulation.plant import Plant
-from tsobs_ros.simulation.scenario import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.signals import Sinusoid
 
 SECOND = 1_000_000_000

@@ -29,8 +29,7 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.disturbance import bias
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
 from tsobs_ros.resources import config_path
-from tsobs_ros.simulation.plant import Plant
-from tsobs_ros.simulation.scenario import Scenario
+from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.signals import BiasStep
 
 Array = NDArray[np.float64]

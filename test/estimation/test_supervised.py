@@ -13,7 +13,7 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.supervised import SupervisedObserver, SupervisionOptions
 from tsobs_ros.resources import config_path
-from tsobs_ros.simulation.scenario import Scenario
+from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.signals import BiasStep, StuckSensor
 

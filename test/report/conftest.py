@@ -16,7 +16,7 @@ from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design
 from tsobs_ros.report.comparison import rerun
 from tsobs_ros.report.run import RecordedRun, Series
-from tsobs_ros.simulation.scenario import Scenario
+from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.signals import BiasStep
 

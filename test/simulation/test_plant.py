@@ -12,12 +12,17 @@ from numpy.typing import NDArray
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.excitation import NoTorque, Sine
 from tsobs_ros.simulation.integrator import ArmIntegrator
-from tsobs_ros.simulation.plant import Plant, Sample
-from tsobs_ros.simulation.scenario import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Mismatch, Plant, Sample, Scenario
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Sinusoid, StuckSensor
+from tsobs_ros.simulation.signals import (
+    BiasStep,
+    GaussMarkov,
+    NoTorque,
+    Sine,
+    Sinusoid,
+    StuckSensor,
+)
 
 QUIET = Scenario(
     initial_spread=(0.0,) * 4, process_noise=ProcessNoise(0.0, 0.0), sensor=Sensor(noise_std=0.0)

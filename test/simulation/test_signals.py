@@ -9,18 +9,22 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.simulation.disturbance import DisturbanceSource
-from tsobs_ros.simulation.excitation import Chirp, Excitation, Multisine, NoTorque, Sine, Square
 from tsobs_ros.simulation.signals import (
     KINDS,
     BiasStep,
+    Chirp,
     Component,
+    DisturbanceSource,
+    Excitation,
     GaussMarkov,
+    Multisine,
+    NoTorque,
     Ramp,
+    Sine,
     Sinusoid,
+    Square,
     StuckSensor,
     TwoTone,
-    example2_faults,
     parse_kinds,
 )
 
@@ -43,17 +47,6 @@ def test_components_follow_their_formulas(
 ) -> None:
     for time in TIMES:
         assert component.value(time) == pytest.approx(formula(time), abs=1e-15)
-
-
-def test_faults_of_example_2() -> None:
-    formulas: list[Callable[[float], float]] = [
-        lambda t: 0.2 * math.sin(3 * (t - 2)) if t >= 2 else 0.0,
-        lambda t: 0.2 * math.sin(4 * (t - 3)) if t >= 3 else 0.0,
-        lambda t: 0.4 * (math.sin(2 * t) + math.cos(3 * t)),
-    ]
-    faults: tuple[Component, ...] = example2_faults()
-    for fault, formula in zip(faults, formulas, strict=True):
-        assert [fault.value(t) for t in TIMES] == pytest.approx([formula(t) for t in TIMES])
 
 
 @pytest.mark.parametrize(

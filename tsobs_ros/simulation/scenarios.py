@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.simulation.plant import Plant
-from tsobs_ros.simulation.scenario import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Ramp, Sinusoid
 

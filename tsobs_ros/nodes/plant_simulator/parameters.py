@@ -11,15 +11,20 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import fixed_parameter, parameter, parameter_group
-from tsobs_ros.simulation.excitation import Chirp, Excitation, Multisine, NoTorque, Sine, Square
-from tsobs_ros.simulation.scenario import Mismatch, Scenario
+from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,
+    Chirp,
     Component,
+    Excitation,
     GaussMarkov,
+    Multisine,
+    NoTorque,
     Ramp,
+    Sine,
     Sinusoid,
+    Square,
     StuckSensor,
     TwoTone,
     parse_kinds,
