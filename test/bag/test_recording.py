@@ -5,6 +5,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Event, get_ident
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -21,7 +22,6 @@ from tsobs_ros.bag.recording import (
     Latch,
     LatchedMessages,
     Recording,
-    RecordingOptions,
     SnapshotBuffer,
 )
 from tsobs_ros.bag.verification import verify
@@ -34,8 +34,8 @@ ONE = Latch(number=1, publishers=1)
 LIMIT = 10.0
 
 
-def begin(path: Path, options: RecordingOptions) -> Recording:
-    recording = Recording(path, options)
+def begin(path: Path, **options: Any) -> Recording:
+    recording = Recording(path, **options)
     for topic in ("/map", "/a"):
         definition = find_definition("std_msgs/msg/String")
         recording.add_topic(topic, definition, [QosProfile()])
@@ -70,7 +70,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 @pytest.mark.parametrize("repeat", [0, 1])
 def test_every_file_begins_with_what_is_latched(folder: Path, repeat: int) -> None:
-    recording = begin(folder, RecordingOptions(max_duration_ns=9, repeat_latched=repeat))
+    recording = begin(folder, max_duration_ns=9, repeat_latched=repeat)
     recording.record(message("/map", 1, MAP), ONE)
     for time in range(2, 25):
         recording.record(message("/a", time))
@@ -88,7 +88,7 @@ def test_every_file_begins_with_what_is_latched(folder: Path, repeat: int) -> No
 
 
 def test_what_is_latched_during_a_pause_comes_after_it(folder: Path) -> None:
-    recording = begin(folder, RecordingOptions())
+    recording = begin(folder)
     recording.record(message("/a", 1))
     for topic, latch in (("/a", None), ("/map", ONE), ("/map", ONE)):
         recording.discard(message(topic, 2, MAP), latch)
@@ -101,8 +101,7 @@ def test_what_is_latched_during_a_pause_comes_after_it(folder: Path) -> None:
 
 
 def test_snapshots_hold_the_last_seconds_and_what_is_latched(folder: Path) -> None:
-    options = RecordingOptions(snapshot_duration_ns=10, snapshot_size=10**6)
-    recording = begin(folder, options)
+    recording = begin(folder, snapshot=SnapshotBuffer(10, 10**6))
     recording.record(message("/map", 1, MAP), ONE)
     for time in range(50):
         recording.record(message("/a", 10 + time))
@@ -120,8 +119,7 @@ def test_snapshots_hold_the_last_seconds_and_what_is_latched(folder: Path) -> No
 
 
 def test_a_large_snapshot_is_written_bit_by_bit_and_to_the_end(folder: Path) -> None:
-    options = RecordingOptions(snapshot_duration_ns=10**9, snapshot_size=10**8)
-    recording = begin(folder, options)
+    recording = begin(folder, snapshot=SnapshotBuffer(10**9, 10**8))
     for time in range(1, 12_001):
         recording.record(message("/a", time))
     assert recording.take_snapshot() == 12_000
@@ -132,7 +130,7 @@ def test_a_large_snapshot_is_written_bit_by_bit_and_to_the_end(folder: Path) -> 
 
 
 def test_a_disk_that_fails_to_sync_ends_the_recording(tmp_path: Path, monkeypatch) -> None:
-    recording = begin(tmp_path / "bag", RecordingOptions(sync_period=0.001))
+    recording = begin(tmp_path / "bag", sync_period=0.001)
     recording.record(message("/a", 1))
 
     def fail(descriptor: int) -> None:

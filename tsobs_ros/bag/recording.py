@@ -51,35 +51,17 @@ class Latch(NamedTuple):
     publishers: int
 
 
-@dataclass(frozen=True)
-class RecordingOptions:
-    """How to record.
-
-    Attributes:
-        compression: Of the chunks: `none`, `lz4` or `zstd`.
-        max_size: Size at which a file is followed by another [bytes]; 0: none.
-        max_duration_ns: Longest log time in a file [ns]; 0: no limit.
-        repeat_latched: Messages of each latched publisher that every file starts with.
-        sync_period: Pause between two syncs of the disk [s].
-        snapshot_duration_ns: Length of a snapshot [ns]; 0: everything is written.
-        snapshot_size: Memory that a snapshot may take [bytes].
-    """
-
-    compression: str = "zstd"
-    max_size: int = 0
-    max_duration_ns: int = 0
-    repeat_latched: int = 1
-    sync_period: float = 5.0
-    snapshot_duration_ns: int = 0
-    snapshot_size: int = 0
-
-
 class Recording:
     """Writes and counts messages as they arrive; another thread syncs the disk.
 
     Args:
         path: The bag's folder, which must not exist.
-        options: How to record.
+        compression: Of the chunks: `none`, `lz4` or `zstd`.
+        max_size: Size at which a file is followed by another [bytes]; 0: none.
+        max_duration_ns: Longest log time in a file [ns]; 0: no limit.
+        repeat_latched: Messages of each latched publisher that every file starts with.
+        sync_period: Pause between two syncs of the disk [s].
+        snapshot: A buffer to keep messages in until `take_snapshot`; None: everything is written.
 
     Attributes:
         path: The bag's folder.
@@ -93,26 +75,34 @@ class Recording:
         BagWriteError: The folder exists or cannot be created.
     """
 
-    def __init__(self, path: Path, options: RecordingOptions) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        compression: str = "zstd",
+        max_size: int = 0,
+        max_duration_ns: int = 0,
+        repeat_latched: int = 1,
+        sync_period: float = 5.0,
+        snapshot: "SnapshotBuffer | None" = None,
+    ) -> None:
         self.path = path
         self.counts: dict[str, int] = {}
         self.bytes = 0
         self.discarded = 0
-        self.snapshot: SnapshotBuffer | None = None
-        if options.snapshot_duration_ns:
-            self.snapshot = SnapshotBuffer(options.snapshot_duration_ns, options.snapshot_size)
-        self._repeats = options.repeat_latched > 0
-        self._latched = LatchedMessages(max(1, options.repeat_latched))
+        self.snapshot = snapshot
+        self._repeats = repeat_latched > 0
+        self._latched = LatchedMessages(max(1, repeat_latched))
         self._has_unlogged = False
         self._pending: deque[BufferedMessage] = deque()
         self._writer = BagWriter(
             path,
-            compression=options.compression,
-            max_size=options.max_size,
-            max_duration_ns=options.max_duration_ns,
+            compression=compression,
+            max_size=max_size,
+            max_duration_ns=max_duration_ns,
             on_split=self._start_file,
         )
-        self.sync = BackgroundSync(self._writer.sync, options.sync_period)
+        self.sync = BackgroundSync(self._writer.sync, sync_period)
 
     @property
     def file_count(self) -> int:
@@ -161,11 +151,7 @@ class Recording:
             self._has_unlogged = True
 
     def split(self) -> None:
-        """Continue in another file, unless the current one is empty.
-
-        Raises:
-            BagWriteError: The bag cannot be written.
-        """
+        """Continue in another file, unless the current one is empty; raises a BagWriteError."""
         self._writer.split()
 
     def take_snapshot(self) -> int:

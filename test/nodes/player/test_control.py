@@ -278,4 +278,4 @@ def test_being_too_slow_is_a_warning_until_the_next_status(
     assert late.message == "too slow for the rate"
     assert float({v.key: v.value for v in late.values}["held back [s]"]) > 0.0
     process.signal(signal.SIGTERM)
-    assert "behind: going on from here, with nothing left out" in process.finish().stderr
+    assert "behind: continuing from here, with nothing left out" in process.finish().stderr

@@ -32,11 +32,11 @@ from tsobs_ros.nodes.player.topics import PlayedTopics
 
 _MIB = 2**20
 _DIAGNOSTICS_PERIOD = 1.0
-# While a chunk of the bag is unpacked in the reader's thread, a message that is due would wait for
-# the interpreter for as long as this; Python's own 5 ms are too long [s].
+# While the reader's thread unpacks a chunk of the bag, a message that is due waits for the
+# interpreter so long; Python's own 5 ms are too much [s].
 _SWITCH_INTERVAL = 0.0005
-# Catching up must not keep services waiting.
-_LONGEST_BURST = 5_000_000
+# Longest time of catching up, in which services wait [ns].
+_MAX_BURST = 5_000_000
 _WAIT_POLL = 10_000_000
 _ACKNOWLEDGE_TIMEOUT = 5_000_000_000
 _WARN_EVERY = 5.0
@@ -115,7 +115,7 @@ class Player(ManagedNode[PlayerParameters]):
         self._seek(parameters.position)
 
     def _until_damage(self, messages: Iterator[BagMessage | None]) -> Iterator[BagMessage | None]:
-        """Let subscribers get what has been played, before damage of the bag ends the player."""
+        """Wait until subscribers have what was played, before damage of the bag ends the player."""
         try:
             yield from messages
         except BagReadError:
@@ -138,7 +138,7 @@ class Player(ManagedNode[PlayerParameters]):
         self._playback.pause(time.monotonic_ns())
 
     def cleanup(self) -> None:
-        """Say what has been played."""
+        """Log what has been played."""
         topics = self._topics
         self.get_logger().info(f"played {topics.messages} messages of {len(topics.by_name)} topics")
 
@@ -160,17 +160,17 @@ class Player(ManagedNode[PlayerParameters]):
 
     @property
     def messages(self) -> int:
-        """How many messages have been published since it was configured."""
+        """The number of messages published since it was configured."""
         return self._topics.messages
 
     @property
     def position(self) -> float:
-        """Where playing is, from the bag's start [s]."""
+        """The present position, from the bag's start [s]."""
         return (self._playback.position(time.monotonic_ns()) - self._bag_start) * 1e-9
 
     @property
     def doing(self) -> str:
-        """What it is doing, for people."""
+        """The state, in words."""
         if not self.active:
             return "inactive"
         if self._paused:
@@ -180,7 +180,7 @@ class Player(ManagedNode[PlayerParameters]):
         return "ended" if self._playback.ended else "playing"
 
     def take_lags(self) -> list[int]:
-        """Return how late messages were published since the last call [ns]."""
+        """Return the lateness of each message published since the last call [ns]."""
         lags, self._lags = self._lags, []
         return lags
 
@@ -207,15 +207,15 @@ class Player(ManagedNode[PlayerParameters]):
         return True, f"{message.topic} at {self.position:.3f} s"
 
     def _play(self) -> int:
-        """Publish what is due; return how long it is until more is [ns]."""
+        """Publish what is due; return the time until more is [ns]."""
         playback, now = self._playback, time.monotonic_ns()
         if playback.paused and not (self._paused or playback.ended):
-            if not self._may_begin(now):
+            if not self._may_start(now):
                 return _WAIT_POLL
             playback.position(now)  # reads the first message, which may take a while after a seek
             now = time.monotonic_ns()
             playback.resume(now)
-        burst_end = now + _LONGEST_BURST
+        burst_end = now + _MAX_BURST
         held_back = playback.held_back
         while now < burst_end and (event := playback.take(now)) is not None:
             self._lags.append(now - event.due)
@@ -223,7 +223,7 @@ class Player(ManagedNode[PlayerParameters]):
             now = time.monotonic_ns()
         if playback.held_back > held_back:
             self.get_logger().warning(
-                f"{(playback.held_back - held_back) * 1e-9:.3f} s behind: going on from here, "
+                f"{(playback.held_back - held_back) * 1e-9:.3f} s behind: continuing from here, "
                 "with nothing left out",
                 throttle_duration_sec=_WARN_EVERY,
             )
@@ -239,7 +239,7 @@ class Player(ManagedNode[PlayerParameters]):
         set_stamp(message.clock, event.time)
         self._clock_publisher.publish(message)
 
-    def _may_begin(self, now: int) -> bool:
+    def _may_start(self, now: int) -> bool:
         """Return whether enough subscribers are there."""
         if not self._gate.is_open:
             there = self._topics.subscribers
@@ -250,7 +250,7 @@ class Player(ManagedNode[PlayerParameters]):
         return self._gate.is_open
 
     def _has_arrived(self, now: int) -> bool:
-        """Return whether subscribers have got all that was played, or too much time has passed."""
+        """Return whether subscribers have all that was played, or too much time has passed."""
         if self._ended is None:
             self._ended = now
         return self._topics.acknowledged() or now - self._ended > _ACKNOWLEDGE_TIMEOUT
@@ -262,7 +262,7 @@ class Player(ManagedNode[PlayerParameters]):
         self._playback.seek(target, time.monotonic_ns())
 
     def _refusal(self, position: float) -> str | None:
-        """Return why a position cannot be gone to."""
+        """Return why a position is refused."""
         length = self._length * 1e-9
         if position <= length:
             return None
@@ -274,7 +274,7 @@ class Player(ManagedNode[PlayerParameters]):
         return SetParametersResult(successful=not refusals, reason="; ".join(refusals))
 
     def _take_position(self, accepted: Sequence[Parameter]) -> None:
-        """Go to a position that was set, be it the one that was set before."""
+        """Go to a position that was set, even to the one that was set before."""
         for parameter in accepted:
             if parameter.name == "position" and self.configured:
                 self._seek(parameter.value)

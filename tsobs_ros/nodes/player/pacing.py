@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""When a player begins and when it works: at times that only the work itself knows.
+"""The start of a player and its ticks, which come when the work itself is next due.
 
-Where `runtime.run` spins the node, it takes these ticks over as it does a `Ticker`'s: it sleeps
-until the next one, which is some 60 µs late, where an rclpy timer costs 200 µs of executor each.
+`runtime.run` takes these ticks over as it does a `Ticker`'s: it sleeps until the next one, which is
+some 60 µs late, while an rclpy timer costs 200 µs of executor each.
 """
 
 from collections.abc import Callable
@@ -11,15 +11,15 @@ from collections.abc import Callable
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-# How soon a change is noticed that nobody calls `wake` for.
-_LONGEST_WAIT = 50_000_000
-# A best-effort subscriber hears nothing before it has matched the publisher too, and others may be
-# discovered at the same time.
+# Longest wait, after which a change is noticed without a call of `wake` [ns].
+_MAX_WAIT = 50_000_000
+# A best-effort subscriber receives nothing before it has matched the publisher too, and others may
+# be discovered at the same time [ns].
 _SETTLING = 200_000_000
 
 
 class Pacer:
-    """Calls back whenever the callback wanted to be, from `start` until `stop`.
+    """Calls back when the callback asked for it, from `start` until `stop`.
 
     Args:
         node: The node it belongs to; its clock does not matter, time is steady.
@@ -31,7 +31,7 @@ class Pacer:
         self._running = False
         self._taken_over = False
         self._timer = node.create_timer(
-            _LONGEST_WAIT * 1e-9,
+            _MAX_WAIT * 1e-9,
             self._tick,
             clock=Clock(clock_type=ClockType.STEADY_TIME),
             autostart=False,
@@ -44,7 +44,7 @@ class Pacer:
         return self._running
 
     def start(self) -> None:
-        """Begin to tick, at once."""
+        """Start to tick, at once."""
         self._running = True
         self.wake()
 
@@ -54,7 +54,7 @@ class Pacer:
         self._timer.cancel()
 
     def wake(self) -> None:
-        """Tick at once, as what the wait depended on has changed."""
+        """Tick at once, as the next due time has changed."""
         if self._running and not self._taken_over:
             self._schedule(0)
 
@@ -71,7 +71,7 @@ class Pacer:
             self.wake()
 
     def run_if_due(self) -> int:
-        """Do what is due, and return how long it is until more is [ns]."""
+        """Do what is due, and return the time until more is [ns]."""
         return self._callback()
 
     def _tick(self) -> None:
@@ -80,7 +80,7 @@ class Pacer:
             self._schedule(wait)
 
     def _schedule(self, wait: int) -> None:
-        self._timer.timer_period_ns = min(max(wait, 1), _LONGEST_WAIT)
+        self._timer.timer_period_ns = min(max(wait, 1), _MAX_WAIT)
         self._timer.reset()
 
 
@@ -88,9 +88,9 @@ class SubscriberGate:
     """Opens once enough subscribers are there and no more come, or after a timeout.
 
     Args:
-        wanted: How many to wait for; 0 opens at once.
-        timeout: How long to wait at most [s]; 0 waits for ever.
-        now: Steady time at the beginning [ns].
+        wanted: Subscribers to wait for; 0 opens at once.
+        timeout: Longest wait [s]; 0: no limit.
+        now: Steady time at the start [ns].
 
     Attributes:
         is_open: Whether it has opened; it stays open.
@@ -105,7 +105,7 @@ class SubscriberGate:
         self._there, self._since = 0, now
 
     def look(self, there: int, now: int) -> None:
-        """Take in how many subscribers are there at a steady time [ns]."""
+        """Take in the number of subscribers at a steady time [ns]."""
         if there != self._there:
             self._there, self._since = there, now
         enough = there >= self._wanted

@@ -19,9 +19,9 @@ class PlayerParameters(ManagedParameters):
 
     bag: str = parameter("", "Bag folder or .mcap file to play", read_only=True)
     rate: float = parameter(1.0, "Seconds of the bag per second", minimum=0.01, maximum=100.0)
-    loop: bool = parameter(False, "Begin again at the end")
+    loop: bool = parameter(False, "Start again at the end")
     start_offset: float = parameter(
-        0.0, "Where each pass begins, from the bag's start", unit="s", minimum=0.0, read_only=True
+        0.0, "Start of each pass, from the bag's start", unit="s", minimum=0.0, read_only=True
     )
     duration: float = parameter(
         0.0,
@@ -32,11 +32,11 @@ class PlayerParameters(ManagedParameters):
     )
     position: float = parameter(
         0.0,
-        "Set it to go there, back or forth, from the bag's start; playing begins there too",
+        "Set it to go there, back or forth, from the bag's start; playing starts there too",
         unit="s",
         minimum=0.0,
     )
-    start_paused: bool = parameter(False, "Begin in a pause", read_only=True)
+    start_paused: bool = parameter(False, "Start in a pause", read_only=True)
     topics: tuple[str, ...] = parameter((), "Topics to play; empty for all", read_only=True)
     regex: str = parameter("", "Play the topics in which this is found, too", read_only=True)
     exclude_topics: tuple[str, ...] = parameter((), "Topics not to play", read_only=True)
@@ -50,7 +50,7 @@ class PlayerParameters(ManagedParameters):
         read_only=True,
     )
     wait_for_subscribers: int = parameter(
-        1, "Subscriptions to wait for before playing begins", minimum=0, read_only=True
+        1, "Subscriptions to wait for before playing starts", minimum=0, read_only=True
     )
     wait_timeout: float = parameter(
         5.0, "Longest wait for them; 0: no limit", unit="s", minimum=0.0, read_only=True
@@ -98,7 +98,7 @@ class PlayerParameters(ManagedParameters):
         return selected
 
     def window(self, start: int, end: int) -> tuple[int, int]:
-        """Return where a pass begins and ends, of a bag that begins and ends there [ns].
+        """Return where a pass of a bag from `start` to `end` starts and ends [ns].
 
         Raises:
             ParameterError: The offset is beyond the bag's end.

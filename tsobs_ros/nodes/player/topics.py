@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics a player publishes, with the QoS they were recorded with."""
+"""The topics a player publishes, with their recorded QoS."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -22,7 +22,7 @@ from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.messages import message_class
 
-# The depth of ROS's default profile: of a publisher whose depth discovery did not tell.
+# The depth of ROS's default profile, for a publisher of unknown depth.
 _USUAL_DEPTH = 10
 _FOREVER = 2**63 - 1
 
@@ -34,7 +34,7 @@ class PlayedTopic:
         name: The topic's name in the bag; the publisher's may be remapped.
         publisher: Takes its messages as bytes.
         latched: How many messages it keeps for late subscribers; 0 if it is not latched.
-        messages: How many have been published.
+        messages: Number of messages published.
     """
 
     def __init__(self, name: str, publisher: Any, qos: QoSProfile) -> None:
@@ -51,7 +51,7 @@ class PlayedTopics:
         node: The node that owns the publishers.
         topics: What to publish.
         queue_depth: How many messages a volatile publisher keeps for slow subscribers.
-        warn: Told about each topic that is left out.
+        warn: Called about each topic that is left out.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class PlayedTopics:
         return sum(t.publisher.get_subscription_count() for t in self.by_name.values())
 
     def acknowledged(self, timeout: int = 0) -> bool:
-        """Return whether reliable subscribers have got everything; each has so long for it [ns]."""
+        """Return whether reliable subscribers have everything, after a timeout for each [ns]."""
         limit = Duration(nanoseconds=timeout)
         return all(t.publisher.wait_for_all_acked(limit) for t in self.by_name.values())
 
@@ -95,17 +95,17 @@ class PlayedTopics:
 
 
 def offered_qos(profiles: tuple[QosProfile, ...], queue_depth: int) -> QoSProfile:
-    """Return what to offer on a topic: the recorded profile where all its publishers agree.
+    """Return the profile to offer on a topic: the recorded one if all its publishers agree.
 
-    Where they do not, or nothing was recorded, it is reliable and volatile, as for rosbag2. How
-    many messages to keep matters to late subscribers of latched topics: there it is what all
-    publishers together kept, as one now stands for all of them.
+    If they do not, or nothing was recorded, it is reliable and volatile, as for rosbag2. The depth
+    matters to late subscribers of latched topics: there it is the sum of the publishers' depths, as
+    one publisher now stands for all of them.
 
     Args:
         profiles: What the recorded publishers offered.
         queue_depth: How many messages a volatile publisher keeps for slow subscribers.
     """
-    # Not policies that a subscription is matched by; discovery often does not tell them.
+    # Not policies that a subscription is matched by, and often unknown from discovery.
     alike = {replace(profile, history="unknown", depth=0) for profile in profiles}
     profile = alike.pop() if len(alike) == 1 else QosProfile()
     latched = profile.durability == "transient_local"
@@ -134,7 +134,7 @@ def _publisher(node: Node, topic: TopicInfo, qos: QoSProfile) -> Any:
 
 
 def _check_definition(topic: TopicInfo) -> None:
-    """Refuse bytes that subscribers would take for something else."""
+    """Refuse bytes that subscribers would decode as something else."""
     try:
         installed = find_definition(topic.type).type_hash
     except BagWriteError:
@@ -146,7 +146,7 @@ def _check_definition(topic: TopicInfo) -> None:
 
 
 def _policy(policies: Any, name: str, default: str) -> Any:
-    """Return a policy by name; the default where the name does not say what to do."""
+    """Return a policy by name; the default for a name such as `unknown`."""
     known = {"best_effort", "transient_local", "manual_by_topic"}
     return policies[(name if name in known else default).upper()]
 

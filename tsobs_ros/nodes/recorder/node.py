@@ -16,7 +16,7 @@ from typing import Any
 
 from rclpy.clock import Clock, ClockType
 
-from tsobs_ros.bag.recording import BufferedMessage, Recording
+from tsobs_ros.bag.recording import BufferedMessage
 from tsobs_ros.errors import BagWriteError, NodeError, printable
 from tsobs_ros.nodes.managed import Answer, ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher
@@ -66,7 +66,7 @@ class Recorder(ManagedNode[RecorderParameters]):
                 f"minimum_free_disk ({parameters.minimum_free_disk} MiB)"
             )
         self._finder = TopicFinder(self, parameters, self._warn)
-        self._recording = Recording(path, parameters.recording_options())
+        self._recording = parameters.recording(path)
         self.at_cleanup(self._close_recording)
         self._paused = parameters.start_paused
         self._failed = self._free_disk_warned = False

@@ -5,8 +5,9 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
-from tsobs_ros.bag.recording import RecordingOptions
+from tsobs_ros.bag.recording import Recording, SnapshotBuffer
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import check_pattern, parameter
 
@@ -47,21 +48,29 @@ class RecorderParameters(ManagedParameters):
         "zstd", "Compression of the chunks", choices=("none", "lz4", "zstd"), read_only=True
     )
     max_bag_size: int = parameter(
-        0, "Size at which another file is begun; 0: never", unit="bytes", minimum=0, read_only=True
+        0,
+        "Size at which a file is followed by another; 0: never",
+        unit="bytes",
+        minimum=0,
+        read_only=True,
     )
     max_bag_duration: float = parameter(
-        0.0, "Time after which another file is begun; 0: never", unit="s", minimum=0, read_only=True
+        0.0,
+        "Time after which a file is followed by another; 0: never",
+        unit="s",
+        minimum=0,
+        read_only=True,
     )
     repeat_latched: int = parameter(
         1,
-        "Messages of each latched publisher to repeat where a file begins; 0: none",
+        "Messages of each latched publisher to repeat at the start of a file; 0: none",
         minimum=0,
         maximum=1000,
         read_only=True,
     )
     start_paused: bool = parameter(False, "Wait for the service ~/resume", read_only=True)
     snapshot_mode: bool = parameter(
-        False, "Write only when the service ~/snapshot asks for the last seconds", read_only=True
+        False, "Write only the last seconds, when the service ~/snapshot is called", read_only=True
     )
     snapshot_duration: float = parameter(
         30.0, "Time that a snapshot goes back", unit="s", minimum=0.001, read_only=True
@@ -70,10 +79,15 @@ class RecorderParameters(ManagedParameters):
         100, "Memory that a snapshot may take", unit="MiB", minimum=1, read_only=True
     )
     flush_period: float = parameter(
-        0.5, "What is older survives a kill", unit="s", minimum=0.01, maximum=10, read_only=True
+        0.5,
+        "Age from which messages survive a kill",
+        unit="s",
+        minimum=0.01,
+        maximum=10,
+        read_only=True,
     )
     sync_period: float = parameter(
-        5.0, "What is older survives a power cut", unit="s", minimum=0.1, read_only=True
+        5.0, "Age from which they survive a power cut", unit="s", minimum=0.1, read_only=True
     )
     drain_period: float = parameter(
         0.01, "How often queues are emptied", unit="s", minimum=0.001, maximum=1, read_only=True
@@ -90,7 +104,7 @@ class RecorderParameters(ManagedParameters):
     )
 
     def __post_init__(self) -> None:
-        """Refuse patterns that are none.
+        """Check the patterns.
 
         Raises:
             ParameterError: A regular expression is malformed.
@@ -98,16 +112,21 @@ class RecorderParameters(ManagedParameters):
         check_pattern("regex", self.regex)
         check_pattern("exclude_regex", self.exclude_regex)
 
-    def recording_options(self) -> RecordingOptions:
-        """Return how to record."""
-        return RecordingOptions(
+    def recording(self, path: Path) -> Recording:
+        """Return a recording into a folder.
+
+        Raises:
+            BagWriteError: The folder exists or cannot be created.
+        """
+        snapshot = SnapshotBuffer(round(self.snapshot_duration * 1e9), self.snapshot_size * _MIB)
+        return Recording(
+            path,
             compression=self.compression,
             max_size=self.max_bag_size,
             max_duration_ns=round(self.max_bag_duration * 1e9),
             repeat_latched=self.repeat_latched,
             sync_period=self.sync_period,
-            snapshot_duration_ns=self.snapshot_mode * round(self.snapshot_duration * 1e9),
-            snapshot_size=self.snapshot_size * _MIB,
+            snapshot=snapshot if self.snapshot_mode else None,
         )
 
     def resolved(

@@ -38,14 +38,7 @@ class TopicStatistics(NamedTuple):
 
 
 class RecorderStatistics(NamedTuple):
-    """Counts of the whole recording, and of each topic by its full name.
-
-    Attributes:
-        topics: Counts of each topic.
-        discarded: Messages that arrived while the recording was paused.
-        bytes: Bytes of the messages recorded.
-        files: Files of the bag.
-    """
+    """Counts of each topic by its full name, of messages discarded in pauses, bytes and files."""
 
     topics: Mapping[str, TopicStatistics]
     discarded: int = 0
@@ -69,20 +62,7 @@ class RecorderStatistics(NamedTuple):
 
 
 class RecorderState(NamedTuple):
-    """All that decides a recorder's statuses.
-
-    Attributes:
-        statistics: Its counts.
-        rate: Recent rate of messages [1/s].
-        recording: Whether it records, rather than being paused or inactive.
-        clock_awaited: Whether simulated time has not begun.
-        waiting_for: Listed topics without a publisher.
-        free_disk: Free disk space [MiB].
-        minimum_free_disk: Free disk space at which recording ends [MiB].
-        sync_age: Time since the disk was last synced [s].
-        sync_period: Planned time between two syncs [s].
-        snapshot: The snapshot buffer, in snapshot mode.
-    """
+    """All that decides a recorder's statuses; rate in 1/s, disk in MiB, times in s."""
 
     statistics: RecorderStatistics
     rate: float
