@@ -92,28 +92,22 @@ def check_disturbance(reader: BagReader) -> None:
     assert len(recorded["/observer/joint_states"]) > 100
 
 
-def test_a_folder_with_a_demo_in_it_is_left_alone(demo: Demo, tmp_path: Path) -> None:
-    (tmp_path / "demo" / "log").mkdir(parents=True)
-    (tmp_path / "demo" / "log" / "mine").write_text("precious", encoding="utf-8")
-    finished = demo("--output", str(tmp_path / "demo")).finish(TIMEOUT)
-    assert finished.exit_code == 1
-    assert f"error: {tmp_path / 'demo'}: exists already" in finished.stderr
-    assert "Traceback" not in finished.stderr
-    assert [path.name for path in (tmp_path / "demo").rglob("*")] == ["log", "mine"]
-
-
 @pytest.mark.parametrize(
     ("name", "why"),
-    [("file", "exists already"), ("file/demo", "cannot be made: Not a directory")],
+    [
+        (".", "exists already"),
+        ("precious", "exists already"),
+        ("precious/demo", "cannot be made: Not a directory"),
+    ],
 )
-def test_a_place_where_no_folder_can_be_is_named(
-    demo: Demo, tmp_path: Path, name: str, why: str
-) -> None:
-    (tmp_path / "file").write_text("precious", encoding="utf-8")
+def test_nothing_is_replaced(demo: Demo, tmp_path: Path, name: str, why: str) -> None:
+    (tmp_path / "precious").write_text("mine", encoding="utf-8")
     finished = demo("--output", str(tmp_path / name)).finish(TIMEOUT)
     assert finished.exit_code == 1
     assert f"error: {tmp_path / name}: {why}" in finished.stderr
-    assert (tmp_path / "file").read_text(encoding="utf-8") == "precious"
+    assert "Traceback" not in finished.stderr
+    assert [path.name for path in tmp_path.rglob("*")] == ["precious"]
+    assert (tmp_path / "precious").read_text(encoding="utf-8") == "mine"
 
 
 def test_a_node_that_fails_fails_the_demo_with_its_reason(demo: Demo, tmp_path: Path) -> None:
@@ -126,13 +120,17 @@ def test_a_node_that_fails_fails_the_demo_with_its_reason(demo: Demo, tmp_path: 
     assert running(output) == []
 
 
-def test_ctrl_c_ends_the_nodes_and_closes_the_bag(demo: Demo, tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_nodes_and_closes_the_bag(
+    demo: Demo, tmp_path: Path, how: signal.Signals
+) -> None:
     output = tmp_path / "demo"
     process = demo("--duration", "300", "--output", str(output))
     process.wait_for_line(r"[1-9]\d*\.\d/300\.0 s", TIMEOUT)
     assert len(running(output)) == 3
-    process.signal(signal.SIGINT)
+    process.signal(how)
     finished = process.finish(TIMEOUT)
+    assert finished.exit_code == 1
     assert "Traceback" not in finished.stderr
     assert "interrupted" in finished.stderr
     assert running(output) == []
