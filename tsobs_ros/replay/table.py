@@ -65,16 +65,18 @@ class EstimateTable:
             known = [(tick, each[joint]) for tick, each in zip(ticks, estimates, strict=True)]
             rows = [tick for tick, one in known if one is not None]
             own = [one for _, one in known if one is not None]
+            if not own:
+                continue
+            # A joint has one observer, so either all estimates have a quantity or none.
             for name, columns in _COLUMNS.items():
                 arrays = [getattr(one, name) for one in own]
-                # A joint has one observer, so either all estimates have this quantity or none.
-                if arrays and len(arrays[0]):
+                if len(arrays[0]):
                     numbers = np.concatenate(arrays).reshape(len(rows), -1)
                     self._values[rows, joint, columns] = numbers
             self.flags[rows, joint] = [
                 (one.certified, one.parameters_valid, one.in_domain) for one in own
             ]
-            if own and (count := len(own[0].parameters)):
+            if count := len(own[0].parameters):
                 self.parameters[rows, joint, :count] = [one.parameters for one in own]
                 self.parameter_bounds[rows, joint, :count] = [one.parameter_bound for one in own]
 
