@@ -2,18 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer in time: any rates, any order, gaps; a clock that starts, stops, runs and jumps."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from faults.arm import Arm
-from faults.script import Event, good
-from faults.stage import Stage
-from faults.watcher import SIGMAS
+from faults.stage import SIGMAS, Event, Stage, good
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
@@ -41,10 +39,8 @@ class Recording:
 
 
 @pytest.fixture
-def stage(ros: Any) -> Iterator[Stage]:
-    stage = Stage(ros)
-    yield stage
-    stage.close()
+def stage(ros: Any) -> Stage:
+    return Stage(ros)
 
 
 @pytest.fixture
@@ -83,7 +79,7 @@ def as_sampled(events: Iterable[Event]) -> list[tuple[int, int]]:
 
 @pytest.mark.parametrize(
     ("sensor", "node"),
-    [(50, 1000), (1000, 50), (333, 77), (77, 333), (200, 201), (950, 730), (61, 50), (1000, 999)],
+    [(50, 1000), (1000, 50), (333, 77), (200, 201), (950, 730)],
 )
 def test_sensor_and_node_may_have_any_rates(
     stage: Stage, recording: Recording, sensor: float, node: float
@@ -105,7 +101,7 @@ def test_sensor_and_node_may_have_any_rates(
     assert stage.watchers[""].sigmas(arm) < SIGMAS
 
 
-@pytest.mark.parametrize("speed", [0.1, 0.3, 3.0, 10.0])
+@pytest.mark.parametrize("speed", [0.1, 10.0])
 def test_time_may_run_at_any_speed(stage: Stage, recording: Recording, speed: float) -> None:
     """A clock of 200 Hz at some speed goes on by so many periods a message."""
     observer = stage.add("", recording.keep)
@@ -147,7 +143,7 @@ def test_of_what_waited_for_the_time_to_begin_the_future_is_refused(stage: Stage
     stage.add()
     arm = Arm(BEGIN)
     for event in good(arm, BEGIN, 1.0):
-        stage.senders.send(event)
+        stage.sensor.publish(event.message)
     stage.step(BEGIN + 500 * MS)
     stage.step(BEGIN + 505 * MS)
     counts = stage.counts()
@@ -157,9 +153,7 @@ def test_of_what_waited_for_the_time_to_begin_the_future_is_refused(stage: Stage
     assert stage.watchers[""].stamp() == stage.now
 
 
-@pytest.mark.parametrize(
-    "gap", [0.005, 0.05, 0.3, 1.0, 4.9, 5.1, 60.0, 600.0], ids=lambda gap: f"{gap:g} s"
-)
+@pytest.mark.parametrize("gap", [0.005, 0.3, 4.9, 5.1, 600.0], ids=lambda gap: f"{gap:g} s")
 def test_after_a_gap_of_any_length_it_goes_on(
     stage: Stage, recording: Recording, gap: float
 ) -> None:
@@ -184,7 +178,7 @@ def test_after_a_gap_of_any_length_it_goes_on(
     assert agrees(recording, observer, arm, sent)
 
 
-@pytest.mark.parametrize(("sensor", "seed"), [(200.0, 0), (200.0, 1), (730.0, 2)])
+@pytest.mark.parametrize(("sensor", "seed"), [(200.0, 0), (730.0, 2)])
 def test_whatever_the_order_of_arrival_the_estimate_is_that_of_the_order_of_stamps(
     stage: Stage, recording: Recording, sensor: float, seed: int
 ) -> None:
@@ -219,9 +213,39 @@ def test_whatever_the_order_of_arrival_the_estimate_is_that_of_the_order_of_stam
     assert tracker.rejected == in_order.rejected
 
 
-@pytest.mark.parametrize("back", [0.05, 3.0, 30.0], ids=lambda back: f"{back:g} s")
+def test_a_clock_that_goes_back_may_be_waited_for_instead(
+    stage: Stage, recording: Recording
+) -> None:
+    observer = stage.add("", recording.keep, reset_on_backward_jump=False)
+    arm = Arm(BEGIN)
+    stage.step(BEGIN - PERIOD)
+    stage.play(good(arm, BEGIN, 0.2), BEGIN + 200 * MS, PERIOD)
+    last = recording.states[-1][0]
+    stage.step(stage.now - 50 * MS)
+    stage.play((), stage.now + 50 * MS, PERIOD)
+    assert recording.states[-1][0] == last
+    stage.play(good(arm, stage.now + PERIOD, 0.1), stage.now + 105 * MS, PERIOD)
+    stamps = [stamp for stamp, _ in recording.states]
+    assert stamps == sorted(set(stamps))
+    assert stamps[-1] == stage.now > last
+    assert observer.tracker.used == observer.received == 60
+
+
+def test_a_reset_while_time_stands_still_repeats_no_stamp(stage: Stage) -> None:
+    stage.add()
+    arm = Arm(BEGIN)
+    stage.step(BEGIN - PERIOD)
+    stage.play(good(arm, BEGIN, 0.1), BEGIN + 100 * MS, PERIOD)
+    assert stage.call(Trigger, "/observer/reset", Trigger.Request()).message == "restarted"
+    stage.step(stage.now, [Event(stage.now, arm.message(stage.now))])
+    stage.play(good(arm, stage.now + PERIOD, 0.1), stage.now + 100 * MS, PERIOD)
+    assert stage.watchers[""].broken == []
+    assert stage.watchers[""].stamp() == stage.now
+
+
+@pytest.mark.parametrize("back", [0.05, 30.0], ids=lambda back: f"{back:g} s")
 def test_a_clock_that_goes_back_begins_anew_each_time(
-    stage: Stage, recording: Recording, back: float
+    stage: Stage, recording: Recording, back: float, capfd: pytest.CaptureFixture[str]
 ) -> None:
     observer = stage.add("", recording.keep)
     stage.step(BEGIN)
@@ -238,6 +262,7 @@ def test_a_clock_that_goes_back_begins_anew_each_time(
         assert stage.counts().received == 0
         stage.step(stage.now + NANOSECONDS)
         assert recording.states == []
+    assert "the clock went back by" in capfd.readouterr().err
 
 
 def test_a_leap_of_the_clock_is_a_gap(stage: Stage) -> None:
@@ -301,33 +326,6 @@ def test_two_clocks_at_odds_do_no_worse_than_begin_anew(
     assert stage.watchers[""].sigmas(arm) < SIGMAS
 
 
-def test_the_phases_are_told_as_they_come(stage: Stage) -> None:
-    states: list[str] = []
-
-    def keep(message: DiagnosticArray) -> None:
-        states.extend(s.message for s in message.status if s.name == "observer: state")
-
-    stage.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
-    stage.add(coast_after=0.2, stale_after=1.0)
-    arm = Arm(BEGIN)
-
-    def told(phase: str) -> None:
-        states.clear()
-        stage.wait_until(lambda: phase in states, f"the phase {phase}")
-
-    stage.step(BEGIN - PERIOD)
-    told("WAITING")
-    stage.play(good(arm, BEGIN, 0.1), BEGIN + 100 * MS, PERIOD)
-    told("TRACKING")
-    stage.step(BEGIN + 600 * MS)
-    told("COASTING")
-    stage.step(BEGIN + 2 * NANOSECONDS)
-    told("STALE")
-    again = stage.now + NANOSECONDS
-    stage.play(good(arm, again, 0.1), again + 100 * MS, PERIOD)
-    told("TRACKING")
-
-
 def test_ten_thousand_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
     lines: list[str] = []
     stage.node.create_subscription(Log, "/rosout", lambda message: lines.append(message.msg), 1000)
@@ -356,20 +354,3 @@ def test_ten_thousand_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
     }
     assert len(rejections) <= 60  # six reasons, anew after every five seconds
     assert max(map(len, lines)) < 2000
-
-
-@pytest.mark.parametrize("gap", [0.05, 0.2, 1.0, 3.0])
-def test_the_bound_covers_what_a_gap_does(gap: float) -> None:
-    """Settled, with a torque that goes on changing while nothing is heard of it."""
-    tracker = Tracker(DESIGN.supervised(), TrackerOptions(x_max=DESIGN.request.x_max))
-    arm, worst = Arm(BEGIN), 0.0
-    begin = BEGIN + 9 * NANOSECONDS
-    again = begin + round(gap * NANOSECONDS)
-    for stamp in (*arm.stamps(BEGIN, 9.0), *arm.stamps(again, 2.0)):
-        tracker.offer(arm.measurement(stamp), stamp)
-        if stamp > begin:
-            estimate = tracker.estimate(stamp)
-            assert estimate is not None
-            error = np.abs(estimate.state - arm.truth(stamp)) / estimate.state_bound
-            worst = max(worst, float(error.max()))
-    assert worst < 4.0

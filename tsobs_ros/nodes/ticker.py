@@ -56,7 +56,7 @@ class Ticker:
         self._period_ns = round(period * 1e9)
         self._running = False
         self._due: int | None = None
-        self._timer = node.create_timer(period, callback, clock=executor_clock, autostart=False)
+        self._timer = node.create_timer(period, self._tick, clock=executor_clock, autostart=False)
 
     @property
     def may_be_taken_over(self) -> bool:
@@ -72,6 +72,11 @@ class Ticker:
         """Stop ticking, until the next `start`."""
         self._running, self._due = False, None
         self._timer.cancel()
+
+    def skip_next(self) -> None:
+        """Leave an executor's next tick out, as its work has just been done."""
+        self._timer.timer_period_ns = 2 * self._period_ns
+        self._timer.reset()
 
     def take_over(self) -> None:
         """Stop the timer; from now on `run_if_due` ticks."""
@@ -98,3 +103,9 @@ class Ticker:
             # what fell out before that, while the process was held up, is gone.
             self._due += self._period_ns * max(1, (now - self._due) // self._period_ns)
         return max(0, self._due - now)
+
+    def _tick(self) -> None:
+        if self._timer.timer_period_ns != self._period_ns:  # after a skipped one
+            self._timer.timer_period_ns = self._period_ns
+            self._timer.reset()
+        self._callback()

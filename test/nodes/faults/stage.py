@@ -7,40 +7,126 @@ Nothing waits and nothing races: what is published in one process is in every qu
 due are done.
 """
 
+import math
 from collections import Counter
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
+import numpy as np
 from rclpy.clock import ClockType
+from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
 
-from faults.script import Counts, Event, Sender, steps
-from faults.senders import Senders
-from faults.watcher import Watcher
-from tsobs_ros.nodes.messages import to_stamp
+from faults.arm import Arm
+from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.nodes.draining import DrainedSubscription
+from tsobs_ros.nodes.messages import to_nanoseconds, to_stamp
 from tsobs_ros.nodes.observer import create
 
-_TIMEOUT = 30.0
 TOPIC = "/joint_measurements"
+ESTIMATES = ("joint_states", "error_bound", "disturbance", "disturbance_bound")
+OUTPUTS = (*ESTIMATES, "innovation")
+SIGMAS = 4.0
+"""Largest error in multiples of its bound."""
+
+_TIMEOUT = 30.0
+_LONG = 7 * NANOSECONDS
+_SENSOR_QOS = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
-def start_observer(context: Any, namespace: str, **parameters: Any) -> Any:
-    """Return an observer under simulated time that reads the stage's sensor."""
-    given = {"use_sim_time": True, **parameters}
-    return create(
-        context=context,
-        namespace=namespace,
-        cli_args=["--ros-args", "-r", f"joint_measurements:={TOPIC}"],
-        parameter_overrides=[Parameter(n.replace("__", "."), value=v) for n, v in given.items()],
-    )
+class Event(NamedTuple):
+    """A message or its CDR bytes, and when it is sent [ns]; None: by the stage's sensor."""
+
+    at: int
+    message: Any
+    publisher: Any = None
 
 
-def counts_of(observer: Any) -> Counts:
-    """Return what an observer counts, without the second's wait for its diagnostics."""
-    trackers = [joint.tracker for joint in observer.joints]
-    rejected = sum((tracker.rejected for tracker in trackers), Counter())
-    return Counts(observer.received, sum(tracker.used for tracker in trackers), rejected)
+def good(arm: Arm, begin: int, seconds: float) -> Iterator[Event]:
+    """Send the samples of the good sensor as they are taken."""
+    return (Event(stamp, arm.message(stamp)) for stamp in arm.stamps(begin, seconds))
+
+
+class Counts(NamedTuple):
+    """A node's counts of its samples."""
+
+    received: int
+    used: int
+    rejected: Mapping[RejectReason, int]
+
+
+class Watcher:
+    """Reads an observer's topics and holds them to what must always be true.
+
+    Attributes:
+        broken: Descriptions of what should never have happened.
+        newest: The newest message on each topic.
+        keep: Called with topic and message, for tests that compare them.
+    """
+
+    def __init__(
+        self, node: Node, prefix: str, keep: Callable[[str, JointState], None] | None = None
+    ) -> None:
+        self._subscriptions = {
+            topic: DrainedSubscription(
+                node, JointState, f"{prefix}/{topic}", QoSProfile(depth=5000)
+            )
+            for topic in OUTPUTS
+        }
+        self.keep = keep
+        self.broken: list[str] = []
+        self.newest: dict[str, JointState] = {}
+        self._stamps: dict[str, int] = {}
+
+    @property
+    def matched(self) -> bool:
+        """Whether all topics have a publisher."""
+        return all(each.publisher_count for each in self._subscriptions.values())
+
+    def close(self) -> None:
+        """Stop reading."""
+        for subscription in self._subscriptions.values():
+            subscription.destroy()
+
+    def time_went_back(self) -> None:
+        """Allow stamps to restart, as the clock went back."""
+        self.read()
+        self._stamps.clear()
+
+    def read(self) -> None:
+        """Take what has been published."""
+        for topic, subscription in self._subscriptions.items():
+            for message, _ in subscription.drain():
+                self._check(topic, message)
+                self.newest[topic] = message
+                if self.keep is not None:
+                    self.keep(topic, message)
+
+    def stamp(self, topic: str = "joint_states") -> int | None:
+        """Return the newest stamp on a topic [ns]."""
+        return self._stamps.get(topic)
+
+    def sigmas(self, arm: Arm) -> float:
+        """Return the largest error of the newest estimate, in its bounds."""
+        state, bound = self.newest["joint_states"], self.newest["error_bound"]
+        q1, v1, q2, v2 = arm.truth(to_nanoseconds(state.header.stamp))
+        error = np.abs([*state.position, *state.velocity] - np.array([q1, q2, v1, v2]))
+        return float((error / [*bound.position, *bound.velocity]).max())
+
+    def _check(self, topic: str, message: Any) -> None:
+        stamp = to_nanoseconds(message.header.stamp)
+        numbers = (*message.position, *message.velocity, *message.effort)
+        if not all(map(math.isfinite, numbers)):
+            self.broken.append(f"{topic} at {stamp}: {numbers}")
+        # Innovations bear the stamps of measurements, which may be late.
+        if topic in ESTIMATES:
+            before = self._stamps.get(topic)
+            if before is not None and stamp <= before:
+                self.broken.append(f"{topic}: {stamp} after {before}")
+            self._stamps[topic] = stamp
 
 
 class Stage:
@@ -49,10 +135,8 @@ class Stage:
     Attributes:
         now: The simulated time [ns].
         observers: By namespace.
-        watchers: What reads the observers, by namespace.
-
-    Args:
-        ros: The fixture of test/conftest.py.
+        watchers: Readers of the observers' topics, by namespace.
+        sensor: The publisher of measurements.
     """
 
     def __init__(self, ros: Any) -> None:
@@ -61,12 +145,14 @@ class Stage:
         self.observers: dict[str, Any] = {}
         self.watchers: dict[str, Watcher] = {}
         self.node = ros.node("stage")
-        self.senders = Senders(self.node, TOPIC, self._wait_for_match)
+        self.sensor = self.publisher(_SENSOR_QOS)
         self._clock = self.node.create_publisher(Clock, "/clock", 100)
 
-    def close(self) -> None:
-        """Release what the fixture does not know."""
-        self.senders.close()
+    def publisher(self, qos: QoSProfile) -> Any:
+        """Return a publisher of measurements, matched with the observers there are."""
+        publisher = self.node.create_publisher(JointState, TOPIC, qos)
+        self._wait_for_match(publisher)
+        return publisher
 
     def add(
         self,
@@ -76,18 +162,27 @@ class Stage:
     ) -> Any:
         """Start an observer and wait until everything is connected; it has the time there is."""
         watcher = Watcher(self.node, f"{namespace}/observer", keep)
-        observer = self.ros.add(start_observer(self.ros.context, namespace, **parameters))
+        given = {"use_sim_time": True, **parameters}
+        observer = self.ros.add(
+            create(
+                context=self.ros.context,
+                namespace=namespace,
+                cli_args=["--ros-args", "-r", f"joint_measurements:={TOPIC}"],
+                parameter_overrides=[
+                    Parameter(name.replace("__", "."), value=value) for name, value in given.items()
+                ],
+            )
+        )
         self.observers[namespace], self.watchers[namespace] = observer, watcher
         self.wait_until(lambda: watcher.matched, "matching of the outputs")
         self._wait_for_match(self._clock)
-        for sender in (Sender.SENSOR, Sender.SECOND_SENSOR):
-            self._wait_for_match(self.senders.publisher(sender))
+        self._wait_for_match(self.sensor)
         if self.now:
             self.step(self.now)
         return observer
 
     def remove(self, namespace: str) -> None:
-        """End an observer and what reads it."""
+        """End an observer and its reader."""
         self.watchers.pop(namespace).close()
         self.ros.remove(self.observers.pop(namespace))
 
@@ -101,30 +196,40 @@ class Stage:
         return future.result()
 
     def play(self, events: Iterable[Event], until: int, period: int) -> None:
-        """Send events as their time comes, time going on by a period at a time, to `until` [ns]."""
-        for now, batch in steps(list(events), self.now + period, until, period):
-            self.step(now, batch)
+        """Send events as their time comes, time going on by a period at a time, to `until` [ns].
+
+        Time leaps over a long silence.
+        """
+        waiting, place = list(events), 0
+        silent_since = self.now + period
+        for now in range(self.now + period, until + period, period):
+            first = place
+            while place < len(waiting) and waiting[place].at <= now:
+                place += 1
+                silent_since = now
+            upcoming = waiting[place].at if place < len(waiting) else until
+            if not silent_since + _LONG < now < upcoming - period:
+                self.step(now, waiting[first:place])
 
     def step(self, now: int, batch: Iterable[Event] = ()) -> None:
         """Send a batch, set the time, and let everybody do what is then due."""
         for event in batch:
-            self.senders.send(event)
-        self.set_clock(now)
-        for watcher in self.watchers.values():
-            watcher.read()
-
-    def set_clock(self, now: int) -> None:
-        """Set the time, and let everybody do what is then due."""
+            (event.publisher or self.sensor).publish(event.message)
         if now < self.now:
             for watcher in self.watchers.values():
-                watcher.time_began_anew()
+                watcher.time_went_back()
         self.now = now
         self._clock.publish(Clock(clock=to_stamp(now)))
         self.wait_until(self._settled, f"the ticks of {now}")
+        for watcher in self.watchers.values():
+            watcher.read()
 
     def counts(self, namespace: str = "") -> Counts:
-        """Return what became of the messages, as an observer counts them."""
-        return counts_of(self.observers[namespace])
+        """Return an observer's counts, without the second's wait for its diagnostics."""
+        observer = self.observers[namespace]
+        trackers = [joint.tracker for joint in observer.joints]
+        rejected = sum((tracker.rejected for tracker in trackers), Counter())
+        return Counts(observer.received, sum(tracker.used for tracker in trackers), rejected)
 
     def wait_until(self, predicate: Callable[[], bool], what: str) -> None:
         """Spin until something is so."""
@@ -142,7 +247,7 @@ class Stage:
 
 
 def _has_work(observer: Any) -> bool:
-    """Return whether a tick is due: whoever spins runs a due timer and returns when it is done."""
+    """Return whether a tick is due: an executor returns when a due timer's callback is done."""
     return any(
         timer.is_ready()
         for timer in observer.timers

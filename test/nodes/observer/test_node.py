@@ -10,7 +10,6 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from observer.bench import (
     BEST_EFFORT,
-    END_OF_TIME,
     JOINT,
     PERIOD,
     RUN,
@@ -18,9 +17,7 @@ from observer.bench import (
     SHIPPED,
     Bench,
     measurement,
-    numbers,
     replayed,
-    truth,
     values,
 )
 from rclpy.parameter import Parameter
@@ -28,8 +25,6 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation.records import Measurement
-from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.nodes.observer import create
 from tsobs_ros.resources import config_path
 
@@ -58,25 +53,6 @@ def test_estimates_are_the_trackers_bit_for_bit(bench: Bench) -> None:
             assert np.isfinite(each.message.position).all()
             assert np.isfinite(each.message.velocity).all()
             assert len(each.message.effort) == 0
-
-
-def test_estimates_follow_the_truth_within_their_bounds(bench: Bench) -> None:
-    bench.start_simulated()
-    bench.feed(range(800))
-    bench.wait_for_quiet()
-    begin = 100 * SECOND
-    bounds = {each.stamp: each.message for each in bench.of("error_bound")}
-    compared = 0
-    for each in bench.estimates:
-        index, rest = divmod(each.stamp - begin, PERIOD)
-        if rest or not 400 <= index < 800:
-            continue
-        q1, v1, q2, v2 = truth(index)
-        error = [*each.message.position, *each.message.velocity] - np.array([q1, q2, v1, v2])
-        bound = bounds[each.stamp]
-        assert (np.abs(error) < 4.0 * np.array([*bound.position, *bound.velocity])).all()
-        compared += 1
-    assert compared > 200
 
 
 REJECTED = {
@@ -134,23 +110,6 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(bench: Bench) -> 
     assert replayed(bench) > 20
 
 
-def test_the_joint_may_be_one_of_several(bench: Bench) -> None:
-    observer = bench.start_simulated()
-    stamp = bench.now
-    several = JointState(
-        name=["hip", JOINT, "elbow"], position=[9.0, 0.25, 8.0], effort=[7.0, 0.5, 6.0]
-    )
-    several.header.stamp = to_stamp(stamp)
-    bench.sensor.publish(several)
-    bench.advance_until(lambda: observer.tracker.used == 1, "the sample's use")
-    bench.wait_until(lambda: len(bench.innovations) == 1, "its innovation")
-    assert list(bench.innovations[0].message.position) == [0.25]
-    bench.sent[stamp] = Measurement(stamp, np.array([0.25]), np.array([0.5]))
-    bench.advance_until(lambda: len(bench.estimates) > 3, "estimates")
-    bench.wait_for_quiet()
-    assert replayed(bench) > 2
-
-
 def test_without_effort_the_torque_may_be_taken_as_zero(bench: Bench) -> None:
     observer = bench.start_simulated(assume_zero_torque=True)
     stamp = bench.send(0, bench.now, effort=[])
@@ -159,67 +118,6 @@ def test_without_effort_the_torque_may_be_taken_as_zero(bench: Bench) -> None:
     bench.advance_until(lambda: len(bench.estimates) > 10, "estimates")
     bench.wait_for_quiet()
     assert replayed(bench) > 9
-
-
-def test_a_burst_of_500_messages_is_used_to_the_last(bench: Bench) -> None:
-    observer = bench.start_simulated()
-    begin = bench.now
-    bench.set_clock(begin + 500 * PERIOD)
-    for index in range(500):
-        bench.send(index, begin + index * PERIOD)
-    bench.advance_until(lambda: observer.received == 500, "the burst's arrival")
-    assert observer.tracker.used == 500
-    assert not observer.tracker.rejected
-    bench.wait_until(lambda: len(bench.innovations) == 500, "the innovations")
-    bench.wait_for_quiet()
-    assert [each.stamp for each in bench.innovations] == list(bench.sent)
-    assert replayed(bench) == len(bench.estimates)
-
-
-def test_late_messages_are_put_in_their_place(bench: Bench) -> None:
-    observer = bench.start_simulated()
-    begin = bench.now
-    rng = np.random.default_rng(5)
-    # Each up to .2 s late.
-    order = sorted(range(200), key=lambda k: k + int(rng.integers(0, 40)))
-    bench.set_clock(begin + 40 * PERIOD)
-    for place, index in enumerate(order):
-        bench.send(index, begin + index * PERIOD)
-        bench.set_clock(begin + (40 + place) * PERIOD)
-    bench.advance_until(lambda: observer.received == 200, "the samples' arrival")
-    assert observer.tracker.used == 200
-    assert observer.tracker.rewinds > 50
-    bench.wait_until(lambda: len(bench.innovations) == 200, "the innovations")
-    bench.wait_for_quiet()
-    assert replayed(bench) > 50
-
-    in_order = Tracker(observer.tracker.estimator, observer.tracker.options)
-    for stamp in sorted(bench.sent):
-        in_order.offer(bench.sent[stamp], END_OF_TIME)
-    last, expected = bench.estimates[-1], in_order.estimate(bench.estimates[-1].stamp)
-    assert expected is not None
-    assert numbers(last) == expected.state[[0, 2, 1, 3]].tobytes()
-
-
-def test_the_reset_service_leaves_a_fresh_observer(bench: Bench) -> None:
-    observer = bench.start_simulated()
-    bench.feed(range(60))
-    bench.send(60, 1)  # something to have been rejected
-    bench.advance_until(lambda: observer.received == 61, "the rejection")
-    bench.forget()
-
-    answer = bench.call(Trigger, "reset", Trigger.Request())
-    assert (answer.success, answer.message) == (True, "restarted")
-    assert (observer.received, observer.tracker.used) == (0, 0)
-    assert not observer.tracker.rejected
-    bench.feed(range(100, 160), bench.now)
-    bench.wait_until(lambda: len(bench.innovations) == 60, "the innovations")
-    bench.wait_for_quiet()
-    assert list(bench.innovations[0].message.position) == RUN.measurements[0, 100].tolist()
-    assert replayed(bench) > 40  # by a new tracker, to the last bit
-    statuses = bench.statuses()
-    assert values(statuses["state"])["resets"] == "1"
-    assert values(statuses["measurements"])["used"] == "60"
 
 
 def test_a_disabled_observer_is_silent_and_starts_afresh(bench: Bench) -> None:
@@ -307,6 +205,8 @@ def test_diagnostics_name_every_concern(bench: Bench) -> None:
     assert identity["bound"] == "along the estimate"
     assert float(identity["margin [1/s]"]) > 0.0
     assert observer.tracker.used == 60
+    timing = values(statuses["timing"])
+    assert 0.0 < float(timing["latency p50 [ms]"]) <= float(timing["latency p99 [ms]"])
 
 
 def test_a_large_disturbance_is_reported_and_its_thresholds_can_be_tuned(bench: Bench) -> None:
@@ -363,22 +263,6 @@ def test_namespaces_and_remappings_apply(ros: Any) -> None:
     assert status.name == "left/observer: state"
     assert bench.call(Trigger, "reset", Trigger.Request()).success
     assert observer.tracker.used == 0
-
-
-@pytest.mark.parametrize("change", [{"position": [1e300]}, {"effort": [1e300]}])
-def test_an_enormous_number_on_the_topic_does_not_end_the_node(
-    ros: Any, change: dict[str, Any]
-) -> None:
-    b = Bench(ros)
-    observer = b.start_simulated()
-    b.feed(range(20))
-    begin = 100 * SECOND
-    b.send(20, begin + 20 * PERIOD, **change)
-    b.advance_until(lambda: observer.received == 21, "the sample's arrival")
-    for k in range(21, 60):
-        b.send(k, begin + 60 * PERIOD + k * PERIOD)
-        b.set_clock(begin + 60 * PERIOD + k * PERIOD)
-    b.advance_until(lambda: observer.received == 60, "the samples' arrival")
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,6 @@ class Observer(ManagedNode[ObserverParameters]):
         self._reported_failures = 0
         self._enabled = True
         self._is_new = True
-        self._just_published = False
         self._last_now = 0
         self._last_output = 0
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
@@ -118,9 +117,7 @@ class Observer(ManagedNode[ObserverParameters]):
         return sum(joint.received for joint in self._joints)
 
     def _on_tick(self) -> None:
-        if self._just_published:  # from an arrival, in this very period
-            self._just_published = False
-        elif (now := self._now()) is not None:
+        if (now := self._now()) is not None:
             self._meter.begin(now)
             self._take_all(now)
             self._publish(now)
@@ -130,7 +127,8 @@ class Observer(ManagedNode[ObserverParameters]):
         """Estimate from measurements as soon as they have come."""
         if self.active and (now := self._now()) is not None:
             self._meter.begin(now, tick=False)
-            self._just_published |= self._take_all(now) and self._publish(now)
+            if self._take_all(now) and self._publish(now):
+                self._ticker.skip_next()
             self._meter.end()
 
     def _now(self) -> int | None:
