@@ -12,14 +12,12 @@ from tsobs_ros.model.fuzzy import RuleBase, TSSystem
 from tsobs_ros.paper.analysis import (
     augmented_modes,
     check_autonomous_innovation,
-    check_gradient_law,
     check_matching,
     uncertainty_factor,
 )
 from tsobs_ros.paper.augmentation import Augmentation, check_conditions
 from tsobs_ros.paper.examples import example_1, example_3
 
-ARM = ElasticJointArm().slope_matrix(1.0)
 STIFFNESS = np.array([[0.0], [1.0], [0.0], [-5.0]])
 VELOCITIES = np.eye(4)[:, [1, 3]]
 
@@ -169,26 +167,21 @@ def test_epsilon_needs_room_for_the_uncertainty_it_is_to_cover() -> None:
 
 
 @pytest.mark.parametrize(
-    ("outputs", "G", "possible", "degree"),
+    ("outputs", "G", "possible"),
     [
-        ([0], STIFFNESS, False, 2),
-        ([0, 2], STIFFNESS, False, 2),
-        ([0, 1], STIFFNESS, True, 1),
-        ([0, 1], VELOCITIES, False, None),
-        ([1, 3], VELOCITIES, True, 1),
-        ([0, 1, 2, 3], VELOCITIES, True, 1),
+        ([0], STIFFNESS, False),
+        ([0, 2], STIFFNESS, False),
+        ([0, 1], STIFFNESS, True),
+        ([0, 1], VELOCITIES, False),
+        ([1, 3], VELOCITIES, True),
     ],
 )
-def test_gradient_law_needs_measured_velocities(outputs, G, possible, degree) -> None:
+def test_gradient_law_needs_measured_velocities(outputs, G, possible) -> None:
+    """PG = CᵀF gives GᵀPG = (CG)ᵀF, which no P ≻ 0 meets if CG has lost rank."""
     C = np.eye(4)[outputs]
-    verdict = check_gradient_law(ARM, C, G)
-    assert (verdict.possible, verdict.relative_degree) == (possible, degree)
-    assert ("can hold" in str(verdict)) == possible
-    # PG = CᵀF would give GᵀPG = (CG)ᵀF, which no P ≻ 0 meets if CG has lost rank.
+    assert (np.linalg.matrix_rank(C @ G) == np.linalg.matrix_rank(G)) == possible
     left_over = [
         np.linalg.norm(C.T @ np.linalg.lstsq(C.T, P @ G, rcond=None)[0] - P @ G)
         for P in (np.eye(4), some_P(1, 4), some_P(2, 4))
     ]
     assert possible or min(left_over) > 0.1
-    with pytest.raises(ModelError, match=r"got \(4, 4\), \(1, 3\)"):
-        check_gradient_law(ARM, np.ones((1, 3)), STIFFNESS)

@@ -6,6 +6,7 @@ import ast
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,15 +14,7 @@ import pytest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.paper.claims import Claim, Verdict, claims_text
 from tsobs_ros.paper.examples import example_2
-from tsobs_ros.paper.page import (
-    PaperReport,
-    Results,
-    html_page,
-    make_paper_report,
-    markdown,
-    publish,
-    run_examples,
-)
+from tsobs_ros.paper.page import PaperReport, html_page, make_paper_report, markdown
 from tsobs_ros.paper.runs import ExampleRun, run_example
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,35 +22,36 @@ PNG = b"\x89PNG\r\n\x1a\n"
 
 
 @pytest.fixture(scope="module")
-def results() -> Results:
-    return run_examples(seeds=4)
+def report(tmp_path_factory: pytest.TempPathFactory) -> PaperReport:
+    folder = tmp_path_factory.mktemp("paper")
+    return make_paper_report(folder / "new" / "folder", progress=False, seeds=4)
 
 
 @pytest.fixture(scope="module")
-def run(results: Results) -> ExampleRun:
-    return results.runs["example_1"]
+def run(report: PaperReport) -> ExampleRun:
+    return report.runs["example_1"]
 
 
 @pytest.fixture(scope="module")
-def report(results: Results, tmp_path_factory: pytest.TempPathFactory) -> PaperReport:
-    return publish(results, tmp_path_factory.mktemp("paper"), started=0.0)
+def numbers(report: PaperReport) -> dict[str, Any]:
+    return report.as_mapping()["numbers"]
 
 
 @pytest.mark.parametrize("name", ["example_1", "example_2"])
-def test_errors_vanish_without_uncertainty(report: PaperReport, name: str) -> None:
-    settled = report.numbers[name]["settled"]
+def test_errors_vanish_without_uncertainty(numbers: dict[str, Any], name: str) -> None:
+    settled = numbers[name]["settled"]
     assert max(settled["adaptive"]["lambda_0"]["largest"]) < 1e-3
     assert max(settled["fixed"]["lambda_0"]["largest"]) < 5e-5
-    assert report.numbers[name]["lmi_seconds"] < 0.5
+    assert numbers[name]["lmi_seconds"] < 0.5
 
 
-def test_errors_do_not_vanish_with_uncertainty(report: PaperReport) -> None:
+def test_errors_do_not_vanish_with_uncertainty(numbers: dict[str, Any]) -> None:
     expected = {
         "example_1": [0.0082, 0.0113, 0.0027],
         "example_2": [0.0194, 0.0252, 0.0055],
     }
     for name, rms in expected.items():
-        settled = report.numbers[name]["settled"]
+        settled = numbers[name]["settled"]
         fixed = settled["fixed"]["lambda_1"]["rms_state"]
         np.testing.assert_allclose(fixed, rms, atol=6e-5)
         np.testing.assert_allclose(settled["adaptive"]["lambda_1"]["rms_state"], fixed, rtol=0.05)
@@ -80,8 +74,8 @@ def test_estimates_do_not_depend_on_the_measurement(run: ExampleRun) -> None:
     assert run.estimates["consistent"].adaptation.max() < 1e-12
 
 
-def test_step_is_short_enough(results: Results) -> None:
-    usual, coarse = results.runs["example_2"], run_example(example_2(), period=8e-3, duration=4.0)
+def test_step_is_short_enough(report: PaperReport) -> None:
+    usual, coarse = report.runs["example_2"], run_example(example_2(), period=8e-3, duration=4.0)
     halved = slice(0, 2 * len(coarse.plant.times) - 1, 2)
     late = coarse.plant.times > 3.0
     np.testing.assert_allclose(coarse.plant.states, usual.plant.states[halved], atol=1e-5)
@@ -91,15 +85,15 @@ def test_step_is_short_enough(results: Results) -> None:
         assert np.abs(difference[late]).max() < 3e-5
 
 
-def test_printed_gains_lose_to_every_other_observer(report: PaperReport) -> None:
-    numbers = report.numbers["example_3"]
+def test_printed_gains_lose_to_every_other_observer(numbers: dict[str, Any]) -> None:
+    numbers = numbers["example_3"]
     assert numbers["paper"]["x3_rmse_mean"] > 0.3
     for name in ("PO", "PIO", "ours", "EKF", "EKF clean"):
         assert numbers[name]["x3_rmse_mean"] < 0.1 * numbers["paper"]["x3_rmse_mean"]
 
 
-def test_certified_observer_beats_high_gain_observers(report: PaperReport) -> None:
-    numbers = report.numbers["example_3"]
+def test_certified_observer_beats_high_gain_observers(numbers: dict[str, Any]) -> None:
+    numbers = numbers["example_3"]
     for name in ("PO", "PIO"):
         for what in ("x3_rmse_mean", "normalised_rmse_mean"):
             assert numbers["ours"][what] < numbers[name][what]

@@ -10,9 +10,9 @@ import html
 import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -61,45 +61,36 @@ pre {{ background: #f5f7fa; padding: .8rem; white-space: pre-wrap; font-size: .8
 """
 
 
-class Results(NamedTuple):
-    """The runs behind the page.
-
-    Attributes:
-        runs: Of Examples 1 and 2, by name.
-        comparison: Example 3 by every observer.
-        claims: The table of claims.
-    """
-
-    runs: Mapping[str, ExampleRun]
-    comparison: ArmComparison
-    claims: tuple[Claim, ...]
-
-
 @dataclass(frozen=True)
 class PaperReport:
     """The results of `tsobs paper` and the files it wrote.
 
     Attributes:
         output: The folder.
+        runs: Of Examples 1 and 2, by name.
+        comparison: Example 3 by every observer.
         claims: The table of claims.
-        numbers: Every measured number, plain data.
-        page: The HTML page.
         figures: The figures.
         seconds: Computing time [s].
     """
 
     output: Path
+    runs: Mapping[str, ExampleRun]
+    comparison: ArmComparison
     claims: tuple[Claim, ...]
-    numbers: Mapping[str, Any]
-    page: Path
     figures: tuple[Path, ...]
-    seconds: float = field(compare=False)
+    seconds: float
+
+    @property
+    def page(self) -> Path:
+        """The HTML page."""
+        return self.output / "paper.html"
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return the report as plain data, for JSON."""
+        """Return claims, every measured number and the files as plain data, for JSON."""
         return {
             "claims": [claim.as_mapping() for claim in self.claims],
-            "numbers": dict(self.numbers),
+            "numbers": _numbers(self.runs, self.comparison),
             "page": str(self.page),
             "figures": [str(figure) for figure in self.figures],
         }
@@ -125,13 +116,7 @@ def make_paper_report(output: Path, *, progress: bool = True, seeds: int = 20) -
         raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
     started = time.perf_counter()
     output.mkdir(parents=True, exist_ok=True)
-    results = run_examples(seeds, progress=progress)
-    return publish(results, output, started)
-
-
-def run_examples(seeds: int, *, progress: bool = False) -> Results:
-    """Run the three examples and judge the claims; arguments as `make_paper_report`."""
-    first, second, arm = example_1(), example_2(), example_3()
+    examples = first, second, arm = example_1(), example_2(), example_3()
     runs = {}
     with tqdm(total=3, disable=not progress, unit="example", leave=False) as bar:
         for example in (first, second):
@@ -139,26 +124,29 @@ def run_examples(seeds: int, *, progress: bool = False) -> Results:
             bar.update()
         comparison = compare_on_arm(load_design(config_path(SHIPPED_DESIGN)), seeds)
         bar.update()
-    verdict = check_stability(arm.system.A, arm.alpha)
-    claims = judge(runs, verdict, check_printed(first, arm), comparison)
-    return Results(runs, comparison, tuple(claims))
+        verdict = check_stability(arm.system.A, arm.alpha)
+        claims = tuple(judge(runs, verdict, check_printed(first, arm), comparison))
+        figures = {name: draw_example(run, output) for name, run in runs.items()}
+        figures[arm.name] = draw_arm(comparison, output)
+    parts = _parts(claims, runs, comparison, "\n\n".join(map(_analysis, examples)), figures)
+    paths = tuple(path for drawn in figures.values() for path in drawn)
+    seconds = time.perf_counter() - started
+    report = PaperReport(output, runs, comparison, claims, paths, seconds)
+    report.page.write_text(html_page(parts), encoding="utf-8")
+    (output / "paper.md").write_text(markdown(parts), encoding="utf-8")
+    text = json.dumps(report.as_mapping(), indent=2, ensure_ascii=False)
+    (output / "paper.json").write_text(text + "\n", encoding="utf-8")
+    return report
 
 
-def publish(results: Results, output: Path, started: float) -> PaperReport:
-    """Draw the figures and write the page into an existing folder.
-
-    Args:
-        results: The runs and the claims.
-        output: The folder.
-        started: `time.perf_counter` at the start of the work [s].
-
-    Raises:
-        OSError: A file cannot be written.
-    """
-    runs, comparison, claims = results
-    figures = {name: draw_example(run, output) for name, run in runs.items()}
-    figures["example_3"] = draw_arm(comparison, output)
-    analysis = "\n\n".join(_analysis(each) for each in (example_1(), example_2(), example_3()))
+def _parts(
+    claims: Iterable[Claim],
+    runs: Mapping[str, ExampleRun],
+    comparison: ArmComparison,
+    analysis: str,
+    figures: Mapping[str, Iterable[Path]],
+) -> list[tuple[str, Any]]:
+    """Return the page as (kind, content) pairs, for `markdown` and `html_page`."""
     rows = [(each.claim, each.judgement, each.number, each.test) for each in claims]
     parts: list[tuple[str, Any]] = [
         ("title", _TITLE),
@@ -173,20 +161,7 @@ def publish(results: Results, output: Path, started: float) -> PaperReport:
     for name, paths in figures.items():
         parts.append(("heading", f"Example {name[-1]}"))
         parts += [("figure", path) for path in paths]
-    page = output / "paper.html"
-    (output / "paper.md").write_text(markdown(parts), encoding="utf-8")
-    page.write_text(html_page(parts), encoding="utf-8")
-    report = PaperReport(
-        output=output,
-        claims=claims,
-        numbers=_numbers(runs, comparison),
-        page=page,
-        figures=tuple(path for paths in figures.values() for path in paths),
-        seconds=time.perf_counter() - started,
-    )
-    text = json.dumps(report.as_mapping(), indent=2, ensure_ascii=False)
-    (output / "paper.json").write_text(text + "\n", encoding="utf-8")
-    return report
+    return parts
 
 
 def markdown(parts: Iterable[tuple[str, Any]]) -> str:

@@ -217,16 +217,22 @@ def _mark_events(axes: Axes, run: RecordedRun, metrics: RunMetrics) -> None:
 
 
 def _label_jumps(axes: Axes, metrics: RunMetrics) -> None:
-    jumps = [event for event in metrics.events if event.what == "jump"]
-    for event in jumps if len(jumps) <= 4 else []:
-        after = event.settled_after
+    begin, end = axes.get_xlim()
+    last = -np.inf
+    for event in metrics.events:
+        # A label is up to 40 % wide, and must not cover the one before it.
+        if event.what != "jump" or event.time - last < 0.4 * (end - begin):
+            continue
+        last, after = event.time, event.settled_after
+        late = event.time > 0.5 * (begin + end)
         settled = "" if after is None else f", settled after {after:.2g} s"
         axes.annotate(
             f"fault {event.size:+.2g} rad{settled}",
             (event.time, 1.0),
             xycoords=axes.get_xaxis_transform(),
-            xytext=(4, 3),
+            xytext=(-4 if late else 4, 3),
             textcoords="offset points",
+            ha="right" if late else "left",
             fontsize=8.5,
             color=content.EVENT_COLOUR,
         )

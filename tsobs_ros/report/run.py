@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_series import Wanted, read_joint_series
+from tsobs_ros.bag.joint_series import JointSeries, Wanted, read_joint_series
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
@@ -23,8 +23,11 @@ from tsobs_ros.replay.source import passes
 Stamps = NDArray[np.int64]
 """Integer nanoseconds, shape (n,)."""
 
-LARGEST_GAP = 0.1
+MAX_GAP = 0.1
 """Series are not interpolated across longer gaps [s]: messages were lost there."""
+
+
+_OPTIONAL = ("innovations", "truth", "true_disturbance")
 
 
 class Series(NamedTuple):
@@ -50,21 +53,21 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordedRun:
-    """What was measured, estimated and, in a simulation, true.
+    """Measurements, estimates and, from a simulation, the truth.
 
     Attributes:
-        name: Where it comes from, for titles.
+        name: Its origin, for titles.
         joint: The joint's name.
         measurements: In order of arrival: [y (rad), u (N m)] at the sampling stamps, (n, 2).
         stamps: Of the estimates [ns], ascending, shape (m,).
         states: Estimated [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (m, 4).
-        state_bounds: Published 1σ bound of each, NaN where lost, shape (m, 4).
-        disturbance: Estimated sensor disturbance [rad], NaN where lost, shape (m,).
-        disturbance_bounds: Published 1σ bound of it [rad], NaN where lost, shape (m,).
+        state_bounds: Published 1σ bound of each, NaN if lost, shape (m, 4).
+        disturbance: Estimated sensor disturbance [rad], NaN if lost, shape (m,).
+        disturbance_bounds: Published 1σ bound of it [rad], NaN if lost, shape (m,).
         innovations: y − ŷ [rad] at the measurements' stamps, values (n', 1); None if not recorded.
         truth: True [q₁, q̇₁, q₂, q̇₂] at the sampling stamps, values (k, 4); None on a robot.
         true_disturbance: [rad] at the sampling stamps, values (k', 1); None on a robot.
-        passes: How often the recorded time restarted, plus one; this is the longest pass.
+        passes: Number of passes over the recorded time; this is the longest one.
     """
 
     name: str
@@ -94,31 +97,15 @@ class RecordedRun:
 
     @cached_property
     def true_states(self) -> Array | None:
-        """Truth at the estimates' stamps, NaN where unknown, shape (m, 4); see `series`."""
+        """Truth at the estimates' stamps, NaN if unknown, shape (m, 4)."""
         return None if self.truth is None else interpolate_motion(self.truth, self.stamps)
 
     @cached_property
     def true_disturbance_held(self) -> Array | None:
-        """True disturbance at the estimates' stamps, NaN where unknown [rad], shape (m,)."""
+        """True disturbance at the estimates' stamps, NaN if unknown [rad], shape (m,)."""
         if self.true_disturbance is None:
             return None
         return hold(self.true_disturbance, self.stamps)[:, 0]
-
-
-class _Topic(NamedTuple):
-    """A topic to read: for each name in a message, these fields, in this order."""
-
-    suffix: str
-    names: tuple[str, ...]
-    fields: tuple[str, ...]
-    required: bool
-
-
-class _Stream(NamedTuple):
-    """The messages of one topic in order of recording."""
-
-    log_times: Stamps
-    series: Series
 
 
 def read_run(
@@ -130,7 +117,7 @@ def read_run(
 ) -> RecordedRun:
     """Read a run from a bag.
 
-    The topics are found by how their names end, so that any namespace will do. Where the recorded
+    The topics are found by how their names end, so that any namespace will do. If the recorded
     time restarts, as in a looped bag, the pass with the longest estimates is read.
 
     Args:
@@ -144,37 +131,52 @@ def read_run(
             joint on it, or has several topics that could be meant.
     """
     reader = BagReader(bag)
-    wanted = _topics(joint, observer)
-    names = {key: _find(reader, topic.suffix, namespace) for key, topic in wanted.items()}
-    missing = [wanted[key].suffix for key in wanted if wanted[key].required and names[key] is None]
-    if missing:
+    wanted = _wanted(joint, observer)
+    names = {key: _find(reader, suffix, namespace) for key, (suffix, _) in wanted.items()}
+    required = {key: names[key] for key in wanted if key not in _OPTIONAL}
+    if missing := [wanted[key][0] for key, name in required.items() if name is None]:
         has = ", ".join(reader.topics) or "none"
         raise BagReadError(f"{bag}: no topic ends in {', '.join(missing)}; topics: {has}")
-    streams = _read(reader, {name: wanted[key] for key, name in names.items() if name is not None})
-    found = {key: streams[name] for key, name in names.items() if name is not None}
-    empty = [names[key] for key in found if wanted[key].required and not len(found[key].log_times)]
-    if empty:
-        raise BagReadError(
-            f"{bag}: no message about joint '{joint}' on {', '.join(map(str, empty))}"
-        )
-    chosen, passes = _longest_pass(found)
-    return _assemble(bag, joint, chosen, passes)
+    there = {key: name for key, name in names.items() if name is not None}
+    read = read_joint_series(reader, {name: wanted[key][1] for key, name in there.items()})
+    streams = {key: _passes(read[name]) for key, name in there.items()}
+    if empty := [str(name) for key, name in required.items() if not streams[key]]:
+        raise BagReadError(f"{bag}: no message about joint '{joint}' on {', '.join(empty)}")
+    begin, states = max(streams["states"], key=lambda one: int(np.ptp(one[1].stamps)))
+    # Each topic restarts at its own moment, but all of them at about the same.
+    chosen = {
+        key: min(spans, key=lambda one: abs(one[0] - begin))[1]
+        for key, spans in streams.items()
+        if spans
+    }
+    states = states.ordered()
+    return RecordedRun(
+        name="/".join(Path(bag).absolute().parts[-2:]),
+        joint=joint,
+        measurements=chosen["measurements"],
+        stamps=states.stamps,
+        states=states.values,
+        state_bounds=align(chosen["bounds"], states.stamps),
+        disturbance=align(chosen["disturbance"], states.stamps)[:, 0],
+        disturbance_bounds=align(chosen["disturbance_bound"], states.stamps)[:, 0],
+        passes=len(streams["states"]),
+        **{key: chosen[key].ordered() for key in _OPTIONAL if key in chosen},
+    )
 
 
-def _topics(joint: str, observer: str) -> dict[str, _Topic]:
-    arm, angle_rate = topics.sides(joint), ("position", "velocity")
-    own = (joint,)
+def _wanted(joint: str, observer: str) -> dict[str, tuple[str, Wanted]]:
+    """Return for each part of a run the end of its topic's name, and what to read of it."""
+    motion = Wanted(topics.sides(joint), ("position", "velocity"))
+    angle = Wanted((joint,), ("position",))
     return {
-        "measurements": _Topic("joint_measurements", own, ("position", "effort"), True),
-        "states": _Topic(f"{observer}/{topics.STATES}", arm, angle_rate, True),
-        "bounds": _Topic(f"{observer}/{topics.STATE_BOUNDS}", arm, angle_rate, True),
-        "disturbance": _Topic(f"{observer}/{topics.DISTURBANCE}", own, ("position",), True),
-        "disturbance_bound": _Topic(
-            f"{observer}/{topics.DISTURBANCE_BOUND}", own, ("position",), True
-        ),
-        "innovations": _Topic(f"{observer}/{topics.INNOVATION}", own, ("position",), False),
-        "truth": _Topic("ground_truth/joint_states", arm, angle_rate, False),
-        "true_disturbance": _Topic("ground_truth/disturbance", own, ("position",), False),
+        "measurements": ("joint_measurements", Wanted((joint,), ("position", "effort"))),
+        "states": (f"{observer}/{topics.STATES}", motion),
+        "bounds": (f"{observer}/{topics.STATE_BOUNDS}", motion),
+        "disturbance": (f"{observer}/{topics.DISTURBANCE}", angle),
+        "disturbance_bound": (f"{observer}/{topics.DISTURBANCE_BOUND}", angle),
+        "innovations": (f"{observer}/{topics.INNOVATION}", angle),
+        "truth": ("ground_truth/joint_states", motion),
+        "true_disturbance": ("ground_truth/disturbance", angle),
     }
 
 
@@ -194,63 +196,20 @@ def _find(reader: BagReader, suffix: str, namespace: str | None) -> str | None:
     return matches[0] if matches else None
 
 
-def _read(reader: BagReader, topics: dict[str, _Topic]) -> dict[str, _Stream]:
-    wanted = {name: Wanted(topic.names, topic.fields) for name, topic in topics.items()}
-    streams = {}
-    for name, series in read_joint_series(reader, wanted).items():
-        topic = topics[name]
-        named = series.named.all(axis=1)
-        values = series.values.reshape(series.count, len(topic.names) * len(topic.fields))
-        streams[name] = _Stream(
-            series.log_times[named], Series(series.stamps[named], values[named])
-        )
-    return streams
-
-
-def _longest_pass(streams: dict[str, _Stream]) -> tuple[dict[str, Series], int]:
-    """Return of every stream the pass in which the estimates last longest, and their number."""
-    estimates = _passes(streams["states"])
-    longest = max(estimates, key=lambda one: int(np.ptp(one.series.stamps)))
-    begin = longest.log_times[0]
-
-    def matching(stream: _Stream) -> Series:
-        # Each topic restarts at its own moment, but all of them at about the same.
-        return min(_passes(stream), key=lambda one: abs(int(one.log_times[0] - begin))).series
-
-    chosen = {key: matching(stream) for key, stream in streams.items() if len(stream.log_times)}
-    return chosen, len(estimates)
-
-
-def _passes(stream: _Stream) -> list[_Stream]:
-    stamps, values = stream.series
+def _passes(series: JointSeries) -> list[tuple[int, Series]]:
+    """Return each pass over the stamps in order of recording, with its first log time [ns]."""
+    named = series.named.all(axis=1)
+    if not named.any():
+        return []
+    log_times, stamps = series.log_times[named], series.stamps[named]
+    values = series.values[named].reshape(len(stamps), -1)
     return [
-        _Stream(stream.log_times[a:b], Series(stamps[a:b], values[a:b]))
-        for a, b in passes(stamps.tolist())
+        (int(log_times[a]), Series(stamps[a:b], values[a:b])) for a, b in passes(stamps.tolist())
     ]
 
 
-def _assemble(bag: Path, joint: str, chosen: dict[str, Series], passes: int) -> RecordedRun:
-    states = chosen["states"].ordered()
-    truth, fault = chosen.get("truth"), chosen.get("true_disturbance")
-    innovations = chosen.get("innovations")
-    return RecordedRun(
-        name="/".join(Path(bag).absolute().parts[-2:]),
-        joint=joint,
-        measurements=chosen["measurements"],
-        stamps=states.stamps,
-        states=states.values,
-        state_bounds=align(chosen["bounds"], states.stamps),
-        disturbance=align(chosen["disturbance"], states.stamps)[:, 0],
-        disturbance_bounds=align(chosen["disturbance_bound"], states.stamps)[:, 0],
-        innovations=None if innovations is None else innovations.ordered(),
-        truth=None if truth is None else truth.ordered(),
-        true_disturbance=None if fault is None else fault.ordered(),
-        passes=passes,
-    )
-
-
 def align(series: Series, stamps: Stamps) -> Array:
-    """Return the values that have exactly these stamps, NaN where there is none, (m, k)."""
+    """Return the values that have exactly these stamps, NaN if there is none, (m, k)."""
     source = series.ordered()
     result = np.full((len(stamps), source.values.shape[1]), np.nan)
     if len(source.stamps):
@@ -260,7 +219,7 @@ def align(series: Series, stamps: Stamps) -> Array:
     return result
 
 
-def interpolate_motion(series: Series, stamps: Stamps, largest_gap: float = LARGEST_GAP) -> Array:
+def interpolate_motion(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
     """Return [q₁, q̇₁, q₂, q̇₂] between its samples, NaN outside of them and in gaps.
 
     Angles follow the cubic that has the angles and velocities of both neighbours, velocities
@@ -273,7 +232,7 @@ def interpolate_motion(series: Series, stamps: Stamps, largest_gap: float = LARG
     Args:
         series: Samples in ascending order, values of shape (n, 4).
         stamps: Where to evaluate [ns], shape (m,).
-        largest_gap: Distance of neighbouring samples that still counts as sampled [s].
+        max_gap: Distance of neighbouring samples that still counts as sampled [s].
 
     Returns:
         The motion, shape (m, 4).
@@ -281,7 +240,7 @@ def interpolate_motion(series: Series, stamps: Stamps, largest_gap: float = LARG
     result = np.full((len(stamps), 4), np.nan)
     if len(series.stamps) < 2:
         return result
-    inside = _between_close_samples(series.stamps, stamps, largest_gap)
+    inside = _between_close_samples(series.stamps, stamps, max_gap)
     origin = int(series.stamps[0])
     times, wanted = series.seconds(origin), (stamps[inside] - origin) / NANOSECONDS
     spline = CubicHermiteSpline(times, series.values[:, 0::2], series.values[:, 1::2], axis=0)
@@ -290,7 +249,7 @@ def interpolate_motion(series: Series, stamps: Stamps, largest_gap: float = LARG
     return result
 
 
-def hold(series: Series, stamps: Stamps, largest_gap: float = LARGEST_GAP) -> Array:
+def hold(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
     """Return the newest value at or before each stamp, NaN if it is older than the gap, (m, k).
 
     A disturbance may jump, so nothing is assumed between its samples; of one that moves at a
@@ -300,13 +259,13 @@ def hold(series: Series, stamps: Stamps, largest_gap: float = LARGEST_GAP) -> Ar
     places = np.searchsorted(series.stamps, stamps, side="right") - 1
     recent = places >= 0
     age = stamps[recent] - series.stamps[places[recent]]
-    recent[recent] = age <= largest_gap * NANOSECONDS
+    recent[recent] = age <= max_gap * NANOSECONDS
     result[recent] = series.values[places[recent]]
     return result
 
 
-def _between_close_samples(known: Stamps, stamps: Stamps, largest_gap: float) -> NDArray[np.bool_]:
+def _between_close_samples(known: Stamps, stamps: Stamps, max_gap: float) -> NDArray[np.bool_]:
     inside = (stamps >= known[0]) & (stamps <= known[-1])
     right = np.searchsorted(known, stamps, side="right").clip(1, len(known) - 1)
-    close = known[right] - known[right - 1] <= largest_gap * NANOSECONDS
+    close = known[right] - known[right - 1] <= max_gap * NANOSECONDS
     return np.asarray(inside & close)
