@@ -33,10 +33,10 @@ from tsobs_ros.errors import (
     DetectabilityError,
     ModelError,
 )
-from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.memberships import membership
+from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import system_uncertainty
+from tsobs_ros.paper.systems import arm_system
 from tsobs_ros.resources import config_path
 
 Array = NDArray[np.float64]
@@ -138,7 +138,7 @@ def test_the_arm_is_a_special_case() -> None:
     sector = RuleBase(
         tuple((membership(name, {"half_width": width}),) for name in ("sine_upper", "sine_lower"))
     )
-    system = arm.ts_system(width)
+    system = arm_system(arm, width)
     gain = arm.stiffness / arm.link_inertia
     noise = own.process_noise
     request = TSRequest(

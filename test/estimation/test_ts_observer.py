@@ -21,9 +21,8 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.adaptive import AdaptationOptions, AdaptiveObserver
 from tsobs_ros.estimation.observer import GainMode, ObserverState
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.memberships import membership
-from tsobs_ros.model.sensitivity import TSSensitivity
+from tsobs_ros.model.fuzzy import RuleBase, membership
+from tsobs_ros.model.prediction import TSSensitivity
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.resources import config_path

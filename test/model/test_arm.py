@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.paper.systems import arm_system
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=80)
@@ -33,7 +34,7 @@ def states(bound: float = 5.0) -> st.SearchStrategy[Array]:
 
 def test_the_matrices_of_example_3_are_the_papers() -> None:
     """Equation (47) with the signs restored: both rules, input and output, to the last bit."""
-    system = ElasticJointArm().ts_system()
+    system = arm_system(ElasticJointArm())
     for A, corner in zip(system.A, (-20.0, -20.0 / math.pi - 10.0), strict=True):
         expected = [[0, 1, 0, 0], [corner, 0, 1, 0], [0, 0, 0, 1], [50, 0, -5, 0]]
         np.testing.assert_allclose(A, expected, rtol=1e-15, atol=0.0)
@@ -54,7 +55,7 @@ def test_the_undamped_arm_oscillates_at_the_known_frequencies(
 
 
 def test_the_membership_is_equation_49() -> None:
-    rule_base = ElasticJointArm().ts_system().rule_base
+    rule_base = arm_system(ElasticJointArm()).rule_base
     angle = np.concatenate([-np.linspace(1e-3, np.pi / 2, 50), np.linspace(1e-3, np.pi / 2, 50)])
     near = (np.sin(angle) - 2.0 / np.pi * angle) / ((1.0 - 2.0 / np.pi) * angle)
     weights = rule_base.weights(angle[:, np.newaxis])
@@ -69,7 +70,7 @@ def test_the_ts_form_is_the_nonlinear_arm_on_its_whole_domain(
     arm: ElasticJointArm, x_max: float, place: float, x: Array, u: Array
 ) -> None:
     x[0] = place * x_max
-    system = arm.ts_system(x_max)
+    system = arm_system(arm, x_max)
     terms = np.abs(arm.spring_matrix) + np.abs(arm.slope_matrix(1.0) - arm.spring_matrix)
     scale = 1.0 + terms @ np.abs(x) + np.abs(arm.input_matrix @ u)
     error = system.derivative(x, u) - arm.derivative(x, u)
@@ -152,4 +153,4 @@ def test_dampings_may_be_zero_but_not_negative(name: str, value: float) -> None:
 @pytest.mark.parametrize("x_max", [0.0, -1.0, math.pi, 4.0, math.nan])
 def test_the_domain_of_the_ts_form_is_an_open_half_turn(x_max: Any) -> None:
     with pytest.raises(ModelError, match="x_max: expected 0 < x_max < π"):
-        ElasticJointArm().ts_system(x_max)
+        arm_system(ElasticJointArm(), x_max)

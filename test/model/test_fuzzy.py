@@ -12,7 +12,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import MembershipFunction, RuleBase, TSSystem
+from tsobs_ros.model.fuzzy import MembershipFunction, RuleBase
+from tsobs_ros.paper.systems import TSSystem
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=60)

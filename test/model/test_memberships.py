@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.memberships import SHAPES, Membership, membership, weights_and_slopes
+from tsobs_ros.model.fuzzy import SHAPES, Membership, RuleBase, membership, weights_and_slopes
 
 EXAMPLES = [
     membership("always", {}),

@@ -13,11 +13,11 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, per_channel, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
-from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.linear_flow import LinearFlow
-from tsobs_ros.model.memberships import membership
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
+from tsobs_ros.paper.systems import arm_system
 from tsobs_ros.simulation.integrator import rk4_step
 
 Array = NDArray[np.float64]
@@ -225,7 +225,7 @@ def test_long_steps_are_nominal_ones_and_a_remainder() -> None:
 
 def test_the_arm_as_a_ts_system_moves_as_the_arm() -> None:
     arm, T = ElasticJointArm(), 0.005
-    system = arm.ts_system(WIDTH)
+    system = arm_system(arm, WIDTH)
     model = TSModel(system.A, system.B[0], system.C[0], SECTOR, np.eye(4)[:1])
     flow = TSFlow(model, bias(), [0.0, 1e-4, 0.0, 1e-3], T)
     own = ArmFlow(arm, bias(), ProcessNoise(1e-4, 1e-5), T)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase, TSSystem
+from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.paper.analysis import (
     augmented_modes,
     check_autonomous_innovation,
@@ -17,6 +17,7 @@ from tsobs_ros.paper.analysis import (
 )
 from tsobs_ros.paper.augmentation import Augmentation, check_conditions
 from tsobs_ros.paper.examples import example_1, example_3
+from tsobs_ros.paper.systems import TSSystem, arm_system
 
 STIFFNESS = np.array([[0.0], [1.0], [0.0], [-5.0]])
 VELOCITIES = np.eye(4)[:, [1, 3]]
@@ -73,7 +74,7 @@ def test_undamped_arm_is_not_detectable_and_a_damped_one_is() -> None:
     text = str(verdicts[0])
     assert "NOT DETECTABLE" in text
     assert "0+4.776j with [x; ω] = " in text
-    damped = ElasticJointArm(link_damping=1.0, motor_damping=1.0).ts_system()
+    damped = arm_system(ElasticJointArm(link_damping=1.0, motor_damping=1.0))
     verdicts = augmented_modes(Augmentation(damped))
     assert all(verdict.detectable for verdict in verdicts)
     assert all(len(verdict.hidden) == 4 for verdict in verdicts)

@@ -11,10 +11,11 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import RuleBase, TSSystem
+from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import example_1
 from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState, clipped, projected_rate
+from tsobs_ros.paper.systems import TSSystem
 
 Array = NDArray[np.float64]
 

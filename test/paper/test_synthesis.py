@@ -14,6 +14,7 @@ from tsobs_ros.paper.analysis import analyse, check_stability
 from tsobs_ros.paper.augmentation import check_conditions
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
+from tsobs_ros.paper.systems import arm_system
 
 NO_BOUNDS = np.zeros(2)
 
@@ -98,7 +99,7 @@ def test_undamped_arm_is_refused_with_its_mode() -> None:
 
 
 def test_damped_arm_is_designed_on_its_sector() -> None:
-    system = ElasticJointArm(link_damping=2.0, motor_damping=4.0).ts_system()
+    system = arm_system(ElasticJointArm(link_damping=2.0, motor_damping=4.0))
     design = design_adaptive_observer(system, NO_BOUNDS, NO_BOUNDS)
     assert design.conditions.holds
     assert design.epsilon == 1.0

@@ -13,8 +13,7 @@ from tsobs_ros.design.file import disturbance_terms
 from tsobs_ros.design.request import DisturbanceTerm
 from tsobs_ros.design.ts_request import TSRequest
 from tsobs_ros.errors import DesignFileError
-from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.memberships import Always, Membership, membership
+from tsobs_ros.model.fuzzy import Always, Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, system_uncertainty
 
@@ -66,7 +65,7 @@ def plain_request(request: TSRequest) -> dict[str, Any]:
     """Return the entries that `parse_request` makes the same request of.
 
     Raises:
-        DesignFileError: A membership function is not one of `model.memberships`.
+        DesignFileError: A membership function is not one of `model.fuzzy`.
     """
     plain: dict[str, Any] = {
         "system": _plain_system(request),

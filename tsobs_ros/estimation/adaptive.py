@@ -23,7 +23,7 @@ from tsobs_ros.estimation.estimator import Correction, Readout
 from tsobs_ros.estimation.observer import ObserverState, TSObserver
 from tsobs_ros.model.flow import UNKNOWN_TORQUE, GapFlow
 from tsobs_ros.model.linear_flow import matvec
-from tsobs_ros.model.sensitivity import sensitivity
+from tsobs_ros.model.prediction import sensitivity
 from tsobs_ros.model.uncertainty import Uncertainty
 
 

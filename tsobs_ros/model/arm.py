@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The arm with an elastic joint: its physics, its coordinates and its T–S form.
+"""The arm with an elastic joint: its physics and its coordinates.
 
     J₁ q̈₁ + b₁ q̇₁ + k (q₁ − q₂) + mgl sin q₁ = 0
     J₂ q̈₂ + b₂ q̇₂ − k (q₁ − q₂)             = u
@@ -10,7 +10,6 @@ x = [q₁, q̇₁, (k/J₁) q₂, (k/J₁) q̇₂], in which the spring enters t
 Here they are called *design coordinates*; [q₁, q̇₁, q₂, q̇₂] are the *physical* ones.
 """
 
-import math
 from dataclasses import dataclass, fields
 from functools import cached_property
 
@@ -18,8 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
-from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import RuleBase, TSSystem
 
 LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE, MOTOR_VELOCITY = range(4)
 """Places of the four states, the same in both coordinates."""
@@ -128,29 +125,3 @@ class ElasticJointArm:
         # 2 sin²(q/2) = 1 − cos q without its cancellation near the hanging position.
         gravity = self.gravity_torque * 2.0 * np.sin(0.5 * q1) ** 2
         return np.asarray(kinetic + 0.5 * self.stiffness * (q1 - q2) ** 2 + gravity)
-
-    def ts_system(self, x_max: float = math.pi / 2) -> TSSystem:
-        """Return the two-rule T–S form, equal to the nonlinear arm wherever |q₁| ≤ x_max.
-
-        Sector nonlinearity: sin q₁ = (h₁·1 + h₂·b) q₁ with b = sin(x_max)/x_max, the paper's
-        (48)–(49) at x_max = π/2.
-
-        Args:
-            x_max: Half width of the domain [rad], 0 < x_max < π.
-        """
-        if not 0.0 < x_max < math.pi:
-            raise ModelError(f"x_max: expected 0 < x_max < π, got {x_max!r}")
-        bottom = math.sin(x_max) / x_max
-
-        def near_zero(angle: Array) -> Array:
-            # np.sinc(t) is sin(πt)/(πt), with the limit 1 at 0.
-            return np.clip((np.sinc(angle / np.pi) - bottom) / (1.0 - bottom), 0.0, 1.0)
-
-        rule_base = RuleBase(((near_zero,), (lambda angle: 1.0 - near_zero(angle),)))
-        return TSSystem.from_rules(
-            A=[self.slope_matrix(1.0), self.slope_matrix(bottom)],
-            B=[self.input_matrix],
-            C=[self.output_matrix],
-            rule_base=rule_base,
-            premise=lambda x: x[..., LINK_ANGLE, np.newaxis],
-        )

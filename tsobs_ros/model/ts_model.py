@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.memberships import weights_and_slopes
+from tsobs_ros.model.fuzzy import RuleBase, weights_and_slopes
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,8 @@ from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.lyapunov import common_lyapunov, refutation_margin
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.detectability import HiddenMode, format_mode, hidden_modes
-from tsobs_ros.model.fuzzy import TSSystem
 from tsobs_ros.paper.augmentation import Augmentation
+from tsobs_ros.paper.systems import TSSystem
 
 # Relative singular value that counts as zero in the PBH test. A pencil at a computed eigenvalue of
 # a nearly defective matrix is only accurate to the square root of rounding.
@@ -146,7 +146,8 @@ def analyse(
         DesignError: Feasibility is too close to its border to be decided.
 
     >>> from tsobs_ros.model.arm import ElasticJointArm
-    >>> analyse(ElasticJointArm().ts_system()).feasible
+    >>> from tsobs_ros.paper.systems import arm_system
+    >>> analyse(arm_system(ElasticJointArm())).feasible
     False
     """
     augmentation = Augmentation(system, output_rule, L)

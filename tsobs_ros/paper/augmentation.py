@@ -26,7 +26,7 @@ from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import TSSystem
+from tsobs_ros.paper.systems import TSSystem
 
 # Reciprocal condition number below which E_L counts as singular.
 _SINGULAR = 1e-12

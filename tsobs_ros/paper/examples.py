@@ -31,7 +31,8 @@ import numpy as np
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase, TSSystem
+from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.paper.systems import TSSystem, arm_system
 
 Signal = Callable[[Array], Array]
 """A signal of time: t of shape (...) to values of shape (..., channels)."""
@@ -190,7 +191,7 @@ def example_3() -> PaperExample:
     arm = ElasticJointArm()
     return PaperExample(
         name="example_3",
-        system=arm.ts_system(),
+        system=arm_system(arm),
         delta_A=np.zeros((2, 4, 4)),
         alpha=np.zeros(2),
         xi=np.zeros(2),

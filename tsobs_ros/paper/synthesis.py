@@ -24,10 +24,10 @@ from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.design.lyapunov import smallest_lyapunov
 from tsobs_ros.design.record import SolverReport
 from tsobs_ros.errors import DesignError, DetectabilityError
-from tsobs_ros.model.fuzzy import TSSystem
 from tsobs_ros.paper.analysis import StabilityVerdict, check_stability
 from tsobs_ros.paper.augmentation import Augmentation, ConditionReport, check_conditions
 from tsobs_ros.paper.observer import AugmentedObserver, checked_gamma
+from tsobs_ros.paper.systems import TSSystem
 
 INNOVATION_RATE = 20.0
 """Default of the decay asked of the innovation [1/s]. The slower it is, the longer the adaptive law
