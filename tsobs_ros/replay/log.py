@@ -16,12 +16,12 @@ import numpy as np
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.bag.metadata import QosProfile
+from tsobs_ros.bag.metadata import QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.checks import Array, shown
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.replay.source import MEASUREMENTS, Samples, Source, TopicToCopy, passes
+from tsobs_ros.replay.source import MEASUREMENTS, Samples, Source, passes
 
 _ISO = "ISO 8601"
 _UNITS: Mapping[str, Mapping[str, float]] = {
@@ -126,10 +126,12 @@ class LogSource(Source):
             self.remarks = (f"note: {shift} was added to all times: 0 means no time",)
 
     @property
-    def topics(self) -> tuple[TopicToCopy, ...]:  # type: ignore[override]
+    def topics(self) -> tuple[TopicInfo, ...]:  # type: ignore[override]
         qos = (QosProfile(reliability="best_effort"),)
-        name = f"/{MEASUREMENTS}"
-        return (TopicToCopy(name, JOINT_STATE, qos, find_definition(JOINT_STATE)),)
+        definition = find_definition(JOINT_STATE)
+        return (
+            TopicInfo(f"/{MEASUREMENTS}", JOINT_STATE, qos_profiles=qos, definition=definition),
+        )
 
     def messages(self) -> Iterator[BagMessage]:
         encode, samples = JointStateEncoder(self.joints), self.samples

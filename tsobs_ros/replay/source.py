@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.joint_series import (
     Flags,
     JointSeries,
@@ -26,14 +25,14 @@ from tsobs_ros.bag.joint_series import (
     until_damage,
 )
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
-from tsobs_ros.bag.metadata import QosProfile
+from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement, RejectReason, Sample
 
 MEASUREMENTS = "joint_measurements"
-TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
+_TRUTH = TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
 
 # Stamps this far back are not late any more: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
@@ -152,16 +151,6 @@ def passes(stamps: Sequence[int]) -> list[tuple[int, int]]:
 
 
 @dataclass(frozen=True)
-class TopicToCopy:
-    """A topic that goes into the new bag unchanged."""
-
-    name: str
-    type: str
-    qos_profiles: tuple[QosProfile, ...]
-    definition: MessageDefinition | None
-
-
-@dataclass(frozen=True)
 class Live:
     """The recorded output of a running observer.
 
@@ -207,7 +196,7 @@ class Source(ABC):
     live: Live | None = None
     damage: BagReadError | None = None
     remarks: tuple[str, ...] = ()
-    topics: tuple[TopicToCopy, ...] = ()
+    topics: tuple[TopicInfo, ...] = ()
 
     @abstractmethod
     def messages(self) -> Iterator[BagMessage]:
@@ -255,7 +244,8 @@ class BagSource(Source):
         self.samples = samples if innovations is None else in_order_of_use(samples, innovations)
         states = others.pop(topics.STATES, None)
         self.live = None if states is None or not states.count else Live(states, others)
-        self.topics = self._topics_to_copy()
+        names = self.topic, *self._there({n: n for n in _TRUTH}).values()
+        self.topics = tuple(self._reader.topics[name] for name in names)
         if not self.samples.same_clock:
             self.remarks = (
                 "note: the bag's stamps and log times are of different clocks, so each measurement "
@@ -267,10 +257,10 @@ class BagSource(Source):
         return until_damage(self._reader.messages(names), self._damaged)
 
     def truth(self) -> Truth:
-        there = self._there({name: name for name in (TRUE_STATES, TRUE_DISTURBANCE)})
+        there = self._there({name: name for name in _TRUTH})
         wanted = {full: self._wanted(name) for name, full in there.items()}
         series = read_joint_series(self._reader, wanted, on_damage=self._damaged)
-        return Truth(*(series.get(there.get(n, "")) for n in (TRUE_STATES, TRUE_DISTURBANCE)))
+        return Truth(*(series.get(there.get(name, "")) for name in _TRUTH))
 
     def _damaged(self, error: BagReadError) -> None:
         self.damage = error
@@ -278,12 +268,8 @@ class BagSource(Source):
     def _there(self, names: dict[str, str]) -> dict[str, str]:
         """Return the full names of those topics in the namespace that the bag has."""
         full = {key: f"{self.namespace}/{name}" for key, name in names.items()}
-        infos = self._reader.topics
-        return {
-            key: name
-            for key, name in full.items()
-            if name in infos and infos[name].type == JOINT_STATE
-        }
+        there = {name for name, topic in self._reader.topics.items() if topic.type == JOINT_STATE}
+        return {key: name for key, name in full.items() if name in there}
 
     def _find_measurements(self) -> str:
         names = [name for name in self._reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
@@ -331,15 +317,6 @@ class BagSource(Source):
                 f"{self.path}: no message of {self.topic} names {', '.join(missing) or 'a joint'}; "
                 f"joints: {names}"
             )
-
-    def _topics_to_copy(self) -> tuple[TopicToCopy, ...]:
-        truth = (f"{self.namespace}/{name}" for name in (TRUE_STATES, TRUE_DISTURBANCE))
-        names = [self.topic, *truth]
-        return tuple(
-            TopicToCopy(name, info.type, info.qos_profiles, info.definition)
-            for name, info in self._reader.topics.items()
-            if name in names
-        )
 
 
 def in_order_of_use(samples: Samples, innovations: JointSeries) -> Samples:
