@@ -7,7 +7,9 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-SOURCES := setup.py setup.cfg pyproject.toml package.xml $(wildcard config/*.yaml)
+SOURCES := setup.py setup.cfg pyproject.toml package.xml $(wildcard config/*.yaml examples/*.py)
+# Everything that the README shows; the tests need more.
+EXTRAS := design,report,export
 PYTEST_ARGS ?= -n 2
 
 SHELL := /bin/bash
@@ -35,6 +37,8 @@ help: ## Say what can be made
 
 demo: $(VENV)/.demo ## Simulate the arm, observe it, record, and report (DEMO_ARGS=…)
 	@$(BIN)/tsobs demo $(DEMO_ARGS)
+	@echo "the tsobs command is in $(BIN): source $(BIN)/activate, then try" \
+	  "tsobs design config/elastic_joint.request.yaml --output my_arm.design.yaml" >&2
 
 test: $(VENV)/.test ## Lint, check types and run all tests (PYTEST_ARGS=…)
 	$(BIN)/ruff check .
@@ -57,13 +61,13 @@ clean: ## Remove the virtual environment and everything built
 
 $(VENV)/.demo: $(SOURCES) | $(BIN)/python
 	@echo "Installing tsobs_ros into $(VENV) (once)"
-	@$(PIP) -e ".[$$(cat $(VENV)/.ros)report]"
+	@$(PIP) -e ".[$$(cat $(VENV)/.ros)$(EXTRAS)]"
 	@touch $@
 
 $(VENV)/.test: $(SOURCES) | $(BIN)/python
 	@echo "Installing tsobs_ros and its test tools into $(VENV) (once)"
-	@$(PIP) -e ".[$$(cat $(VENV)/.ros)design,report,test]"
-	@touch $@
+	@$(PIP) -e ".[$$(cat $(VENV)/.ros)$(EXTRAS),test]"
+	@touch $@ $(VENV)/.demo
 
 # A ROS counts as found only if the new environment sees it too, which it does not if $$python is
 # itself in a virtual environment.
