@@ -44,43 +44,48 @@ def publish_and_drain(
     return drained
 
 
-def test_typed_messages_arrive_once_and_in_order(ros, node: Node) -> None:
+@pytest.mark.parametrize("raw", [False, True])
+@pytest.mark.parametrize("in_bulk", [True, False])
+def test_messages_arrive_once_in_order_with_their_infos(
+    ros, node: Node, raw: bool, in_bulk: bool
+) -> None:
+    """In bulk, and by callbacks for an rclpy that has no other way."""
     qos = QoSProfile(depth=COUNT)
-    subscription = DrainedSubscription(node, JointState, "joints", qos)
+    subscription = DrainedSubscription(node, JointState, "joints", qos, raw=raw, in_bulk=in_bulk)
+    assert subscription.in_bulk == in_bulk
+    before = node.get_clock().now().nanoseconds
 
     drained = publish_and_drain(ros, node, subscription, qos)
 
-    assert [item.message for item in drained] == [joint_state(i) for i in range(COUNT)]
+    after = node.get_clock().now().nanoseconds
+    messages, infos = zip(*drained, strict=True)
+    if raw:
+        assert all(type(message) is bytes for message in messages)
+        messages = [deserialize_message(message, JointState) for message in messages]
+    assert list(messages) == [joint_state(i) for i in range(COUNT)]
+    assert [info.sequence for info in infos] == list(range(1, COUNT + 1))
+    assert all(before <= info.source_ns <= info.received_ns <= after for info in infos)
     assert subscription.drain() == []
 
 
-def test_raw_messages_are_the_bytes_of_the_typed_ones(ros, node: Node) -> None:
+def test_arrivals_are_drained_at_once_by_who_asks_for_it(ros, node: Node) -> None:
     qos = QoSProfile(depth=COUNT)
-    subscription = DrainedSubscription(node, JointState, "joints", qos, raw=True)
-
-    drained = publish_and_drain(ros, node, subscription, qos)
-
-    assert all(type(item.message) is bytes for item in drained)
-    assert [deserialize_message(item.message, JointState) for item in drained] == [
-        joint_state(i) for i in range(COUNT)
-    ]
-
-
-def test_the_info_tells_when_and_as_which_a_message_was_sent(ros, node: Node) -> None:
-    qos = QoSProfile(depth=COUNT)
-    subscription = DrainedSubscription(node, JointState, "joints", qos, raw=True)
-    before = node.get_clock().now().nanoseconds
-
-    infos = [item.info for item in publish_and_drain(ros, node, subscription, qos)]
-
-    after = node.get_clock().now().nanoseconds
-    assert [info.sequence for info in infos] == list(range(1, COUNT + 1))
-    assert all(before <= info.source_ns <= info.received_ns <= after for info in infos)
+    drained: list[Drained] = []
+    subscription = DrainedSubscription(
+        node, JointState, "joints", qos, on_arrival=lambda: drained.extend(subscription.drain())
+    )
+    publisher = node.create_publisher(JointState, "joints", qos)
+    ros.spin_until(lambda: subscription.publisher_count == 1, what="the match")
+    for index in range(COUNT):
+        publisher.publish(joint_state(index))
+    ros.spin_until(lambda: len(drained) >= COUNT, what="the messages")
+    assert [item.message for item in drained] == [joint_state(i) for i in range(COUNT)]
 
 
-def test_a_limit_leaves_the_rest_for_the_next_drain(ros, node: Node) -> None:
+@pytest.mark.parametrize("in_bulk", [True, False])
+def test_a_limit_leaves_the_rest_for_the_next_drain(ros, node: Node, in_bulk: bool) -> None:
     qos = QoSProfile(depth=10)
-    subscription = DrainedSubscription(node, JointState, "joints", qos)
+    subscription = DrainedSubscription(node, JointState, "joints", qos, in_bulk=in_bulk)
     publisher = node.create_publisher(JointState, "joints", qos)
     ros.spin_until(lambda: subscription.publisher_count == 1, timeout=10.0, what="the match")
     for index in range(3):
