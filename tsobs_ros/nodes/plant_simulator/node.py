@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Node `plant_simulator`: an arm to try an observer on, with its truth on topics of their own.
+"""The node `plant_simulator`: an arm to try an observer on, with its truth on further topics.
 
 The simulation decides every number, this node only when to publish it: all samples that are due
 are published, late or not, so a run's data do not depend on how the process was scheduled.
@@ -19,7 +19,7 @@ from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.schedule import SampleSchedule, ScaledTime
-from tsobs_ros.nodes.plant_simulator.topics import CommandLimits, SamplePublisher, TorqueCommands
+from tsobs_ros.nodes.plant_simulator.topics import SamplePublisher, TorqueCommands
 from tsobs_ros.simulation.plant import Plant
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.
@@ -56,12 +56,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self.start()
 
     def configure(self) -> None:
-        """Make the arm at t = 0, and what it is heard and commanded by."""
+        """Make the arm at t = 0 with its topics and services."""
         self._settings = parameters = self.parameters
-        self._publish_sample = SamplePublisher(
-            self, parameters.joint, publish_clock=parameters.publish_clock
-        )
-        self._commands = TorqueCommands(self, self._limits_of(parameters))
+        self._publish_sample = SamplePublisher(self, parameters)
+        self._commands = TorqueCommands(self, parameters)
         self.offer_triggers({"reset": self._reset})
         self._schedule = SampleSchedule(parameters.rate)
         self._driven: ScaledTime | None = None
@@ -69,14 +67,14 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             self._driven = ScaledTime(parameters.real_time_factor)
             self._schedule.start(_DRIVEN_START)
         else:
-            jumps = self.get_clock().create_jump_callback(_BACKWARD, post_callback=self._on_jump)
+            jumps = self.get_clock().create_jump_callback(_BACKWARD, post_callback=self._tick)
             self.at_cleanup(jumps.unregister)
         self._new_plant()
         self._latest = 0
         self._timer: Any = None
 
     def activate(self) -> None:
-        """Start sampling, or go on, as soon as there is a time and somebody to measure for."""
+        """Start sampling, or go on, as soon as there are a time and the wanted subscribers."""
         self._commands.discard()  # what arrived was meant for an arm that stood still
         self._activated = self._steady_ns()
         self._start_timer = self.create_timer(_START_POLL, self._start, clock=self._steady)
@@ -94,20 +92,13 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
     @property
     def rejected_commands(self) -> int:
-        """Torque commands that were not one finite number, since the node was configured."""
+        """Number of torque commands that were not one finite number since `configure`."""
         return self._commands.rejected
 
     @property
     def finished(self) -> bool:
         """Whether the duration has been simulated; a process then ends."""
         return super().finished or (self.configured and self._is_over)
-
-    @staticmethod
-    def _limits_of(parameters: PlantSimulatorParameters) -> CommandLimits:
-        held = math.inf
-        if parameters.command_timeout > 0.0:
-            held = max(1, round(parameters.command_timeout * parameters.rate))
-        return CommandLimits(parameters.torque_limit, held)
 
     @property
     def _is_over(self) -> bool:
@@ -129,7 +120,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         return self._driven is None and bool(self.get_clock().ros_time_is_active)
 
     def _start(self) -> None:
-        """Start sampling if there is a time and somebody to measure for."""
+        """Start sampling if there are a time and the wanted subscribers."""
         waited = self._steady_ns() - self._activated
         if self._driven is None and self._now_ns() == 0:
             if waited > _CLOCK_PATIENCE:
@@ -151,10 +142,6 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._timer = self.create_timer(1.0 / self._settings.rate, self._tick, clock=clock)
         self._tick()
 
-    def _on_jump(self, _jump: Any) -> None:
-        if self._timer is not None:
-            self._tick()
-
     def _is_subscribed(self, waited: int) -> bool:
         wanted, there = self._settings.wait_for_subscribers, self._publish_sample.subscribers
         if there >= wanted:
@@ -168,10 +155,10 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         )
         return True
 
-    def _tick(self) -> None:
+    def _tick(self, _jump: Any = None) -> None:
         """Publish every sample that is due and sleep until the next one is."""
         now = self._now_ns()
-        if self._went_back(now):
+        if self._timer is None or self._went_back(now):
             return
         self._latest = now
         self._commands.take(self._plant.index)
@@ -193,7 +180,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._timer.reset()
 
     def _went_back(self, now: int) -> bool:
-        """Restart if the clock went back, and say whether there is nothing to do now."""
+        """Restart if the clock went back, and return whether there is no time yet."""
         if now == 0:
             return True
         back = self._latest - now
@@ -230,7 +217,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         """Take changed parameters over from the next sample on."""
         old, new = self._settings.scenario(), parameters.scenario()
         self._settings = parameters
-        self._commands.limits = self._limits_of(parameters)
+        self._commands.parameters = parameters
         if new.disturbance != old.disturbance:
             self._plant.exchange_disturbance(new.disturbance)
             self.get_logger().info(
@@ -241,7 +228,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._plant.exchange_sensor(new.sensor)
 
     def _reset(self) -> tuple[bool, str]:
-        """Start the plant anew at the next sample; the stamps go on."""
+        """Restart the plant at the next sample; the stamps go on."""
         was_over = self._is_over
         self._new_plant()
         if was_over and self._timer is not None:
@@ -253,12 +240,5 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
 
 
 def create(**node_kwargs: Any) -> PlantSimulatorNode:
-    """Return the node, ready to be spun.
-
-    Args:
-        **node_kwargs: Passed on to the node.
-
-    Raises:
-        ParameterError: A parameter is of the wrong type, out of range, or describes no plant.
-    """
+    """Return the node, for the runtime or any executor."""
     return PlantSimulatorNode(**node_kwargs)

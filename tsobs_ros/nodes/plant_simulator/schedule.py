@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""When samples are due: exactly periodic stamps, however late the process wakes up."""
+"""The times of samples: exactly periodic stamps, however late the process wakes up."""
 
 from fractions import Fraction
 
@@ -8,12 +8,9 @@ from tsobs_ros.estimation.records import NANOSECONDS
 
 
 class SampleSchedule:
-    """The stamps t₀ + k/rate, handed out once each, in order, when they are due.
+    """The stamps t₀ + k/rate, each once, in order, when they are due; rate in Hz.
 
-    k/rate is rounded to a nanosecond for each k by itself, so no error adds up.
-
-    Args:
-        rate: Samples a second [Hz].
+    Each k/rate is rounded to a nanosecond alone, so no error adds up.
     """
 
     def __init__(self, rate: float) -> None:
@@ -41,11 +38,7 @@ class SampleSchedule:
 
 
 class ScaledTime:
-    """A time that runs at its own pace along a steady one, and can be held back.
-
-    Args:
-        factor: Its seconds for each steady second.
-    """
+    """A time that passes by a factor faster than a steady one, and can be held back."""
 
     def __init__(self, factor: float) -> None:
         self._factor = factor

@@ -3,7 +3,7 @@
 """The plant simulator's topics: torque commands in; the measurement, the truth and the time out."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
@@ -16,37 +16,23 @@ from std_msgs.msg import Float64MultiArray
 from tsobs_ros.bag.estimate_topics import sides
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import set_stamp
+from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.simulation.plant import Sample
 
 _ACKNOWLEDGE_TIMEOUT = 1.0
 _WARN_EVERY = 5.0
 
 
-class CommandLimits(NamedTuple):
-    """What becomes of a torque command.
-
-    Attributes:
-        torque: It saturates at plus and minus this [N m].
-        samples: It holds for so many samples.
-    """
-
-    torque: float
-    samples: float
-
-
 class TorqueCommands:
-    """Takes torque commands, and tells for how long the last of them holds.
-
-    Args:
-        node: The node that subscribes.
-        limits: Of commands from the next one on; may be exchanged.
+    """The torque commands of a node, each of which holds for some time.
 
     Attributes:
-        rejected: Commands that were not one finite number.
+        parameters: Of commands from the next one on; may be exchanged.
+        rejected: Number of commands that were not one finite number.
     """
 
-    def __init__(self, node: Node, limits: CommandLimits) -> None:
-        self.limits = limits
+    def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
+        self.parameters = parameters
         self.rejected = 0
         self._node = node
         self._subscription = DrainedSubscription(
@@ -74,24 +60,23 @@ class TorqueCommands:
                     throttle_duration_sec=_WARN_EVERY,
                 )
                 continue
-            self._torque = min(max(values[0], -self.limits.torque), self.limits.torque)
-            self._end = sample + self.limits.samples
+            given = self.parameters
+            self._torque = min(max(values[0], -given.torque_limit), given.torque_limit)
+            held = math.inf
+            if given.command_timeout > 0.0:
+                held = max(1, round(given.command_timeout * given.rate))
+            self._end = sample + held
 
     def at(self, sample: int) -> float | None:
-        """Return the torque that is commanded at a sample [N m], if any is."""
+        """Return the torque commanded at a sample [N m], None without a command."""
         return self._torque if sample < self._end else None
 
 
 class SamplePublisher:
-    """Turns samples into messages; messages are made once and overwritten.
+    """Publishes samples as messages, which are made once and overwritten."""
 
-    Args:
-        node: The node that publishes.
-        joint: Name of the joint.
-        publish_clock: Whether to publish /clock as well.
-    """
-
-    def __init__(self, node: Node, joint: str, *, publish_clock: bool) -> None:
+    def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
+        joint = parameters.joint
         self._measurement = JointState(name=[joint], position=[0.0], effort=[0.0])
         self._states = JointState(name=[*sides(joint)], position=[0.0] * 2, velocity=[0.0] * 2)
         self._disturbance = JointState(name=[joint], position=[0.0])
@@ -108,12 +93,12 @@ class SamplePublisher:
             JointState, "ground_truth/disturbance", **options
         )
         self._to_clock: Any = None
-        if publish_clock:
+        if parameters.publish_clock:
             self._to_clock = node.create_publisher(ClockMessage, "/clock", **options)
 
     @property
     def subscribers(self) -> int:
-        """Matched subscriptions of the measurements."""
+        """Number of matched subscriptions of the measurements."""
         return int(self._to_measurements.get_subscription_count())
 
     def __call__(self, stamp: int, sample: Sample) -> None:
@@ -136,6 +121,6 @@ class SamplePublisher:
             self._to_measurements.publish(self._measurement)
 
     def wait_for_acknowledgement(self) -> None:
-        """Wait, not for ever, until subscribers have the truth that was published."""
+        """Wait at most a second until subscribers have the truth that was published."""
         for publisher in (self._to_states, self._to_disturbance):
             publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
