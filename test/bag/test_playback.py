@@ -98,13 +98,6 @@ def test_a_bag_time_is_due_when_it_is_reached_and_not_before(rate, time, steady,
     assert 0 <= due - exact < 1
 
 
-def test_a_paused_timeline_stands_still() -> None:
-    timeline = Timeline(7)
-
-    assert timeline.at(10**18) == 7
-    assert timeline.due(7) == NEVER
-
-
 @given(
     st.lists(st.integers(0, 3 * S), min_size=1, max_size=40),
     rates,
@@ -131,27 +124,6 @@ def test_all_is_played_once_in_order_and_on_time_whenever_the_caller_comes(
     assert playback.position(NOW) == START + max(offsets)
 
 
-def test_the_clock_ticks_on_a_grid_of_its_own_and_never_ahead_of_a_message() -> None:
-    events = play(Bag([message(0), message(95 * MS)]).playback(clock_rate=100.0), NEVER)
-
-    assert ticks(events) == [10 * k * MS for k in range(10)]
-    assert [e.message is None for e in events[:2]] == [True, False]
-
-
-def test_at_a_rate_the_clock_ticks_as_often_and_farther() -> None:
-    events = play(Bag([message(0), message(95 * MS)]).playback(clock_rate=100.0, rate=2.0), NEVER)
-
-    assert ticks(events) == [0, 20 * MS, 40 * MS, 60 * MS, 80 * MS]
-    assert [e.due - NOW for e in events if e.message is None] == [10 * k * MS for k in range(5)]
-
-
-def test_a_clock_at_a_third_of_a_hertz_does_not_drift() -> None:
-    events = play(Bag([message(0), message(3000 * S)]).playback(clock_rate=1 / 3), NEVER)
-
-    assert len(ticks(events)) == 1001
-    assert ticks(events)[-1] == pytest.approx(3000 * S, abs=1)
-
-
 def test_a_pause_stops_messages_and_the_clock_goes_on_to_say_the_same() -> None:
     playback = Bag([message(0), message(30 * MS)]).playback(clock_rate=100.0)
     playback.resume(NOW)
@@ -169,42 +141,6 @@ def test_a_pause_stops_messages_and_the_clock_goes_on_to_say_the_same() -> None:
         pass
     assert event is not None
     assert event.due == now + 15 * MS
-
-
-def test_being_away_in_a_pause_holds_nothing_back() -> None:
-    playback = Bag([message(0), message(S)]).playback(clock_rate=100.0)
-
-    assert playback.take(NOW + 60 * S) == (NOW + 60 * S, START, None)
-    assert playback.take(NOW + 60 * S) is None
-    assert playback.held_back == 0
-
-
-def test_what_nobody_took_in_a_pause_is_due_at_its_end() -> None:
-    latched = message(0, "/latched")
-    playback = Bag([latched, message(S)]).playback(clock_rate=100.0)
-    playback.seek(START + 5 * MS, NOW)
-
-    playback.resume(NOW + 60 * S)
-
-    assert playback.take(NOW + 60 * S) == (NOW + 60 * S, START + 5 * MS, None)
-    assert playback.take(NOW + 60 * S) == (NOW + 60 * S, START + 5 * MS, latched)
-    assert playback.take(NOW + 60 * S) is None
-    assert playback.wait(NOW + 60 * S) == 10 * MS
-    assert playback.held_back == 0
-
-
-def test_pausing_late_passes_over_nothing() -> None:
-    playback = Bag([message(0), message(10 * MS), message(20 * MS)]).playback()
-    playback.resume(NOW)
-    assert played([playback.take(NOW)]) == [0]  # type: ignore[list-item]
-
-    playback.pause(NOW + 25 * MS)
-
-    assert playback.position(NOW + 25 * MS) == START + 10 * MS
-    playback.resume(NOW + S)
-    event = playback.take(NOW + S)
-    assert event is not None
-    assert (event.due, event.time) == (NOW + S, START + 10 * MS)
 
 
 @given(st.lists(st.tuples(rates, st.integers(0, 10 * MS)), max_size=50))
@@ -237,12 +173,6 @@ def test_steps_play_one_message_each_with_the_clock_before_it() -> None:
     assert playback.step(NOW + 6) == []
     assert playback.take(NOW + 5) is None
     assert playback.ended
-
-
-def test_stepping_round_a_loop() -> None:
-    playback = Bag([message(0), message(5 * MS)]).playback(loop=True)
-
-    assert [played(playback.step(NOW)) for _ in range(5)] == [[0], [5 * MS], [0], [5 * MS], [0]]
 
 
 @pytest.mark.parametrize("target", [0, 3, 10, 15, 20, -1, 1000])
@@ -294,15 +224,6 @@ def test_loops_do_not_drift(loops: int, rate: float) -> None:
         assert 0 <= due - (NOW + k * length / Fraction(rate)) <= k + 1
 
 
-def test_a_loop_reads_ahead_and_the_clock_jumps_back() -> None:
-    bag = Bag([message(0), message(25 * MS)])
-    events = play(bag.playback(clock_rate=100.0, loop=True), NOW + 40 * MS)
-
-    assert played(events) == [0, 25 * MS, 0]
-    assert ticks(events) == [0, 10 * MS, 20 * MS, 0, 10 * MS]
-    assert bag.reads == [(0, True)]
-
-
 def test_a_loop_may_be_wanted_or_not_until_the_last_moment() -> None:
     bag = Bag([message(0), message(25 * MS)])
     playback = bag.playback()
@@ -324,38 +245,6 @@ def test_a_loop_of_no_length_takes_its_time(messages: list[BagMessage]) -> None:
     assert len(events) == 11 * len(messages)
 
 
-def test_a_short_stop_is_caught_up() -> None:
-    playback = Bag([message(k * 100 * MS) for k in range(20)]).playback()
-    playback.resume(NOW)
-
-    events = [playback.take(NOW + MAX_LAG) for _ in range(12)]
-
-    assert played([e for e in events if e]) == [k * 100 * MS for k in range(11)]
-    assert playback.held_back == 0
-
-
-def test_after_a_long_stop_playing_goes_on_from_there() -> None:
-    playback = Bag([message(k * 100 * MS) for k in range(20)]).playback(clock_rate=10.0)
-    playback.resume(NOW)
-    while playback.take(NOW):
-        pass
-
-    events = [playback.take(NOW + 60 * S) for _ in range(3)]
-
-    assert playback.held_back == 60 * S - 100 * MS
-    assert [(e.due, e.time) for e in events if e] == [(NOW + 60 * S, START + 100 * MS)] * 2
-    assert events[2] is None
-    assert playback.wait(NOW + 60 * S) == 100 * MS
-
-
-def test_the_end_may_be_after_the_last_message() -> None:
-    playback = Playback(Bag([message(0)]).read, START, START + 50 * MS, clock_rate=100.0)
-    playback.seek(START, NOW)
-
-    assert ticks(play(playback, NEVER)) == [10 * k * MS for k in range(6)]
-    assert playback.ended
-
-
 def test_what_reading_raises_comes_after_all_that_was_read() -> None:
     def read(_time: int, _again: bool) -> Iterator[BagMessage | None]:
         yield message(0)
@@ -369,3 +258,76 @@ def test_what_reading_raises_comes_after_all_that_was_read() -> None:
     assert played([e for e in [playback.take(NOW + MS) for _ in range(2)] if e]) == [0, MS]
     with pytest.raises(OSError, match="gone"):
         playback.take(NOW + MS)
+
+
+@pytest.mark.parametrize(
+    ("clock_rate", "rate", "last", "end", "expected"),
+    [
+        (100.0, 1.0, 95 * MS, 95 * MS, [10 * k * MS for k in range(10)]),
+        # At another rate as often, and farther.
+        (100.0, 2.0, 95 * MS, 95 * MS, [20 * k * MS for k in range(5)]),
+        # The end may be after the last message.
+        (100.0, 1.0, 0, 50 * MS, [10 * k * MS for k in range(6)]),
+        # Each tick is rounded by itself: there is no drift.
+        (1 / 3, 1.0, 3000 * S, 3000 * S, [(3 * k * S) for k in range(1001)]),
+    ],
+)
+def test_the_clock_ticks_on_its_grid_and_never_ahead_of_a_message(
+    clock_rate: float, rate: float, last: int, end: int, expected: list[int]
+) -> None:
+    bag = Bag([message(0), message(last)])
+    playback = Playback(bag.read, START, START + end, clock_rate=clock_rate, rate=rate)
+    playback.seek(START, NOW)
+
+    events = play(playback, NEVER)
+
+    assert ticks(events) == pytest.approx(expected, abs=1)
+    assert [e.message is None for e in events[:2]] == [True, False]
+    assert playback.ended
+
+
+def test_what_was_not_taken_in_a_pause_is_due_at_its_end_and_nothing_is_held_back() -> None:
+    latched, later = message(0, "/latched"), NOW + 60 * S
+    playback = Bag([latched, message(S)]).playback(clock_rate=100.0)
+    assert playback.take(later) == (later, START, None)  # one tick for all that are past
+    playback.seek(START + 5 * MS, NOW)
+    playback.resume(later)
+
+    assert playback.take(later) == (later, START + 5 * MS, None)
+    assert playback.take(later) == (later, START + 5 * MS, latched)
+    assert playback.take(later) is None
+    assert playback.wait(later) == 10 * MS
+    playback.pause(later + 2 * S)  # late: the message that is due is not passed over
+    assert playback.position(later + 2 * S) == START + S
+    playback.resume(later + 3 * S)
+    due = [playback.take(later + 3 * S) for _ in range(2)]
+    assert (later + 3 * S, START + S, message(S)) in due
+    assert playback.held_back == 0
+
+
+@pytest.mark.parametrize("stop", [MAX_LAG, 60 * S])
+def test_a_short_stop_is_caught_up_and_a_long_one_held_back(stop: int) -> None:
+    playback = Bag([message(k * 100 * MS) for k in range(20)]).playback()
+    playback.resume(NOW)
+    assert playback.take(NOW)
+
+    events = [e for _ in range(20) if (e := playback.take(NOW + stop))]
+
+    if stop == MAX_LAG:
+        assert played(events) == [k * 100 * MS for k in range(1, 11)]
+        assert playback.held_back == 0
+    else:
+        assert [(e.due, e.time) for e in events] == [(NOW + stop, START + 100 * MS)]
+        assert playback.held_back == stop - 100 * MS
+    assert playback.wait(NOW + stop) == 100 * MS
+
+
+def test_a_loop_reads_ahead_steps_round_and_the_clock_jumps_back() -> None:
+    bag = Bag([message(0), message(25 * MS)])
+    events = play(bag.playback(clock_rate=100.0, loop=True), NOW + 40 * MS)
+    assert played(events) == [0, 25 * MS, 0]
+    assert ticks(events) == [0, 10 * MS, 20 * MS, 0, 10 * MS]
+    assert bag.reads == [(0, True)]
+
+    playback = bag.playback(loop=True)
+    assert [played(playback.step(NOW)) for _ in range(4)] == [[0], [25 * MS], [0], [25 * MS]]

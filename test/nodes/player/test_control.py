@@ -14,7 +14,10 @@ from player.bags import regular, texts, write_bag
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from tsobs_ros.nodes.player.pacing import SubscriberGate
+
 Play = Callable[..., Any]
+S = 10**9
 
 
 @pytest.fixture
@@ -47,8 +50,11 @@ def set_parameter(player: Any, name: str, value: Any) -> None:
 def test_a_pause_lasts_until_it_is_over_and_nothing_is_left_out(
     ros: Any, play: Play, listener: Any, call: Any, bag: Path
 ) -> None:
-    listener.listen("/a")
     player = play(bag)
+    answer = call("play_next")
+    assert not answer.success
+    assert answer.message.startswith("only a paused player steps; it is ")
+    listener.listen("/a")
     ros.spin_until(lambda: len(listener.heard) >= 3, what="the first messages")
 
     assert call("pause").success
@@ -87,15 +93,6 @@ def test_steps_publish_one_message_each(
     call("resume")
     listener.hear_out(player)
     assert listener.texts() == texts(0, 3)
-
-
-def test_only_a_paused_player_steps(play: Play, call: Any, bag: Path) -> None:
-    play(bag, wait_timeout=0.0)
-
-    answer = call("play_next")
-
-    assert not answer.success
-    assert answer.message == "only a paused player steps; it is waiting for subscribers"
 
 
 def test_setting_the_position_goes_there_however_often(
@@ -175,17 +172,6 @@ def test_in_a_loop_the_clock_jumps_back_to_the_start(
     # 200 Hz of real time at half the rate.
     steps = {round(b - a, 3) for a, b in pairwise(listener.clock) if b > a}
     assert 2.5 in steps
-
-
-def test_the_bags_own_clock_is_replaced(
-    ros: Any, play: Play, listener: Any, tmp_path: Path
-) -> None:
-    bag = write_bag(tmp_path / "bag", [*regular(5), *regular(5, topic="/clock")])
-    listener.listen("/a").listen_to_clock()
-    player = play(bag, clock=100.0)
-    listener.hear_out(player)
-
-    assert player.messages == 5
 
 
 def test_a_lifecycle_manager_may_drive_it(
@@ -279,3 +265,28 @@ def test_being_too_slow_is_a_warning_until_the_next_status(
     assert float({v.key: v.value for v in late.values}["held back [s]"]) > 0.0
     process.signal(signal.SIGTERM)
     assert "behind: continuing from here, with nothing left out" in process.finish().stderr
+
+
+@pytest.mark.parametrize(
+    ("wanted", "timeout", "looks", "expected"),
+    [
+        (0, 5.0, [], (True, False)),
+        (1, 5.0, [(0, 1)], (False, False)),
+        (1, 5.0, [(1, 1)], (False, False)),
+        (1, 5.0, [(1, 1), (1, 1.2)], (True, False)),
+        (1, 5.0, [(1, 1), (2, 1.1), (2, 1.2)], (False, False)),
+        (1, 5.0, [(1, 1), (2, 1.1), (2, 1.3)], (True, False)),
+        (2, 5.0, [(1, 1), (1, 4.9)], (False, False)),
+        (2, 5.0, [(1, 1), (1, 5.0)], (True, True)),
+        (1, 5.0, [(1, 5.0)], (True, False)),
+        (2, 0.0, [(1, 1), (1, 1000)], (False, False)),
+    ],
+)
+def test_the_gate_opens_when_subscribers_have_come_or_time_has_passed(
+    wanted: int, timeout: float, looks: list[tuple[int, float]], expected: tuple[bool, bool]
+) -> None:
+    gate = SubscriberGate(wanted, timeout, now=100 * S)
+    for there, at in looks:
+        gate.look(there, 100 * S + round(at * S))
+
+    assert (gate.is_open, gate.timed_out) == expected

@@ -4,25 +4,45 @@
 
 import contextlib
 import signal
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.exceptions import EndOfFile
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.errors import BagReadError, BagWriteError, NodeError, ParameterError
+from tsobs_ros.bag.recovery import recover
+from tsobs_ros.errors import BagReadError, BagWriteError, NodeError
+
+SIZE = 100_000
+LIMIT_KIB = 1000
+TEXTS = [str(index) for index in range(150)]
 
 
-def test_an_existing_folder_is_refused(recording, tmp_path: Path) -> None:
-    (tmp_path / "bag").mkdir()
-    with pytest.raises(BagWriteError, match="bag: exists already"):
-        recording.start()
-    assert list((tmp_path / "bag").iterdir()) == []
+@pytest.mark.parametrize(
+    ("output", "free", "error", "reason"),
+    [
+        ("there", 0, BagWriteError, "there: exists already"),
+        ("file/bag", 0, BagWriteError, "file/bag: cannot create it: .*Not a directory"),
+        ("/proc/bag", 0, BagWriteError, "/proc/bag: cannot create it"),
+        ("bag", 10**9, NodeError, "MiB of disk space are free"),
+    ],
+)
+def test_where_a_bag_cannot_be_it_is_refused(
+    recording, tmp_path: Path, output: str, free: int, error: type[Exception], reason: str
+) -> None:
+    (tmp_path / "there").mkdir()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(error, match=reason):
+        recording.start(output=str(tmp_path / output), minimum_free_disk=free)
+    assert sorted(tmp_path.rglob("*")) == [tmp_path / "file", tmp_path / "there"]
 
 
 def test_an_unnamed_bag_gets_a_dated_name(recording, tmp_path, monkeypatch) -> None:
@@ -32,95 +52,129 @@ def test_an_unnamed_bag_gets_a_dated_name(recording, tmp_path, monkeypatch) -> N
     assert path.match("rosbag2_[0-9][0-9][0-9][0-9]_[0-9][0-9]_[0-9][0-9]-*")
 
 
-def test_a_wrong_compression_is_refused(recording) -> None:
-    with pytest.raises(ParameterError, match="compression"):
-        recording.start(compression="zip")
-
-
-def test_a_disk_that_is_too_full_is_refused(recording, tmp_path: Path) -> None:
-    with pytest.raises(NodeError, match="MiB of disk space are free"):
-        recording.start(minimum_free_disk=10**9)
-    assert not (tmp_path / "bag").exists()
-
-
-def test_a_disk_that_gets_too_full_ends_the_recording(ros, recording) -> None:
-    recorder = recording.start(topics=["joints"], flush_period=0.05)
-    publisher = ros.node("source").create_publisher(JointState, "joints", 10)
-    recording.publish(recorder, publisher, recording.joint_states(5))
-    recorder.set_parameters([Parameter("minimum_free_disk", value=10**9)])
-
-    ros.spin_until(lambda: recorder.finished, what="the end of the recording")
-    assert BagReader(recorder.path).message_count == 5
-
-
 def test_closing_records_what_has_arrived(ros, recording, capfd) -> None:
     recorder = recording.start(topics=["joints"], drain_period=1.0)
-    publisher = ros.node("source").create_publisher(JointState, "joints", 100)
+    publisher = ros.node("source").create_publisher(String, "joints", 200)
     ros.spin_until(lambda: recorder.ready, what="the recorder's subscription")
     ros.spin_until(lambda: publisher.get_subscription_count() == 1, what="the publisher's match")
-    for message in recording.joint_states(40):
-        publisher.publish(message)
+    for text in TEXTS:
+        publisher.publish(String(data=text))
     assert publisher.wait_for_all_acked()
 
     recorder.close()
     recorder.close()
 
-    assert BagReader(recorder.path).message_count == 40
+    assert texts(recorder.path) == TEXTS
     lines = capfd.readouterr().err
-    assert lines.count(f"closing {recorder.path}: 40 messages of 1 topics, 0 lost") == 1
+    assert lines.count(f"closing {recorder.path}: 150 messages of 1 topics, 0 lost\n") == 1
     assert lines.count(f"recording to {recorder.path}") == 1
-    assert lines.count("recording /joints [sensor_msgs/msg/JointState]") == 1
+    assert lines.count("recording /joints [std_msgs/msg/String]") == 1
 
 
-def stored_messages(path: Path) -> list[bytes]:
+def texts(path: Path) -> list[str]:
+    return [deserialize_message(m.data, String).data for m in BagReader(path).messages()]
+
+
+def unfinished_texts(path: Path) -> list[str]:
     """Read a file that may have no end, in file order, as recovery tools do."""
     stored = []
     with path.open("rb") as stream, contextlib.suppress(EndOfFile):
         for record in StreamReader(stream, validate_crcs=True).records:
             if isinstance(record, Message):
-                stored.append(record.data)
+                stored.append(deserialize_message(record.data, String).data)
     return stored
 
 
-def test_what_was_flushed_survives_a_kill(ros, ros_process, recording, tmp_path: Path) -> None:
-    bag = tmp_path / "bag"
-    process = ros_process(
-        "recorder", parameters={"output": str(bag), "topics": ["joints"], "flush_period": 0.2}
-    )
-    publisher = ros.node("source").create_publisher(JointState, "joints", 200)
-    ros.spin_until(lambda: publisher.get_subscription_count() == 1, 20.0, what="the match")
-    messages = recording.joint_states(150)
-    for message in messages:
-        publisher.publish(message)
-    # Far less than a chunk, and nothing follows: only the timer can have flushed it.
-    file = bag / "bag_0.mcap"
-    ros.spin_until(lambda: len(stored_messages(file)) == len(messages), what="the flush")
-    publisher.publish(JointState())
+@pytest.fixture
+def started(ros, ros_process, tmp_path: Path) -> Callable[..., tuple[Any, Any]]:
+    """Start a recorder of /a as a process, and what publishes texts to it."""
 
+    def start(prefix: tuple[str, ...] = (), **parameters: Any) -> tuple[Any, Callable[..., None]]:
+        values = {"output": str(tmp_path / "bag"), "topics": ["a"], **parameters}
+        process = ros_process("recorder", parameters=values, prefix=prefix)
+        publisher = ros.node("source").create_publisher(String, "a", 200)
+        ros.spin_until(lambda: publisher.get_subscription_count() == 1, 20.0, what="the match")
+
+        def say(*said: str) -> None:
+            for text in said:
+                publisher.publish(String(data=text))
+            publisher.wait_for_all_acked()
+
+        return process, say
+
+    return start
+
+
+def test_what_was_flushed_survives_a_kill(ros, started, tmp_path: Path) -> None:
+    process, say = started(flush_period=0.2)
+    say(*TEXTS)
+    # Far less than a chunk, and nothing follows: only the timer can have flushed it.
+    file = tmp_path / "bag" / "bag_0.mcap"
+    ros.spin_until(lambda: unfinished_texts(file) == TEXTS, what="the flush")
     process.signal(signal.SIGKILL)
     assert process.finish().exit_code == -signal.SIGKILL
 
-    stored = [deserialize_message(data, JointState) for data in stored_messages(file)]
-    assert stored[: len(messages)] == messages
+    assert unfinished_texts(file) == TEXTS
     with pytest.raises(BagReadError, match=r"bag_0\.mcap: the file has no end"):
-        BagReader(bag)
+        BagReader(tmp_path / "bag")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_closes_the_bag(ros, ros_process, recording, tmp_path: Path, number: int) -> None:
-    bag = tmp_path / "bag"
-    process = ros_process("recorder", parameters={"output": str(bag), "topics": ["joints"]})
-    publisher = ros.node("source").create_publisher(JointState, "joints", 200)
-    ros.spin_until(lambda: publisher.get_subscription_count() == 1, 20.0, what="the match")
-    messages = recording.joint_states(150)
-    for message in messages:
-        publisher.publish(message)
-    assert publisher.wait_for_all_acked()
-
+def test_a_signal_closes_the_bag(started, tmp_path: Path, number: int) -> None:
+    process, say = started()
+    say(*TEXTS)
     process.signal(number)
     finished = process.finish()
 
     assert finished.exit_code == 0
     assert "Traceback" not in finished.stderr
-    read = [deserialize_message(m.data, JointState) for m in BagReader(bag).messages()]
-    assert read == messages
+    assert texts(tmp_path / "bag") == TEXTS
+
+
+def test_under_nohup_a_closed_terminal_is_ignored(ros, started, tmp_path: Path) -> None:
+    process, say = started(prefix=("nohup",), flush_period=0.05)
+    process.signal(signal.SIGHUP)
+    file = tmp_path / "bag" / "bag_0.mcap"
+    say("after it")
+    ros.spin_until(lambda: unfinished_texts(file) == ["after it"], what="the recording")
+    process.signal(signal.SIGTERM)
+    assert process.finish().exit_code == 0
+
+
+def test_a_disk_that_fails_ends_the_process_and_keeps_what_was_written(
+    started, tmp_path: Path
+) -> None:
+    bag = tmp_path / "bag"
+    limited = ("bash", "-c", f'ulimit -f {LIMIT_KIB}; exec "$@"', "bash")
+    process, say = started(prefix=limited, compression="none", flush_period=0.01)
+    said = [f"{index}".ljust(SIZE) for index in range(LIMIT_KIB * 1024 // SIZE + 3)]
+    say(*said)
+    finished = process.finish()
+
+    assert finished.exit_code == 1
+    (error,) = [line for line in finished.stderr.splitlines() if line.startswith("error: ")]
+    assert error == (
+        f"error: {bag / 'bag_0.mcap'}: cannot write it: [Errno 27] File too large; what was "
+        f"written before: tsobs bag recover {bag}"
+    )
+    assert "Traceback" not in finished.stderr
+    recover(bag, tmp_path / "recovered")
+    stored = texts(tmp_path / "recovered")
+    assert len(stored) >= 1
+    assert stored == said[: len(stored)]
+
+
+def test_a_disk_that_gets_too_full_ends_the_process_with_a_closed_bag(
+    ros, started, tmp_path: Path
+) -> None:
+    process, say = started()
+    say("in time")
+    client = AsyncParameterClient(ros.node("operator"), "recorder")
+    ros.spin_until(client.services_are_ready, what="the parameter services")
+    # The end of the process tells that this has arrived; its answer may be lost with the process.
+    client.set_parameters([Parameter("minimum_free_disk", value=10**9)])
+    finished = process.finish()
+    assert finished.exit_code == 0
+    assert "MiB free): recording ends here" in finished.stderr
+    assert "Traceback" not in finished.stderr
+    assert texts(tmp_path / "bag") == ["in time"]

@@ -1,8 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The shipped parameters are the node's, and senseless ones are refused."""
+"""The parameters select what is recorded; the shipped ones fit, and senseless ones are refused."""
 
-import re
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
+from tsobs_ros.bag.estimate_topics import PARAMETER_TOPICS, TOPICS
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
@@ -30,16 +31,15 @@ def test_the_shipped_file_has_every_parameter_and_its_default_but_for_the_select
     assert replace(shipped(), topics=(), regex="") == RecorderParameters()
 
 
-def test_the_shipped_file_selects_what_the_readme_lists_and_awaits_what_always_comes() -> None:
-    rows = re.findall(r"^\| (`.+?) \|", (ROOT / "README.md").read_text(), re.MULTILINE)
-    topics = [
-        f"/arm/{n}".replace("/arm//", "/") for row in rows for n in re.findall("`(.+?)`", row)
-    ]
-    assert {"/arm/observer/disturbance_bound", "/diagnostics"} <= set(topics)
-    selection = shipped().resolved(lambda name: f"/arm/{name}".replace("/arm//", "/"), str)
+def test_the_shipped_file_selects_all_topics_and_awaits_only_those_that_always_come() -> None:
+    selection = shipped().resolved(full, full)
+    estimates = [f"/arm/observer/{n}" for n in (*TOPICS, *PARAMETER_TOPICS)]
+    others = ("joint_measurements", "joint_torque_command", "ground_truth/joint_states",
+              "ground_truth/disturbance", "/diagnostics")  # fmt: skip
+    topics = [*estimates, *map(full, others)]
     assert [topic for topic in topics if not selection.wants(topic, [])] == []
     assert not selection.wants("/arm/camera", [])
-    assert "/arm/observer/parameters_estimate" not in selection.listed()
+    assert not {*topics[-4:-1], estimates[1], *estimates[-2:]} & set(selection.listed())
 
 
 @pytest.mark.parametrize(
@@ -62,3 +62,68 @@ def test_senseless_parameters_are_refused(
     with pytest.raises(ParameterError, match=reason):
         recording.start(**parameters)
     assert not (tmp_path / "bag").exists()
+
+
+# A robot's topics, with hidden ones and the events of two services and an action.
+GRAPH: Mapping[str, str] = {
+    "/arm/joints": "sensor_msgs/msg/JointState",
+    "/arm/torque": "sensor_msgs/msg/JointState",
+    "/camera/image": "sensor_msgs/msg/Image",
+    "/arm/_raw": "std_msgs/msg/String",
+    "/_internal/state": "std_msgs/msg/String",
+    "/go/_action/feedback": "my_msgs/action/Go_FeedbackMessage",
+    "/arm/reset/_service_event": "std_srvs/srv/Trigger_Event",
+    "/camera/set/_service_event": "std_srvs/srv/SetBool_Event",
+    "/odd/_service_event": "std_msgs/msg/String",
+}
+VISIBLE = {"/arm/joints", "/arm/torque", "/camera/image"}
+HIDDEN = {"/arm/_raw", "/_internal/state", "/go/_action/feedback", "/odd/_service_event"}
+EVENTS = {"/arm/reset/_service_event", "/camera/set/_service_event"}
+
+
+def full(name: str) -> str:
+    return name if name.startswith("/") else f"/arm/{name}"
+
+
+def selected(**parameters: Any) -> set[str]:
+    selection = RecorderParameters(**parameters).resolved(full, full)
+    return {name for name, type in GRAPH.items() if selection.wants(name, [type])}
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({}, VISIBLE | EVENTS),
+        ({"all": True, "topics": ("joints",)}, VISIBLE | EVENTS),
+        ({"topics": ("*",)}, VISIBLE),
+        ({"topics": ("*", "_raw")}, VISIBLE | {"/arm/_raw"}),
+        ({"topics": ("joints", "/camera/image")}, {"/arm/joints", "/camera/image"}),
+        ({"topics": ("_raw",)}, {"/arm/_raw"}),
+        ({"services": ("reset",)}, {"/arm/reset/_service_event"}),
+        ({"services": ("*",)}, EVENTS),
+        ({"all_services": True}, EVENTS),
+        ({"topics": ("/arm/reset/_service_event",)}, {"/arm/reset/_service_event"}),
+        ({"regex": "^/arm"}, {"/arm/joints", "/arm/torque", "/arm/reset/_service_event"}),
+        ({"regex": "_service"}, set()),
+        ({"regex": "torque|set$", "topics": ("joints",)},
+         {"/arm/joints", "/arm/torque"} | EVENTS),
+        ({"include_hidden": True}, VISIBLE | HIDDEN | EVENTS),
+        ({"include_hidden": True, "regex": "/_"}, HIDDEN),
+        ({"exclude_topics": ("joints",)}, (VISIBLE | EVENTS) - {"/arm/joints"}),
+        ({"exclude_services": ("reset",)}, (VISIBLE | EVENTS) - {"/arm/reset/_service_event"}),
+        ({"exclude_regex": "^/camera"},
+         {"/arm/joints", "/arm/torque", "/arm/reset/_service_event"}),
+        ({"topics": ("joints", "torque"), "exclude_regex": "q"}, {"/arm/joints"}),
+    ],
+)  # fmt: skip
+def test_what_is_selected_is_recorded(parameters: dict[str, Any], expected: set[str]) -> None:
+    assert selected(**parameters) == expected
+
+
+def test_what_is_listed_is_awaited_unless_it_is_excluded_or_all_is_recorded() -> None:
+    listed: dict[str, Any] = {"topics": ("joints", "torque"), "services": ("reset", "/go")}
+    awaited = ["/arm/joints", "/arm/reset/_service_event", "/arm/torque", "/go/_service_event"]
+    assert RecorderParameters(**listed).resolved(full, full).listed() == awaited
+    excluding = RecorderParameters(**listed, exclude_regex="t$", exclude_topics=("torque",))
+    assert excluding.resolved(full, full).listed() == ["/arm/joints", "/go/_service_event"]
+    assert RecorderParameters(**listed, all=True).resolved(full, full).listed() == []

@@ -96,16 +96,26 @@ def test_it_can_wait_to_begin(recording, call, say) -> None:
     assert texts(recorder.path) == ["in time"]
 
 
-def test_a_bag_is_split_on_demand_and_each_file_has_what_is_latched(recording, call, say) -> None:
+def test_a_bag_is_split_on_demand_and_each_file_has_what_is_latched(
+    ros, recording, call, say
+) -> None:
     recorder = recording.start(topics=["a", "map"])
-    say(recorder, "map", "the map", qos=LATCHED)
+    for mapper, count in (("x", 1), ("y", 3)):
+        publisher = ros.node(mapper).create_publisher(String, "map", LATCHED)
+        ros.spin_until(lambda p=publisher: p.get_subscription_count() > 0, what="the match")
+        for k in range(count):
+            publisher.publish(String(data=f"{mapper}{k}"))
+        publisher.wait_for_all_acked()
+    ros.spin_until(lambda: recorder.statistics.messages == 4, what="both maps")
     say(recorder, "a", "one")
     assert call("split_bagfile") == "2 files"
     assert call("split_bagfile") == "2 files"
     say(recorder, "a", "two")
     recorder.close()
-    files = [recorder.path / file.path for file in read_metadata(recorder.path).files]
-    assert [texts(file) for file in files] == [["the map", "one"], ["the map", "two"]]
+    files = [texts(recorder.path / file.path) for file in read_metadata(recorder.path).files]
+    assert files[0] == ["x0", "y0", "y1", "y2", "one"]
+    assert {"x0", "y2"} < set(files[1])
+    assert files[1][-2:] == ["y2", "two"]
 
 
 def test_a_bag_is_split_by_size(ros, recording) -> None:
