@@ -3,7 +3,7 @@
 """Runs to report on: a simulated one, and bags written without ROS."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -144,21 +144,13 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
 def shortened(run: RecordedRun, count: int) -> RecordedRun:
     """Return the first `count` samples of a run, for bags that are quick to write."""
 
-    def cut(series: Series | None) -> Series | None:
-        return None if series is None else Series(series.stamps[:count], series.values[:count])
+    def cut(value: Any) -> Any:
+        if isinstance(value, Series):
+            return Series(value.stamps[:count], value.values[:count])
+        return value[:count] if isinstance(value, np.ndarray) else value
 
-    return replace(
-        run,
-        measurements=Series(run.measurements.stamps[:count], run.measurements.values[:count]),
-        stamps=run.stamps[:count],
-        states=run.states[:count],
-        state_bounds=run.state_bounds[:count],
-        disturbance=run.disturbance[:count],
-        disturbance_bounds=run.disturbance_bounds[:count],
-        innovations=cut(run.innovations),
-        truth=cut(run.truth),
-        true_disturbance=cut(run.true_disturbance),
-    )
+    values = {field.name: cut(getattr(run, field.name)) for field in fields(run)}
+    return RecordedRun(**values)
 
 
 @pytest.fixture

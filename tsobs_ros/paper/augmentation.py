@@ -12,7 +12,7 @@ and L ẏ added on both sides makes E_L = Ē + L C̄ invertible. The conditions 
     (19)         P M = C̄ᵀ
     (38)         ‖P⁻¹‖ ≥ ε ,  ε = max α₁ᵢ/(ξᵢ‖C̄‖)
 
-Without gains, (18) is checked on {C̄x̄ = 0}, where Qᵢ drops out: by Finsler's lemma some Qᵢ
+Without gains, (18) is checked on {C̄x̄ = 0}, on which Qᵢ drops out: by Finsler's lemma some Qᵢ
 satisfies it if and only if it holds there.
 """
 

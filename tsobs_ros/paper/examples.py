@@ -258,7 +258,7 @@ EXAMPLE_3_H = np.array(
     ]
 )
 """Hᵢ of Example 3, shape (2, 5, 1), up to the same changes of sign. Of all of them, and of taking
-the numbers for Hᵢ or for E_L⁻¹Hᵢ, this reading violates (37) least where P and H change together,
+the numbers for Hᵢ or for E_L⁻¹Hᵢ, this reading violates (37) least if P and H change together,
 and makes the best observer."""
 
 

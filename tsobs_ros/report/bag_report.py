@@ -3,7 +3,7 @@
 """The report on a bag: a table, a figure, an interactive page, and the same numbers as JSON."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from tsobs_ros.report.comparison import (
     render_metrics,
 )
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
-from tsobs_ros.report.run import RecordedRun, read_run
+from tsobs_ros.report.run import read_run
 
 
 class ReportError(TsobsError, RuntimeError):
@@ -70,7 +70,6 @@ def make_bag_report(
     html: bool = True,
     joint: str = "elastic_joint",
     namespace: str | None = None,
-    options: MetricsOptions | None = None,
 ) -> BagReport:
     """Measure a bag and write `report.png`, `report.html` and `report.json`.
 
@@ -83,7 +82,6 @@ def make_bag_report(
         html: Whether to write the page too; it is left out, with a remark, without plotly.
         joint: Name of the joint in the bag.
         namespace: Namespace of the topics, for a bag with several arms.
-        options: How to measure; the expected innovation comes from the design unless set.
 
     Raises:
         BagReadError: The bag cannot be read or lacks what a report needs.
@@ -93,24 +91,11 @@ def make_bag_report(
     if ekf and design is None:
         raise ReportError("comparing with an EKF needs the design file, which holds its model")
     run = read_run(bag, joint, namespace=namespace)
-    options = options or MetricsOptions()
-    if design is not None and options.innovation_std is None:
-        options = replace(options, innovation_std=expected_innovation(design))
+    std = None if design is None else expected_innovation(design)
+    options = MetricsOptions(innovation_std=std)
     metrics = measure(run, options)
     comparison = compare_with_ekf(run, design, options) if ekf and design is not None else None
     page = html and find_spec("plotly") is not None
-    remarks = _remarks(run, metrics, html and not page)
-    report = BagReport(bag, metrics, comparison, _files(output, page), remarks)
-    _write(report, run, options.innovation_std)
-    return report
-
-
-def _files(output: Path, page: bool) -> tuple[Path, ...]:
-    names = ["report.png", *(["report.html"] if page else []), "report.json"]
-    return tuple(output / name for name in names)
-
-
-def _remarks(run: RecordedRun, metrics: RunMetrics, page_missing: bool) -> tuple[str, ...]:
     remarks = []
     if run.truth is None:
         remarks.append("the bag has no ground truth, so there are bounds but no errors")
@@ -118,26 +103,23 @@ def _remarks(run: RecordedRun, metrics: RunMetrics, page_missing: bool) -> tuple
         remarks.append(f"time restarted {run.passes - 1} times; this is the longest pass")
     if not metrics.windows:
         remarks.append("the run is too short to have a settled part, so there are no errors")
-    if page_missing:
+    if html and not page:
         remarks.append("no report.html: the Python package plotly is not installed")
-    return tuple(remarks)
-
-
-def _write(report: BagReport, run: RecordedRun, innovation_std: float | None) -> None:
-    # Here, so that matplotlib and plotly are needed only for what they draw.
-    from tsobs_ros.report.figures import draw_run
-
+    names = ["report.png", *(["report.html"] if page else []), "report.json"]
+    files = tuple(output / name for name in names)
+    report = BagReport(bag, metrics, comparison, files, tuple(remarks))
     try:
-        for path in report.files:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if path.suffix == ".png":
-                draw_run(run, report.metrics, path, innovation_std)
-            elif path.suffix == ".html":
-                from tsobs_ros.report.page import write_html
+        output.mkdir(parents=True, exist_ok=True)
+        # Here, so that matplotlib and plotly are needed only for what they draw.
+        from tsobs_ros.report.figures import draw_run
 
-                write_html(run, report.metrics, path, innovation_std)
-            else:
-                text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
-                path.write_text(text + "\n", encoding="utf-8")
+        draw_run(run, metrics, files[0], std)
+        if page:
+            from tsobs_ros.report.page import write_html
+
+            write_html(run, metrics, files[1], std)
+        text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
+        files[-1].write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise ReportError(f"cannot write the report: {error}") from error
+    return report

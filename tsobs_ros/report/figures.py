@@ -31,7 +31,7 @@ _FAINT, _STRONG = 0.13, 0.32
 def draw_run(
     run: RecordedRun,
     metrics: RunMetrics,
-    path: Path | Sequence[Path],
+    path: Path,
     innovation_std: float | None = None,
 ) -> None:
     """Draw a run, 1400 pixels wide as PNG.
@@ -39,18 +39,17 @@ def draw_run(
     Args:
         run: The recorded run, with or without truth.
         metrics: Its metrics.
-        path: One file or several of the same figure, `.png` or `.svg`; they are replaced.
+        path: The file, `.png` or `.svg`; it is replaced.
         innovation_std: 1σ the design expects of an innovation [rad]; None if unknown.
 
     Raises:
-        OSError: A file cannot be written.
+        OSError: The file cannot be written.
     """
     with matplotlib.rc_context(STYLE):
         figure = _figure(run, metrics, content.panels(run, metrics, innovation_std))
-        for target in [path] if isinstance(path, Path) else path:
-            # Without the date the same run gives the same SVG.
-            metadata = {"Date": None} if target.suffix == ".svg" else {}
-            figure.savefig(target, dpi=_DPI, metadata=metadata)
+        # Without the date the same run gives the same SVG.
+        metadata = {"Date": None} if path.suffix == ".svg" else {}
+        figure.savefig(path, dpi=_DPI, metadata=metadata)
 
 
 def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> Figure:
@@ -164,7 +163,7 @@ def _draw_error(axes: Axes, panel: Panel) -> None:
     assert panel.error is not None
     times = panel.estimate.times
     _prepare(axes)
-    axes.set_ylim(-panel.largest_error, panel.largest_error)
+    axes.set_ylim(-panel.max_error, panel.max_error)
     if panel.bound is not None:
         _draw_bound(axes, times, np.zeros(len(times)), panel.bound)
     axes.axhline(0.0, color=content.TRUTH_COLOUR, lw=1.6, zorder=4)

@@ -203,7 +203,7 @@ def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetri
 
 
 def errors(run: RecordedRun) -> Array | None:
-    """Return estimate − truth of all `QUANTITIES`, NaN where unknown, shape (m, 5).
+    """Return estimate − truth of all `QUANTITIES`, NaN if unknown, shape (m, 5).
 
     None without any truth; a truth that was not recorded in part is NaN.
     """

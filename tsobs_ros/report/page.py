@@ -137,7 +137,7 @@ def _add_error(figure: Any, panel: Panel, row: int) -> None:
     _add(figure, "error", times, panel.error, (row, 2), line=line)
     figure.update_yaxes(
         title_text=f"error<br>[{panel.unit}]",
-        range=[-panel.largest_error, panel.largest_error],
+        range=[-panel.max_error, panel.max_error],
         row=row,
         col=2,
     )

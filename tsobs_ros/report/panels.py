@@ -25,7 +25,7 @@ MAX_BAND = 1500
 """Longer bands are thinned further, for they are drawn as polygons."""
 
 # Errors after a jump may leave the picture, so that the bound keeps a tenth of its height.
-_LARGEST_TRANSIENT = 10.0
+_MAX_TRANSIENT = 10.0
 
 # Okabe and Ito's palette, which the colour-blind can tell apart; truth is also wider.
 ESTIMATE_COLOUR = "#0072B2"
@@ -56,7 +56,7 @@ class Panel(NamedTuple):
         error: Estimate − truth at the same times, shape (n,).
         level: A constant ± line, e.g. what is expected of noise, and what to call it.
         limits: Range of values to show.
-        largest_error: Errors and bounds are shown up to this size.
+        max_error: Errors and bounds are shown up to this size.
     """
 
     title: str
@@ -69,7 +69,7 @@ class Panel(NamedTuple):
     error: Array | None = None
     level: tuple[float, str] | None = None
     limits: tuple[float, float] = (-1.0, 1.0)
-    largest_error: float = 1.0
+    max_error: float = 1.0
 
 
 def panels(
@@ -155,7 +155,7 @@ def _panel(run: RecordedRun, metrics: RunMetrics, place: int, error: Array | Non
         bound=bound,
         error=None if error is None else thin(Curve(run.times, error)).values,
         limits=_limits(dots, truth, estimate, bound),
-        largest_error=_largest_error(run, metrics, error, bounds),
+        max_error=_max_error(run, metrics, error, bounds),
     )
 
 
@@ -187,16 +187,14 @@ def _remark(metrics: RunMetrics, quantity: Quantity) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _largest_error(
-    run: RecordedRun, metrics: RunMetrics, error: Array | None, bounds: Array
-) -> float:
+def _max_error(run: RecordedRun, metrics: RunMetrics, error: Array | None, bounds: Array) -> float:
     """Return a size with all settled errors and bounds inside, and most of what a jump does."""
     settled = inside_windows(run.times, metrics.windows)
     sizes = [(SIGMAS + 1.0) * bounds[settled]]
     if error is not None:
         sizes.append(1.2 * np.abs(error[settled]))
         after_start = run.times >= (metrics.windows[0][0] if metrics.windows else 0.0)
-        sizes.append(np.minimum(1.1 * np.abs(error), _LARGEST_TRANSIENT * bounds)[after_start])
+        sizes.append(np.minimum(1.1 * np.abs(error), _MAX_TRANSIENT * bounds)[after_start])
     joined = np.concatenate(sizes)
     return float(joined[np.isfinite(joined)].max(initial=0.0)) or 1.0
 
