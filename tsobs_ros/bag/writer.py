@@ -39,19 +39,10 @@ _TIME_LIMIT_NS = EMPTY_START_NS
 
 
 class _BagFile:
-    """Writes one file: header, chunks of messages, index.
+    """One file of a bag; every method raises `BagWriteError` if the file cannot be written.
 
     Once writing has failed, all further writing does: there may be half a chunk in the file, and
     an index that states the whole would hide what can be recovered.
-
-    Args:
-        path: The file, which must not exist.
-        compression: A name of `COMPRESSIONS`.
-        metadata: The bag's metadata at the opening of the file.
-
-    Raises:
-        BagWriteError: The file exists or cannot be created, or the compression's library is not
-            installed.
     """
 
     def __init__(self, path: Path, compression: str, metadata: BagMetadata) -> None:
@@ -64,7 +55,7 @@ class _BagFile:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         try:
-            # Buffered: the writer hands over a record in many small pieces.
+            # Buffered: the writer hands over a record in several pieces.
             self._stream = path.open("xb")
         except OSError as error:
             raise BagWriteError(f"{path}: cannot create it: {error}") from error
@@ -73,41 +64,28 @@ class _BagFile:
             undo.callback(self._stream.close)
             # Any: the library annotates its methods only in part.
             self._writer: Any = Writer(self._stream, CHUNK_SIZE, COMPRESSIONS[compression])
-            self._writer.start(
-                profile="ros2", library=f"{LIBRARY} {__version__}; {LIBRARY_IDENTIFIER}"
-            )
+            self._writer.start("ros2", f"{LIBRARY} {__version__}; {LIBRARY_IDENTIFIER}")
             self._add_metadata(metadata)
             self._stream.flush()
             undo.pop_all()
 
-    def add_topic(self, topic: TopicInfo, definition: MessageDefinition) -> None:
-        """Register a topic, once, before its first message.
-
-        Raises:
-            BagWriteError: The file cannot be written.
-        """
+    def add_topic(self, topic: TopicInfo) -> None:
+        definition = topic.definition
+        assert definition is not None
         with self._writing():
             if (schema := self._schemas.get(topic.type)) is None:
                 schema = self._writer.register_schema(
                     topic.type, definition.encoding, definition.text.encode()
                 )
                 self._schemas[topic.type] = schema
-            self._channels[topic.name] = self._writer.register_channel(
-                topic.name,
-                "cdr",
-                schema,
-                {
-                    "offered_qos_profiles": profiles_to_yaml(topic.qos_profiles),
-                    "topic_type_hash": topic.type_hash,
-                },
-            )
+            metadata = {
+                "offered_qos_profiles": profiles_to_yaml(topic.qos_profiles),
+                "topic_type_hash": topic.type_hash,
+            }
+            channel = self._writer.register_channel(topic.name, "cdr", schema, metadata)
+            self._channels[topic.name] = channel
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
-        """Append one message of a registered topic.
-
-        Raises:
-            BagWriteError: The file cannot be written.
-        """
         # As `_writing` does it, at a tenth of its cost.
         if self._failure is not None:
             raise self._cannot_write(self._failure)
@@ -124,46 +102,29 @@ class _BagFile:
 
     def duration_with(self, log_time_ns: int) -> int:
         """Return the file's duration, ns, if a message of this log time were in it too."""
-        start = min(self._start_ns, log_time_ns)
-        return max(self._end_ns, log_time_ns) - start
+        return max(self._end_ns, log_time_ns) - min(self._start_ns, log_time_ns)
 
     @property
     def size(self) -> int:
-        """The bytes written so far; the chunk being filled is not among them."""
+        """The bytes written so far, without the chunk in progress."""
         return self._stream.tell()
 
     def info(self) -> FileMetadata:
-        """Return what the bag's metadata says about this file."""
         duration = self._end_ns - self._start_ns if self.message_count else 0
         return FileMetadata(self.path.name, self._start_ns, duration, self.message_count)
 
     def flush(self) -> None:
-        """Hand all messages so far to the operating system: they survive a kill.
-
-        Raises:
-            BagWriteError: The file cannot be written.
-        """
+        """Hand all messages so far to the operating system: they survive a kill."""
         with self._writing():
             self._writer.flush()
 
     def sync(self) -> None:
-        """Force what has been flushed to the disk: it survives a power cut.
-
-        Raises:
-            BagWriteError: The disk failed.
-        """
+        """Force what has been flushed to the disk: it survives a power cut."""
         with self._errors():
             os.fdatasync(self._stream.fileno())
 
     def finish(self, metadata: BagMetadata) -> None:
-        """Write the index, once: the file is complete, and survives a kill as it is.
-
-        Args:
-            metadata: The bag's metadata with this file in its final state.
-
-        Raises:
-            BagWriteError: The file cannot be written.
-        """
+        """Write the index, once: the file is complete, and survives a kill as it is."""
         if self._finished:
             return
         with self._writing():
@@ -173,16 +134,12 @@ class _BagFile:
         self._finished = True
 
     def close(self) -> None:
-        """Force everything to the disk and release the file.
-
-        Raises:
-            BagWriteError: The disk failed; the descriptor is released all the same.
-        """
+        """Force everything to the disk; the descriptor is released even if that fails."""
         with self._errors(), self._stream:
             os.fsync(self._stream.fileno())
 
     def _add_metadata(self, metadata: BagMetadata) -> None:
-        # Inside the chunk in progress a metadata record is not allowed, so end that one first.
+        # In the order of writing: the library would write it before the chunk in progress.
         self._writer.flush()
         self._writer.add_metadata("rosbag2", {"serialized_metadata": metadata.to_yaml()})
 
@@ -218,11 +175,11 @@ class BagWriter:
     Args:
         path: The bag's folder, which must not exist; missing parents are created.
         compression: Of the chunks: `none`, `lz4` or `zstd`.
-        max_size: Begin another file when the current one has so many bytes; 0 never splits.
-        max_duration_ns: Begin another file rather than let one span more log time, ns; 0 never.
-        custom_data: What to remember in the bag's metadata.
+        max_size: The size at which another file is started, bytes; 0 for no limit.
+        max_duration_ns: The longest time of a file between log times, ns; 0 for no limit.
+        custom_data: Notes for the bag's metadata.
         on_split: Called before the first message of every file after the first, with the log time
-            of that message, ns; may write messages, which then begin the file.
+            of that message, ns; the messages that it writes come first in the file.
 
     Raises:
         BagWriteError: The folder exists or cannot be created, or the compression is unknown.
@@ -245,6 +202,7 @@ class BagWriter:
         self._compression = compression
         self._max_size = max_size
         self._max_duration_ns = max_duration_ns
+        self._is_limited = bool(max_size or max_duration_ns)
         self._custom_data = custom_data
         self._topics: dict[str, TopicInfo] = {}
         self._counts: dict[str, int] = {}
@@ -254,8 +212,8 @@ class BagWriter:
         self._unsynced: list[_BagFile] = []
         self._on_disk = (0, 0)
         self._closed = False
-        # A disk may take seconds to sync, and a split must not wait for it: `_disk` is held for as
-        # long as syncing takes, `_files` only while the files are told apart or replaced.
+        # A disk may take seconds to sync, and a split must not wait for it: `_disk` is held as long
+        # as syncing takes, `_files` only while the list of files is read or changed.
         self._disk = Lock()
         self._files = Lock()
         self._create_folder()
@@ -291,7 +249,7 @@ class BagWriter:
             name: The full topic name.
             type: The message type, `package/msg/Type`.
             qos_profiles: What its publishers offer.
-            definition: Its definition, where it is not the installed one.
+            definition: Its definition; the installed one by default.
 
         Raises:
             BagWriteError: The type is not installed, the topic has another type already, or the
@@ -307,7 +265,7 @@ class BagWriter:
         definition = definition or find_definition(type)
         qos = tuple(qos_profiles)
         topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
-        self._file.add_topic(topic, definition)
+        self._file.add_topic(topic)
         self._counts[name] = 0
         self._topics[name] = topic
 
@@ -324,8 +282,8 @@ class BagWriter:
             BagWriteError: The topic is not registered, a time cannot be stored, or the bag is
                 closed or cannot be written.
         """
-        self._check_open()
-        if topic not in self._topics:
+        if self._closed or topic not in self._topics:
+            self._check_open()
             raise BagWriteError(f"{self.path}: topic {topic} has not been added")
         if not (0 <= log_time_ns < _TIME_LIMIT_NS and 0 <= publish_time_ns < _TIME_LIMIT_NS):
             raise BagWriteError(
@@ -333,10 +291,10 @@ class BagWriter:
                 f"{log_time_ns} ns, publish {publish_time_ns} ns"
             )
         if self._file.message_count == 0:
-            self._begin_file(log_time_ns)
-        elif self._is_full(log_time_ns):
+            self._start_file(log_time_ns)
+        elif self._is_limited and self._is_full(log_time_ns):
             self.split()
-            self._begin_file(log_time_ns)
+            self._start_file(log_time_ns)
         self._file.write(topic, data, log_time_ns, publish_time_ns)
         self._counts[topic] += 1
 
@@ -350,7 +308,7 @@ class BagWriter:
         self._file.flush()
 
     def split(self) -> None:
-        """Begin another file, unless nothing is in the current one; a kill cannot harm that one.
+        """Start another file, unless the current one is empty; a kill cannot harm that one.
 
         The metadata.yaml in the folder names it after the next `sync` or `close`.
 
@@ -363,24 +321,23 @@ class BagWriter:
         finished = self._file
         finished.finish(self.metadata())
         try:
-            begun = self._open_file((*self._finished_files, finished.info()))
+            started = self._open_file((*self._finished_files, finished.info()))
         except BagWriteError:
             self.close()
             raise
         with self._files:
             self._unsynced.append(finished)
             self._finished_files.append(finished.info())
-            self._file = begun
+            self._file = started
         # Every file must make sense on its own.
         for topic in self._topics.values():
-            assert topic.definition is not None
-            self._file.add_topic(topic, topic.definition)
+            self._file.add_topic(topic)
 
     def sync(self) -> None:
         """Force what has been flushed to the disk, so that it survives a power cut.
 
-        May run in another thread than the rest, as it can take as long as the disk likes; does
-        nothing once the bag is closed.
+        May run in another thread than the rest, as a disk can be slow; does nothing once the bag is
+        closed.
 
         Raises:
             BagWriteError: The disk failed.
@@ -394,8 +351,8 @@ class BagWriter:
             for file in finished:
                 file.close()
             current.sync()
-            # Not every time: the counts are the files' to tell, but after a power cut the folder
-            # should name its topics and its files.
+            # Not every time: the counts are in the files, but after a power cut the folder should
+            # name its topics and files.
             if self._on_disk != (len(metadata.topics), len(metadata.files)):
                 self._write_metadata(metadata)
 
@@ -447,22 +404,21 @@ class BagWriter:
 
     def _open_file(self, finished: tuple[FileMetadata, ...] = ()) -> _BagFile:
         path = self.path / f"{self.path.name}_{len(finished)}.mcap"
-        beginning = BagMetadata(
+        metadata = BagMetadata(
             topics=self.topics,
             files=(*finished, FileMetadata(path.name)),
             custom_data=self._custom_data,
         )
-        return _BagFile(path, self._compression, beginning)
+        return _BagFile(path, self._compression, metadata)
 
     def _is_full(self, log_time_ns: int) -> bool:
-        if self._max_size and self._file.size >= self._max_size:
-            return True
-        return bool(
-            self._max_duration_ns and self._file.duration_with(log_time_ns) > self._max_duration_ns
+        size, duration = self._max_size, self._max_duration_ns
+        return (0 < size <= self._file.size) or (
+            0 < duration < self._file.duration_with(log_time_ns)
         )
 
-    def _begin_file(self, log_time_ns: int) -> None:
-        # What the callback writes comes by here again.
+    def _start_file(self, log_time_ns: int) -> None:
+        # The messages that the callback writes come here again.
         if self._on_split is None or not self._finished_files or self._splitting:
             return
         self._splitting = True
