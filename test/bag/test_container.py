@@ -7,25 +7,33 @@ from contextlib import nullcontext
 from dataclasses import replace
 from io import BytesIO
 from itertools import accumulate
+from pathlib import Path
 
 import lz4.frame
 import pytest
 import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.records import Chunk, Message
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Chunk, ChunkIndex, DataEnd, Footer, Header, McapRecord, Message, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from tsobs_ros.bag.container import (
+    MAGIC,
     MAX_SIZE,
     MESSAGE,
     MESSAGE_OPCODE,
     RECORD,
     RecordError,
+    Span,
     chunk_records,
+    read_span,
+    read_summary,
     split_messages,
 )
+from tsobs_ros.errors import BagReadError
 
 COMPRESSIONS = {"": bytes, "lz4": lz4.frame.compress, "zstd": zstandard.compress}
 TIMES = st.integers(0, 2**64 - 1)
@@ -117,3 +125,84 @@ def test_a_chunk_is_what_it_states(compression: str) -> None:
     ):
         with pytest.raises(RecordError, match=reason):
             chunk_records(replace(chunk, **change))
+
+
+HEADER = Header(profile="ros2", library="")
+STATISTICS = Statistics(0, 0, {}, 0, 0, 0, 0, 0, 0)
+BARE = replace(STATISTICS, message_count=1)
+CHUNK = ChunkIndex(
+    chunk_length=50,
+    chunk_start_offset=8,
+    compression="",
+    compressed_size=0,
+    message_end_time=2,
+    message_index_length=0,
+    message_index_offsets={},
+    message_start_time=1,
+    uncompressed_size=0,
+)
+
+
+def bytes_of(*parts: McapRecord | bytes) -> bytes:
+    builder = RecordBuilder()
+    for part in parts:
+        builder.write(part) if isinstance(part, bytes) else part.write(builder)
+    return bytes(builder.end())
+
+
+@pytest.mark.parametrize(
+    ("data", "summary", "reason"),
+    [
+        ([HEADER], [STATISTICS], None),
+        ([DataEnd(0)], [STATISTICS], "it does not start with a header"),
+        ([HEADER], [], "has no index"),
+        ([HEADER], [b"\x0b\xff"], "the file is damaged"),
+        ([HEADER], [replace(STATISTICS, chunk_count=1)], "1 chunks, but 0 in the index"),
+        ([HEADER], [replace(STATISTICS, channel_count=1)], "1 channels, but 0 in the index"),
+        (
+            [HEADER],
+            [replace(STATISTICS, chunk_count=1), replace(CHUNK, chunk_length=2**63)],
+            "the index states a chunk up to byte",
+        ),
+        ([HEADER, b"\x05" + bytes(8)], [BARE], "has only 0 bytes"),
+        ([HEADER, b"\x05" + b"\xff" * 8], [BARE], "ends at byte"),
+        ([HEADER], [BARE, b"\x0d" + bytes(3)], "the file is damaged"),
+    ],
+)
+def test_a_hostile_summary_is_refused(tmp_path: Path, data, summary, reason: str | None) -> None:
+    front = MAGIC + bytes_of(*data)
+    footer = Footer(summary_start=len(front), summary_offset_start=0, summary_crc=0)
+    path = tmp_path / "x.mcap"
+    path.write_bytes(front + bytes_of(*summary, footer) + MAGIC)
+    if reason is None:
+        assert read_summary(path).profile == "ros2"
+        return
+    with pytest.raises(BagReadError, match=rf"x\.mcap: .*{reason}"):
+        read_summary(path)
+
+
+def test_a_summary_of_gigabytes_is_refused_unread(tmp_path: Path) -> None:
+    front = MAGIC + bytes_of(HEADER)
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        stream.write(front)
+        stream.seek(4 * MAX_SIZE)  # a hole
+        stream.write(bytes_of(Footer(len(front), 0, 0)) + MAGIC)
+    with pytest.raises(BagReadError, match="too many to read"):
+        read_summary(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (RECORD.pack(Opcode.MESSAGE, 41) + bytes(41), "a chunk at byte 0, but there is none"),
+        (RECORD.pack(Opcode.CHUNK, 41) + b"\xff" * 41, "at byte 0: "),
+        (RECORD.pack(Opcode.CHUNK, 41) + bytes(10), "at byte 0: a record is cut off"),
+    ],
+)
+def test_what_is_no_chunk_is_refused(content: bytes, reason: str) -> None:
+    span = Span(0, 0, 0, 0, 50, True, None, {})
+    with pytest.raises(RecordError, match=reason):
+        read_span(BytesIO(content), span)
+    with pytest.raises(RecordError, match="too many to read"):
+        read_span(BytesIO(content), span._replace(size=MAX_SIZE + 1))

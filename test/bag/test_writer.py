@@ -109,11 +109,6 @@ def test_the_folder_says_what_the_file_holds(written: list[Entry]) -> None:
         }
 
 
-def test_the_folder_holds_one_file_and_its_metadata(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "deep" / "run.1", [])
-    assert sorted(item.name for item in path.iterdir()) == ["metadata.yaml", "run.1_0.mcap"]
-
-
 def test_the_file_is_laid_out_as_rosbag2_does(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", [Entry("/a", b"x", 5, 3), Entry("/a", b"y", 4, 2)])
     with (path / "bag_0.mcap").open("rb") as stream:
@@ -167,11 +162,18 @@ def test_the_file_carries_the_metadata_of_its_beginning_and_its_end(tmp_path: Pa
 
 
 def test_a_bag_is_described_from_the_moment_it_is_opened(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    metadata = read_metadata(tmp_path / "bag")
-    assert [file.path for file in metadata.files] == ["bag_0.mcap"]
-    assert (tmp_path / "bag" / "bag_0.mcap").stat().st_size > 0
+    writer = BagWriter(tmp_path / "deep" / "run.1", custom_data={"design": "elastic joint"})
+    metadata = read_metadata(writer.path)
+    assert [file.path for file in metadata.files] == ["run.1_0.mcap"]
+    assert metadata.custom_data == {"design": "elastic joint"}
+    assert sorted(item.name for item in writer.path.iterdir()) == ["metadata.yaml", "run.1_0.mcap"]
+    assert (writer.path / "run.1_0.mcap").stat().st_size > 0
+    writer.add_topic("/a", STRING)
+    assert read_metadata(writer.path).topics == ()
+    writer.sync()
+    assert [topic.name for topic in read_metadata(writer.path).topics] == ["/a"]
     writer.close()
+    assert list(BagReader(writer.path).messages()) == []
 
 
 def test_the_folder_and_the_file_agree_on_qos(tmp_path: Path) -> None:
@@ -185,11 +187,6 @@ def test_the_folder_and_the_file_agree_on_qos(tmp_path: Path) -> None:
     assert read_metadata(tmp_path / "bag").topics[0].qos_profiles == tuple(offers)
 
 
-def test_custom_data_is_kept(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "bag", [], custom_data={"design": "elastic joint"})
-    assert read_metadata(path).custom_data == {"design": "elastic joint"}
-
-
 def test_what_is_flushed_can_be_read_from_the_unfinished_file(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "bag")
     writer.add_topic("/a", STRING)
@@ -199,15 +196,6 @@ def test_what_is_flushed_can_be_read_from_the_unfinished_file(tmp_path: Path) ->
     writer.write("/a", b"three", 3, 3)
     stored = [r for r in records(tmp_path / "bag" / "bag_0.mcap") if isinstance(r, Message)]
     assert [message.data for message in stored] == [b"one", b"two"]
-    writer.close()
-
-
-def test_a_sync_puts_the_topics_into_the_folders_description(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    writer.add_topic("/a", STRING)
-    assert read_metadata(tmp_path / "bag").topics == ()
-    writer.sync()
-    assert [topic.name for topic in read_metadata(tmp_path / "bag").topics] == ["/a"]
     writer.close()
 
 
@@ -276,24 +264,19 @@ def test_a_file_that_cannot_be_begun_leaves_the_bag_closed_and_whole(tmp_path: P
     assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"one"]
 
 
-def test_an_existing_folder_is_never_touched(tmp_path: Path) -> None:
+def test_what_cannot_be_a_new_bag_is_refused_and_nothing_is_touched(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", [Entry("/a", b"x", 1, 1)])
-    before = {item.name: item.read_bytes() for item in path.iterdir()}
-    with pytest.raises(BagWriteError, match="bag: exists already, bags are not overwritten"):
-        BagWriter(path)
-    assert {item.name: item.read_bytes() for item in path.iterdir()} == before
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(BagWriteError, match="file/bag: cannot create it"):
-        BagWriter(tmp_path / "file" / "bag")
-
-
-def test_an_unknown_compression_is_refused_before_anything_is_made(tmp_path: Path) -> None:
-    with pytest.raises(BagWriteError, match="no compression 'zip', there is none, lz4, zstd"):
-        BagWriter(tmp_path / "bag", compression="zip")
-    assert list(tmp_path.iterdir()) == []
+    before = {item: item.read_bytes() for item in (*path.iterdir(), tmp_path / "file")}
+    for folder, compression, reason in (
+        ("bag", "zstd", "bag: exists already, bags are not overwritten"),
+        ("file/bag", "zstd", "file/bag: cannot create it"),
+        ("other", "zip", "no compression 'zip', there is none, lz4, zstd"),
+    ):
+        with pytest.raises(BagWriteError, match=reason):
+            BagWriter(tmp_path / folder, compression=compression)
+    assert {item: item.read_bytes() for item in before} == before
+    assert sorted(tmp_path.iterdir()) == [path, tmp_path / "file"]
 
 
 @pytest.fixture
@@ -301,11 +284,6 @@ def writer(tmp_path: Path) -> Iterator[BagWriter]:
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic("/a", STRING)
         yield writer
-
-
-def test_an_unregistered_topic_is_refused(writer: BagWriter) -> None:
-    with pytest.raises(BagWriteError, match="bag: topic /b has not been added"):
-        writer.write("/b", b"", 1, 1)
 
 
 @pytest.mark.parametrize("times", [(-1, 0), (0, -1), (2**63 - 1, 0), (0, 2**64)])
@@ -319,12 +297,11 @@ def test_a_time_that_cannot_be_stored_is_refused(
     assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"good"]
 
 
-def test_a_topic_keeps_its_type(writer: BagWriter) -> None:
+def test_a_topic_is_registered_once_with_a_type_that_there_is(writer: BagWriter) -> None:
+    with pytest.raises(BagWriteError, match="bag: topic /b has not been added"):
+        writer.write("/b", b"", 1, 1)
     with pytest.raises(BagWriteError, match="/a is std_msgs/msg/String already"):
         writer.add_topic("/a", "std_msgs/msg/Empty")
-
-
-def test_an_unknown_type_adds_no_topic(writer: BagWriter) -> None:
     with pytest.raises(BagWriteError, match="no_msgs/msg/None is not installed"):
         writer.add_topic("/b", "no_msgs/msg/None")
     assert [topic.name for topic in writer.topics] == ["/a"]
@@ -345,16 +322,15 @@ def test_a_closed_bag_stays_as_it_is(writer: BagWriter, tmp_path: Path) -> None:
     assert (tmp_path / "bag" / "bag_0.mcap").read_bytes() == content
 
 
-def write_and_fail(path: Path) -> None:
-    with BagWriter(path) as writer:
-        writer.add_topic("/a", STRING)
-        writer.write("/a", b"x", 1, 1)
-        raise RuntimeError("elsewhere")
-
-
 def test_an_error_in_the_block_keeps_what_was_written(tmp_path: Path) -> None:
+    def write_and_fail() -> None:
+        with BagWriter(tmp_path / "bag") as writer:
+            writer.add_topic("/a", STRING)
+            writer.write("/a", b"x", 1, 1)
+            raise RuntimeError("elsewhere")
+
     with pytest.raises(RuntimeError, match="elsewhere"):
-        write_and_fail(tmp_path / "bag")
+        write_and_fail()
     assert BagReader(tmp_path / "bag").message_count == 1
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, NamedTuple, TypeAlias
 
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
+from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, McapRecord, Schema, Statistics
 from mcap.stream_reader import StreamReader
@@ -190,8 +190,8 @@ def read_summary(path: Path, rank: int = 0) -> Summary:
         with path.open("rb") as stream:
             return _read_summary(path, rank, stream)
     except (RecordError, McapError, struct.error, UnicodeDecodeError) as error:
-        reason = str(error) or "a record is cut off"
-        raise BagReadError(f"{path}: the file is damaged: {reason}; {RECOVER_HINT}") from error
+        reason = f"the file is damaged: {_reason(error)}; {RECOVER_HINT}"
+        raise BagReadError(f"{path}: {reason}") from error
     except OSError as error:
         if isinstance(error, BagReadError):
             raise
@@ -246,6 +246,8 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
         raise BagReadError(f"{path}: the file has no index; {RECOVER_HINT}")
     if statistics.chunk_count != len(chunks):
         raise RecordError(f"{statistics.chunk_count} chunks, but {len(chunks)} in the index")
+    if statistics.channel_count > len(channels):
+        raise RecordError(f"{statistics.channel_count} channels, but {len(channels)} in the index")
     if chunks or not statistics.message_count:
         spans = tuple(_chunk_span(chunk, rank, size) for chunk in chunks)
     else:
@@ -322,8 +324,10 @@ def read_span(stream: IO[bytes], span: Span) -> bytes:
     if not head or not data.startswith(head):
         raise RecordError(f"the index states a chunk at byte {span.offset}, but there is none")
     try:
-        chunk = Chunk.read(ReadDataStream(BytesIO(data[RECORD.size :])))
-        return chunk_records(chunk)
+        return chunk_records(Chunk.read(ReadDataStream(BytesIO(data[RECORD.size :]))))
     except (RecordError, McapError, struct.error, UnicodeDecodeError) as error:
-        reason = str(error) or "the chunk is cut off"
-        raise RecordError(f"at byte {span.offset}: {reason}") from error
+        raise RecordError(f"at byte {span.offset}: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    return "a record is cut off" if isinstance(error, struct.error | EndOfFile) else str(error)
