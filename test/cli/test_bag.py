@@ -99,7 +99,7 @@ def test_verify_gives_all_reasons(killed: Path, capsys: Captured) -> None:
     assert main(["bag", "verify", str(killed)]) == 1
     out = capsys.readouterr().out
     assert "error: metadata.yaml: there is none\n" in out
-    assert "error: run_0.mcap: has no end" in out
+    assert "error: run_0.mcap: the file has no end" in out
     assert out.endswith("NOT sound, 2 errors, 0 messages in 1 file\n")
     assert main(["bag", "verify", str(killed), "--json"]) == 1
     assert [e["place"] for e in json.loads(capsys.readouterr().out)["errors"]] == [

@@ -16,12 +16,9 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import MAX_SIZE, RECORD, Summary
-from tsobs_ros.bag.folder import find_files
-from tsobs_ros.bag.metadata import BagMetadata, QosProfile
+from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.bag.recovery.destinations import KnownTopics
-from tsobs_ros.bag.recovery.harvest import harvest
-from tsobs_ros.bag.recovery.survey import survey
+from tsobs_ros.bag.recovery import DamagedBag
 from tsobs_ros.errors import BagReadError
 
 _INDEX_HEAD_SIZE = 6
@@ -200,21 +197,12 @@ def summarise(bag: str | Path) -> BagSummary:
 
 def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
     """Read all of a bag whose end or description is missing."""
-    found = find_files(path)
-    try:
-        surveys = [survey(file) for file in found.paths if file.is_file()]
-    except OSError:
-        raise error from None
-    if any(told.profile not in (None, "ros2") for told in surveys):
+    damaged = DamagedBag(path)
+    if set(damaged.profiles.values()) - {"ros2"} or not damaged.topics:
         raise error
-    known = KnownTopics(surveys, found.metadata)
-    files = [harvest(told, known.destinations(told), lambda _: None) for told in surveys]
-    if not known.topics:
-        raise error
+    files = damaged.read(lambda *_: None)
     counts = sum((file.kept for file in files), Counter[str]())
-    metadata: BagMetadata | None = found.metadata or next(
-        (told.metadata for told in surveys if told.metadata), None
-    )
+    metadata = damaged.metadata
     return BagSummary(
         path=path,
         problem=str(error),
@@ -229,7 +217,7 @@ def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
                 topic.definition.type_hash,
                 None,
             )
-            for topic in known.topics.values()
+            for topic in damaged.topics.values()
         ),
         start_ns=min((f.start_ns for f in files if f.start_ns is not None), default=None),
         end_ns=max((f.end_ns for f in files if f.end_ns is not None), default=None),

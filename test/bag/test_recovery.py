@@ -1,0 +1,638 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Recovery loses only what is damaged and makes nothing up, whatever happens to a bag."""
+
+import os
+import random
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import NamedTuple
+
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag2 import Reader as RosbagsReader
+
+from tsobs_ros.bag import BagReader, BagWriter, QosProfile
+from tsobs_ros.bag.container import MAGIC, RECORD, split_messages
+from tsobs_ros.bag.damaged_file import Content, DamagedFile
+from tsobs_ros.bag.metadata import read_metadata
+from tsobs_ros.bag.recovery import Recovery, recover
+from tsobs_ros.bag.summary import summarise
+from tsobs_ros.bag.verification import verify
+from tsobs_ros.errors import BagReadError, BagWriteError
+
+STRING = "std_msgs/msg/String"
+COMPRESSIONS = ["none", "lz4", "zstd"]
+CHUNKS, PER_CHUNK = 3, 5
+
+
+class Entry(NamedTuple):
+    topic: str
+    data: bytes
+    log_time: int
+    publish_time: int
+
+
+class Sample(NamedTuple):
+    """A finished file, what it holds, and where its chunks are."""
+
+    data: bytes
+    entries: list[Entry]
+    chunks: list[tuple[int, int]]
+
+
+def cdr(text: str) -> bytes:
+    return b"\0\1\0\0" + (len(text) + 1).to_bytes(4, "little") + text.encode() + b"\0"
+
+
+def entry(number: int) -> Entry:
+    # Text that hardly compresses, of several lengths, and log times out of order.
+    text = random.Random(number).randbytes(8 + number % 5).hex()
+    return Entry("/ab"[: 1 + number % 2] + "a", cdr(text), 10**18 + (number ^ 1), number)
+
+
+def write_bag(path: Path, **options: object) -> list[Entry]:
+    entries = [entry(number) for number in range(CHUNKS * PER_CHUNK)]
+    with BagWriter(path, custom_data={"why": "a test"}, **options) as writer:
+        for topic in sorted({e.topic for e in entries}):
+            writer.add_topic(topic, STRING, [QosProfile(durability="transient_local")])
+        for number, each in enumerate(entries):
+            if number % PER_CHUNK == 0:
+                writer.flush()
+            writer.write(*each)
+    return entries
+
+
+@cache
+def sample(compression: str) -> Sample:
+    with TemporaryDirectory() as folder:
+        entries = write_bag(Path(folder) / "bag", compression=compression)
+        data = (Path(folder) / "bag" / "bag_0.mcap").read_bytes()
+    return Sample(data, entries, places(data, Opcode.CHUNK))
+
+
+def places(data: bytes, opcode: Opcode) -> list[tuple[int, int]]:
+    """Return where the records of a kind start and end."""
+    found, at = [], len(MAGIC)
+    while at < len(data) - len(MAGIC):
+        kind, length = RECORD.unpack_from(data, at)
+        if kind == opcode:
+            found.append((at, at + RECORD.size + length))
+        at += RECORD.size + length
+    return found
+
+
+def scanned(data: bytes) -> list[tuple[bytes, int, int]]:
+    """Return data and times of the messages found, without writing a bag."""
+    with TemporaryFile() as stream:
+        stream.write(data)
+        stream.flush()
+        pieces = DamagedFile(stream, len(data)).pieces(lambda _: None)
+        return [
+            (message, log_time, publish_time)
+            for piece in pieces
+            if isinstance(piece, Content)
+            for _, log_time, publish_time, _, message in split_messages(piece.records)
+        ]
+
+
+def recovered(folder: Path, data: bytes, **options: bool) -> tuple[Recovery, list[Entry]]:
+    """Recover a file and return what its new bag holds, in order of recording."""
+    path = folder / "broken.mcap"
+    path.write_bytes(data)
+    result = recover(path, folder / "new", **options)
+    return result, in_recorded_order(folder / "new")
+
+
+def in_recorded_order(bag: Path) -> list[Entry]:
+    messages = [
+        Entry(m.topic, m.data, m.log_time, m.publish_time) for m in BagReader(bag).messages()
+    ]
+    return sorted(messages, key=lambda e: e.publish_time)
+
+
+def snapshot(folder: Path) -> dict[str, tuple[bytes, int]]:
+    return {p.name: (p.read_bytes(), p.stat().st_mtime_ns) for p in sorted(folder.iterdir())}
+
+
+@pytest.mark.parametrize("tail", [b"", bytes(100)], ids=["cut", "zeros"])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_cut_at_any_byte_loses_only_what_comes_after(compression: str, tail: bytes) -> None:
+    data, entries, chunks = sample(compression)
+    expected = [e[1:] for e in entries]
+    for cut in range(len(data) + 1):
+        found = scanned(data[:cut] + tail)
+        assert len(found) >= PER_CHUNK * sum(end <= cut for _, end in chunks), f"cut at {cut}"
+        assert found == expected[: len(found)], f"cut at byte {cut}"
+
+
+def overwrite(data: bytes, start: int, end: int) -> bytes:
+    return data[:start] + random.Random(1).randbytes(end - start) + data[end:]
+
+
+def zero(data: bytes, start: int, end: int) -> bytes:
+    return data[:start] + bytes(end - start) + data[end:]
+
+
+def remove(data: bytes, start: int, end: int) -> bytes:
+    return data[:start] + data[end:]
+
+
+def insert(data: bytes, start: int, end: int) -> bytes:
+    return data[:start] + random.Random(1).randbytes(end - start) + data[start:]
+
+
+def flip(data: bytes, start: int, _: int) -> bytes:
+    return data[:start] + bytes([data[start] ^ 1 << start % 8]) + data[start + 1 :]
+
+
+DAMAGES = [overwrite, zero, remove, insert, flip]
+
+
+@settings(max_examples=400)
+@given(
+    st.sampled_from(COMPRESSIONS),
+    st.lists(
+        st.tuples(st.sampled_from(DAMAGES), st.floats(0, 0.999), st.integers(1, 300)),
+        min_size=1,
+        max_size=3,
+    ),
+    st.none() | st.floats(0, 1),
+)
+def test_only_damaged_chunks_are_lost_and_nothing_is_made_up(
+    compression: str,
+    damages: list[tuple[Callable[[bytes, int, int], bytes], float, int]],
+    cut_at: float | None,
+) -> None:
+    data, entries, chunks = sample(compression)
+    damaged = data
+    if cut_at is not None:
+        # What is cut off has no checksum any more: the damage is in the chunks before.
+        damaged = data[: max(100, round(cut_at * len(data)))]
+    end = max([100, *(end for _, end in chunks if end <= len(damaged))])
+    end = len(data) if cut_at is None else end
+    for damage, place, size in damages:
+        start = round(place * (end - 1))
+        damaged = damage(damaged, start, min(start + size, end))
+        end = min(end, len(damaged))
+    found = scanned(damaged)
+    in_order = iter([e[1:] for e in entries])
+    assert all(message in in_order for message in found)
+    for number, (first, last) in enumerate(chunks):
+        if data[first:last] in damaged:
+            held = entries[number * PER_CHUNK : (number + 1) * PER_CHUNK]
+            assert [e[1:] for e in held if e[1:] in found] == [e[1:] for e in held]
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize("damage", DAMAGES)
+@pytest.mark.parametrize("begin", [0, 10, 41, 60, 100, -30, -12])
+def test_damage_within_a_chunk_costs_that_chunk(
+    compression: str, damage: Callable[[bytes, int, int], bytes], begin: int
+) -> None:
+    data, entries, chunks = sample(compression)
+    start = chunks[1][begin < 0] + begin
+    expected = [e[1:] for e in entries]
+    found = scanned(damage(data, start, start + 20 if begin >= 0 else chunks[1][1]))
+    # Bytes between two chunks cost none, and neither do the times in the head of a chunk.
+    costs_none = (insert, 0), (flip, 10)
+    without = expected[:PER_CHUNK] + expected[2 * PER_CHUNK :]
+    assert found == (expected if (damage, begin) in costs_none else without)
+
+
+@pytest.mark.parametrize("size", [1, 4, 30, 60, 100, 150, 200])
+def test_bytes_missing_in_the_last_chunk_of_a_finished_file_make_nothing_up(
+    tmp_path: Path, size: int
+) -> None:
+    """Such a chunk reaches beyond what follows it, but the end of the file did not cut it off."""
+    data, entries, chunks = sample("none")
+    start, end = chunks[-1]
+    # Without metadata behind it the chunk reaches beyond the end of the file.
+    for tail in (data[end:], data[places(data, Opcode.FOOTER)[0][0] :]):
+        for place in range(start + 60, end - size, 13):
+            damaged = data[:place] + data[place + size : end] + tail
+            found = scanned(damaged)
+            assert found == [e[1:] for e in entries[: len(found)]], f"{size} bytes at {place}"
+            assert len(found) == PER_CHUNK * (CHUNKS - 1)
+    place = start + 110
+    result, found = recovered(tmp_path, remove(data, place, place + size), keep_unchecked=True)
+    assert result.unchecked == len(found) - PER_CHUNK * (CHUNKS - 1)
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_damaged_index_costs_no_message(compression: str) -> None:
+    data, entries, _ = sample(compression)
+    for start, end in places(data, Opcode.MESSAGE_INDEX):
+        for place in range(start, end, 5):
+            for damage in DAMAGES:
+                found = scanned(damage(data, place, min(place + 20, end)))
+                assert found == [e[1:] for e in entries], f"{damage} at byte {place}"
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_cut_bag_becomes_a_whole_one(tmp_path: Path, compression: str) -> None:
+    data, entries, chunks = sample(compression)
+    first = chunks[0][1]
+    for number, cut in enumerate((first, *range(first + 50, len(data), 900), len(data))):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        result, found = recovered(folder, data[:cut])
+        assert found == entries[: len(found)]
+        assert result.message_count == len(found) >= PER_CHUNK * sum(e <= cut for _, e in chunks)
+        verification = verify(folder / "new")
+        assert (verification.errors, verification.remarks) == ((), ())
+        topics = BagReader(folder / "new").topics.values()
+        assert {topic.qos_profiles for topic in topics} == {
+            (QosProfile(durability="transient_local"),)
+        }
+        by_log_time = sorted(found, key=lambda e: e.log_time)
+        with RosbagsReader(folder / "new") as reader:
+            assert [(c.topic, d, t) for c, t, d in reader.messages()] == [
+                tuple(e[:3]) for e in by_log_time
+            ]
+        with (folder / "new" / "new_0.mcap").open("rb") as stream:
+            assert [
+                Entry(channel.topic, message.data, message.log_time, message.publish_time)
+                for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages()
+            ] == by_log_time
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_the_front_of_a_large_chunk_is_kept_and_unchecked(tmp_path: Path, compression: str) -> None:
+    with BagWriter(tmp_path / "bag", compression=compression) as writer:
+        writer.add_topic("/a", STRING)
+        for number in range(7):
+            writer.write("/a", random.Random(number).randbytes(100_000), number, number)
+    data = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
+    for tail in (b"", bytes(5000)):
+        folder = tmp_path / str(len(tail))
+        folder.mkdir()
+        result, found = recovered(folder, data[:500_000] + tail)
+        assert [e.data for e in found] == [
+            random.Random(i).randbytes(100_000) for i in range(len(found))
+        ]
+        assert len(found) == result.unchecked >= 3
+        assert f"unchecked {result.unchecked}: no checksum covers" in result.text()
+
+
+def test_what_a_damaged_chunk_held_is_told_by_its_index(tmp_path: Path) -> None:
+    data, entries, chunks = sample("none")
+    start = chunks[1][1] - 12
+    damaged = zero(data, start, start + 4)
+    result, found = recovered(tmp_path, damaged)
+    (part,) = result.files[0].damage
+    assert (part.offset, part.size) == (chunks[1][0], chunks[1][1] - chunks[1][0])
+    assert (part.messages, len(found)) == (PER_CHUNK, len(entries) - PER_CHUNK)
+    assert sum(result.files[0].missing.values()) == PER_CHUNK
+    assert re.search(rf"bytes {part.offset} to .* {PER_CHUNK} messages: .*checksum", result.text())
+    assert "NOT EVERYTHING" in result.text()
+    mapping = result.as_mapping()
+    assert (mapping["messages"], mapping["whole"]) == (len(found), False)
+    assert mapping["files"][0]["damage"] == [vars(part)]
+    shutil.rmtree(tmp_path / "new")
+    result, found = recovered(tmp_path, damaged, keep_unchecked=True)
+    assert (len(found), result.unchecked) == (len(entries), PER_CHUNK)
+    assert sum(a != b for a, b in zip(found, entries, strict=True)) == 1
+
+
+def unprotected(path: Path, **options: object) -> bytes:
+    """Return a file of twenty messages without checksums."""
+    with path.open("wb") as stream:
+        writer = Writer(stream, 300, CompressionType.NONE, enable_crcs=False, **options)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for number in range(20):
+            writer.add_message(channel, 5 + number, cdr("x" * 9), number)
+        writer.finish()
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("use_chunking", [True, False])
+def test_messages_without_a_checksum_are_unchecked(tmp_path: Path, use_chunking: bool) -> None:
+    data = unprotected(tmp_path / "x.mcap", use_chunking=use_chunking)
+    result, found = recovered(tmp_path, data.replace(b"xxx", b"xyx", 1))
+    assert len(found) == result.unchecked == result.as_mapping()["files"][0]["unchecked"] == 20
+    assert not result.is_whole
+    assert "nothing known to be lost" not in result.text()
+    assert result.text().endswith("20 UNCHECKED, damage in them is not noticed")
+
+
+def test_a_chunk_without_checksum_that_holds_no_records_is_dropped(tmp_path: Path) -> None:
+    data = unprotected(tmp_path / "x.mcap")
+    _, end = places(data, Opcode.CHUNK)[1]
+    result, found = recovered(tmp_path, zero(data, end - 60, end - 30))
+    assert "holds bytes that are no record" in str(result.files[0].damage[0])
+    assert len(found) == 20 - (result.files[0].damage[0].messages or 0) < 20
+
+
+def test_messages_outside_of_chunks_are_recovered_up_to_any_cut(tmp_path: Path) -> None:
+    data = unprotected(tmp_path / "x.mcap", use_chunking=False)
+    ends = [end for _, end in places(data, Opcode.MESSAGE)]
+    for cut in range(len(data)):
+        for tail in (b"", bytes(50)):
+            found = [m[2] for m in scanned(data[:cut] + tail)]
+            assert found == list(range(len(found)))
+            # Whether the zeros at the end of the last message are its own is unknown.
+            assert len(found) >= sum(end <= cut for end in ends) - 1
+    start = places(data, Opcode.MESSAGE)[0][0]
+    found = [m[2] for m in scanned(overwrite(data, start + 400, start + 403))]
+    assert found == sorted(set(found))
+    assert 18 <= len(found) <= 20
+
+
+@pytest.mark.parametrize("damage", [overwrite, zero, remove])
+def test_topics_of_a_lost_chunk_are_found_in_the_folders_metadata(
+    tmp_path: Path, damage: Callable[[bytes, int, int], bytes]
+) -> None:
+    """The first chunk alone describes the topics, and without an end nothing repeats them."""
+    entries = write_bag(tmp_path / "bag", compression="none")
+    path = tmp_path / "bag" / "bag_0.mcap"
+    data, chunks = path.read_bytes(), sample("none").chunks
+    (start, middle), (_, last) = chunks[0], chunks[-1]
+    path.write_bytes(damage(data[:last], start, middle))
+    recover(tmp_path / "bag", tmp_path / "new")
+    assert in_recorded_order(tmp_path / "new") == entries[PER_CHUNK:]
+    assert verify(tmp_path / "new").holds
+
+
+@pytest.mark.parametrize("change", ["no metadata", "other hash", "other writer"])
+def test_without_a_known_topic_nothing_is_recovered(tmp_path: Path, change: str) -> None:
+    write_bag(tmp_path / "bag", compression="none")
+    path = tmp_path / "bag" / "bag_0.mcap"
+    chunks = sample("none").chunks
+    data = zero(path.read_bytes()[: chunks[-1][1]], *chunks[0])
+    description = tmp_path / "bag" / "metadata.yaml"
+    if change == "no metadata":
+        description.unlink()
+    elif change == "other hash":
+        description.write_text(re.sub("RIHS01_....", "RIHS01_0000", description.read_text()))
+    else:
+        data = data.replace(b"tsobs_ros ", b"otherbags ", 1)
+    path.write_bytes(data)
+    with pytest.raises(BagReadError, match=r"no message can be recovered: .*bytes"):
+        recover(tmp_path / "bag", tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def make_split(path: Path) -> list[Entry]:
+    entries = write_bag(path, max_duration_ns=PER_CHUNK - 1)
+    assert len(list(path.glob("*.mcap"))) > 2
+    return entries
+
+
+def cut_last_file(bag: Path) -> None:
+    last = max(bag.glob("*.mcap"))
+    last.write_bytes(last.read_bytes()[:-200])
+
+
+def cut_metadata(bag: Path) -> None:
+    path = bag / "metadata.yaml"
+    path.write_bytes(path.read_bytes()[:-150])
+
+
+def forget_last_file(bag: Path) -> None:
+    """Leave the bag as a recorder that was killed between a split and the next sync does."""
+    cut_last_file(bag)
+    path, last = bag / "metadata.yaml", max(bag.glob("*.mcap")).name
+    text = path.read_text().replace(f"  - {last}\n", "")
+    path.write_text(re.sub(rf"  - path: {last}\n(    .*\n)+", "", text))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda bag: None,
+        cut_last_file,
+        cut_metadata,
+        forget_last_file,
+        lambda bag: (bag / "metadata.yaml").unlink(),
+        lambda bag: (bag / "metadata.yaml").write_bytes(b"\xff" * 100),
+    ],
+)
+def test_a_folder_is_recovered_file_by_file_and_not_touched(
+    tmp_path: Path, damage: Callable[[Path], object]
+) -> None:
+    bag, new = tmp_path / "bag", tmp_path / "new"
+    entries = make_split(bag)
+    damage(bag)
+    for path in bag.iterdir():
+        path.chmod(0o444)
+    bag.chmod(0o555)
+    before = snapshot(bag)
+    read: list[int] = []
+    result = recover(bag, new, progress=read.append)
+    assert snapshot(bag) == before
+    assert sum(read) == 2 * sum(path.stat().st_size for path in bag.glob("*.mcap"))
+    assert result.is_whole == ("nothing known to be lost" in result.text())
+    assert in_recorded_order(new) == entries
+    verification = verify(new)
+    assert (verification.errors, verification.remarks) == ((), ())
+    assert [BagReader(p).message_count for p in sorted(new.glob("*.mcap"))] == [
+        len(scanned(p.read_bytes())) for p in sorted(bag.glob("*.mcap"))
+    ]
+    assert read_metadata(new).custom_data == {"why": "a test"}
+    shutil.copytree(new, tmp_path / "copy")
+    recover(tmp_path / "copy", tmp_path / "two" / "new")
+    one, two = snapshot(new), snapshot(tmp_path / "two" / "new")
+    assert {k: v[0] for k, v in one.items()} == {k: v[0] for k, v in two.items()}
+
+
+def test_files_that_cannot_be_read_do_not_keep_the_others_from_being_recovered(
+    tmp_path: Path,
+) -> None:
+    make_split(tmp_path / "bag")
+    files = sorted((tmp_path / "bag").glob("*.mcap"))
+    left = [entry for path in files[3:] for entry in scanned(path.read_bytes())]
+    files[0].unlink()
+    files[1].write_bytes(b"")
+    files[2].unlink()
+    os.mkfifo(files[2])
+    result = recover(tmp_path / "bag", tmp_path / "new")
+    assert [file.error for file in result.files[:3]] == [
+        "No such file or directory", "", "not a regular file",
+    ]  # fmt: skip
+    assert "bag_0.mcap: not read: No such file" in result.text()
+    assert not result.is_whole
+    assert [e[1:] for e in in_recorded_order(tmp_path / "new")] == left
+
+
+def test_the_bag_of_a_killed_process_is_recovered(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, sys\n"
+        "from tsobs_ros.bag import BagWriter\n"
+        "writer = BagWriter(sys.argv[1])\n"
+        f"writer.add_topic('/a', '{STRING}')\n"
+        "for number in range(1_000_000):\n"
+        "    if number == 3_000: writer.flush(); print(flush=True)\n"
+        "    writer.write('/a', b'%d' % number, number, number)\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "bag")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.kill()
+    with pytest.raises(BagReadError, match=r"has no end.*tsobs bag recover"):
+        BagReader(tmp_path / "bag")
+    recover(tmp_path / "bag", tmp_path / "new")
+    found = [int(m.data) for m in BagReader(tmp_path / "new").messages()]
+    assert len(found) >= 3_000
+    assert found == list(range(len(found)))
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "it is empty"),
+        (MAGIC, "it holds no messages"),
+        (bytes(10_000), "nothing but zeros"),
+        (b"SQLite format 3\0" * 1_000, "not a record"),
+        (random.Random(1).randbytes(100_000), "not a record|chunk"),
+        (None, "not a regular file"),
+    ],
+)
+def test_if_nothing_can_be_recovered_nothing_is_made(
+    tmp_path: Path, content: bytes | None, reason: str
+) -> None:
+    path = tmp_path / "x.mcap"
+    os.mkfifo(path) if content is None else path.write_bytes(content)
+    with pytest.raises(BagReadError, match=rf"no message can be recovered: x\.mcap: .*({reason})"):
+        recover(path, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_outputs_and_inputs_that_cannot_be_are_named(tmp_path: Path) -> None:
+    with pytest.raises(BagReadError, match="none: there is no such bag"):
+        recover(tmp_path / "none", tmp_path / "new")
+    with pytest.raises(BagReadError, match=r"not a bag, there is no \.mcap file in it"):
+        recover(tmp_path, tmp_path / "new")
+    make_split(tmp_path / "bag")
+    with pytest.raises(BagWriteError, match=r"is inside of the bag .*, which is not touched"):
+        recover(tmp_path / "bag", tmp_path / "bag" / "new")
+    (tmp_path / "new").mkdir()
+    with pytest.raises(BagWriteError, match="new: exists already, bags are not overwritten"):
+        recover(tmp_path / "bag", tmp_path / "new")
+    assert list((tmp_path / "new").iterdir()) == []
+
+
+def hostile_chunk(length: int, size: int, data: bytes) -> bytes:
+    head = b"".join(n.to_bytes(8, "little") for n in (0, 0, size)) + bytes(4)
+    head += (4).to_bytes(4, "little") + b"zstd" + (length - 44).to_bytes(8, "little")
+    return RECORD.pack(Opcode.CHUNK, length) + head + data
+
+
+@cache
+def bomb() -> bytes:
+    """Return what is 256 MiB when it is decompressed."""
+    return zstandard.compress(bytes(2**28))
+
+
+@pytest.mark.parametrize(
+    "hostile",
+    [
+        lambda: hostile_chunk(2**62, 100, b"x" * 100),
+        lambda: hostile_chunk(2**27, 2**62, b"x" * 100),
+        lambda: hostile_chunk(44 + len(bomb()), 100, bomb()),
+        lambda: hostile_chunk(44 + len(bomb()), 2**40, bomb()),
+        lambda: hostile_chunk(2**20, 1_000, bomb()),
+    ],
+)
+def test_a_stated_length_costs_no_memory(tmp_path: Path, hostile: Callable[[], bytes]) -> None:
+    data, entries, chunks = sample("zstd")
+    chunk = hostile()
+    tracemalloc.start()
+    try:
+        _, found = recovered(tmp_path, data[: chunks[0][1]] + chunk)
+        assert found == entries[:PER_CHUNK]
+        assert tracemalloc.get_traced_memory()[1] < 50_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def bytes_read() -> int:
+    with Path("/proc/self/io").open() as counts:
+        return int(counts.readline().split()[1])
+
+
+@pytest.mark.parametrize("read", [lambda p: recover(p, p.parent / "new"), summarise])
+def test_chunk_look_alikes_are_read_a_few_times_at_most(
+    tmp_path: Path, read: Callable[[Path], object]
+) -> None:
+    """Each reaches to the end of the file: to check all of them would take the square of it."""
+    data, _, chunks = sample("none")
+    size = 2_000_000
+    alike = b"".join(
+        RECORD.pack(Opcode.CHUNK, left - 9)
+        + struct.pack("<QQQIIQ", 0, 0, left - 49, 1, 0, left - 49)
+        for left in range(size, 49, -49)
+    )
+    path = tmp_path / "x.mcap"
+    path.write_bytes(data[: chunks[1][1]] + alike)
+    before = bytes_read()
+    read(path)
+    assert bytes_read() - before < 2 * (80 * path.stat().st_size + 2**30)
+
+
+def test_holes_in_a_sparse_file_are_not_read(tmp_path: Path) -> None:
+    data, entries, chunks = sample("none")
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        stream.write(data[: chunks[1][0]])
+        stream.seek(2**37)
+        stream.write(data[chunks[1][0] : chunks[1][1] + 20])
+        stream.truncate(2**38)
+    before = bytes_read()
+    recover(path, tmp_path / "new")
+    assert in_recorded_order(tmp_path / "new") == entries[: 2 * PER_CHUNK]
+    assert bytes_read() - before < 2**26
+
+
+def test_what_no_bag_can_hold_is_counted(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="x")
+        string = writer.register_schema(STRING, "ros2msg", b"string data\n")
+        empty = writer.register_schema("std_msgs/msg/Empty", "ros2msg", b"")
+        wrong = writer.register_schema("std_msgs/msg/Wrong", "ros2msg", b"what is this?")
+        idl = writer.register_schema("std_msgs/msg/Bool", "ros2idl", b"module std_msgs {};")
+        channels = [
+            writer.register_channel("/a", "cdr", string),
+            writer.register_channel("/a", "cdr", empty),
+            writer.register_channel("/json", "json", string),
+            writer.register_channel("/lost", "cdr", 9),
+            writer.register_channel("/wrong", "cdr", wrong),
+            writer.register_channel("/idl", "cdr", idl, {"offered_qos_profiles": "["}),
+        ]
+        for channel in channels:
+            writer.add_message(channel, 5, cdr("x"), 5)
+        writer.add_message(channels[0], 2**63, cdr("x"), 5)
+        writer.finish()
+    result = recover(path, tmp_path / "new")
+    (file,) = result.files
+    assert file.kept == {"/a": 1, "/idl": 1}
+    assert sorted(file.dropped) == [
+        "of /a as std_msgs/msg/Empty, which is two types",
+        "of /a, whose times do not fit 63 bits",
+        "of /json, which is encoded in 'json'",
+        "of /lost, whose type is lost",
+        "of /wrong, whose type is lost",
+    ]
+    assert result.remarks == ("x.mcap: its profile is 'x', expected 'ros2'",)
+    assert "dropped 1: of /json" in result.text()
+    definition = BagReader(tmp_path / "new").topics["/idl"].definition
+    assert definition is not None
+    assert (definition.encoding, definition.text) == ("ros2idl", "module std_msgs {};")

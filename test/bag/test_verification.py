@@ -1,0 +1,412 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Sound bags pass verification, and each thing a reader would stumble over is an error."""
+
+import os
+import re
+import zlib
+from collections.abc import Callable
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_typestore
+
+from tsobs_ros.bag import BagWriter, QosProfile
+from tsobs_ros.bag.container import MAGIC, RECORD
+from tsobs_ros.bag.damaged_file import parse_record
+from tsobs_ros.bag.definitions import find_definition
+from tsobs_ros.bag.metadata import profiles_to_yaml
+from tsobs_ros.bag.verification import Verification, verify
+from tsobs_ros.errors import BagReadError
+
+STRING = "std_msgs/msg/String"
+JOINTS = "sensor_msgs/msg/JointState"
+DEFINITION = find_definition(STRING)
+HELLO = b"\0\1\0\0\6\0\0\0hello\0"
+# Of the names before the first joint: header, stamp, frame and an empty sequence of names.
+EMPTY_JOINTS = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + bytes(16)
+QOS = QosProfile().to_map()
+SEPARATOR = "=" * 80
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """A bag of two files, several chunks and a topic without messages."""
+    with BagWriter(tmp_path / "bag", compression="none", max_duration_ns=10) as writer:
+        writer.add_topic("/a", STRING, [QosProfile()])
+        writer.add_topic("/joints", JOINTS)
+        writer.add_topic("/silent", STRING)
+        for time in range(5, 25):
+            writer.write("/a", HELLO, time, time)
+            writer.write("/joints", EMPTY_JOINTS, time, time)
+            if time % 4 == 0:
+                writer.flush()
+    return tmp_path / "bag"
+
+
+def texts(verification: Verification) -> tuple[list[str], list[str]]:
+    return [str(f) for f in verification.errors], [str(f) for f in verification.remarks]
+
+
+def assert_error(verification: Verification, pattern: str) -> None:
+    errors, _ = texts(verification)
+    assert not verification.holds
+    assert any(re.search(pattern, error) for error in errors), errors
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_bags_of_the_recorder_pass_without_a_remark(tmp_path: Path, compression: str) -> None:
+    with BagWriter(
+        tmp_path / "bag", compression=compression, max_size=200_000, custom_data={"a": "b"}
+    ) as writer:
+        writer.add_topic("/a", STRING, [QosProfile(), QosProfile(reliability="best_effort")])
+        for number in range(2_000):
+            writer.write("/a", HELLO + bytes(number % 4), 9_000 - number, number)
+            if number % 50 == 0:
+                writer.flush()
+    verification = verify(tmp_path / "bag")
+    assert texts(verification) == ([], [])
+    assert verification.text() == f"{tmp_path / 'bag'}: OK, 2000 messages in 1 file"
+    assert verification.as_mapping() == {
+        "bag": str(tmp_path / "bag"),
+        "holds": True,
+        "files": 1,
+        "messages": 2_000,
+        "errors": [],
+        "remarks": [],
+    }
+
+
+def test_several_files_one_file_an_empty_bag_and_a_renamed_folder_pass(
+    bag: Path, tmp_path: Path
+) -> None:
+    assert (verify(bag).files, texts(verify(bag))) == (2, ([], []))
+    assert texts(verify(bag / "bag_1.mcap")) == ([], [])
+    assert texts(verify(bag.rename(tmp_path / "other"))) == ([], [])
+    BagWriter(tmp_path / "empty").close()
+    assert texts(verify(tmp_path / "empty")) == ([], [])
+
+
+def test_bags_of_rosbags_pass(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/a", STRING, typestore=store)
+        writer.write(connection, 5, HELLO)
+    assert texts(verify(tmp_path / "bag"))[0] == []
+
+
+def edit(bag: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    path = bag / "metadata.yaml"
+    content = yaml.safe_load(path.read_text())
+    change(content["rosbag2_bagfile_information"])
+    path.write_text(yaml.safe_dump(content, sort_keys=False))
+
+
+def other_topic(values: dict[str, Any], **changes: object) -> None:
+    values["topics_with_message_count"][0]["topic_metadata"].update(changes)
+
+
+def list_first_as(values: dict[str, Any], name: str) -> None:
+    values["files"][0].update(path=name)
+    values["relative_file_paths"][0] = name
+
+
+@pytest.mark.parametrize(
+    ("change", "pattern"),
+    [
+        (lambda v: v.pop("version"), "version"),
+        (lambda v: v.update(version=8), "version"),
+        (lambda v: v.update(storage_identifier="sqlite3"), "is stated as sqlite3, but is mcap"),
+        (lambda v: v.update(compression_mode="FILE"), "compress"),
+        (lambda v: v.update(duration={"nanoseconds": 7}), "duration is stated as .*7.*, but is .*"),
+        (lambda v: v.update(message_count=3), "message_count is stated as 3, but is 40"),
+        (
+            lambda v: v["topics_with_message_count"][0].update(message_count=3),
+            "message_count of /a is stated as 3, but is 20",
+        ),
+        (lambda v: v["topics_with_message_count"].pop(0), "bag_0.mcap: /a: is not in metadata"),
+        (lambda v: v["relative_file_paths"].reverse(), "relative_file_paths"),
+        (
+            lambda v: v["files"][0].update(duration={"nanoseconds": 1}),
+            r"message_count of bag_0.mcap is stated as \(5, 1, 22\), but is \(5, 10, 22\)",
+        ),
+        (lambda v: v["files"][0].update(message_count=-1), "message_count"),
+        (lambda v: v.update(custom_data=[1]), "custom_data"),
+        (lambda v: other_topic(v, type=JOINTS), f"type of /a is stated as {JOINTS}"),
+        (lambda v: other_topic(v, serialization_format="json"), "is stated as json, but is cdr"),
+        (
+            lambda v: other_topic(v, type_description_hash="RIHS01_" + "0" * 64),
+            "/a: the hash of its type is not the one in metadata",
+        ),
+        (lambda v: other_topic(v, offered_qos_profiles=[]), "/a: its QoS is not the one in"),
+        (lambda v: other_topic(v, offered_qos_profiles=[{**QOS, "history": "some"}]), "history"),
+        (lambda v: list_first_as(v, "./bag_0.mcap"), r"'\./bag_0.mcap' is not given by its name"),
+        (lambda v: list_first_as(v, "x" * 300), "the file 'x{300}' is not there"),
+    ],
+)
+def test_metadata_that_does_not_agree_is_an_error(
+    bag: Path, change: Callable[[dict[str, Any]], object], pattern: str
+) -> None:
+    edit(bag, change)
+    assert_error(verify(bag), pattern)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"[", b"a: 1", b"rosbag2_bagfile_information: 1", b"\xff", None]
+)
+def test_without_metadata_the_files_are_checked(bag: Path, content: bytes | None) -> None:
+    path = bag / "metadata.yaml"
+    path.unlink() if content is None else path.write_bytes(content)
+    verification = verify(bag)
+    assert_error(verification, r"^metadata\.yaml: " + ("there is none" if content is None else ""))
+    assert (len(verification.errors), verification.messages) == (1, 40)
+
+
+def test_files_that_are_missing_or_too_many_are_told(bag: Path) -> None:
+    (bag / "bag_1.mcap").rename(bag / "bag_7.mcap")
+    (bag / "notes.txt").write_text("")
+    assert texts(verify(bag)) == (
+        [
+            "metadata.yaml: the file 'bag_1.mcap' is not there",
+            "bag_7.mcap: metadata.yaml does not list it: a reindexing would stumble over it",
+        ],
+        [],
+    )
+    with pytest.raises(BagReadError, match="none: there is no such bag"):
+        verify(bag / "none")
+
+
+@pytest.mark.parametrize("name", ["../outside.mcap", "{parent}/outside.mcap"])
+def test_no_file_outside_of_the_folder_is_read(bag: Path, name: str) -> None:
+    file_with(bag.parent / "outside.mcap", data=b"")
+    edit(bag, lambda v: list_first_as(v, name.format(parent=bag.parent)))
+    verification = verify(bag)
+    assert (verification.files, verification.messages) == (1, 18)
+    assert not any("outside.mcap" in finding.place for finding in verification.errors)
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir, lambda path: path.symlink_to("/dev/zero")])
+def test_what_is_no_regular_file_is_not_opened(bag: Path, make: Callable[[Path], object]) -> None:
+    (bag / "bag_0.mcap").unlink()
+    make(bag / "bag_0.mcap")
+    verification = verify(bag)
+    assert_error(verification, "bag_0.mcap: not a regular file")
+    assert verification.messages == 18
+
+
+def rewrite(path: Path, opcode: Opcode, change: Callable[[Any], object]) -> None:
+    """Change the first record of a kind, in place, and make the summary's checksum fit again."""
+    data = bytearray(path.read_bytes())
+    at, summary, is_changed = len(MAGIC), 0, False
+    while at < len(data) - len(MAGIC):
+        kind, length = RECORD.unpack_from(data, at)
+        end = at + RECORD.size + length
+        if kind == opcode and not is_changed:
+            record, builder = parse_record(bytes(data[at:end])), RecordBuilder()
+            change(record)
+            record.write(builder)
+            assert builder.count == end - at
+            data[at:end] = builder.end()
+            is_changed = True
+        summary = end if kind == Opcode.DATA_END else summary
+        at = end
+    assert is_changed
+    crc_at = len(data) - len(MAGIC) - 4
+    data[crc_at : crc_at + 4] = zlib.crc32(data[summary:crc_at]).to_bytes(4, "little")
+    path.write_bytes(data)
+
+
+def setter(**values: object) -> Callable[[Any], object]:
+    return lambda record: record.__dict__.update(values)
+
+
+@pytest.mark.parametrize(
+    ("opcode", "change", "pattern"),
+    [
+        (Opcode.HEADER, setter(profile="ros1"), "its profile is stated as ros1, but is ros2"),
+        (Opcode.STATISTICS, setter(message_count=9), "number of messages is stated as 9"),
+        (Opcode.STATISTICS, setter(schema_count=9), "number of schemas is stated as 9"),
+        (Opcode.STATISTICS, setter(channel_count=9), "number of channels is stated as 9"),
+        (Opcode.STATISTICS, setter(chunk_count=9), "9 chunks, but 3 in the index"),
+        (Opcode.STATISTICS, setter(message_start_time=9), r"log time is stated as \(9, 15\), but"),
+        (Opcode.STATISTICS, setter(message_end_time=9), r"log time is stated as \(5, 9\), but"),
+        (Opcode.STATISTICS, setter(channel_message_counts={1: 9, 2: 9}), "messages by channel is"),
+        (Opcode.CHUNK_INDEX, setter(message_start_time=1), "of the chunk at byte .* is stated as"),
+        (Opcode.CHUNK_INDEX, setter(message_end_time=1), "of the chunk at byte .* is stated as"),
+        (Opcode.CHUNK_INDEX, setter(chunk_length=1), "of the chunk at byte .* is stated as"),
+        (Opcode.CHUNK_INDEX, setter(message_index_offsets={1: 5, 2: 6}), "index offsets of the"),
+        (Opcode.CHUNK_INDEX, setter(chunk_start_offset=1), "no index of the chunk at byte"),
+        (Opcode.CHUNK_INDEX, setter(chunk_start_offset=1), "chunk at byte 1, where none is"),
+        (
+            Opcode.MESSAGE_INDEX,
+            lambda r: r.records.__setitem__(0, (6, r.records[0][1])),
+            "the index of channel 1 at byte .* is not that of its chunk",
+        ),
+        (Opcode.MESSAGE_INDEX, setter(channel_id=3), "has no message index of channel 1"),
+        (Opcode.SCHEMA, setter(encoding="ros2xyz"), "does not repeat the schema of std_msgs"),
+        (Opcode.CHANNEL, setter(topic="/b"), "two descriptions have the id 1: .*/a.*/b"),
+        (Opcode.DATA_END, setter(data_section_crc=5), "checksum of the data section is wrong"),
+    ],
+)
+def test_a_wrong_record_is_an_error(
+    bag: Path, opcode: Opcode, change: Callable[[Any], object], pattern: str
+) -> None:
+    rewrite(bag / "bag_0.mcap", opcode, change)
+    assert_error(verify(bag), pattern)
+
+
+def patched(path: Path, change: Callable[[bytes], bytes]) -> None:
+    data = path.read_bytes()
+    assert change(data) != data
+    path.write_bytes(change(data))
+
+
+def overwritten(data: bytes, opcode: Opcode, place: int, new: bytes) -> bytes:
+    """Return the data with some bytes of the first record of a kind overwritten."""
+    at = len(MAGIC)
+    while data[at] != opcode:
+        at += RECORD.size + RECORD.unpack_from(data, at)[1]
+    return data[: at + place] + new + data[at + place + len(new) :]
+
+
+@pytest.mark.parametrize(
+    ("damage", "pattern"),
+    [
+        (lambda d: d.replace(b"hello", b"HELLO"), "at byte .* checksum .*tsobs bag recover"),
+        (lambda d: d[:-1], "has no end.*tsobs bag recover"),
+        (lambda d: b"", "not an MCAP file"),
+        (lambda d: MAGIC * 2, "has no end|damaged"),
+        (lambda d: d[:-12] + b"abcd" + MAGIC, "checksum .* of its summary"),
+        (lambda d: MAGIC + d[d.index(b"\x0c") :], "does not start with a header"),
+        (
+            lambda d: overwritten(d, Opcode.CHUNK, 6, b"\xff"),
+            "at byte .* no record, or one that is",
+        ),
+        (
+            lambda d: overwritten(d, Opcode.CHUNK, 4, b"\x10"),
+            "at byte .* no record, or one that is",
+        ),
+        (lambda d: overwritten(d, Opcode.CHUNK, 41, b"\xff"), "damaged: at byte .*: not a record"),
+        (lambda d: overwritten(d, Opcode.CHUNK, 25, b"\x00"), "states .* bytes of content"),
+        (lambda d: overwritten(d, Opcode.MESSAGE_INDEX, 11, b"\x09"), "index at byte .* is malf"),
+        (
+            lambda d: overwritten(d, Opcode.METADATA, 9, b"\xff"),
+            "damaged: at byte .*: not a record",
+        ),
+    ],
+)
+def test_a_damaged_file_is_an_error(
+    bag: Path, damage: Callable[[bytes], bytes], pattern: str
+) -> None:
+    patched(bag / "bag_0.mcap", damage)
+    verification = verify(bag)
+    assert_error(verification, pattern)
+    assert not any(error.startswith("bag_1.mcap") for error in texts(verification)[0])
+
+
+CHANNEL = {
+    "offered_qos_profiles": profiles_to_yaml([QosProfile()]),
+    "topic_type_hash": DEFINITION.type_hash,
+}
+
+
+def file_with(
+    path: Path,
+    *,
+    schema: tuple[str, str, bytes] = (STRING, "ros2msg", DEFINITION.text.encode()),
+    channel: tuple[str, str] = ("/a", "cdr"),
+    schema_id: int = 1,
+    metadata: dict[str, str] | None = None,
+    data: bytes = HELLO,
+    log_time: int = 5,
+    publish_time: int = 5,
+    channel_id: int = 1,
+    add: Callable[[Writer], object] = lambda _: None,
+    **options: Any,
+) -> Path:
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE, **options)
+        writer.start(profile="ros2")
+        writer.register_schema(*schema)
+        writer.register_channel(*channel, schema_id, CHANNEL if metadata is None else metadata)
+        add(writer)
+        for _ in range(3):
+            writer.add_message(channel_id, log_time, data, publish_time)
+        writer.finish()
+    return path
+
+
+def defined(text: str) -> tuple[str, str, bytes]:
+    return (STRING, "ros2msg", text.encode())
+
+
+@pytest.mark.parametrize(
+    ("options", "pattern"),
+    [
+        ({"schema": ("String", "ros2msg", b"string data\n")}, "'String' is not named as"),
+        ({"schema": (STRING, "jsonschema", b"{}")}, "defined in 'jsonschema', not in ros2msg"),
+        ({"schema": defined("what is this?\n")}, "definition of std_msgs/msg/String is malformed"),
+        ({"schema": defined("Other data\n")}, "std_msgs/Other is used, but not defined"),
+        ({"schema": defined(f"int8 a\n\n{SEPARATOR}\nX: a/B\n")}, "is not 'MSG: package/Type'"),
+        ({"schema": (STRING, "ros2msg", b"string \xff\n")}, "is malformed"),
+        ({"channel": ("/a", "json")}, "/a: is encoded in 'json', not in cdr"),
+        ({"schema_id": 7}, "/a: has the schema 7, which is not there before it"),
+        ({"metadata": {**CHANNEL, "offered_qos_profiles": "["}}, "/a: not a list of QoS profiles"),
+        ({"channel_id": 7}, "a message is of channel 7, which is not there before it"),
+        ({"log_time": 2**63}, "/a: a time does not fit 63 bits: log 9223372036854775808 ns"),
+        ({"publish_time": 2**63}, "/a: a time does not fit 63 bits"),
+        ({"data": HELLO[:-3]}, r"/a: the message at 5 ns is not whole: its .* \(and 2 more\)"),
+        ({"data": b""}, "not begin with the header of plain CDR"),
+        ({"data": HELLO + bytes(4)}, "/a: the message at 5 ns is not whole: 4 bytes follow"),
+        ({"add": lambda w: w.register_channel("/a", "cdr", 1, CHANNEL)}, "more than one channel"),
+        ({"repeat_schemas": False}, "does not repeat the schema"),
+        ({"repeat_channels": False}, "does not repeat the channel"),
+        ({"use_statistics": False}, "has no index; 'tsobs bag recover'"),
+        ({"index_types": IndexType.NONE}, "1 chunks, but 0 in the index"),
+        ({"index_types": IndexType.CHUNK | IndexType.METADATA}, "has no message index of channel"),
+    ],
+)
+def test_wrong_content_is_an_error(tmp_path: Path, options: dict[str, Any], pattern: str) -> None:
+    assert texts(verify(file_with(tmp_path / "good.mcap"))) == ([], [])
+    assert_error(verify(file_with(tmp_path / "x.mcap", **options)), pattern)
+
+
+@pytest.mark.parametrize(
+    ("options", "pattern"),
+    [
+        ({"schema": (STRING, "ros2idl", b"x")}, "is defined in IDL: its messages are not looked"),
+        ({"schema": defined("wstring a\n")}, "has a wstring: its messages are not looked into"),
+        ({"use_chunking": False}, "has 3 chunks, or messages outside of chunks, without a checks"),
+        ({"enable_crcs": False}, "has 1 chunks, or messages outside of chunks, without a checksum"),
+        ({"enable_data_crcs": True, "enable_crcs": False}, ""),
+        ({"add": lambda w: w.add_metadata("other", {})}, ""),
+        ({"add": lambda w: w.add_attachment(1, 1, "a", "b", b"c")}, ""),
+        ({"data": HELLO + bytes(3)}, ""),
+    ],
+)
+def test_what_cannot_be_checked_is_a_remark(
+    tmp_path: Path, options: dict[str, Any], pattern: str
+) -> None:
+    errors, remarks = texts(verify(file_with(tmp_path / "x.mcap", **options)))
+    assert errors == []
+    assert len(remarks) == bool(pattern)
+    assert re.search(pattern, "".join(remarks))
+
+
+def test_all_reasons_are_told_and_like_ones_counted(bag: Path) -> None:
+    edit(bag, lambda v: v.update(message_count=1, files=deepcopy(v["files"])))
+    patched(bag / "bag_0.mcap", lambda data: data.replace(b"hello", b"HELLO"))
+    patched(bag / "bag_1.mcap", lambda data: data[:-1])
+    verification = verify(bag)
+    assert [error.place for error in verification.errors] == [
+        "metadata.yaml", "bag_0.mcap", "bag_0.mcap", "bag_0.mcap", "bag_1.mcap",
+    ]  # fmt: skip
+    assert "NOT sound, 5 errors, 0 messages in 2 files" in verification.text()

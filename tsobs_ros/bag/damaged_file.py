@@ -1,0 +1,388 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The intact pieces of an MCAP file that may be damaged anywhere.
+
+Three things are certain. The checksum of a chunk covers its records. The head of a chunk states its
+size twice. And a file that was cut off is intact up to the cut. So a chunk is taken if its checksum
+holds, the front of a chunk is taken if the end of the file cuts it off, and after bytes that are no
+record the next record is searched for. A file that ends with a footer was not cut off.
+"""
+
+import os
+import re
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from io import BytesIO
+from typing import IO, Any, NamedTuple
+
+from mcap.data_stream import RecordBuilder
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord
+from mcap.stream_reader import StreamReader
+
+from tsobs_ros.bag.container import MAGIC, MAX_SIZE, MESSAGE, RECORD, RecordError, chunk_records
+
+INDEX_HEAD = struct.Struct("<BQHI")
+"""The start of a message index: opcode, length, channel and size of its entries in bytes."""
+
+INDEX_ENTRY = struct.Struct("<QQ")
+"""An entry of a message index: log time and place in the chunk."""
+
+_CHUNK_HEAD = struct.Struct("<BQQQQII")
+_MAX_CHUNK_HEAD_SIZE = 80
+_MAX_OTHER_SIZE = 2**24
+_FOOTER_SIZE = 29
+_BLOCK_SIZE = 2**20
+_STEP = 2**16
+# Header, schema, channel, message, chunk, metadata or data end, of less than 256 MiB. Looking ahead
+# finds those that overlap, too.
+_CANDIDATE = re.compile(rb"(?=[\x01\x03-\x06\x0c\x0f].{3}[\0-\x0f]\0{4})", re.DOTALL)
+_DESCRIPTIONS = frozenset(map(int, Opcode)).difference(
+    {Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT}
+)
+_CANDIDATE_EFFORT = 4096
+"""The effort of looking at one candidate, in bytes that can be read in that time."""
+
+
+class Content(NamedTuple):
+    """Whole records: those of a chunk, or one message outside of any chunk.
+
+    Attributes:
+        records: The records.
+        is_checked: Whether a checksum covers them.
+        descriptions: The schemas and channels among them, each as its bytes.
+    """
+
+    records: bytes
+    is_checked: bool = False
+    descriptions: tuple[bytes, ...] = ()
+
+
+@dataclass
+class Damage:
+    """A part of a file that is lost.
+
+    Attributes:
+        offset: The place of its first byte in the file.
+        size: The number of its bytes.
+        reason: What is wrong with it.
+        messages: The number of messages it held; None if that is unknown.
+    """
+
+    offset: int
+    size: int
+    reason: str
+    messages: int | None = None
+
+    def __str__(self) -> str:
+        """Return one line for people."""
+        held = "" if self.messages is None else f", {self.messages} messages"
+        return f"bytes {self.offset} to {self.offset + self.size}{held}: {self.reason}"
+
+
+class DamagedFile:
+    """The pieces of one file, in their order.
+
+    The time is linear in the size of the file and of what its chunks decompress to: searching ends
+    for good if too much of the file looks like records without being any. Memory is bounded by the
+    largest chunk, at most `MAX_SIZE`.
+
+    Args:
+        stream: The file.
+        size: The number of bytes to read: the file may be growing.
+        keep_unchecked: Whether to give the front of chunks whose checksum fails.
+
+    Attributes:
+        damage: The parts that are lost, as far as the file has been read.
+    """
+
+    def __init__(self, stream: IO[bytes], size: int, *, keep_unchecked: bool = False) -> None:
+        self.damage: list[Damage] = []
+        self._descriptor = stream.fileno()
+        self._size = size
+        self._keep_unchecked = keep_unchecked
+        self._written_end = self._end_without_zeros()
+        end = self._bytes(size - _FOOTER_SIZE - len(MAGIC), size)
+        self._has_end = end.startswith(RECORD.pack(Opcode.FOOTER, 20)) and end.endswith(MAGIC)
+        # A file without chunks describes its channels before its messages.
+        self._bare_channels: set[bytes] = set()
+        self._has_chunks = False
+        self._follows_damage = False
+        self._effort_left = 64 * size + 2**30
+
+    def pieces(self, progress: Callable[[int], object]) -> Iterator[Content | McapRecord]:
+        """Yield what is intact; `progress` is called with the number of bytes got through."""
+        at = 0
+        while at < self._size:
+            try:
+                piece, following = self._read(at)
+            except RecordError as error:
+                piece, following = None, self._lose(at, str(error))
+            if piece is not None:
+                yield piece
+            progress(following - at)
+            at = following
+
+    def _read(self, at: int) -> tuple[Content | McapRecord | None, int]:
+        """Return the piece at an offset, if it is one, and where to go on.
+
+        Raises:
+            RecordError: There is no record.
+        """
+        if at >= self._written_end:
+            return None, self._lose(at, "nothing but zeros to the end", self._size)
+        head = self._bytes(at, len(MAGIC))
+        if head == MAGIC:
+            return None, at + len(MAGIC)
+        if head[0] == Opcode.CHUNK:
+            return self._read_chunk(at)
+        if head[0] != Opcode.MESSAGE_INDEX:
+            self._follows_damage = False
+        return self._read_other(at)
+
+    def _lose(self, at: int, reason: str, following: int | None = None) -> int:
+        """Take account of damage, and return what follows: by default, the next record."""
+        if following is None:
+            following = self._search(at + 1)
+            if self._effort_left < 0:
+                reason += "; too many of the bytes after it look like records to be searched"
+        last = self.damage[-1] if self.damage else None
+        if last and last.offset + last.size == at:
+            last.size = following - last.offset
+        else:
+            self.damage.append(Damage(at, following - at, reason))
+        self._follows_damage = True
+        return following
+
+    def _read_chunk(self, at: int) -> tuple[Content | None, int]:
+        chunk, data_at, end = self._chunk_head(at)
+        self._has_chunks = True
+        chunk.data = self._bytes(data_at, end - data_at)
+        try:
+            if end > self._size:
+                raise RecordError("the file ends inside of a chunk")
+            records = chunk_records(chunk)
+            whole, _ = _whole_records(records, chunk)
+            if len(whole.records) < len(records):
+                raise RecordError("the chunk holds bytes that are no record")
+            self._follows_damage = False
+            return whole._replace(is_checked=chunk.uncompressed_crc != 0), end
+        except RecordError as error:
+            reason = str(error)
+        if self._may_be_cut(chunk, end):
+            chunk.data = chunk.data[: self._written_end - data_at]
+            front, is_cut = _front(chunk)
+            if is_cut:
+                reason = "the file ends inside of a chunk, the front of which is kept"
+                return front, self._lose(at, reason, self._size)
+        content = _front(chunk)[0] if self._keep_unchecked else None
+        if end <= self._size and self._starts_record(end):
+            return content, self._lose(at, reason, end)
+        # A chunk that has lost bytes reaches into what follows it: search inside of it.
+        self._effort_left -= len(chunk.data)
+        if chunk.compression and chunk.uncompressed_size <= MAX_SIZE:
+            self._effort_left -= chunk.uncompressed_size
+        return content, self._lose(at, reason)
+
+    def _may_be_cut(self, chunk: Chunk, end: int) -> bool:
+        """Whether the end of the file, or the zeros there, may cut off a damaged chunk."""
+        if self._has_end or self._written_end >= end:
+            return False
+        # If its records go on through the zeros, those are its own, and the damage is elsewhere.
+        return end > self._size or len(_front(chunk)[0].records) < chunk.uncompressed_size
+
+    def _chunk_head(self, at: int) -> tuple[Chunk, int, int]:
+        """Return a chunk without its data, where that starts, and where it ends.
+
+        Raises:
+            RecordError: There is no chunk.
+        """
+        head = self._bytes(at, _MAX_CHUNK_HEAD_SIZE)
+        try:
+            _, length, start, end, size, crc, name_size = _CHUNK_HEAD.unpack_from(head)
+            name = head[_CHUNK_HEAD.size : _CHUNK_HEAD.size + name_size].decode("ascii")
+            (data_size,) = struct.unpack_from("<Q", head, _CHUNK_HEAD.size + name_size)
+        except (struct.error, UnicodeDecodeError) as error:
+            raise RecordError("not a chunk") from error
+        data_at = _CHUNK_HEAD.size + name_size + 8
+        if data_at + data_size != RECORD.size + length:
+            raise RecordError("not a chunk: it states two sizes")
+        if length > MAX_SIZE:
+            raise RecordError(f"the chunk states {length} bytes, too many to read")
+        return Chunk(name, b"", end, start, crc, size), at + data_at, at + data_at + data_size
+
+    def _read_other(self, at: int) -> tuple[Content | McapRecord | None, int]:
+        """Return the record at an offset, which is no chunk, and where it ends.
+
+        Raises:
+            RecordError: There is none.
+        """
+        head = self._bytes(at, INDEX_HEAD.size)
+        if len(head) < RECORD.size:
+            raise RecordError("a record is cut off")
+        opcode, length = RECORD.unpack_from(head)
+        size, end = RECORD.size + length, at + RECORD.size + length
+        if end > self._size:
+            raise RecordError("not a record, or one that is cut off")
+        channel = head[9:11]
+        if opcode in _DESCRIPTIONS and length <= _MAX_OTHER_SIZE:
+            self._effort_left -= size
+            record = parse_record(self._bytes(at, size))
+            if isinstance(record, Channel) and not self._has_chunks:
+                self._bare_channels.add(channel)
+            return record, end
+        # Nothing but the record that follows confirms the length of all others.
+        if self._starts_record(end):
+            if opcode == Opcode.MESSAGE_INDEX:
+                # The indexes of a chunk follow it, also if the chunk is damaged.
+                if self._follows_damage:
+                    held = self.damage[-1].messages or 0
+                    entries = (size - INDEX_HEAD.size) // INDEX_ENTRY.size
+                    self.damage[-1].messages = held + entries
+                return None, end
+            is_whole = MESSAGE.size <= size <= MAX_SIZE and end <= self._written_end
+            if opcode == Opcode.MESSAGE and channel in self._bare_channels and is_whole:
+                return Content(self._bytes(at, size)), end
+            if opcode == Opcode.ATTACHMENT or opcode >= 0x80:
+                return None, end
+        raise RecordError("not a record")
+
+    def _starts_record(self, at: int) -> bool:
+        """Whether there may be a record, even one that is cut off, or the end."""
+        head = self._bytes(at, RECORD.size)
+        if at >= self._written_end or len(head) < RECORD.size or head.startswith(MAGIC):
+            return True
+        opcode, length = RECORD.unpack(head)
+        if opcode == Opcode.CHUNK:
+            return self._has_record(at, opcode)
+        limit = self._size - at if self._has_end else MAX_SIZE
+        return bool(0 < opcode <= max(Opcode) and length <= limit)
+
+    def _search(self, at: int) -> int:
+        """Return where the next record is; the end if there is none."""
+        step = _CANDIDATE_EFFORT
+        while at < self._written_end:
+            with suppress(OSError):  # a sparse file has holes of any size
+                at = max(at, os.lseek(self._descriptor, at, os.SEEK_DATA))
+            block = self._bytes(at, step + RECORD.size - 1)
+            for match in _CANDIDATE.finditer(block):
+                place = match.start()
+                if block[place] == Opcode.MESSAGE and not self._bare_channels:
+                    continue
+                self._effort_left -= _CANDIDATE_EFFORT
+                if self._effort_left < 0:
+                    return self._size
+                if self._has_record(at + place, block[place]):
+                    return at + place
+            at, step = at + step, min(2 * step, _BLOCK_SIZE)
+        return self._size
+
+    def _has_record(self, at: int, opcode: int) -> bool:
+        try:
+            if opcode == Opcode.CHUNK:
+                return self._chunk_head(at)[2] <= self._size or not self._has_end
+            self._read_other(at)
+        except RecordError:
+            return False
+        return True
+
+    def _bytes(self, at: int, size: int) -> bytes:
+        return os.pread(self._descriptor, max(0, min(size, self._size - at)), max(0, at))
+
+    def _end_without_zeros(self) -> int:
+        """Return where the zeros start with which the file ends: pages lost in a power cut."""
+        descriptor, end = self._descriptor, 0
+        with suppress(OSError):  # no data follows; a sparse file may end in a hole of any size
+            while end < self._size:
+                end = os.lseek(descriptor, os.lseek(descriptor, end, os.SEEK_DATA), os.SEEK_HOLE)
+        end = min(end, self._size)
+        while end > 0:
+            start = max(0, end - _BLOCK_SIZE)
+            if kept := len(self._bytes(start, end - start).rstrip(b"\0")):
+                return start + kept
+            end = start
+        return 0
+
+
+def parse_record(record: bytes) -> McapRecord:
+    """Return the record that some bytes are, of a kind that the library `mcap` has.
+
+    Raises:
+        RecordError: They are no such record, or not as many bytes as the lengths in it need.
+    """
+    written: Any = RecordBuilder()
+    try:
+        # From memory, so that no length allocates more than there is.
+        reader = StreamReader(BytesIO(record), skip_magic=True, emit_chunks=True)
+        found = next(reader.records)
+        found.write(written)
+    except (McapError, struct.error, ValueError) as error:
+        raise RecordError("not a record") from error
+    # The library accepts a text that ends early.
+    if written.end() != record:
+        raise RecordError("not a record")
+    return found
+
+
+def _whole_records(
+    records: bytes, chunk: Chunk, first_time: int = 0, last_time: int = 2**64
+) -> tuple[Content, bool]:
+    """Return the whole records in the front of a chunk's, and whether nothing but a cut ends them.
+
+    A record of a kind or size that cannot be in the chunk, or a message of another time, is no cut.
+    """
+    at, available, descriptions, is_cut = 0, len(records), [], True
+    message, unpack = int(Opcode.MESSAGE), RECORD.unpack_from
+    while at + RECORD.size <= available:
+        opcode, length = unpack(records, at)
+        end = at + RECORD.size + length
+        if opcode == message:
+            head_end = at + MESSAGE.size
+            is_cut = head_end <= end
+            if is_cut and last_time < 2**64 and head_end <= available:
+                is_cut = first_time <= MESSAGE.unpack_from(records, at)[4] <= last_time
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            descriptions.append(records[at:end])
+        else:
+            is_cut = opcode >= 0x80
+        is_cut = is_cut and end <= chunk.uncompressed_size
+        if not is_cut or end > available:
+            break
+        at = end
+    return Content(records[:at], descriptions=tuple(descriptions)), is_cut
+
+
+def _front(chunk: Chunk) -> tuple[Content, bool]:
+    """Return the front of a damaged chunk, and whether nothing but a cut ends it."""
+    data = bytearray()
+    limit = chunk.uncompressed_size if chunk.uncompressed_size <= MAX_SIZE else 0
+    with suppress(Exception):  # the libraries' errors have several roots
+        for part in _decompressed(chunk):
+            data += part
+            if len(data) >= limit:
+                break
+    del data[limit:]
+    times = chunk.message_start_time, chunk.message_end_time
+    return _whole_records(bytes(data), chunk, *times)
+
+
+def _decompressed(chunk: Chunk) -> Iterator[bytes]:
+    """Yield what data that may be cut off decompresses to, in steps."""
+    if not chunk.compression:
+        yield chunk.data
+    elif chunk.compression == "lz4":
+        import lz4.frame
+
+        decompressor = lz4.frame.LZ4FrameDecompressor()
+        yield decompressor.decompress(chunk.data, max_length=_STEP)
+        while not (decompressor.needs_input or decompressor.eof):
+            yield decompressor.decompress(b"", max_length=_STEP)
+    elif chunk.compression == "zstd":
+        import zstandard
+
+        reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)
+        while part := reader.read(_STEP):
+            yield part
