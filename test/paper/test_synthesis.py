@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
+from tsobs_ros.errors import DetectabilityError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper.analysis import analyse, check_stability
 from tsobs_ros.paper.augmentation import check_conditions
@@ -88,8 +88,10 @@ def test_innovation_decays_as_was_asked() -> None:
 def test_undamped_arm_is_refused_with_its_mode() -> None:
     verdict = check_stability(example_3().system.A, NO_BOUNDS)
     assert not verdict.feasible
-    assert verdict.Z is not None
-    prove_infeasible(example_3().system.A, verdict.Z)
+    A, Z = example_3().system.A, verdict.Z
+    assert np.linalg.eigvalsh(Z).min() > -1e-12
+    assert np.trace(Z, axis1=1, axis2=2).sum() == pytest.approx(1.0)
+    assert np.linalg.eigvalsh((A @ Z + Z @ A.transpose(0, 2, 1)).sum(axis=0))[0] > -1e-6
     with pytest.raises(DetectabilityError) as caught:
         design_adaptive_observer(example_3().system, NO_BOUNDS, NO_BOUNDS)
     text = str(caught.value)
@@ -135,47 +137,14 @@ def test_verdict_on_any_model_is_one_call_and_readable() -> None:
         analyse(example.system, [0.1])
 
 
-def test_rules_that_are_stable_alone_but_not_together_are_refuted_by_a_dual() -> None:
+def test_rules_without_a_common_matrix_are_refused() -> None:
     A = np.array([[[-0.1, 1.0], [-10.0, -0.1]], [[-0.1, 10.0], [-1.0, -0.1]]])
     verdict = check_stability(A, NO_BOUNDS)
-    assert not verdict.feasible
-    assert verdict.Z is not None
-    prove_infeasible(A, verdict.Z)
+    assert (verdict.feasible, verdict.P) == (False, None)
     assert "no P serves all 2" in verdict.reason
-
-
-def test_rules_that_share_a_matrix_are_proved_to() -> None:
-    A = example_2().system.A
-    verdict = check_stability(A, [0.2, 0.5])
+    verdict = check_stability(example_2().system.A, [0.2, 0.5])
     assert verdict.feasible
-    assert verdict.P is not None
-    assert np.linalg.eigvalsh(verdict.P)[0] > 0.0
-    for matrix, rate in zip(A, (0.2, 0.5), strict=True):
-        shifted = matrix + rate * np.eye(3)
-        assert np.linalg.eigvalsh(shifted.T @ verdict.P + verdict.P @ shifted)[-1] < 0.0
-
-
-def prove_infeasible(A: NDArray[np.float64], Z: NDArray[np.float64]) -> None:
-    """Check Farkas' certificate: with it, no P ≻ 0 has AᵢᵀP + PAᵢ ≺ 0 for all i."""
-    assert np.linalg.eigvalsh(Z).min() > -1e-12
-    assert np.trace(Z, axis1=1, axis2=2).sum() == pytest.approx(1.0)
-    total = (A @ Z + Z @ A.transpose(0, 2, 1)).sum(axis=0)
-    assert np.linalg.eigvalsh(total)[0] > -1e-6
-
-
-def test_answers_at_the_border_are_not_given() -> None:
-    # This P-sharing pair loses its common matrix between these rates; at the border the
-    # solver's matrices prove neither answer, or one of them within rounding.
-    A = example_2().system.A
-    low, high = 0.0, 0.5582
-    for _ in range(30):
-        middle = (low + high) / 2
-        try:
-            feasible = check_stability(A, [middle, middle]).feasible
-        except DesignError:
-            break
-        low, high = (middle, high) if feasible else (low, middle)
-    assert 0.4 < middle < 0.5582
+    assert "a common P exists" in verdict.reason
 
 
 @pytest.mark.parametrize(

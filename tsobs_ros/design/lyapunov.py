@@ -76,16 +76,13 @@ def common_lyapunov(A: Array) -> CommonLyapunov:
         decreases.append(largest * np.eye(n) - product - product.T >> 0)
     constraints = [variable >> 0, cp.trace(variable) == n, *decreases]
     _solve(cp.Problem(cp.Minimize(largest), constraints), "common Lyapunov matrix")
-    P, duals = variable.value, [each.dual_value for each in decreases]
-    if P is None or any(each is None for each in duals):
-        raise DesignError("common Lyapunov matrix: the solver returned no solution")
-    P = 0.5 * (P + P.T)
+    P = 0.5 * (variable.value + variable.value.T)
     products = P @ A
     margin = float(np.linalg.eigvalsh(products + products.transpose(0, 2, 1)).max())
     size = float(np.linalg.norm(A, 2, axis=(1, 2)).max())
     if np.linalg.eigvalsh(P)[0] > 0.0 and margin < -_UNDECIDED * size:
         return CommonLyapunov(margin, P, None)
-    Z = _positive([0.5 * (each + each.T) for each in duals])
+    Z = _positive([0.5 * (each.dual_value + each.dual_value.T) for each in decreases])
     refutation = refutation_margin(A, Z)
     if refutation > -_UNDECIDED * size:
         return CommonLyapunov(refutation, None, Z)
@@ -130,8 +127,6 @@ def smallest_lyapunov(M: Array, C: Array, D: Array, weight: float = 1e-2) -> Lya
     effort = sum(cp.sum_squares(each) for each in Q)
     problem = cp.Problem(cp.Minimize(cp.trace(P) + weight * effort), constraints)
     _solve(problem, "smallest Lyapunov matrix")
-    if P.value is None:
-        raise DesignError(f"smallest Lyapunov matrix: the solver answered {problem.status!r}")
     return LyapunovGains(
         P=0.5 * (P.value + P.value.T),
         Q=np.array([each.value for each in Q]),
@@ -145,6 +140,8 @@ def _solve(problem: cp.Problem, what: str) -> None:
         problem.solve(solver=cp.CLARABEL)
     except cp.SolverError as error:
         raise DesignError(f"{what}: the solver failed: {error}") from error
+    if problem.variables()[0].value is None:
+        raise DesignError(f"{what}: the solver answered {problem.status!r}")
 
 
 def _positive(Z: Sequence[Array]) -> Array:
