@@ -18,9 +18,8 @@ from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.recovery import recover
 from tsobs_ros.bag.verification import verify
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.design.file import load_request, parse_design
-from tsobs_ros.design.ts_file import load_ts_request, parse_ts_design, save_ts_design
-from tsobs_ros.design.ts_synthesis import synthesise_ts
+from tsobs_ros.design.file import load_request, parse_design, save_design
+from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.resources import config_path
 
@@ -64,10 +63,10 @@ def ts_target(folder: Path) -> Target:
     """Return requests and designs for T–S systems."""
     request = config_path("ts_example.request.yaml")
     design = folder / "ts.design.yaml"
-    save_ts_design(synthesise_ts(load_ts_request(request)), design)
+    save_design(synthesise(load_request(request)), design)
 
     def read(path: Path) -> None:
-        (parse_ts_design if b"certificate" in path.read_bytes() else load_ts_request)(path)
+        (parse_design if b"certificate" in path.read_bytes() else load_request)(path)
 
     return Target((request.read_bytes(), design.read_bytes()), mutated_text, read, "my.yaml")
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from tsobs_ros.checks import shown
-from tsobs_ros.design.plain import read_yaml
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
@@ -17,6 +16,7 @@ from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
 from tsobs_ros.estimation.supervised import SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.paper.observer import PAPER_WARNING, paper_observer
+from tsobs_ros.yaml_files import read_yaml
 
 METHODS = {
     "certified": "the design's observer: certified gain, supervised, learning what is uncertain",
@@ -72,7 +72,7 @@ class ObserverSettings:
     def learnt(self, design: Design) -> tuple[str, ...]:
         """Return the names of the design's parameters that are learnt."""
         learns = self.method == "certified" and self.adapt
-        return tuple(design.request.uncertainty) if learns else ()
+        return design.request.uncertainty_model.names if learns else ()
 
     def with_parameters(self, values: Mapping[str, Any]) -> "ObserverSettings":
         """Return the settings with some of them changed.
@@ -112,11 +112,10 @@ def read_parameters(path: Path, node: str = "observer") -> dict[str, Any]:
         node: The node's name; sections for all nodes, `/**`, count too.
 
     Raises:
-        DesignFileError: The file is missing or no YAML.
-        ParameterError: It has no parameters of the node.
+        ParameterError: The file is missing, no YAML, or has no parameters of the node.
     """
     found: dict[str, Any] = {}
-    sections = read_yaml(path)
+    sections = read_yaml(path, "parameter file", ParameterError)
     for name, section in sections.items():
         if str(name).rpartition("/")[2] in (node, "**", "*") and isinstance(section, dict):
             found |= _flat(section.get("ros__parameters"))
@@ -152,9 +151,9 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]
     """Return the observer that the settings name, for the arm of a design.
 
     Raises:
-        ModelError: The method cannot observe this arm.
+        ModelError: The design is not for an arm, or the method cannot observe this one.
     """
-    request = design.request
+    request = design.arm_request
     common = (request.period, request.measurement_std)
     match settings.method:
         case "certified":
@@ -199,7 +198,7 @@ def make_tracker(
     """
     settings = settings or ObserverSettings()
     options = TrackerOptions(
-        x_max=design.request.x_max,
+        x_max=design.arm_request.x_max,
         history=settings.history,
         future_tolerance=settings.future_tolerance,
         restart_after=settings.stale_after,

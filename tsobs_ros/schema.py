@@ -40,7 +40,7 @@ _NAMES = {
 }
 
 
-class Entries(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Entries(msgspec.Struct, forbid_unknown_fields=True):
     """Base of a mapping's type; entries of other names are refused."""
 
 

@@ -7,15 +7,78 @@ refer to merge keys), overflow the stack (a million brackets) or return a struct
 memory and endless to walk through (aliases of aliases). None of our files needs any of this.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import yaml
 
-_DEEPEST = 50
+from tsobs_ros.errors import DesignFileError, TsobsError
+
+_MAX_BYTES = 1 << 20
+_MAX_DEPTH = 50
 
 # libyaml's parser is five times as fast; PyYAML without it behaves the same.
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+def read_yaml(
+    path: str | PathLike[str],
+    what: str = "design file",
+    error: Callable[[str], TsobsError] = DesignFileError,
+) -> dict[Any, Any]:
+    """Return the mapping that a YAML file holds.
+
+    Args:
+        path: The file.
+        what: What it is, for errors.
+        error: The kind of error to raise.
+
+    Raises:
+        TsobsError: The file is missing, too large, not YAML, or not a mapping.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise error(f"{path}: larger than {_MAX_BYTES} bytes, not a {what}")
+        data = load_yaml(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as problem:
+        raise error(f"{path}: no such {what}") from problem
+    except OSError as problem:
+        raise error(f"{path}: cannot read the {what}: {problem.strerror}") from problem
+    except ValueError as problem:  # not UTF-8 is one as well
+        if isinstance(problem, TsobsError):
+            raise
+        raise error(f"{path}: not valid YAML: {problem}") from problem
+    if not isinstance(data, dict):
+        raise error(f"{path}: expected a mapping, got {type(data).__name__}")
+    return data
+
+
+def write_yaml(path: str | PathLike[str], header: str, data: Mapping[str, Any]) -> None:
+    """Write a design file; an existing file is replaced only once the new one is complete.
+
+    Args:
+        path: The file.
+        header: Lines of comment before the data.
+        data: Plain data.
+
+    Raises:
+        DesignFileError: The file cannot be written.
+    """
+    path = Path(path)
+    written = header + yaml.dump(
+        data, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=100
+    )
+    temporary = path.with_name(path.name + ".tmp")
+    try:
+        temporary.write_text(written, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as problem:
+        raise DesignFileError(
+            f"{path}: cannot write the design file: {problem.strerror}"
+        ) from problem
 
 
 def load_yaml(text: str) -> object:
@@ -70,9 +133,9 @@ def _check_structure(text: str) -> None:
             depth += 1
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
-        if depth > _DEEPEST:
+        if depth > _MAX_DEPTH:
             line = event.start_mark.line + 1
-            raise ValueError(f"line {line}: nested deeper than {_DEEPEST} levels")
+            raise ValueError(f"line {line}: nested deeper than {_MAX_DEPTH} levels")
 
 
 def _one_line(error: yaml.YAMLError) -> str:

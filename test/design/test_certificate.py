@@ -17,7 +17,7 @@ from scipy.linalg import block_diag, expm
 
 from tsobs_ros.design.certificate import CertificateReport, Inequality, check_certificate
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError
 from tsobs_ros.model.arm import ElasticJointArm
@@ -89,13 +89,13 @@ def loop(shipped: Design) -> Loop:
 @pytest.fixture(scope="module")
 def decaying() -> Design:
     """A design with a certified decay rate."""
-    return synthesise(DesignRequest(decay_rate=0.1))
+    return synthesise(ArmRequest(decay_rate=0.1))
 
 
 @pytest.fixture(scope="module")
 def full_turn() -> Design:
     """A design for a clean sensor and every angle."""
-    return synthesise(DesignRequest(disturbance=(DisturbanceTerm("clean"),), x_max=math.pi))
+    return synthesise(ArmRequest(disturbance=(DisturbanceTerm("clean"),), x_max=math.pi))
 
 
 def test_the_shipped_design_holds_with_its_margin(shipped: Design) -> None:
@@ -326,7 +326,7 @@ def test_a_gain_beyond_numbers_is_a_failed_certificate(shipped: Design, value: f
 @pytest.mark.parametrize("damping", [0.0, 1.0])
 def test_no_certificate_holds_for_an_arbitrary_disturbance(damping: float) -> None:
     arm = ElasticJointArm(link_damping=damping, motor_damping=damping)
-    design = synthesise(DesignRequest(arm=arm, disturbance=(DisturbanceTerm("clean"),)))
+    design = synthesise(ArmRequest(arm=arm, disturbance=(DisturbanceTerm("clean"),)))
     for terms in (("arbitrary",), ("clean", "arbitrary")):
         request = replace(design.request, disturbance=[DisturbanceTerm(kind) for kind in terms])
         report = check_certificate(request, design.P, design.K)
@@ -337,7 +337,7 @@ def test_no_certificate_holds_for_an_arbitrary_disturbance(damping: float) -> No
 def test_what_rounding_may_add_is_far_below_the_margin_at_any_rate() -> None:
     """The allowance is per step, so it grows with the rate; a fixed one would not."""
     for rate in (25.0, 1000.0):
-        design = synthesise(DesignRequest(rate=rate))
+        design = synthesise(ArmRequest(rate=rate))
         (required,) = {each.required for each in design.certificate.inequalities[1:]}
         assert required < 1e-4 * design.certificate.worst.margin
         condition = np.linalg.cond(design.P / np.sqrt(np.outer(*[np.diag(design.P)] * 2)))

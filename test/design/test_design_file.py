@@ -18,7 +18,7 @@ from hypothesis.extra import numpy as hnp
 
 from tsobs_ros.design.file import load_design, load_request, parse_design, save_design
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError, DesignFileError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
@@ -45,7 +45,7 @@ TERMS = st.one_of(
     st.builds(lambda r: DisturbanceTerm("ramp", {"rate_density": r}), floats(0.0, 1.0)),
 )  # fmt: skip
 REQUESTS = st.builds(
-    DesignRequest,
+    ArmRequest,
     arm=st.builds(
         ElasticJointArm, floats(0.1, 10.0), floats(0.1, 10.0), floats(0.1, 100.0),
         floats(0.1, 100.0), floats(0.0, 10.0), floats(0.0, 10.0),
@@ -153,12 +153,12 @@ def test_what_a_file_leaves_out_has_its_default(
     valid: dict[str, Any], place: tuple[Any, ...], tmp_path: Path
 ) -> None:
     path = written(tmp_path, changed(valid, ("design", *place), ...))
-    assert load_design(path).request == DesignRequest()
+    assert load_design(path).request == ArmRequest()
 
 
 def test_a_request_may_leave_out_everything(tmp_path: Path) -> None:
-    assert load_request(written(tmp_path, "design: {}")) == DesignRequest()
-    assert load_request(written(tmp_path, "{}")) == DesignRequest()
+    assert load_request(written(tmp_path, "design: {}")) == ArmRequest()
+    assert load_request(written(tmp_path, "{}")) == ArmRequest()
 
 
 def test_a_request_is_a_design_files_first_part_or_stands_alone(
@@ -166,9 +166,7 @@ def test_a_request_is_a_design_files_first_part_or_stands_alone(
 ) -> None:
     assert load_request(shipped_file) == shipped.request
     path = written(tmp_path, "rate: 100\ndisturbance: [{kind: sinusoid, frequency: 3}]\n")
-    expected = DesignRequest(
-        rate=100.0, disturbance=[DisturbanceTerm("sinusoid", {"frequency": 3})]
-    )
+    expected = ArmRequest(rate=100.0, disturbance=[DisturbanceTerm("sinusoid", {"frequency": 3})])
     assert load_request(path) == expected
 
 
@@ -176,7 +174,7 @@ def test_a_number_without_a_point_is_still_a_number(tmp_path: Path) -> None:
     """YAML 1.1 reads 1e-4 as text."""
     path = written(tmp_path, "process_noise: {link: 1e-4, motor: 1e-5}\nrate: 2e2\nx_max: 1\n")
     request = load_request(path)
-    assert request == replace(DesignRequest(), x_max=1.0)
+    assert request == replace(ArmRequest(), x_max=1.0)
 
 
 MALFORMED: list[tuple[tuple[Any, ...], Any, str]] = [
@@ -310,7 +308,7 @@ def test_extreme_entries_are_refused_by_name(
 
 def test_a_clean_design_is_not_one_for_an_arbitrary_disturbance(tmp_path: Path) -> None:
     """The same matrices with the same state count, and no proof."""
-    clean = synthesise(DesignRequest(disturbance=(DisturbanceTerm("clean"),)))
+    clean = synthesise(ArmRequest(disturbance=(DisturbanceTerm("clean"),)))
     request = replace(clean.request, disturbance=(DisturbanceTerm("arbitrary"),))
     path = tmp_path / "my.yaml"
     save_design(replace(clean, request=request), path)

@@ -27,7 +27,7 @@ from tsobs_ros.design.rational import (
     rational,
 )
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
@@ -115,17 +115,17 @@ def test_the_shipped_design_is_proved_with_its_margins(shipped: Design) -> None:
 @pytest.mark.parametrize(
     "request_",
     [
-        DesignRequest(decay_rate=0.05),
-        DesignRequest(disturbance=(DisturbanceTerm("clean"),), x_max=math.pi),
-        DesignRequest(disturbance=(DisturbanceTerm("gauss_markov"),), rate=25.0),
-        DesignRequest(
+        ArmRequest(decay_rate=0.05),
+        ArmRequest(disturbance=(DisturbanceTerm("clean"),), x_max=math.pi),
+        ArmRequest(disturbance=(DisturbanceTerm("gauss_markov"),), rate=25.0),
+        ArmRequest(
             arm=ElasticJointArm(0.05, 0.005, 200.0, 2.0, 0.01, 0.01),
             disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("sinusoid", {"frequency": 3.0})),
         ),
     ],
     ids=["decay", "full turn", "25 Hz", "stiff with a tone"],
 )
-def test_designs_of_every_sort_are_proved(request_: DesignRequest) -> None:
+def test_designs_of_every_sort_are_proved(request_: ArmRequest) -> None:
     assert verify_exactly(synthesise(request_)).holds
 
 
@@ -137,10 +137,10 @@ def test_designs_of_every_sort_are_proved(request_: DesignRequest) -> None:
         {"P": -np.eye(5)},
         {"P": np.eye(5) + np.eye(5, k=1)},
         {"P": np.ones((5, 5))},
-        {"request": DesignRequest(x_max=0.76)},
-        {"request": DesignRequest(decay_rate=0.05)},
-        {"request": DesignRequest(certify_uncertainty=True, uncertainty={"stiffness": 0.2})},
-        {"request": DesignRequest(disturbance=(DisturbanceTerm("bias", {"density": 2e-4}),))},
+        {"request": ArmRequest(x_max=0.76)},
+        {"request": ArmRequest(decay_rate=0.05)},
+        {"request": ArmRequest(certify_uncertainty=True, uncertainty={"stiffness": 0.2})},
+        {"request": ArmRequest(disturbance=(DisturbanceTerm("bias", {"density": 2e-4}),))},
     ],
     ids=["no gain", "huge gain", "negative", "unsymmetric", "singular", "domain", "decay",
          "uncertainty", "noise"],
@@ -152,7 +152,7 @@ def test_a_tampered_design_is_not_proved(shipped: Design, change: dict[str, Any]
 
 
 def test_an_arbitrary_disturbance_is_not_proved() -> None:
-    clean = synthesise(DesignRequest(disturbance=(DisturbanceTerm("clean"),)))
+    clean = synthesise(ArmRequest(disturbance=(DisturbanceTerm("clean"),)))
     request = replace(clean.request, disturbance=(DisturbanceTerm("arbitrary"),))
     report = verify_exactly(replace(clean, request=request))
     assert [each.name for each in report.inequalities] == ["disturbance has a model"]
@@ -200,7 +200,7 @@ def test_the_exact_verdict_turns_where_the_true_margin_does(shipped: Design) -> 
 
 def test_an_arm_too_fast_to_enclose_is_said_to_be() -> None:
     arm = ElasticJointArm(link_damping=5e5)
-    request = DesignRequest(arm=arm, disturbance=(DisturbanceTerm("clean"),))
+    request = ArmRequest(arm=arm, disturbance=(DisturbanceTerm("clean"),))
     solver: Any = None
     with pytest.raises(ModelError, match="the arm is too fast for the period"):
         verify_exactly(Design(request, np.eye(4), np.zeros((4, 1)), solver))

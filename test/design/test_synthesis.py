@@ -15,7 +15,7 @@ from scipy.linalg import block_diag, solve_continuous_are, solve_discrete_are
 
 from tsobs_ros.design.feasibility import explain, find_obstacles, require_detectable
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.design.synthesis import MARGINS, synthesise
 from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
@@ -36,7 +36,7 @@ def relative_eigenvalues(covariance: Array, P: Array) -> Array:
 
 
 def test_the_shipped_design_can_be_made_again(shipped: Design) -> None:
-    again = synthesise(DesignRequest())
+    again = synthesise(ArmRequest())
     assert again.request == shipped.request
     # Solver versions differ in the last digits; the design they agree on does not.
     np.testing.assert_allclose(again.K, shipped.K, rtol=2e-3)
@@ -51,7 +51,7 @@ def test_the_shipped_gain_and_bound_are_the_known_ones(shipped: Design) -> None:
 
 
 def test_on_a_single_slope_the_bound_is_the_riccati_solution() -> None:
-    request = DesignRequest(x_max=1e-5)
+    request = ArmRequest(x_max=1e-5)
     design = synthesise(request)
     (vertex,) = request.flow.vertices(1.0, 1.0)[:1]
     # The strict margin is bought with a little more noise than there is.
@@ -73,7 +73,7 @@ def test_fast_sampling_tends_to_the_continuous_filter() -> None:
     gaps = []
     for rate in (50.0, 200.0, 800.0):
         std = math.sqrt(noise_density * rate)
-        request = DesignRequest(x_max=1e-5, rate=rate, measurement_std=std)
+        request = ArmRequest(x_max=1e-5, rate=rate, measurement_std=std)
         design = synthesise(request)
         C, driving = request.flow.output_matrix, block_diag(np.diag([0.0, 1e-4, 0.0, 1e-3]), 1e-4)
         bucy = solve_continuous_are(
@@ -93,7 +93,7 @@ def test_fast_sampling_tends_to_the_continuous_inequality() -> None:
     excess = []
     for rate in (100.0, 400.0):
         std = math.sqrt(noise_density * rate)
-        design = synthesise(DesignRequest(rate=rate, measurement_std=std))
+        design = synthesise(ArmRequest(rate=rate, measurement_std=std))
         flow, P = design.request.flow, design.P
         driving = block_diag(np.diag([0.0, 1e-4, 0.0, 1e-3]), 1e-4)
         information = flow.output_matrix.T @ flow.output_matrix / noise_density
@@ -113,13 +113,13 @@ def test_fast_sampling_tends_to_the_continuous_inequality() -> None:
 )
 def test_a_bias_is_seen_worse_the_wider_the_domain(x_max: float, known: float) -> None:
     # The known values are to one or two digits and for a bound of least trace, not of least volume.
-    design = synthesise(DesignRequest(x_max=x_max))
+    design = synthesise(ArmRequest(x_max=x_max))
     assert design.bound_std[4] == pytest.approx(known, rel=0.15)
 
 
 @pytest.mark.parametrize("rate", [25.0, 1000.0])
 def test_designs_exist_from_25_to_1000_hz(rate: float) -> None:
-    design = synthesise(DesignRequest(rate=rate))
+    design = synthesise(ArmRequest(rate=rate))
     assert design.certificate.holds
     assert design.bound_std[0] < 0.01
 
@@ -137,7 +137,7 @@ def test_designs_exist_from_25_to_1000_hz(rate: float) -> None:
 def test_designs_exist_for_every_kind_of_disturbance(
     disturbance: tuple[DisturbanceTerm, ...],
 ) -> None:
-    design = synthesise(DesignRequest(disturbance=disturbance))
+    design = synthesise(ArmRequest(disturbance=disturbance))
     assert design.certificate.holds
     assert (design.bound_std[:4] < [0.02, 0.05, 0.03, 0.04]).all()
     assert design.solver.name == "Clarabel"
@@ -145,8 +145,8 @@ def test_designs_exist_for_every_kind_of_disturbance(
 
 def test_a_clean_sensor_serves_the_full_turn_at_a_modest_price() -> None:
     clean = (DisturbanceTerm("clean"),)
-    half = synthesise(DesignRequest(disturbance=clean, x_max=math.pi / 3))
-    full = synthesise(DesignRequest(disturbance=clean, x_max=math.pi))
+    half = synthesise(ArmRequest(disturbance=clean, x_max=math.pi / 3))
+    full = synthesise(ArmRequest(disturbance=clean, x_max=math.pi))
     assert full.certificate.holds
     assert full.request.slope_range == (-1.0, 1.0)
     assert (full.bound_std > half.bound_std).all()
@@ -155,7 +155,7 @@ def test_a_clean_sensor_serves_the_full_turn_at_a_modest_price() -> None:
 
 def test_a_faster_decay_than_any_gain_gives_is_refused() -> None:
     with pytest.raises(DesignError, match="no common matrix P exists") as caught:
-        synthesise(DesignRequest(decay_rate=5.0))
+        synthesise(ArmRequest(decay_rate=5.0))
     assert not isinstance(caught.value, DetectabilityError)
     for part in (r"[0.7317, 1]", "0.75 rad", "decay rate 5 1/s", "200 Hz", "a smaller decay_rate"):
         assert part in str(caught.value)
@@ -163,7 +163,7 @@ def test_a_faster_decay_than_any_gain_gives_is_refused() -> None:
 
 def test_how_far_the_solver_got_is_not_made_up() -> None:
     with pytest.raises(DesignError, match="not a single solve succeeded"):
-        synthesise(DesignRequest(decay_rate=100.0))
+        synthesise(ArmRequest(decay_rate=100.0))
 
 
 STIFF = [
@@ -174,7 +174,7 @@ STIFF = [
 
 @pytest.mark.parametrize("arm", STIFF)
 def test_a_stiff_or_light_arm_has_a_design(arm: tuple[float, ...]) -> None:
-    request = DesignRequest(arm=ElasticJointArm(*arm))
+    request = ArmRequest(arm=ElasticJointArm(*arm))
     assert find_obstacles(request) == []
     design = synthesise(request)
     assert design.certificate.holds
@@ -191,7 +191,7 @@ def test_no_arm_is_refused_for_its_size(
     j1: float, j2: float, k: float, mgl: float, x_max: float
 ) -> None:
     arm = ElasticJointArm(10.0**j1, 10.0**j2, 10.0**k, 10.0**mgl)
-    assert find_obstacles(DesignRequest(arm=arm, x_max=x_max)) == []
+    assert find_obstacles(ArmRequest(arm=arm, x_max=x_max)) == []
 
 
 @PROPERTY
@@ -202,7 +202,7 @@ def test_no_arm_is_refused_for_its_size(
 def test_a_bias_is_refused_beyond_the_horizontal_for_every_arm(
     j1: float, j2: float, k: float, mgl: float, x_max: float
 ) -> None:
-    assert find_obstacles(DesignRequest(arm=ElasticJointArm(j1, j2, k, mgl), x_max=x_max))
+    assert find_obstacles(ArmRequest(arm=ElasticJointArm(j1, j2, k, mgl), x_max=x_max))
 
 
 @PROPERTY
@@ -221,7 +221,7 @@ def test_an_obstacle_is_a_hidden_mode(
         frequency = math.sqrt(max(squares[0 if kind == "slow" else 1], 0.0))
         assume(1e-2 < frequency < 600.0)
         terms = tone(frequency)
-    request = DesignRequest(arm=arm, disturbance=terms, x_max=math.pi)
+    request = ArmRequest(arm=arm, disturbance=terms, x_max=math.pi)
     obstacles = find_obstacles(request)
     assert obstacles
     for obstacle in obstacles:
@@ -234,12 +234,12 @@ def test_an_obstacle_is_a_hidden_mode(
 
 
 def test_a_smaller_domain_is_advised_beyond_the_horizontal_too() -> None:
-    request = DesignRequest(disturbance=tone(3.474), x_max=math.pi)
+    request = ArmRequest(disturbance=tone(3.474), x_max=math.pi)
     assert "a smaller domain: x_max below 2.09" in explain(request, find_obstacles(request))
 
 
 def test_a_smaller_domain_is_not_advised_where_it_cannot_help() -> None:
-    request = DesignRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("ramp")))
+    request = ArmRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("ramp")))
     assert "a smaller domain" not in explain(request, find_obstacles(request))
 
 
@@ -249,35 +249,35 @@ def test_a_damped_arm_is_not_designed_as_clean_under_an_arbitrary_disturbance(
 ) -> None:
     arm = ElasticJointArm(link_damping=1.0, motor_damping=1.0)
     with pytest.raises(DetectabilityError, match="open-loop simulation") as caught:
-        synthesise(DesignRequest(arm=arm, disturbance=[DisturbanceTerm(kind) for kind in terms]))
+        synthesise(ArmRequest(arm=arm, disturbance=[DisturbanceTerm(kind) for kind in terms]))
     assert "decays by itself but is not seen" in str(caught.value)
 
 
 def test_noiseless_processes_are_refused_by_name() -> None:
     with pytest.raises(DesignError, match="no stationary Kalman filter"):
-        synthesise(DesignRequest(process_noise=ProcessNoise(0.0, 0.0)))
+        synthesise(ArmRequest(process_noise=ProcessNoise(0.0, 0.0)))
 
 
 def test_requests_are_equal_and_hashed_by_what_they_ask() -> None:
     spelled = DisturbanceTerm("bias", {"initial_std": 0.3, "density": 1e-4})
-    same = DesignRequest(disturbance=[spelled], uncertainty={})
-    other = DesignRequest(uncertainty={"stiffness": 0.2})
-    assert same == DesignRequest() != other
-    assert hash(same) == hash(DesignRequest())
-    assert len({same, other, DesignRequest()}) == 2
+    same = ArmRequest(disturbance=[spelled], uncertainty={})
+    other = ArmRequest(uncertainty={"stiffness": 0.2})
+    assert same == ArmRequest() != other
+    assert hash(same) == hash(ArmRequest())
+    assert len({same, other, ArmRequest()}) == 2
 
 
 def test_a_noise_free_bias_has_no_stationary_filter() -> None:
     frozen = (DisturbanceTerm("bias", {"density": 0.0}),)
     with pytest.raises(DesignError, match=r"no stationary Kalman filter.*check the noise"):
-        synthesise(DesignRequest(disturbance=frozen))
+        synthesise(ArmRequest(disturbance=frozen))
 
 
 @pytest.mark.parametrize(
     ("request_", "parts"),
     [
         pytest.param(
-            DesignRequest(disturbance=(DisturbanceTerm("arbitrary"),)),
+            ArmRequest(disturbance=(DisturbanceTerm("arbitrary"),)),
             [
                 "kind arbitrary", "|q1| <= 0.75 rad", "c = 1 (|q1| = 0.0 deg)", "c = 0.7317",
                 "0 ± 4.776j", "0 ± 1.481j", "a model of the disturbance", "known to be clean",
@@ -286,7 +286,7 @@ def test_a_noise_free_bias_has_no_stationary_filter() -> None:
             id="arbitrary",
         ),
         pytest.param(
-            DesignRequest(x_max=math.pi / 2),
+            ArmRequest(x_max=math.pi / 2),
             [
                 "kind bias", "c = 0 (|q1| = 90.0 deg)", "eigenvalue 0 1/s", "q1 1, q1' 0, q2 1",
                 "w1 -1", "x_max below 1.571 rad", "kind gauss_markov", "kind clean",
@@ -294,21 +294,21 @@ def test_a_noise_free_bias_has_no_stationary_filter() -> None:
             id="bias at the horizontal",
         ),
         pytest.param(
-            DesignRequest(x_max=2.5), ["c = 0 (|q1| = 90.0 deg)", "x_max below 1.571 rad"],
+            ArmRequest(x_max=2.5), ["c = 0 (|q1| = 90.0 deg)", "x_max below 1.571 rad"],
             id="bias beyond it",
         ),
         pytest.param(
-            DesignRequest(disturbance=tone(1.4)),
+            ArmRequest(disturbance=tone(1.4)),
             ["kind sinusoid", "c = 0.8407 (|q1| = 32.8 deg)", "0 ± 1.4j", "x_max below 0.5722 rad",
              "a disturbance frequency away"],
             id="lower blind band",
         ),
         pytest.param(
-            DesignRequest(disturbance=tone(4.6)), ["0 ± 4.6j", "a disturbance frequency away"],
+            ArmRequest(disturbance=tone(4.6)), ["0 ± 4.6j", "a disturbance frequency away"],
             id="upper blind band",
         ),
         pytest.param(
-            DesignRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("bias"))),
+            ArmRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("bias"))),
             ["kind bias+bias", "at every gravity slope", "q1 0, q1' 0, q2 0, q2' 0, w1 1, w2 -1",
              "two of bias and bias move alike and cannot be told apart"],
             id="two biases",
@@ -316,7 +316,7 @@ def test_a_noise_free_bias_has_no_stationary_filter() -> None:
     ],
 )  # fmt: skip
 def test_an_impossible_design_names_mode_slope_and_help(
-    request_: DesignRequest, parts: list[str]
+    request_: ArmRequest, parts: list[str]
 ) -> None:
     with pytest.raises(DetectabilityError) as caught:
         synthesise(request_)
@@ -328,10 +328,10 @@ def test_the_domain_advised_is_clear_of_every_obstacle() -> None:
     """A bias hides at c = 0, a tone of 1 rad/s at c = 0.35: the advice must clear both."""
     terms = (DisturbanceTerm("bias"), *tone(1.0))
     with pytest.raises(DetectabilityError, match=r"x_max below 1\.213 rad") as caught:
-        require_detectable(DesignRequest(disturbance=terms, x_max=1.6))
+        require_detectable(ArmRequest(disturbance=terms, x_max=1.6))
     assert "c = 0 (|q1| = 90.0 deg)" in str(caught.value)
     assert "c = 0.35 (|q1| = 69.5 deg)" in str(caught.value)
-    assert find_obstacles(DesignRequest(disturbance=terms, x_max=1.21)) == []
+    assert find_obstacles(ArmRequest(disturbance=terms, x_max=1.21)) == []
 
 
 @PROPERTY
@@ -347,15 +347,15 @@ def test_a_tone_is_refused_exactly_in_the_arms_blind_bands(frequency: float) -> 
     bands = np.stack([own(math.cos(0.75)), own(1.0)])
     assume(np.abs(bands - frequency).min() > 1e-6)
     blind = bool(((bands[0] < frequency) & (frequency < bands[1])).any())
-    assert bool(find_obstacles(DesignRequest(disturbance=tone(frequency)))) == blind
+    assert bool(find_obstacles(ArmRequest(disturbance=tone(frequency)))) == blind
 
 
 def test_the_known_blind_bands() -> None:
     for frequency in (1.34, 1.47, 4.54, 4.77):
         with pytest.raises(DetectabilityError):
-            require_detectable(DesignRequest(disturbance=tone(frequency)))
+            require_detectable(ArmRequest(disturbance=tone(frequency)))
     for frequency in (1.32, 1.49, 4.52, 4.79):
-        require_detectable(DesignRequest(disturbance=tone(frequency)))
+        require_detectable(ArmRequest(disturbance=tone(frequency)))
 
 
 @PROPERTY
@@ -364,7 +364,7 @@ def test_a_bias_is_detectable_below_the_horizontal(
     x_max: float, inertia: float, stiffness: float, gravity: float
 ) -> None:
     arm = ElasticJointArm(inertia, 1.0, stiffness, gravity)
-    assert find_obstacles(DesignRequest(arm=arm, x_max=x_max)) == []
+    assert find_obstacles(ArmRequest(arm=arm, x_max=x_max)) == []
 
 
 @pytest.mark.parametrize(
@@ -403,7 +403,7 @@ def test_a_bias_is_detectable_below_the_horizontal(
 )
 def test_a_request_out_of_range_is_named(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ModelError, match=message):
-        replace(DesignRequest(), **change)
+        replace(ArmRequest(), **change)
 
 
 @pytest.mark.parametrize(
@@ -429,24 +429,24 @@ def test_terms_are_filled_with_defaults_and_added_up() -> None:
     assert term.as_mapping() == {
         "kind": "sinusoid", "frequency": 3.0, "density": 1e-4, "initial_std": 0.3
     }  # fmt: skip
-    request = DesignRequest(disturbance=[DisturbanceTerm("bias"), term])
+    request = ArmRequest(disturbance=[DisturbanceTerm("bias"), term])
     assert request.disturbance_model.label == "bias+sinusoid"
     assert request.flow.state_count == 7
 
 
 def test_the_initial_covariance_is_given_in_physical_units() -> None:
     arm = ElasticJointArm(link_inertia=2.0, stiffness=30.0)
-    request = DesignRequest(arm=arm, initial_std=(0.1, 0.2, 0.3, 0.4))
+    request = ArmRequest(arm=arm, initial_std=(0.1, 0.2, 0.3, 0.4))
     expected = np.diag([0.01, 0.04, (15 * 0.3) ** 2, (15 * 0.4) ** 2, 0.09])
     np.testing.assert_allclose(request.initial_covariance, expected, rtol=1e-14)
 
 
 def test_process_noise_makes_the_bound() -> None:
     """Ten times the densities of everything, ten times the bound: the problem is homogeneous."""
-    loud = DesignRequest(
+    loud = ArmRequest(
         process_noise=ProcessNoise(1e-3, 1e-4),
         measurement_std=0.028 * math.sqrt(10.0),
         disturbance=(DisturbanceTerm("bias", {"density": 1e-3}),),
     )
-    ratio = synthesise(loud).bound_std / synthesise(DesignRequest()).bound_std
+    ratio = synthesise(loud).bound_std / synthesise(ArmRequest()).bound_std
     np.testing.assert_allclose(ratio, math.sqrt(10.0), rtol=1e-3)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.design.ts_design import TSDesign
 from tsobs_ros.design.ts_file import (
@@ -133,7 +133,7 @@ def test_one_rule_is_the_kalman_filter() -> None:
 
 def test_the_arm_is_a_special_case() -> None:
     """Given as two rules with the ends of its slopes, it gets the bound of its own design."""
-    own = DesignRequest(rate=1000.0)
+    own = ArmRequest(rate=1000.0)
     arm, width = own.arm, own.x_max
     sector = RuleBase(
         tuple((membership(name, {"half_width": width}),) for name in ("sine_upper", "sine_lower"))

@@ -19,7 +19,7 @@ from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.exact import verify_exactly
 from tsobs_ros.design.file import load_design, load_request, parse_design, save_design
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import DesignRequest
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError
 from tsobs_ros.model.arm import ElasticJointArm
@@ -38,12 +38,12 @@ CASES: dict[str, dict[str, float]] = {
 @pytest.fixture(scope="module")
 def designs() -> Mapping[str, Design]:
     return {
-        name: synthesise(DesignRequest(uncertainty=bounds, certify_uncertainty=True))
+        name: synthesise(ArmRequest(uncertainty=bounds, certify_uncertainty=True))
         for name, bounds in CASES.items()
     }
 
 
-def kick(request: DesignRequest, slope: float, theta: Array) -> Array:
+def kick(request: ArmRequest, slope: float, theta: Array) -> Array:
     """Return the Jacobian of half a kick, from the derivative of the accelerations."""
     arm, half = request.arm, 0.5 / request.rate
     uncertainty = arm_uncertainty(arm, request.uncertainty)
@@ -120,7 +120,7 @@ def test_uncertain_gravity_widens_the_slopes_to_either_side() -> None:
 def test_a_kick_is_a_convex_combination_of_its_corners(data: st.DataObject, x_max: float) -> None:
     """Solved for entry by entry: the kick's entries lie within those of the corners around it."""
     names = data.draw(st.lists(st.sampled_from(list(ARM_DIRECTIONS)), max_size=3, unique=True))
-    request = DesignRequest(
+    request = ArmRequest(
         uncertainty=dict.fromkeys(names, 0.3), certify_uncertainty=bool(names), x_max=x_max
     )
     slope = data.draw(st.floats(math.cos(x_max), 1.0))
@@ -184,7 +184,5 @@ def test_a_design_keeps_its_uncertainty_in_its_file(
 def test_a_request_file_may_ask_for_it(tmp_path: Path) -> None:
     path = tmp_path / "my.yaml"
     path.write_text("uncertainty: {stiffness: 0.2, gravity: 1e-1}\ncertify_uncertainty: true\n")
-    expected = DesignRequest(
-        uncertainty={"stiffness": 0.2, "gravity": 0.1}, certify_uncertainty=True
-    )
+    expected = ArmRequest(uncertainty={"stiffness": 0.2, "gravity": 0.1}, certify_uncertainty=True)
     assert load_request(path) == expected

@@ -8,7 +8,7 @@ from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from tsobs_ros.design.request import DesignRequest, DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import (
     ExtendedKalmanFilter,
@@ -105,7 +105,7 @@ def test_converges_on_a_clean_output_for_every_theta_of_a_batch(
 
 
 def test_kalman_filter_is_the_riccati_mode_of_the_certified_observer() -> None:
-    request = DesignRequest()
+    request = ArmRequest()
     ekf = ExtendedKalmanFilter(
         request.flow, request.measurement_covariance, request.initial_covariance
     )
@@ -129,7 +129,7 @@ def test_kalman_filter_is_the_riccati_mode_of_the_certified_observer() -> None:
 
 
 def test_kalman_filter_is_the_textbook_one_on_a_linear_arm() -> None:
-    request = DesignRequest(arm=LINEAR, disturbance=(DisturbanceTerm("bias"),))
+    request = ArmRequest(arm=LINEAR, disturbance=(DisturbanceTerm("bias"),))
     flow = request.flow
     ekf = ExtendedKalmanFilter(flow, request.measurement_covariance, request.initial_covariance)
     textbook = KalmanFilter(dim_x=5, dim_z=1, dim_u=1)
@@ -154,7 +154,7 @@ def test_wrong_numbers_are_named() -> None:
         HighGainObserver(ARM, [1.0, -1.0])
     with pytest.raises(ModelError, match="theta: expected a finite number above 0, got nan"):
         ProportionalIntegralObserver(ARM, float("nan"))
-    request = DesignRequest()
+    request = ArmRequest()
     with pytest.raises(
         ModelError, match=r"initial covariance: expected shape \(5, 5\), got \(4, 4"
     ):

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.file import load_design
+from tsobs_ros.design.file import load_design, load_request
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.ts_file import load_ts_request
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.observer import CertifiedGain, TSObserver
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Measurement, RejectReason
@@ -147,7 +146,7 @@ def test_a_batch_goes_through_a_gap_as_each_of_it() -> None:
 def test_a_torque_rate_must_make_sense() -> None:
     with pytest.raises(ModelError, match=r"torque_rate: expected a finite number .* got -1"):
         DESIGN.observer(torque_rate=-1.0)
-    request = load_ts_request(config_path("ts_example.request.yaml"))
+    request = load_request(config_path("ts_example.request.yaml"))
     n, p = request.flow.state_count, len(request.flow.output_matrix)
     gain = CertifiedGain(np.zeros((n, p)), np.eye(n))
     known = TSObserver(request.flow, np.eye(p), np.eye(n), gain)

@@ -12,11 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from tsobs_ros.design.request import DisturbanceTerm
-from tsobs_ros.design.ts_design import TSDesign
-from tsobs_ros.design.ts_file import load_ts_request
-from tsobs_ros.design.ts_request import TSRequest
-from tsobs_ros.design.ts_synthesis import synthesise_ts
+from tsobs_ros.design.file import load_request
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import DisturbanceTerm, TSRequest
+from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.adaptive import AdaptationOptions, AdaptiveObserver
 from tsobs_ros.estimation.observer import GainMode, ObserverState
@@ -34,18 +33,18 @@ RUNS = 1000
 
 
 @pytest.fixture(scope="module")
-def pendulum() -> TSDesign:
+def pendulum() -> Design:
     """The shipped example: an encoder, a gyroscope with a bias, gravity uncertain by 20 %."""
-    return synthesise_ts(load_ts_request(config_path("ts_example.request.yaml")))
+    return synthesise(load_request(config_path("ts_example.request.yaml")))
 
 
 @pytest.fixture(scope="module")
-def linear() -> TSDesign:
+def linear() -> Design:
     """One rule, two states, two outputs of which the second has a bias."""
     rules = RuleBase(((membership("always", {}),),))
     A = np.array([[[0.0, 1.0], [-2.0, -0.3]]])
     model = TSModel(A, np.array([[0.0], [1.0]]), np.eye(2), rules, np.ones((1, 2)))
-    return synthesise_ts(
+    return synthesise(
         TSRequest(
             model=model,
             disturbance=[[DisturbanceTerm("clean")], [DisturbanceTerm("bias")]],
@@ -67,7 +66,7 @@ def true_pendulum(gravity: float = 9.81) -> Callable[[Array, Array], Array]:
     return derivative
 
 
-def test_with_one_rule_it_is_the_textbook_kalman_filter(linear: TSDesign) -> None:
+def test_with_one_rule_it_is_the_textbook_kalman_filter(linear: Design) -> None:
     observer = linear.observer(gain_mode=GainMode.RICCATI)
     request = linear.request
     T = request.period
@@ -92,7 +91,7 @@ def test_with_one_rule_it_is_the_textbook_kalman_filter(linear: TSDesign) -> Non
     np.testing.assert_allclose(state.covariance, P, rtol=1e-9, atol=1e-15)
 
 
-def test_with_one_rule_the_certified_gain_is_a_luenberger_observer(linear: TSDesign) -> None:
+def test_with_one_rule_the_certified_gain_is_a_luenberger_observer(linear: Design) -> None:
     observer = linear.observer()
     bound = linear.covariance_bound
     state = ObserverState(np.array([0.3, -0.2, 0.1]), bound, 0.0, True, False)
@@ -115,7 +114,7 @@ class Campaign(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def campaign(pendulum: TSDesign) -> Campaign:
+def campaign(pendulum: Design) -> Campaign:
     """Pendulums that follow the equation, kicked every quarter step, from errors as large as X."""
     rng = np.random.default_rng(20260301)
     T, substeps = pendulum.request.period, 4
@@ -145,7 +144,7 @@ def campaign(pendulum: TSDesign) -> Campaign:
 
 
 def test_the_covariance_of_the_errors_stays_below_the_bound(
-    campaign: Campaign, pendulum: TSDesign
+    campaign: Campaign, pendulum: Design
 ) -> None:
     """For samples whose covariance is X the largest eigenvalue of X⁻¹cov(e) tends to
     (1 + √(3/1000))² = 1.11, with a deviation of about 0.03.
@@ -157,16 +156,16 @@ def test_the_covariance_of_the_errors_stays_below_the_bound(
         assert np.linalg.eigvalsh(spread)[-1] < 1.2
 
 
-def test_the_bound_is_not_idle(campaign: Campaign, pendulum: TSDesign) -> None:
+def test_the_bound_is_not_idle(campaign: Campaign, pendulum: Design) -> None:
     share = np.sqrt((campaign.errors**2).mean(axis=(0, 1))) / pendulum.bound_std
     assert (share > 0.7).all()
     assert (share < 1.03).all()
 
 
 @pytest.mark.parametrize("theta", [0.12, -0.15])
-def test_adaptation_finds_the_true_parameter(theta: float, pendulum: TSDesign) -> None:
+def test_adaptation_finds_the_true_parameter(theta: float, pendulum: Design) -> None:
     """Gravity differs by θ; the truth is the equation, both sensors are noisy, one has a bias."""
-    observer = pendulum.adaptive_observer(1.0, AdaptationOptions(start=1.0))
+    observer = pendulum.adaptive(1.0, options=AdaptationOptions(start=1.0))
     rng = np.random.default_rng(7)
     T = pendulum.request.period
     derivative = true_pendulum(9.81 * (1.0 + theta))
@@ -188,7 +187,7 @@ def test_adaptation_finds_the_true_parameter(theta: float, pendulum: TSDesign) -
     np.testing.assert_allclose(readout.disturbance, [0.0, 0.05], atol=0.006)
 
 
-def test_the_sensitivity_is_the_derivative_by_theta(pendulum: TSDesign) -> None:
+def test_the_sensitivity_is_the_derivative_by_theta(pendulum: Design) -> None:
     """Υ starts as ∂x/∂θ of a start that depends on θ, and stays that of the predicted state."""
     uncertainty = pendulum.request.uncertainty
     assert uncertainty is not None
@@ -204,7 +203,7 @@ def test_the_sensitivity_is_the_derivative_by_theta(pendulum: TSDesign) -> None:
     np.testing.assert_allclose(upsilon[:, 0], expected, rtol=1e-7)
 
 
-def test_known_parameters_are_those_of_the_changed_model(pendulum: TSDesign) -> None:
+def test_known_parameters_are_those_of_the_changed_model(pendulum: Design) -> None:
     """Carrying θ is predicting with Aᵢ + θEᵢ; and θ = 0 is the plain prediction, noise included."""
     request, flow = pendulum.request, pendulum.request.flow
     assert request.uncertainty is not None
@@ -229,7 +228,7 @@ def test_known_parameters_are_those_of_the_changed_model(pendulum: TSDesign) -> 
     np.testing.assert_allclose(x[:2], truth, atol=1e-3)
 
 
-def test_the_readout_is_in_the_models_own_terms(pendulum: TSDesign) -> None:
+def test_the_readout_is_in_the_models_own_terms(pendulum: Design) -> None:
     observer = pendulum.observer()
     state = ObserverState(
         np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), pendulum.covariance_bound, 0, True, False
@@ -241,7 +240,7 @@ def test_the_readout_is_in_the_models_own_terms(pendulum: TSDesign) -> None:
     np.testing.assert_allclose(readout.disturbance_bound, [0.0, pendulum.bound_std[2]], rtol=1e-12)
 
 
-def test_a_wide_start_is_handed_over_to_the_certified_gain(pendulum: TSDesign) -> None:
+def test_a_wide_start_is_handed_over_to_the_certified_gain(pendulum: Design) -> None:
     observer = pendulum.observer(settle_time=0.5)
     state, x, T = observer.initial(), np.array([0.5, 0.0]), pendulum.request.period
     derivative = true_pendulum()
@@ -254,12 +253,12 @@ def test_a_wide_start_is_handed_over_to_the_certified_gain(pendulum: TSDesign) -
     np.testing.assert_allclose(state.x, [*x, 0.05], atol=5e-3)
 
 
-def test_uncertainty_of_another_model_is_refused(pendulum: TSDesign) -> None:
+def test_uncertainty_of_another_model_is_refused(pendulum: Design) -> None:
     arm = arm_uncertainty(ElasticJointArm(), {"stiffness": 0.2})
     with pytest.raises(ModelError, match=r"shape \(2, 2, 3\) for TSFlow, got \(1, 4, 6\)"):
         AdaptiveObserver(pendulum.observer(), arm)
 
 
-def test_there_must_be_something_to_learn(linear: TSDesign) -> None:
+def test_there_must_be_something_to_learn(linear: Design) -> None:
     with pytest.raises(ModelError, match="expected at least one direction to learn, got none"):
-        linear.adaptive_observer()
+        linear.adaptive()

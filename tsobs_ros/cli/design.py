@@ -7,7 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tsobs_ros.cli.common import Commands, add_json, show
-from tsobs_ros.cli.design_summary import summary, summary_text
 from tsobs_ros.errors import DesignFileError
 
 
@@ -15,7 +14,10 @@ def add_parser(commands: Commands) -> None:
     """Add the command `design`."""
     design = commands.add_parser("design", help="design a gain and write its file")
     design.add_argument(
-        "request", type=Path, nargs="?", help="YAML with the arm, noise and domain; else defaults"
+        "request",
+        type=Path,
+        nargs="?",
+        help="YAML with the arm or T-S system, noise and domain; else defaults",
     )
     design.add_argument("--output", type=Path, required=True, metavar="FILE")
     design.add_argument(
@@ -35,35 +37,27 @@ def add_parser(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Design a gain and write its file."""
     from tsobs_ros.design.file import load_request, save_design
-    from tsobs_ros.design.request import DesignRequest
+    from tsobs_ros.design.request import ArmRequest
     from tsobs_ros.design.synthesis import synthesise
-    from tsobs_ros.design.ts_file import is_ts_file
-    from tsobs_ros.design.ts_synthesis import design_ts_file
 
     if options.output.exists() and not options.force:
         raise DesignFileError(f"{options.output}: exists already; --force replaces it")
     if options.method == "paper":
         return _design_by_the_paper(options)
-    if options.request and is_ts_file(options.request):
-        ts_result = design_ts_file(options.request, options.output)
-        written = f"{ts_result.text()}\nwritten to {options.output}"
-        show({"design": str(options.output), **ts_result.summary()}, written, options.json)
-        return 0
-    request = load_request(options.request) if options.request else DesignRequest()
-    result = synthesise(request)
-    save_design(result, options.output)
+    design = synthesise(load_request(options.request) if options.request else ArmRequest())
+    save_design(design, options.output)
     show(
-        {"design": str(options.output), **summary(result)},
-        f"{summary_text(result)}\nwritten to {options.output}",
+        {"design": str(options.output), **design.summary()},
+        f"{design.text()}\nwritten to {options.output}",
         options.json,
     )
     return 0
 
 
 def _design_by_the_paper(options: argparse.Namespace) -> int:
-    from tsobs_ros.design.plain import write_yaml
     from tsobs_ros.paper import examples
     from tsobs_ros.paper.synthesis import design_adaptive_observer
+    from tsobs_ros.yaml_files import write_yaml
 
     build = (examples.example_1, examples.example_2, examples.example_3)[options.example - 1]
     example = build()

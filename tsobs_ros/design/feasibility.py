@@ -1,17 +1,23 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Why a design cannot exist: the mode, the slope at which it hides, and what would help."""
+"""Detectability of a request: the modes that stay hidden, where, and what would help."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.design.request import DesignRequest
+from tsobs_ros.design.problem import DesignProblem
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import DetectabilityError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.detectability import HiddenMode, hidden_modes
+from tsobs_ros.model.detectability import (
+    HiddenMode,
+    format_mode,
+    hidden_modes,
+    undetectable_modes,
+)
 
 _PERSISTENT = -1e-9
 """Real parts above this [1/s] do not decay: the mode would outlive the robot."""
@@ -20,13 +26,13 @@ _SLOPE_TOLERANCE = 1e-9
 
 
 class Obstacle(NamedTuple):
-    """A mode that the sensor does not see, with the gravity slope, or None where it is any."""
+    """A mode that the sensor does not see, with the gravity slope, or None if it is any."""
 
     slope: float | None
     mode: HiddenMode
 
 
-def find_obstacles(request: DesignRequest) -> list[Obstacle]:
+def find_obstacles(request: ArmRequest) -> list[Obstacle]:
     """Return the undetectable modes on the request's domain, one of each conjugate pair.
 
     The test is structural, with no rank to judge: the arm alone is observable at every slope, so
@@ -45,14 +51,25 @@ def find_obstacles(request: DesignRequest) -> list[Obstacle]:
     return [*_indistinct_terms(request), *_resonances(request)]
 
 
-def require_detectable(request: DesignRequest) -> None:
-    """Raise `DetectabilityError` with the whole explanation if the design cannot exist."""
-    obstacles = find_obstacles(request)
-    if obstacles:
-        raise DetectabilityError(explain(request, obstacles))
+def require_detectable(problem: DesignProblem) -> None:
+    """Refuse a request that no observer can answer.
+
+    For a T–S system every vertex is tested by itself (Popov–Belevitch–Hautus). That all of them
+    pass is necessary; whether what lies between them passes too only the synthesis tells.
+
+    Raises:
+        DetectabilityError: A mode that does not decay is hidden, or a disturbance is arbitrary;
+            the text says where, the mode's eigenvalue and shape, and what would help.
+    """
+    if isinstance(problem, ArmRequest):
+        obstacles = find_obstacles(problem)
+        if obstacles:
+            raise DetectabilityError(explain(problem, obstacles))
+    elif isinstance(problem, TSRequest):
+        _require_detectable_vertices(problem)
 
 
-def explain(request: DesignRequest, obstacles: list[Obstacle]) -> str:
+def explain(request: ArmRequest, obstacles: list[Obstacle]) -> str:
     """Return the report: what is hidden, at which slope and angle, its shape, what would help."""
     label = request.disturbance_model.label
     lines = [
@@ -70,7 +87,7 @@ def explain(request: DesignRequest, obstacles: list[Obstacle]) -> str:
     return "\n".join(lines)
 
 
-def _indistinct_terms(request: DesignRequest) -> Iterator[Obstacle]:
+def _indistinct_terms(request: ArmRequest) -> Iterator[Obstacle]:
     """Yield the persistent modes that cancel within the disturbance, whatever the arm does."""
     model = request.disturbance_model
     for mode in hidden_modes(model.S, model.H):
@@ -78,7 +95,7 @@ def _indistinct_terms(request: DesignRequest) -> Iterator[Obstacle]:
             yield Obstacle(None, mode._replace(shape=np.concatenate([np.zeros(4), mode.shape])))
 
 
-def _resonances(request: DesignRequest) -> Iterator[Obstacle]:
+def _resonances(request: ArmRequest) -> Iterator[Obstacle]:
     """Yield the persistent modes of the disturbance that the arm can copy, with the slope."""
     lowest, highest = request.slope_range
     found: list[complex] = []
@@ -111,7 +128,7 @@ def _resonance(arm: ElasticJointArm, eigenvalue: complex) -> tuple[complex, comp
 
 
 def _shared_mode(
-    request: DesignRequest, eigenvalue: complex, twist: complex, slope: float
+    request: ArmRequest, eigenvalue: complex, twist: complex, slope: float
 ) -> HiddenMode:
     """Return the mode in which the disturbance takes back the arm's motion."""
     model, arm = request.disturbance_model, request.arm
@@ -128,7 +145,7 @@ def _shared_mode(
     return HiddenMode(eigenvalue, shape, float(visibility))
 
 
-def _describe(request: DesignRequest, obstacle: Obstacle) -> str:
+def _describe(request: ArmRequest, obstacle: Obstacle) -> str:
     eigenvalue = obstacle.mode.eigenvalue
     # A persistent mode's tiny real part, or a defective zero's spread, is rounding.
     clean = complex(*(0.0 if abs(part) < 1e-6 else part for part in _parts(eigenvalue)))
@@ -150,7 +167,7 @@ def _place(slope: float | None) -> str:
 
 
 def _shape(
-    request: DesignRequest,
+    request: ArmRequest,
     mode: "np.ndarray[tuple[int, ...], np.dtype[np.complex128]]",
     names: list[str],
 ) -> str:
@@ -176,7 +193,7 @@ def _parts(value: complex) -> tuple[float, float]:
     return float(value.real), float(value.imag)
 
 
-def _advice(request: DesignRequest, obstacles: list[Obstacle]) -> Iterator[str]:
+def _advice(request: ArmRequest, obstacles: list[Obstacle]) -> Iterator[str]:
     if request.disturbance_model.arbitrary:
         yield "a model of the disturbance: bias, gauss_markov, sinusoid, ramp, or a sum of them"
         yield "a second sensor known to be clean (a motor encoder, say)"
@@ -198,3 +215,40 @@ def _advice(request: DesignRequest, obstacles: list[Obstacle]) -> Iterator[str]:
         yield "a disturbance frequency away from the arm's own frequencies on the domain"
     yield "kind gauss_markov, whose decaying state need not be seen, in place of one that persists"
     yield "kind clean, if the sensor carries noise only"
+
+
+def _require_detectable_vertices(request: TSRequest) -> None:
+    if request.disturbance_model.arbitrary:
+        raise DetectabilityError(
+            "an arbitrary disturbance explains every value of the outputs it acts on, which "
+            "then say nothing of the state. What would help: a model of it (bias, "
+            "gauss_markov, sinusoid, ramp), or leaving these outputs out of C and reading "
+            "their disturbance as y − C x̂ from the others"
+        )
+    matrices, names = request.vertex_matrices()
+    hidden = [
+        (name, mode)
+        for name, matrix in zip(names, matrices, strict=True)
+        for mode in undetectable_modes(request.flow.augmented(matrix), request.flow.output_matrix)
+        if mode.eigenvalue.imag >= 0.0
+    ]
+    if hidden:
+        raise DetectabilityError(_explain_hidden(request, hidden))
+
+
+def _explain_hidden(request: TSRequest, hidden: Sequence[tuple[str, HiddenMode]]) -> str:
+    n, q = request.model.state_count, request.disturbance_model.state_count
+    names = [*request.state_names, *(f"w{i + 1}" for i in range(q))]
+    label = f"[{', '.join(names)}]"
+    lines = [
+        f"no observer exists for outputs disturbed by {request.disturbance_model.label}:",
+        *(f"  - {name}: the mode {format_mode(mode, label)} is not seen" for name, mode in hidden),
+        "what would help:",
+    ]
+    if any(np.abs(mode.shape[n:]).max(initial=0.0) > 1e-6 for _, mode in hidden):
+        lines.append(
+            "  - a disturbance that cannot copy the mode: gauss_markov, another frequency, or "
+            "kind clean on an output that shows it"
+        )
+    lines.append("  - an output that shows the mode, or damping that makes it decay")
+    return "\n".join(lines)

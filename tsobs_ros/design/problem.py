@@ -1,13 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the synthesis and the certificate need to know of a request, whatever its model."""
+"""A design problem: the error systems that one matrix P and one gain K are wanted for."""
 
-from collections.abc import Sequence
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 from tsobs_ros.checks import Array
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.prediction import PredictionModel
+from tsobs_ros.model.uncertainty import Uncertainty
 
 
 class ErrorVertex(Protocol):
@@ -29,48 +31,78 @@ class ErrorVertex(Protocol):
         ...
 
 
-class DesignProblem(Protocol):
-    """The error systems that one matrix P and one gain K are wanted for, and their noise."""
+class DesignProblem(ABC):
+    """What synthesis, certificate and observer need to know of a request, whatever its model.
 
-    @property
-    def flow(self) -> PredictionModel:
-        """The prediction model."""
-        ...
+    Attributes:
+        rate: Samples a second [Hz].
+        decay_rate: Rate ρ at which eᵀPe has to shrink without noise, as e^{−2ρt} [1/s].
+        certify_uncertainty: Whether the certificate covers every θ within the bounds.
+    """
 
-    @property
-    def disturbance_model(self) -> DisturbanceModel:
-        """What disturbs the measurements besides white noise."""
-        ...
-
-    @property
-    def measurement_covariance(self) -> Array:
-        """R of one sample, shape (p, p)."""
-        ...
+    rate: float
+    decay_rate: float
+    certify_uncertainty: bool
 
     @property
     def period(self) -> float:
         """Sampling period T [s]."""
-        ...
+        return 1.0 / self.rate
 
     @property
-    def decay_rate(self) -> float:
-        """Rate ρ at which eᵀPe has to shrink without noise, as e^{−2ρt} [1/s]."""
-        ...
+    @abstractmethod
+    def flow(self) -> PredictionModel:
+        """The prediction model."""
 
     @property
+    @abstractmethod
+    def disturbance_model(self) -> DisturbanceModel:
+        """What disturbs the measurements besides white noise."""
+
+    @property
+    @abstractmethod
+    def uncertainty_model(self) -> Uncertainty:
+        """The uncertain parameters; their number is 0 if there are none."""
+
+    @property
+    @abstractmethod
+    def measurement_covariance(self) -> Array:
+        """R of one sample, shape (p, p)."""
+
+    @property
+    @abstractmethod
+    def initial_covariance(self) -> Array:
+        """Error covariance before any measurement, shape (n, n)."""
+
+    @property
+    @abstractmethod
+    def state_names(self) -> Sequence[str]:
+        """The plant's states in words, with units if known."""
+
+    @property
+    @abstractmethod
+    def headline(self) -> str:
+        """The problem in words, for reports."""
+
+    @property
+    @abstractmethod
+    def details(self) -> Mapping[str, Any]:
+        """What reports of this kind of problem have besides, as plain data."""
+
+    @property
+    @abstractmethod
     def domain(self) -> str:
         """The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]"."""
-        ...
 
     @property
+    @abstractmethod
     def remedies(self) -> Sequence[str]:
-        """What would help where no common matrix is found, the best first."""
-        ...
+        """What would help if no common matrix is found, the best first."""
 
+    @abstractmethod
     def vertices(self, share: float = 1.0) -> Sequence[ErrorVertex]:
         """Return the error systems of a share of the domain, 0 for its middle, 1 for all of it."""
-        ...
 
+    @abstractmethod
     def starts(self) -> Sequence[ErrorVertex]:
         """Return systems whose Kalman filters are first guesses, the best first."""
-        ...

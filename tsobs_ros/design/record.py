@@ -4,14 +4,15 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
-from tsobs_ros.design.request import DesignRequest
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.adaptive import AdaptiveObserver
+from tsobs_ros.estimation.adaptive import AdaptationOptions, AdaptiveObserver
 from tsobs_ros.estimation.observer import TORQUE_RATE, CertifiedGain, GainMode, TSObserver
 from tsobs_ros.estimation.supervised import SupervisedObserver
 
@@ -23,7 +24,7 @@ class SolverReport:
     Attributes:
         name: Solver.
         version: Its version.
-        status: What it said of its answer.
+        status: What it reported of its answer.
         iterations: Of its last solve.
         seconds: Time of the whole synthesis [s].
         margin: Extra noise it was asked to allow for, as a fraction of the bound per second.
@@ -37,30 +38,48 @@ class SolverReport:
     margin: float = 1e-4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Design:
-    """A gain with its proof.
+    """A gain with its proof, for an arm or for a T–S system.
 
     Attributes:
         request: What was asked.
-        P: Certificate matrix, shape (n, n), design coordinates; X = P⁻¹ bounds the error
+        P: Certificate matrix, shape (n, n), in design coordinates; X = P⁻¹ bounds the error
             covariance before each sample.
-        K: Filter gain, shape (n, 1).
+        K: Filter gain, shape (n, p).
         solver: Who computed P and K.
 
     Raises:
         ModelError: A matrix is not finite or of the wrong shape.
+
+    >>> from tsobs_ros.design.file import load_design
+    >>> from tsobs_ros.resources import config_path
+    >>> design = load_design(config_path("elastic_joint.design.yaml"))
+    >>> design.certificate.holds
+    True
+    >>> state, _ = (observer := design.observer()).correct(observer.initial(), np.array([0.3]))
     """
 
-    request: DesignRequest
+    request: ArmRequest | TSRequest
     P: Array
     K: Array
     solver: SolverReport
 
     def __post_init__(self) -> None:
-        n = self.request.flow.state_count
+        n, p = self.request.flow.state_count, self.request.flow.output_matrix.shape[0]
         object.__setattr__(self, "P", as_matrix("P", self.P, (n, n)))
-        object.__setattr__(self, "K", as_matrix("K", self.K, (n, 1)))
+        object.__setattr__(self, "K", as_matrix("K", self.K, (n, p)))
+
+    @property
+    def arm_request(self) -> ArmRequest:
+        """The request of a design for an arm.
+
+        Raises:
+            ModelError: The design is for a T–S system.
+        """
+        if not isinstance(self.request, ArmRequest):
+            raise ModelError("design: expected one for an arm, got one for a T-S system")
+        return self.request
 
     @cached_property
     def certificate(self) -> CertificateReport:
@@ -85,24 +104,27 @@ class Design:
 
     @property
     def bound_std(self) -> Array:
-        """Certified 1σ of [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) and the disturbance's states, (n,)."""
+        """Certified 1σ of the plant's states in physical units and of the disturbance's, (n,)."""
         std = np.sqrt(np.diag(self.covariance_bound))
-        std[:4] = self.request.arm.to_physical(std[:4])
-        return std
+        plant = self.request.flow.to_physical(std)
+        return np.concatenate([plant, std[plant.size :]])
 
     def observer(
         self,
         settle_time: float = 5.0,
         gain_mode: GainMode = GainMode.CERTIFIED,
-        torque_rate: float = TORQUE_RATE,
+        torque_rate: float | None = None,
     ) -> TSObserver:
         """Return the observer this design is for.
 
         Args:
             settle_time: Riccati gains are used for this long after a (re)start [s].
             gain_mode: Whether the certified gain takes over afterwards.
-            torque_rate: 1σ of the rate at which the torque may move in a gap [N m/s].
+            torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s]; by
+                default `TORQUE_RATE`, and 0 for a T–S system, which has no other.
         """
+        if torque_rate is None:
+            torque_rate = TORQUE_RATE if isinstance(self.request, ArmRequest) else 0.0
         return TSObserver(
             flow=self.request.flow,
             measurement_covariance=self.request.measurement_covariance,
@@ -113,25 +135,97 @@ class Design:
             torque_rate=torque_rate,
         )
 
+    def adaptive(
+        self,
+        settle_time: float = 5.0,
+        gain_mode: GainMode = GainMode.CERTIFIED,
+        torque_rate: float | None = None,
+        options: AdaptationOptions | None = None,
+    ) -> AdaptiveObserver:
+        """Return the observer that learns what the request calls uncertain.
+
+        Args:
+            settle_time: As for `observer`.
+            gain_mode: As for `observer`.
+            torque_rate: As for `observer`.
+            options: How fast it learns.
+
+        Raises:
+            ModelError: The request calls nothing uncertain.
+        """
+        uncertainty = self.request.uncertainty_model
+        if not uncertainty.count:
+            raise ModelError("uncertainty: expected at least one parameter to learn, got none")
+        observer = self.observer(settle_time, gain_mode, torque_rate)
+        return AdaptiveObserver(observer, uncertainty, options, self.request.certify_uncertainty)
+
     def supervised(
         self,
         settle_time: float = 5.0,
         gain_mode: GainMode = GainMode.CERTIFIED,
         adapt: bool = True,
-        torque_rate: float = TORQUE_RATE,
+        torque_rate: float | None = None,
     ) -> SupervisedObserver:
-        """Return the observer for a real arm: supervised, and learning what is uncertain.
+        """Return the observer for a real system of one output: supervised, and learning.
 
         Args:
-            settle_time: Riccati gains are used for this long after a (re)start [s].
-            gain_mode: Whether the certified gain takes over afterwards.
+            settle_time: As for `observer`.
+            gain_mode: As for `observer`.
             adapt: Whether to learn the parameters that the request calls uncertain.
-            torque_rate: 1σ of the rate at which the torque may move in a gap [N m/s].
+            torque_rate: As for `observer`.
+
+        Raises:
+            ModelError: The system has several outputs.
         """
-        observer = self.observer(settle_time, gain_mode, torque_rate)
-        if not (adapt and self.request.uncertainty):
-            return SupervisedObserver(observer)
-        covered = self.request.certify_uncertainty
-        return SupervisedObserver(
-            AdaptiveObserver(observer, self.request.uncertainty_model, covered=covered)
-        )
+        if self.K.shape[1] != 1:
+            raise ModelError(
+                f"supervised observer: expected a system of one output, got {self.K.shape[1]}"
+            )
+        learns = adapt and self.request.uncertainty_model.count
+        make = self.adaptive if learns else self.observer
+        return SupervisedObserver(make(settle_time, gain_mode, torque_rate))
+
+    def summary(self) -> dict[str, Any]:
+        """Return certificate, gain and bounds as plain data."""
+        report, request = self.certificate, self.request
+        return {
+            "holds": report.holds,
+            "inequalities": [
+                {**each._asdict(), "holds": each.holds} for each in report.inequalities
+            ],
+            "contraction_rate": report.contraction_rate,
+            "gain": self.plain_gain,
+            "bound_std": self.bound_std.tolist() if report.holds else None,
+            "disturbance": request.disturbance_model.label,
+            **request.details,
+            "rate": request.rate,
+            "solver": f"{self.solver.name} {self.solver.version}",
+            "solver_status": self.solver.status,
+        }
+
+    @property
+    def plain_gain(self) -> list[Any]:
+        """K as plain data: a list of numbers for an arm, of rows for a T–S system."""
+        is_arm = isinstance(self.request, ArmRequest)
+        plain: list[Any] = (self.K[:, 0] if is_arm else self.K).tolist()
+        return plain
+
+    def text(self) -> str:
+        """Return the summary for people to read."""
+        report, request = self.certificate, self.request
+        lines = [
+            f"{request.headline}, {request.rate:g} Hz; {self.solver.name} {self.solver.version}: "
+            f"{self.solver.status}",
+            *(f"  {inequality}" for inequality in report.inequalities),
+            f"certified decay without noise: {report.contraction_rate:.4g} 1/s",
+        ]
+        if report.holds:
+            names = list(request.state_names)
+            names += [f"disturbance state {i + 1}" for i in range(len(self.K) - len(names))]
+            lines.append("certified 1-sigma bounds before a sample:")
+            lines += [
+                f"  {name:<24}{bound:.5f}"
+                for name, bound in zip(names, self.bound_std, strict=True)
+            ]
+        verdict = "the certificate holds" if report.holds else "THE CERTIFICATE DOES NOT HOLD"
+        return "\n".join([*lines, verdict])

@@ -1,23 +1,34 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a user asks of a design: the arm, the disturbance, the noise, the domain and the rate."""
+"""Requests: the model, the disturbance, the noise, the domain and the rate a gain is wanted for.
+
+What a certificate covers depends on the premise. The arm's gravity slopes cover it always. If a
+T–S system's premise is known (made of scheduled signals), the error system is a blend of the rules
+and their matrices are the vertices. If it is the estimate, the weights of truth and estimate
+differ; then matrices whose hull holds the Jacobian of f on the domain, `slope_vertices`, cover the
+error exactly. Without them only the blend of the rules is proved, and `TSRequest.claim` says so.
+"""
 
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive
-from tsobs_ros.design.frozen import FrozenMapping
+from tsobs_ros.design.problem import DesignProblem
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.disturbance import DisturbanceModel
+from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+from tsobs_ros.model.ts_flow import PairVertex, TSFlow
+from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.model.vertices import VertexSystem, linear_directions
 
@@ -29,6 +40,33 @@ DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
     "sinusoid": disturbances.sinusoid,
     "ramp": disturbances.ramp,
 }
+
+_MAX_MATRICES = 16
+"""Vertex matrices; l of them make l² inequalities."""
+
+
+class FrozenMapping(Mapping[str, float]):
+    """Names with numbers, equal to every mapping of the same ones, in the order given."""
+
+    __slots__ = ("_items",)
+
+    def __init__(self, items: Mapping[str, float]) -> None:
+        self._items = dict(items)
+
+    def __getitem__(self, name: str) -> float:
+        return self._items[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._items)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self._items.items()))
+
+    def __repr__(self) -> str:
+        return repr(self._items)
 
 
 @dataclass(frozen=True)
@@ -45,27 +83,22 @@ class DisturbanceTerm:
     def __post_init__(self) -> None:
         if self.kind not in DISTURBANCE_KINDS:
             raise ModelError(
-                f"disturbance kind: expected one of {', '.join(DISTURBANCE_KINDS)}, "
-                f"got {self.kind!r}"
+                f"kind: expected one of {', '.join(DISTURBANCE_KINDS)}, got {self.kind!r}"
             )
-        known = inspect.signature(DISTURBANCE_KINDS[self.kind]).parameters
+        known = dict(inspect.signature(DISTURBANCE_KINDS[self.kind]).parameters)
+        known.pop("channels", None)
         for name in self.parameters:
-            if name not in known or name == "channels":
+            if name not in known:
                 raise ModelError(
-                    f"disturbance {self.kind}: unknown parameter {name!r}, "
-                    f"expected some of {', '.join(n for n in known if n != 'channels') or 'none'}"
+                    f"{name}: no parameter of {self.kind}, "
+                    f"expected some of {', '.join(known) or 'none'}"
                 )
-        missing = [
-            name
-            for name, parameter in known.items()
-            if parameter.default is inspect.Parameter.empty and name not in self.parameters
-        ]
-        if missing:
-            raise ModelError(f"disturbance {self.kind}: parameter {missing[0]!r} is missing")
+        for name, parameter in known.items():
+            if parameter.default is inspect.Parameter.empty and name not in self.parameters:
+                raise ModelError(f"{name}: missing, {self.kind} has no default for it")
         filled = {
             name: finite(f"{self.kind} {name}", self.parameters.get(name, parameter.default))
             for name, parameter in known.items()
-            if name != "channels"
         }
         object.__setattr__(self, "parameters", FrozenMapping(filled))
 
@@ -78,23 +111,26 @@ class DisturbanceTerm:
         return {"kind": self.kind, **self.parameters}
 
 
-def require_no_alias(term: DisturbanceTerm, rate: float) -> None:
-    """Refuse tones that look slower in samples than they are, in the limit like a bias.
+def _require_no_alias(terms: Iterable[DisturbanceTerm], rate: float) -> None:
+    """Refuse tones that look slower in samples than they are, in the limit like a bias."""
+    for term in terms:
+        frequency = term.parameters.get("frequency", 0.0)
+        if frequency >= math.pi * rate:
+            raise ModelError(
+                f"{term.kind} frequency: expected less than half the measurement rate, "
+                f"π·rate = {math.pi * rate:.6g} rad/s, got {frequency!r}; faster tones "
+                f"cannot be told from slower ones in the samples"
+            )
 
-    Raises:
-        ModelError: The tone has at least half the rate [Hz] of the samples.
-    """
-    frequency = term.parameters.get("frequency", 0.0)
-    if frequency >= math.pi * rate:
-        raise ModelError(
-            f"{term.kind} frequency: expected less than half the measurement rate, "
-            f"π·rate = {math.pi * rate:.6g} rad/s, got {frequency!r}; faster tones "
-            f"cannot be told from slower ones in the samples"
-        )
+
+def _require_squares(name: str, values: Iterable[float]) -> None:
+    """Refuse what is not above zero, and what leaves the range of numbers once squared."""
+    for value in values:
+        positive(f"square of {name}", value * value if value > 0.0 else value)
 
 
 @dataclass(frozen=True)
-class DesignRequest:
+class ArmRequest(DesignProblem):
     """Everything a certified gain depends on; the defaults are the shipped design's.
 
     Attributes:
@@ -135,7 +171,7 @@ class DesignRequest:
             "initial_std": tuple(as_matrix("initial_std", self.initial_std, (4,)).tolist()),
             "uncertainty": FrozenMapping(
                 {
-                    name: positive(f"uncertainty {name}", bound)
+                    name: positive(f"uncertainty.{name}", bound)
                     for name, bound in self.uncertainty.items()
                 }
             ),
@@ -144,16 +180,11 @@ class DesignRequest:
             object.__setattr__(self, name, value)
         if not 0.0 < self.x_max <= math.pi:
             raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}")
-        if min(self.initial_std) <= 0.0:
-            raise ModelError(f"initial_std: expected values above 0, got {[*self.initial_std]}")
-        # Filters work with squares, which leave the range of numbers earlier.
-        for name, std in (("measurement", [self.measurement_std]), ("initial", self.initial_std)):
-            for one in std:
-                positive(f"square of {name}_std", one * one)
+        _require_squares("measurement_std", [self.measurement_std])
+        _require_squares("initial_std", self.initial_std)
         if not self.disturbance:
             raise ModelError("disturbance: expected at least one term, e.g. kind: clean")
-        for term in self.disturbance:
-            require_no_alias(term, self.rate)
+        _require_no_alias(self.disturbance, self.rate)
         if self.certify_uncertainty:
             if not self.uncertainty:
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
@@ -169,19 +200,14 @@ class DesignRequest:
     @cached_property
     def flow(self) -> ArmFlow:
         """The prediction model of the arm with its disturbance."""
-        return ArmFlow(self.arm, self.disturbance_model, self.process_noise, 1.0 / self.rate)
+        return ArmFlow(self.arm, self.disturbance_model, self.process_noise, self.period)
 
     @cached_property
     def uncertainty_model(self) -> Uncertainty:
         """The uncertain parameters of the arm."""
         return arm_uncertainty(self.arm, self.uncertainty)
 
-    @property
-    def period(self) -> float:
-        """Sampling period T [s]."""
-        return 1.0 / self.rate
-
-    @property
+    @cached_property
     def measurement_covariance(self) -> Array:
         """R, shape (1, 1) [rad²]."""
         return np.array([[self.measurement_std * self.measurement_std]])
@@ -190,6 +216,26 @@ class DesignRequest:
     def slope_range(self) -> tuple[float, float]:
         """Smallest and largest gravity slope (cosine) on the domain."""
         return slope_range(self.x_max)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The arm's four states with their units."""
+        return (
+            "link angle [rad]",
+            "link velocity [rad/s]",
+            "motor angle [rad]",
+            "motor velocity [rad/s]",
+        )
+
+    @property
+    def headline(self) -> str:
+        """The disturbance and the domain in words."""
+        return f"disturbance {self.disturbance_model.label}, |q1| <= {self.x_max:.4g} rad"
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """The domain as plain data."""
+        return {"x_max": self.x_max}
 
     def vertices(self, share: float = 1.0) -> list[VertexSystem]:
         """Return the error systems the certificate is about.
@@ -220,7 +266,7 @@ class DesignRequest:
 
     @property
     def remedies(self) -> list[str]:
-        """What would help where no common matrix is found."""
+        """What would help if no common matrix is found."""
         smaller = ["smaller bounds of uncertainty"] if self.certify_uncertainty else []
         return [
             *smaller,
@@ -235,3 +281,215 @@ class DesignRequest:
         arm = self.arm.from_physical(self.initial_std)
         with np.errstate(over="ignore"):  # what is not finite is refused by the observer
             return np.diag(np.concatenate([arm, self.disturbance_model.initial_std]) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class TSRequest(DesignProblem):
+    """What a design is for. Units are the model's.
+
+    Attributes:
+        model: The T–S system, r rules.
+        disturbance: Terms of each channel's disturbance, whose sum acts on it.
+        process_noise: Densities of white noise on each state's derivative, shape (n,).
+        measurement_std: Noise of one sample of each output, shape (p,).
+        rate: Samples a second [Hz].
+        initial_std: 1σ of each state before any measurement, shape (n,).
+        decay_rate: Required rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
+        slope_vertices: Matrices whose convex hull holds the Jacobian of f on the domain,
+            shape (l, n, n), for a premise that is the estimate.
+        D_s: Channels to outputs, shape (p, channels); by default one channel an output.
+        uncertainty: Uncertain directions of the rules' matrices and their bounds.
+        certify_uncertainty: Whether the certificate covers every θ within the bounds.
+
+    Raises:
+        ModelError: A value is out of range or of the wrong shape.
+    """
+
+    model: TSModel
+    disturbance: Sequence[Sequence[DisturbanceTerm]]
+    process_noise: ArrayLike
+    measurement_std: ArrayLike
+    rate: float
+    initial_std: ArrayLike
+    decay_rate: float = 0.0
+    slope_vertices: Sequence[ArrayLike] = ()
+    D_s: ArrayLike | None = None
+    uncertainty: Uncertainty | None = None
+    certify_uncertainty: bool = False
+
+    def __post_init__(self) -> None:
+        n, p = self.model.state_count, self.model.C.shape[0]
+        checked: dict[str, Any] = {
+            "measurement_std": as_matrix("measurement_std", self.measurement_std, (p,)),
+            "initial_std": as_matrix("initial_std", self.initial_std, (n,)),
+            "rate": positive("rate", self.rate),
+            "decay_rate": non_negative("decay_rate", self.decay_rate),
+            "disturbance": tuple(tuple(terms) for terms in self.disturbance),
+            "slope_vertices": tuple(
+                as_matrix(f"slope_vertices[{i}]", matrix, (n, n))
+                for i, matrix in enumerate(self.slope_vertices)
+            ),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        for name in ("measurement_std", "initial_std"):
+            _require_squares(name, checked[name].tolist())
+        _require_no_alias(chain.from_iterable(self.disturbance), self.rate)
+        _ = self.flow
+        if self.slope_vertices and self.model.premise_known:
+            raise ModelError(
+                "slope_vertices: expected none, the premise is made of scheduled signals only "
+                "and the rules' matrices are the vertices"
+            )
+        self._check_uncertainty()
+
+    def _check_uncertainty(self) -> None:
+        if self.certify_uncertainty and self.uncertainty is None:
+            raise ModelError("certify_uncertainty: expected at least one uncertain direction")
+        if self.certify_uncertainty and self.slope_vertices and not self.uncertainty_model.common:
+            raise ModelError(
+                "certify_uncertainty: with slope_vertices every direction must be one matrix for "
+                "all rules, got one that differs"
+            )
+        count = len(self.vertex_matrices()[1])
+        if count > _MAX_MATRICES:
+            raise ModelError(
+                f"vertices: expected at most {_MAX_MATRICES} matrices (rules or slope vertices, "
+                f"times 2 a certified direction), got {count}"
+            )
+
+    @cached_property
+    def flow(self) -> TSFlow:
+        """The prediction model of the system with its disturbance."""
+        return TSFlow(self.model, self.disturbance_model, self.process_noise, self.period)
+
+    @cached_property
+    def uncertainty_model(self) -> Uncertainty:
+        """The uncertain directions of the rules' matrices."""
+        if self.uncertainty is not None:
+            return self.uncertainty
+        return Uncertainty({}, np.zeros((0, *self.flow.deviations.shape)))
+
+    @cached_property
+    def disturbance_model(self) -> DisturbanceModel:
+        """The exosystem of all channels, acting on the outputs."""
+        for channel, terms in enumerate(self.disturbance):
+            if not terms:
+                raise ModelError(
+                    f"disturbance[{channel}]: expected at least one term, e.g. kind: clean"
+                )
+        models = [[term.model() for term in terms] for terms in self.disturbance]
+        joined = per_channel([sum(terms[1:], start=terms[0]) for terms in models])
+        return joined if self.D_s is None else joined.through(self.D_s)
+
+    @cached_property
+    def measurement_covariance(self) -> Array:
+        """R, shape (p, p)."""
+        return np.diag(np.asarray(self.measurement_std) ** 2)
+
+    @cached_property
+    def initial_covariance(self) -> Array:
+        """Error covariance before any measurement, shape (n, n)."""
+        std = np.concatenate([self.initial_std, self.disturbance_model.initial_std])
+        return np.diag(std**2)
+
+    @property
+    def covers_estimated_premise(self) -> bool:
+        """Whether the certificate covers the premise as it is, known or estimated."""
+        return self.model.premise_known or bool(self.slope_vertices)
+
+    @property
+    def claim(self) -> str:
+        """What a certificate for this request says of the premise, for reports."""
+        if self.model.premise_known:
+            return "the premise is known; covers every weight of the rules"
+        if self.slope_vertices:
+            return (
+                "the premise is the estimate; covers it wherever the Jacobian of f lies in the "
+                "convex hull of the slope vertices"
+            )
+        return (
+            "the premise is the estimate, but no slope_vertices were given: covers every weight "
+            "of the rules as if it were known, NOT the difference between the weights of truth "
+            "and estimate"
+        )
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """x1 to xn."""
+        return tuple(f"x{i + 1}" for i in range(self.model.state_count))
+
+    @property
+    def headline(self) -> str:
+        """The system, its disturbance and the claim in words."""
+        model = self.model
+        return (
+            f"T-S system: {model.rule_count} rules, {model.state_count} states, "
+            f"{model.C.shape[0]} outputs, disturbance {self.disturbance_model.label}; {self.claim}"
+        )
+
+    @property
+    def details(self) -> dict[str, Any]:
+        """The claim as plain data."""
+        return {
+            "claim": self.claim,
+            "covers_estimated_premise": self.covers_estimated_premise,
+        }
+
+    def vertex_matrices(self, share: float = 1.0) -> tuple[Array, list[str]]:
+        """Return the plant matrices whose pairs are the vertices, (l, n, n), and their names."""
+        if self.slope_vertices:
+            matrices = np.array(self.slope_vertices)
+            names = [f"slope vertex {i + 1}" for i in range(len(matrices))]
+        else:
+            matrices = np.asarray(self.model.A)
+            names = [f"rule {i + 1}" for i in range(len(matrices))]
+        if self.certify_uncertainty:
+            matrices, names = self._with_uncertainty(matrices, names)
+        middle = matrices.mean(axis=0)
+        return middle + share * (matrices - middle), names
+
+    def vertices(self, share: float = 1.0) -> list[PairVertex]:
+        """Return the error systems the certificate is about.
+
+        Args:
+            share: How much of the way from the mean matrix to the vertices.
+        """
+        return self.flow.vertices(*self.vertex_matrices(share))
+
+    def starts(self) -> list[PairVertex]:
+        """Return the mean system, and each vertex by itself."""
+        matrices, names = self.vertex_matrices()
+        singles = [("the mean of the vertices", matrices.mean(axis=0))]
+        singles += zip(names, matrices, strict=True)
+        return [self.flow.vertices(matrix[np.newaxis], [name])[0] for name, matrix in singles]
+
+    @property
+    def domain(self) -> str:
+        """What the certificate covers, in words."""
+        _, names = self.vertex_matrices()
+        return f"the hull of {', '.join(names)}"
+
+    @property
+    def remedies(self) -> list[str]:
+        """What would help if no common matrix is found."""
+        smaller = ["smaller bounds of uncertainty"] if self.certify_uncertainty else []
+        return [
+            *smaller,
+            "a smaller domain, whose rules or slope vertices lie closer together",
+            "a smaller decay_rate",
+            "a disturbance model that decays",
+            "another output",
+        ]
+
+    def _with_uncertainty(self, matrices: Array, names: list[str]) -> tuple[Array, list[str]]:
+        """Return every matrix at every corner of the box of θ."""
+        uncertain = self.uncertainty_model
+        changes = uncertain.linear[:, :1] if self.slope_vertices else uncertain.linear
+        corners, labels = [], []
+        for signs in product((-1.0, 1.0), repeat=uncertain.count):
+            theta = signs * uncertain.limits
+            corners.append(matrices + np.tensordot(theta, changes, 1))
+            at = ", ".join(f"{k} {v:+.4g}" for k, v in zip(uncertain.names, theta, strict=True))
+            labels += [f"{name} ({at})" for name in names]
+        return np.concatenate(corners), labels

@@ -36,7 +36,7 @@ from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.feasibility import require_detectable
 from tsobs_ros.design.problem import DesignProblem, ErrorVertex
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import DesignRequest
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import DesignError
 
 MARGINS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
@@ -68,7 +68,7 @@ class Gain(NamedTuple):
     solver: SolverReport
 
 
-def synthesise(request: DesignRequest) -> Design:
+def synthesise(request: ArmRequest | TSRequest) -> Design:
     """Design the certified gain for a request.
 
     Args:

@@ -40,7 +40,7 @@ class Uncertainty:
 
     def __post_init__(self) -> None:
         for name, bound in self.bounds.items():
-            positive(f"bound of {name}", bound)
+            positive(f"uncertainty.{name}", bound)
         shape = (len(self.bounds), *np.shape(self.directions)[1:])
         object.__setattr__(self, "directions", as_matrix("directions", self.directions, shape))
 
@@ -118,9 +118,10 @@ def system_uncertainty(
     stack = np.zeros((len(bounds), rules, n, n + model.input_count))
     for name, placed in zip(bounds, stack, strict=True):
         shape = (n, n) if np.ndim(directions[name]) == 2 else (rules, n, n)
-        matrix = as_matrix(f"direction of {name}", directions[name], shape)
+        positive(f"uncertainty.{name}.bound", bounds[name])
+        matrix = as_matrix(f"uncertainty.{name}.E", directions[name], shape)
         if not matrix.any():
-            raise ModelError(f"direction of {name}: expected a matrix other than zero")
+            raise ModelError(f"uncertainty.{name}.E: expected a matrix other than zero")
         placed[..., :n] = matrix
     return Uncertainty(bounds, stack)
 

@@ -27,6 +27,7 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.schema import within
 
 _IDENTITY_LENGTH = 12
 _NOTHING = np.zeros(0)
@@ -50,11 +51,13 @@ def load(path: str) -> LoadedDesign:
     """Read a design file, the shipped one if the path is empty, and re-check its certificate.
 
     Raises:
-        DesignFileError: The design file is missing or malformed.
+        DesignFileError: The design file is missing, malformed or not for an arm.
         CertificateError: The design's certificate does not hold.
     """
     file = Path(path) if path else config_path(SHIPPED_DESIGN)
     design = load_design(file)
+    with within(str(file)):
+        _ = design.arm_request
     try:
         identity = hashlib.sha256(file.read_bytes()).hexdigest()[:_IDENTITY_LENGTH]
     except OSError as error:
@@ -98,7 +101,7 @@ class ObservedJoint:
         self.received = 0
         self.latest: Estimate | None = None
         self.innovations = InnovationMonitor()
-        self.faults = FaultMonitor(self.loaded.design.request.measurement_std, self._limits)
+        self.faults = FaultMonitor(self.loaded.design.arm_request.measurement_std, self._limits)
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
