@@ -12,7 +12,7 @@
 Models and designs:
     ElasticJointArm   physical parameters of the arm
     TSModel           any Takagi-Sugeno system, by its matrices and memberships
-    DesignRequest     the arm, its sensor and disturbance, and the domain to certify
+    ArmRequest        the arm, its sensor and disturbance, and the domain to certify
     load_request      a request from a YAML file
     synthesise        a certified gain for a request (needs cvxpy)
     Design            a gain with its proof; makes observers
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from tsobs_ros.bag.writer import BagWriter
     from tsobs_ros.design.file import save_design
     from tsobs_ros.design.record import Design
-    from tsobs_ros.design.request import DesignRequest
+    from tsobs_ros.design.request import ArmRequest
     from tsobs_ros.errors import TsobsError
     from tsobs_ros.estimation.records import Measurement
     from tsobs_ros.estimation.tracker import Tracker
@@ -69,10 +69,10 @@ __version__ = "0.2.0"
 
 # A signal must be caught while the heavy modules load (see executables.py), hence by name only.
 _HOMES = {
+    "ArmRequest": "design.request",
     "BagReader": "bag.reader",
     "BagWriter": "bag.writer",
     "Design": "design.record",
-    "DesignRequest": "design.request",
     "ElasticJointArm": "model.arm",
     "Estimates": "api",
     "Measurement": "estimation.records",
@@ -92,10 +92,10 @@ _HOMES = {
 }
 
 __all__ = [
+    "ArmRequest",
     "BagReader",
     "BagWriter",
     "Design",
-    "DesignRequest",
     "ElasticJointArm",
     "Estimates",
     "Measurement",

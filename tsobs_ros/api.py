@@ -12,11 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, shown
-from tsobs_ros.design import file, ts_file
+from tsobs_ros.design import file
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import DesignRequest
-from tsobs_ros.design.ts_design import TSDesign
-from tsobs_ros.design.ts_request import TSRequest
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
@@ -97,7 +95,7 @@ class Estimates:
     rejected: dict[str, int]
 
 
-def load_design(path: str | Path | None = None) -> Design | TSDesign:
+def load_design(path: str | Path | None = None) -> Design:
     """Read a design file, of an arm or of a T–S system, and check its certificate again.
 
     Args:
@@ -111,8 +109,7 @@ def load_design(path: str | Path | None = None) -> Design | TSDesign:
     >>> ts.load_design().certificate.holds
     True
     """
-    chosen = config_path(SHIPPED_DESIGN) if path is None else Path(path)
-    return (ts_file.load_ts_design if ts_file.is_ts_file(chosen) else file.load_design)(chosen)
+    return file.load_design(config_path(SHIPPED_DESIGN) if path is None else path)
 
 
 def load_request(path: str | Path) -> DesignRequest | TSRequest:
@@ -172,7 +169,7 @@ def simulate(
     ((401,), (401, 4), 0.1)
     """
     if isinstance(arm, Design):
-        request = arm.request
+        request = arm.arm_request
         arm, rate = request.arm, rate or request.rate
         noise_std = request.measurement_std if noise_std is None else noise_std
     scenario = Scenario(
@@ -196,7 +193,7 @@ def simulate(
 
 
 def estimate(
-    design: Design | TSDesign,
+    design: Design,
     time: ArrayLike,
     angle: ArrayLike,
     torque: ArrayLike,
@@ -373,7 +370,7 @@ def _run(
     )
 
     chosen = design if isinstance(design, Design) else load_design(design)
-    if not isinstance(chosen, Design):
+    if not isinstance(chosen.request, ArmRequest):
         raise ModelError(f"{design}: expected the design of an arm, got one of a T-S system")
     no_torque = all(each.assume_zero_torque for each in settings)
     source = open_source(path, joints=joints, assume_zero_torque=no_torque)
@@ -437,11 +434,11 @@ def _torques(torque: Any, times: Array) -> Sequence[float | None]:
     return values
 
 
-def _tracker(design: Design | TSDesign, settings: ObserverSettings) -> Tracker[Any]:
-    if isinstance(design, Design):
+def _tracker(design: Design, settings: ObserverSettings) -> Tracker[Any]:
+    if isinstance(design.request, ArmRequest):
         return make_tracker(design, settings)
-    learns = settings.adapt and design.request.uncertainty is not None
-    observer = design.adaptive_observer if learns else design.observer
+    learns = settings.adapt and design.request.uncertainty_model.count
+    observer = design.adaptive if learns else design.observer
     # The domain of a T–S system is not an interval of its first state.
     options = TrackerOptions(
         x_max=sys.float_info.max,
@@ -452,8 +449,8 @@ def _tracker(design: Design | TSDesign, settings: ObserverSettings) -> Tracker[A
     return Tracker(observer(settings.settle_time), options)
 
 
-def _input_count(request: DesignRequest | TSRequest) -> int:
-    if isinstance(request, DesignRequest):
+def _input_count(request: ArmRequest | TSRequest) -> int:
+    if isinstance(request, ArmRequest):
         return 1
     return int(request.model.input_count + request.model.schedule.shape[1])
 

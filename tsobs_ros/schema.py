@@ -17,7 +17,7 @@ import re
 from collections.abc import Callable, Iterator
 from os import PathLike
 from types import UnionType
-from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_args, get_origin
 
 import msgspec
 import numpy as np
@@ -27,6 +27,7 @@ from tsobs_ros.errors import DesignFileError, TsobsError
 
 T = TypeVar("T")
 
+_REFUSALS = (ValueError, ArithmeticError, np.linalg.LinAlgError)
 _PLACE = re.compile(r"(?s)(.*?)(?: - at (`key` in )?`\$(.*)`)?$")
 _STEP = re.compile(r"\.(\w+)|\[(\d+)\]|\[(\.{3})\]")
 _NAMES = {
@@ -89,12 +90,21 @@ def decode(
 
 
 @contextlib.contextmanager
-def within(place: str, error: Callable[[str], TsobsError] = DesignFileError) -> Iterator[None]:
-    """Turn errors about values into `error`, with the file or the path of the entry in front."""
+def within(place: str) -> Iterator[None]:
+    """Put the path of an entry in front of what its values are refused for."""
     try:
         yield
-    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as problem:
-        raise error(located(place, str(problem))) from problem
+    except _REFUSALS as problem:
+        raise DesignFileError(located(place, str(problem))) from problem
+
+
+@contextlib.contextmanager
+def naming(path: str | PathLike[str]) -> Iterator[None]:
+    """Put a file in front of what its values are refused for."""
+    try:
+        yield
+    except _REFUSALS as problem:
+        raise DesignFileError(f"{path}: {problem}") from problem
 
 
 def located(place: str, message: str) -> str:
@@ -112,6 +122,8 @@ def _custom(kind: Any, value: Any) -> Any:
     if kind is Number:
         return Number(_number(value))
     if (get_origin(kind) or kind) is np.ndarray:
+        if not isinstance(value, list):
+            raise ValueError(f"expected a list, got {shown(value)}")
         return np.array(_numbers(value, ""), dtype=np.float64)
     if isinstance(kind, type) and issubclass(kind, Variant):
         if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
@@ -171,7 +183,7 @@ def _explained(problem: str, data: Any, kind: Any) -> str:
         key = next(key for key in data if not isinstance(key, str))
         return located(place, f"expected names of entries, got {shown(key)}")
     if match := re.match(r"(?s)Object contains unknown field `(.*)`", message):
-        known = ", ".join(get_type_hints(_only(kind)))
+        known = ", ".join(_fields(_only(kind)))
         message = f"unknown entry {shown(match[1])}, expected some of {known}"
     elif match := re.match(r"Object missing required field `(.*)`", message):
         message = f"{match[1]}: missing"
@@ -198,7 +210,12 @@ def _only(kind: Any) -> Any:
 def _inside(kind: Any, name: str) -> Any:
     """Return the type of an entry in a mapping or a list."""
     kind = _only(kind)
-    return get_type_hints(kind)[name] if name else get_args(kind)[-1]
+    return _fields(kind)[name] if name else get_args(kind)[-1]
+
+
+def _fields(kind: Any) -> dict[str, Any]:
+    """Return the types of a mapping's entries by their names in a file."""
+    return {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
 
 
 def _fits(value: Any, kind: Any) -> bool:

@@ -205,7 +205,7 @@ def test_a_ts_model_is_designed_and_verified(tmp_path: Path, capsys: Captured) -
     assert main(["design", request, "--output", str(output)]) == 0
     assert main(["verify", "--json", str(output)]) == 0
     assert main(["verify", "--exact", str(output)]) == 1
-    assert "T-S models" in capsys.readouterr().err
+    assert "for a T-S system" in capsys.readouterr().err
 
 
 def test_the_papers_procedure_designs_what_it_can(tmp_path: Path, capsys: Captured) -> None:

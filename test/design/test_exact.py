@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from tsobs_ros.design.certificate import check_certificate
-from tsobs_ros.design.exact import verify_exactly
-from tsobs_ros.design.rational import (
+from tsobs_ros.design.exact import (
     cosine_below,
     decay_below,
     exponential,
@@ -25,6 +24,7 @@ from tsobs_ros.design.rational import (
     is_positive_definite,
     noise_integral,
     rational,
+    verify_exactly,
 )
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm

@@ -260,5 +260,5 @@ def test_uncertainty_of_another_model_is_refused(pendulum: Design) -> None:
 
 
 def test_there_must_be_something_to_learn(linear: Design) -> None:
-    with pytest.raises(ModelError, match="expected at least one direction to learn, got none"):
+    with pytest.raises(ModelError, match="expected at least one parameter to learn, got none"):
         linear.adaptive()

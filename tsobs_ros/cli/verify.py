@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tsobs_ros.cli.common import Commands, add_json, complain, show
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.schema import within
+from tsobs_ros.schema import naming
 
 
 def add_parser(commands: Commands) -> None:
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     if options.exact:
         from tsobs_ros.design.exact import verify_exactly
 
-        with within(str(path)):
+        with naming(path):
             proof = verify_exactly(design)
         holds, plain, text = proof.holds, proof.as_mapping(), proof.text()
     else:

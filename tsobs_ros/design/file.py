@@ -27,7 +27,7 @@ from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.model.memberships import Always, Membership, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, system_uncertainty
-from tsobs_ros.schema import Entries, Number, Variant, decode, within
+from tsobs_ros.schema import Entries, Number, Variant, decode, naming, within
 from tsobs_ros.yaml_files import read_yaml, write_yaml
 
 FilePath: TypeAlias = str | PathLike[str]
@@ -60,7 +60,7 @@ def save_design(design: Design, path: FilePath) -> None:
         entries = {"design": _plain_arm_request(request)}
     else:
         header, format_name = _TS_HEADER, TSDesignFile.FORMAT
-        with within(str(path)):
+        with naming(path):
             entries = _plain_ts_request(request)
     answer = {
         "gain": {"K": design.plain_gain},
@@ -110,7 +110,7 @@ def parse_design(path: FilePath) -> Design:
     if type(version) is not int or version != VERSION:
         raise DesignFileError(f"{path}: version: expected {VERSION}, got {shown(version)}")
     entries = decode(data, kinds[name], path)
-    with within(str(path)):
+    with naming(path):
         request = entries.request()
         n, p = request.flow.state_count, request.flow.output_matrix.shape[0]
         is_arm = isinstance(request, ArmRequest)
@@ -147,7 +147,7 @@ def load_request(path: FilePath) -> Request:
     elif "design" in data:
         kind = ArmRequestFile
     entries = decode(data, kind, path)
-    with within(str(path)):
+    with naming(path):
         request = entries.request()
         # Built here, so that a request no model can be made of is refused with the file's name.
         _ = request.flow
@@ -250,7 +250,7 @@ class SystemEntry(Entries):
         if not self.rules or not self.premises:
             missing = "rules" if not self.rules else "premises"
             raise ValueError(f"{missing}: expected at least one")
-        n, p = len(self.rules[0].A), len(np.atleast_1d(self.C))
+        n, p = len(self.rules[0].A), len(self.C)
         inputs = self.rules[0].B.shape
         for i, rule in enumerate(self.rules):
             as_matrix(f"rules[{i}].A", rule.A, (n, n))

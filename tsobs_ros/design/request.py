@@ -124,9 +124,10 @@ def _require_no_alias(terms: Iterable[DisturbanceTerm], rate: float) -> None:
 
 
 def _require_squares(name: str, values: Iterable[float]) -> None:
-    """Refuse what is not above zero, and what leaves the range of numbers once squared."""
+    """Refuse what is not above zero, or leaves the range of numbers once squared, as filters do."""
     for value in values:
-        positive(f"square of {name}", value * value if value > 0.0 else value)
+        if not 0.0 < positive(name, value) * value < math.inf:
+            raise ModelError(f"{name}: expected a number with a finite square, got {value!r}")
 
 
 @dataclass(frozen=True)

@@ -332,9 +332,9 @@ def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -
         _errors("paper", runs, _run(paper, paper.initial(runs.measurements[:, 0]), runs)),
         _errors("ours", runs, _run(ours, ours.initial((seeds,)), runs)),
     ]
-    request = design.arm_request
-    without = replace(request, disturbance=(DisturbanceTerm("clean"),))
-    for name, request in (("EKF", request), ("EKF clean", without)):
+    asked = design.arm_request
+    without = replace(asked, disturbance=(DisturbanceTerm("clean"),))
+    for name, request in (("EKF", asked), ("EKF clean", without)):
         ekf = ExtendedKalmanFilter(
             request.flow, request.measurement_covariance, request.initial_covariance
         )

@@ -119,7 +119,7 @@ def compare_with_ekf(
         design: The design, for the model, disturbance states and noise densities of the EKF.
         options: Options of the measures.
     """
-    ekf = rerun(run, design.observer(gain_mode=GainMode.RICCATI), design.request.x_max)
+    ekf = rerun(run, design.observer(gain_mode=GainMode.RICCATI), design.arm_request.x_max)
     return EkfComparison(measure(run, options), measure(ekf, options))
 
 

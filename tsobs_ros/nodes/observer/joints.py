@@ -27,7 +27,7 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.schema import within
+from tsobs_ros.schema import naming
 
 _IDENTITY_LENGTH = 12
 _NOTHING = np.zeros(0)
@@ -56,7 +56,7 @@ def load(path: str) -> LoadedDesign:
     """
     file = Path(path) if path else config_path(SHIPPED_DESIGN)
     design = load_design(file)
-    with within(str(file)):
+    with naming(file):
         _ = design.arm_request
     try:
         identity = hashlib.sha256(file.read_bytes()).hexdigest()[:_IDENTITY_LENGTH]

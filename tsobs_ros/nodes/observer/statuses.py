@@ -104,7 +104,7 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
 def _estimate_statuses(joint: ObservedJoint, method: str) -> list[Status]:
     estimate = joint.latest
     statuses = [
-        _domain_status(estimate, joint.loaded.design.request.x_max),
+        _domain_status(estimate, joint.loaded.design.arm_request.x_max),
         joint.innovations.status(),
         joint.faults.status(),
         _certificate_status(joint.loaded, method, estimate),

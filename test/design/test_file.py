@@ -1,0 +1,562 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Request and design files: what is written is read back to the last bit, the rest is refused."""
+
+import copy
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from tsobs_ros.design.file import load_design, load_request, parse_design, save_design
+from tsobs_ros.design.record import Design, SolverReport
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
+from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.errors import CertificateError, DesignFileError, ModelError
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.resources import config_path
+
+DATA = Path(__file__).parent / "data"
+"""Files as they were written by version 0.1.0 before requests and designs had a schema."""
+
+PROPERTY = settings(
+    max_examples=60,
+    # The file is written again by every example.
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+
+
+def floats(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_subnormal=False)
+
+
+TERMS = st.one_of(
+    st.just(DisturbanceTerm("clean")),
+    st.builds(lambda d, i: DisturbanceTerm("bias", {"density": d, "initial_std": i}),
+              floats(0.0, 1.0), floats(0.0, 1.0)),
+    st.builds(lambda s, t: DisturbanceTerm("gauss_markov", {"std": s, "time_constant": t}),
+              floats(1e-3, 1.0), floats(0.1, 100.0)),
+    st.builds(lambda f: DisturbanceTerm("sinusoid", {"frequency": f}), floats(0.1, 50.0)),
+    st.builds(lambda r: DisturbanceTerm("ramp", {"rate_density": r}), floats(0.0, 1.0)),
+)  # fmt: skip
+REQUESTS = st.builds(
+    ArmRequest,
+    arm=st.builds(
+        ElasticJointArm, floats(0.1, 10.0), floats(0.1, 10.0), floats(0.1, 100.0),
+        floats(0.1, 100.0), floats(0.0, 10.0), floats(0.0, 10.0),
+    ),
+    disturbance=st.lists(TERMS, min_size=1, max_size=3),
+    process_noise=st.builds(ProcessNoise, floats(0.0, 1.0), floats(0.0, 1.0)),
+    measurement_std=floats(1e-4, 1.0),
+    rate=floats(25.0, 1000.0),
+    x_max=floats(0.01, math.pi),
+    decay_rate=floats(0.0, 10.0),
+    initial_std=st.tuples(*[floats(0.01, 10.0)] * 4),
+    uncertainty=st.dictionaries(st.sampled_from(["stiffness", "gravity"]), floats(0.01, 0.5)),
+)  # fmt: skip
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+SOLVERS = st.builds(
+    SolverReport, st.text(max_size=20), st.text(max_size=20), st.text(max_size=20),
+    st.integers(0, 1000), floats(0.0, 1e3), floats(0.0, 1.0),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def pendulum_request() -> TSRequest:
+    return load_request(config_path("ts_example.request.yaml"))
+
+
+@st.composite
+def designs(draw: st.DrawFn, requests: st.SearchStrategy[Any]) -> Design:
+    """Designs with matrices of any finite numbers; their certificates are false."""
+    request = draw(requests)
+    p, n = request.flow.output_matrix.shape
+    P = draw(hnp.arrays(np.float64, (n, n), elements=NUMBERS))
+    K = draw(hnp.arrays(np.float64, (n, p), elements=NUMBERS))
+    return Design(request, P, K, draw(SOLVERS))
+
+
+@PROPERTY
+@given(data=st.data())
+@pytest.mark.parametrize("kind", ["arm", "system"])
+def test_a_design_is_read_back_to_the_last_bit(
+    kind: str, data: st.DataObject, pendulum_request: TSRequest, tmp_path: Path
+) -> None:
+    requests = REQUESTS if kind == "arm" else st.just(pendulum_request)
+    design, path = data.draw(designs(requests)), tmp_path / "a.design.yaml"
+    save_design(design, str(path))
+    again = parse_design(str(path))
+    assert again.P.tobytes() == design.P.tobytes()
+    assert again.K.tobytes() == design.K.tobytes()
+    assert again.solver == design.solver
+    if kind == "arm":
+        assert again.request == design.request
+    save_design(again, tmp_path / "again.yaml")
+    assert (tmp_path / "again.yaml").read_text() == path.read_text()
+
+
+@pytest.mark.parametrize("name", ["arm", "adaptive_arm", "system"])
+def test_a_file_of_the_first_format_is_what_saving_its_design_writes(
+    name: str, tmp_path: Path
+) -> None:
+    old, path = DATA / f"{name}.design.yaml", tmp_path / "again.yaml"
+    design = load_design(old)
+    save_design(design, path)
+    assert path.read_bytes() == old.read_bytes()
+    assert load_design(path).certificate == design.certificate
+    assert [entry.name for entry in tmp_path.iterdir()] == ["again.yaml"]
+
+
+def test_the_shipped_designs_are_as_they_were() -> None:
+    for shipped, old in (("elastic_joint", "arm"), ("elastic_joint_adaptive", "adaptive_arm")):
+        path = config_path(f"{shipped}.design.yaml")
+        assert path.read_bytes() == (DATA / f"{old}.design.yaml").read_bytes()
+
+
+def test_a_scheduled_system_with_more_than_one_premise_is_read(
+    pendulum_data: dict[str, Any], tmp_path: Path
+) -> None:
+    data = changed(pendulum_data, ("system", "C"), [[2, 0], [0, 1]])
+    premises = {
+        "angle": {"output": [0.5, 0]},
+        "load": {"state": [0, 1], "scheduled": [0, 3]},
+    }
+    path = written(tmp_path, changed(data, ("system", "premises"), premises))
+    model = load_request(path).model
+    np.testing.assert_array_equal(model.premise, [[1.0, 0.0], [0.0, 1.0]])
+    np.testing.assert_array_equal(model.schedule, [[0.0, 0.0], [0.0, 3.0]])
+    # The second premise is in no rule's "if", so it is always met.
+    held = np.array([0.0, 5.0, 7.0])
+    np.testing.assert_array_equal(
+        model.weights(np.array([0.4, 0.0]), held), model.weights(np.array([0.4, 9.0]), -held)
+    )
+
+
+def test_a_file_that_cannot_be_written_is_named(shipped: Design, tmp_path: Path) -> None:
+    with pytest.raises(DesignFileError, match=r"no/a\.yaml: cannot write the design file: No such"):
+        save_design(shipped, tmp_path / "no" / "a.yaml")
+
+
+def test_a_membership_without_a_name_cannot_be_written(
+    pendulum_request: TSRequest, tmp_path: Path
+) -> None:
+    rules = pendulum_request.model.rule_base
+    model = replace(pendulum_request.model, rule_base=replace(rules, rules=((np.ones_like,),) * 2))
+    request = replace(pendulum_request, model=model)
+    design = Design(request, np.eye(3), np.zeros((3, 2)), SolverReport("", "", "", 0, 0.0))
+    with pytest.raises(DesignFileError, match=r"a\.yaml: membership of z1: expected a named one"):
+        save_design(design, tmp_path / "a.yaml")
+
+
+def yaml_of(name: str) -> dict[str, Any]:
+    data: dict[str, Any] = yaml.safe_load((DATA / name).read_text(encoding="utf-8"))
+    return data
+
+
+@pytest.fixture(scope="module")
+def arm_data() -> dict[str, Any]:
+    """An arm's design file as plain data; tests change copies of it."""
+    return yaml_of("arm.design.yaml")
+
+
+@pytest.fixture(scope="module")
+def pendulum_data() -> dict[str, Any]:
+    """A T–S system's request file as plain data."""
+    return yaml_of("system.request.yaml")
+
+
+def written(folder: Path, data: Any) -> Path:
+    path = folder / "my.yaml"
+    path.write_text(data if isinstance(data, str) else yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def changed(data: dict[str, Any], place: tuple[Any, ...], value: Any) -> dict[str, Any]:
+    """Return a copy with the entry at `place` set, or removed if the value is `...`."""
+    result = copy.deepcopy(data)
+    entry: Any = result
+    for key in place[:-1]:
+        entry = entry[key]
+    if value is ...:
+        del entry[place[-1]]
+    else:
+        entry[place[-1]] = value
+    return result
+
+
+DEFAULTED = [
+    ("arm",), ("disturbance",), ("process_noise",), ("measurement_std",), ("rate",), ("x_max",),
+    ("decay_rate",), ("initial_std",), ("arm", "stiffness"), ("arm", "link_damping"),
+    ("process_noise", "motor"), ("disturbance", 0, "density"), ("disturbance", 0, "initial_std"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("place", DEFAULTED, ids=lambda place: ".".join(map(str, place)))
+def test_what_a_file_leaves_out_has_its_default(
+    arm_data: dict[str, Any], place: tuple[Any, ...], tmp_path: Path
+) -> None:
+    path = written(tmp_path, changed(arm_data, ("design", *place), ...))
+    assert load_design(path).request == ArmRequest()
+
+
+def test_a_request_may_stand_alone_and_leave_out_everything(tmp_path: Path) -> None:
+    assert load_request(written(tmp_path, "design: {}")) == ArmRequest()
+    assert load_request(str(written(tmp_path, "{}"))) == ArmRequest()
+    # YAML 1.1 reads 1e-4 as text.
+    path = written(
+        tmp_path,
+        "rate: 1e2\nprocess_noise: {link: 1e-4, motor: 1e-5}\nx_max: 1\n"
+        "disturbance: [{kind: sinusoid, frequency: 3}]\nuncertainty: {stiffness: 2e-1}\n",
+    )
+    tone = DisturbanceTerm("sinusoid", {"frequency": 3})
+    expected = ArmRequest(rate=100.0, x_max=1.0, disturbance=[tone], uncertainty={"stiffness": 0.2})
+    assert load_request(path) == expected
+
+
+@pytest.mark.parametrize("name", ["arm", "system"])
+def test_request_and_design_are_not_mistaken_for_each_other(name: str, tmp_path: Path) -> None:
+    with pytest.raises(DesignFileError, match=r"format: expected a request, got a finished design"):
+        load_request(DATA / f"{name}.design.yaml")
+    with pytest.raises(DesignFileError, match=r"format: missing; .* `tsobs design` makes a design"):
+        load_design(written(tmp_path, yaml_of(f"{name}.request.yaml")))
+
+
+A_B = ("system", "rules", 0, "A")
+ARM = [
+    (("format",), ..., "format: expected 'tsobs_ros design' or 'tsobs_ros T-S design', got None"),
+    (("format",), "rosbag", "format: expected 'tsobs_ros design' or .*, got 'rosbag'"),
+    (("version",), 2, "version: expected 1, got 2"),
+    (("version",), True, "version: expected 1, got True"),
+    (("version",), 1.0, "version: expected 1, got 1.0"),
+    (("version",), ..., "version: expected 1, got None"),
+    (("notes",), "mine", "unknown entry 'notes', expected some of design, format, version, gain"),
+    (("design",), ..., "design: missing"),
+    (("design",), [1], r"design: expected a mapping, got \[1\]"),
+    (("design", 3), 4, "design: expected names of entries, got 3"),
+    (("design", "speed"), 3.0, "design: unknown entry 'speed', expected some of arm"),
+    (("design", "rate"), "fast", "design.rate: expected a number, got 'fast'"),
+    (("design", "rate"), True, "design.rate: expected a number, got True"),
+    (("design", "rate"), None, "design.rate: expected a number, got None"),
+    (("design", "rate"), [200.0], r"design.rate: expected a number, got \[200.0\]"),
+    (("design", "rate"), math.nan, "design.rate: expected a finite number, got nan"),
+    (("design", "rate"), "inf", "design.rate: expected a finite number, got 'inf'"),
+    (("design", "rate"), 10**400, "design.rate: expected a finite number, got 1000000"),
+    (("design", "rate"), 0.0, "design.rate: expected a finite number above 0, got 0.0"),
+    (("design", "x_max"), 4.0, "design.x_max: expected 0 < x_max <= π, got 4.0"),
+    (("design", "arm"), 3.0, "design.arm: expected a mapping, got 3.0"),
+    (("design", "arm", "mass"), 3.0, "design.arm: unknown entry 'mass', expected some of link_in"),
+    (("design", "arm", "stiffness"), "soft", "design.arm.stiffness: expected a number, got 'soft'"),
+    (("design", "arm", "stiffness"), -3, "design.arm.stiffness: .* number above 0, got -3"),
+    (("design", "process_noise", "wind"), 1.0, "design.process_noise: unknown entry 'wind'"),
+    (("design", "process_noise", "link"), -1.0, "design.process_noise: .* of the link: expected"),
+    (("design", "initial_std"), [1.0], r"design.initial_std: expected shape \(4,\), got \(1,\)"),
+    (("design", "initial_std", 2), "x", r"design.initial_std\[2\]: expected a number, got 'x'"),
+    (("design", "initial_std", 2), 0.0, "design.initial_std: expected a finite number above 0"),
+    (("design", "measurement_std"), 1e200, "design.measurement_std: .* a finite square"),
+    (("design", "disturbance"), "bias", "design.disturbance: expected a list, got 'bias'"),
+    (("design", "disturbance"), [], "design.disturbance: expected at least one term"),
+    (("design", "disturbance", 0), 3, r"design.disturbance\[0\]: expected a mapping, got 3"),
+    (("design", "disturbance", 0, "kind"), ..., r"disturbance\[0\].kind: expected a name, got No"),
+    (("design", "disturbance", 0, "kind"), "wind", r"disturbance\[0\].kind: expected one of clean"),
+    (("design", "disturbance", 0, "tau"), 1.0, r"disturbance\[0\].tau: no parameter of bias"),
+    (("design", "disturbance", 0, "density"), "x", r"disturbance\[0\].density: expected a number"),
+    (("design", "disturbance", 0, "density"), -1.0, r"disturbance\[0\]: bias density: expected a"),
+    (("design", "uncertainty"), 3, "design.uncertainty: expected a mapping, got 3"),
+    (("design", "uncertainty", "stiffness"), "x", "design.uncertainty.stiffness: expected a numb"),
+    (("design", "uncertainty", "stiffness"), -1, "design.uncertainty.stiffness: .* above 0, got"),
+    (("design", "uncertainty", "wind"), 0.1, "design.uncertainty: expected some of stiffness"),
+    (("design", "certify_uncertainty"), 1, "design.certify_uncertainty: expected true or false"),
+    (("design", "certify_uncertainty"), True, "design.certify_uncertainty: expected at least one"),
+    (("gain", "L"), 3.0, "gain: unknown entry 'L', expected some of K"),
+    (("solver", "name"), [1], r"solver.name: expected a number or text, got \[1\]"),
+    (("gain",), ..., "gain: missing"),
+    (("gain", "K"), ..., "gain.K: missing"),
+    (("gain", "K"), [1.0] * 4, r"gain.K: expected shape \(5,\), got \(4,\)"),
+    (("gain", "K"), 3, "gain.K: expected a list, got 3"),
+    (("gain", "K", 1), [1.0], r"gain.K\[1\]: expected shape \(\) as \[0\] has, got \(1,\)"),
+    (("gain", "K", 1), math.nan, r"gain.K\[1\]: expected a finite number, got nan"),
+    (("certificate",), 3, "certificate: expected a mapping, got 3"),
+    (("certificate", "P", 4), ..., r"certificate.P: expected shape \(5, 5\), got \(4, 5\)"),
+    (("certificate", "P", 1), [1.0], r"certificate.P\[1\]: expected shape \(5,\) as \[0\] has"),
+    (("certificate", "P", 1, 2), "x", r"certificate.P\[1\]\[2\]: expected a number, got 'x'"),
+    (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
+    (("solver", "iterations"), "many", "solver.iterations: expected a number, got 'many'"),
+]
+SYSTEM = [
+    (("rate",), ..., "rate: missing"),
+    (("system", "rules"), ..., "system.rules: missing"),
+    (("colour",), 1, "unknown entry 'colour', expected some of system"),
+    (("system", "D"), 1, "system: unknown entry 'D', expected some of premises"),
+    (("system", "rules"), [], "system.rules: expected at least one"),
+    (("system", "premises"), {}, "system.premises: expected at least one"),
+    (("system", "premises", "angle"), {}, "system.premises.angle: expected one of state, output"),
+    (("system", "premises", "angle", "state"), [1], r"system.premises.angle.state: expected shape"),
+    (A_B, [[1, "a"]], r"system.rules\[0\].A\[0\]\[1\]: expected a number, got 'a'"),
+    (("system", "rules", 1, "A"), [[1], [2]], r"system.rules\[1\].A: expected shape \(2, 2\), got"),
+    (("system", "C"), [], r"system.C: expected shape \(0, 2\), got \(0,\)"),
+    (("system", "C"), [[1, 2, 3]], r"system.C: expected shape \(1, 2\), got \(1, 3\)"),
+    (("system", "rules", 0, "if"), {"speed": {"shape": "always"}}, r"\[0\].if: unknown entry 'sp"),
+    (("system", "rules", 0, "if"), {"angle": {}}, r"\[0\].if.angle.shape: expected a name, got N"),
+    (("system", "rules", 0, "if"), {"angle": {"shape": "box"}}, r"\[0\].if.angle: membership sh"),
+    (("system", "rules", 0, "mood"), 1, r"system.rules\[0\]: unknown entry 'mood', .*if"),
+    (("system", "slope_vertices"), [[[1]]], r"slope_vertices\[0\]: expected shape \(2, 2\), got"),
+    (("disturbance",), [{"kind": "clean"}], r"disturbance\[0\]: expected a list, got"),
+    (("process_noise",), [1.0], r"process_noise: expected shape \(2,\), got \(1,\)"),
+    (("rate",), "high", "rate: expected a number, got 'high'"),
+    (("certify_uncertainty",), "yes", "certify_uncertainty: expected true or false, got 'yes'"),
+    (("uncertainty", "gravity", "E"), [[0]], r"uncertainty.gravity.E: expected shape \(2, 2\), go"),
+    (("uncertainty", "gravity", "bound"), ..., "uncertainty.gravity.bound: missing"),
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "value", "message"),
+    [("arm", *case) for case in ARM] + [("system", *case) for case in SYSTEM],
+)
+def test_a_wrong_entry_is_named_with_the_file(
+    kind: str,
+    place: tuple[Any, ...],
+    value: Any,
+    message: str,
+    arm_data: dict[str, Any],
+    pendulum_data: dict[str, Any],
+    tmp_path: Path,
+) -> None:
+    data, load = (arm_data, load_design) if kind == "arm" else (pendulum_data, load_request)
+    path = written(tmp_path, changed(data, place, value))
+    with pytest.raises(DesignFileError) as caught:
+        load(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ")
+    assert re.search(message, text), text
+    assert not isinstance(caught.value, CertificateError)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value"),
+    [
+        ("arm", ("gain", "K", 0), 0.0),
+        ("arm", ("certificate", "P", 0, 0), 97000.0),
+        ("arm", ("design", "x_max"), 0.8),
+        ("arm", ("design", "arm", "stiffness"), 12.0),
+        ("arm", ("design", "disturbance", 0, "density"), 2e-4),
+        ("system", ("measurement_std"), [0.02, 0.02]),
+        ("system", ("system", "slope_vertices", 1, 1, 0), 1.0),
+    ],
+)
+def test_an_edited_design_is_refused_by_its_certificate(
+    name: str, place: Any, value: Any, tmp_path: Path
+) -> None:
+    place = (place,) if isinstance(place, str) else place
+    path = written(tmp_path, changed(yaml_of(f"{name}.design.yaml"), place, value))
+    with pytest.raises(
+        CertificateError, match=r"my\.yaml: the certificate does not hold: .*margin"
+    ):
+        load_design(path)
+    assert not parse_design(path).certificate.holds
+    assert "THE CERTIFICATE DOES NOT HOLD" in parse_design(path).text()
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("design", "initial_std", 0), 1e200),
+        (("design", "rate"), 1e-3),
+        (("design", "arm"), {"link_inertia": 1e-200, "motor_inertia": 1e-200}),
+        (("design", "arm"), {"stiffness": 1e150}),
+        (("design", "arm"), {"link_damping": 1e5}),
+        (("design", "process_noise"), {"link": 1e308}),
+        (("design", "disturbance"), [{"kind": "gauss_markov", "time_constant": 1e-300}]),
+        (("design", "disturbance"), [{"kind": "bias", "density": 1e308}]),
+        (("design", "disturbance"), [{"kind": "arbitrary"}]),
+        (("gain", "K"), [1e308] * 5),
+        (("certificate", "P", 4, 4), 0.0),
+    ],
+)
+def test_extreme_entries_are_refused_by_name(
+    arm_data: dict[str, Any], place: tuple[Any, ...], value: Any, tmp_path: Path
+) -> None:
+    with pytest.raises(DesignFileError, match=r"my\.yaml: "):
+        load_design(written(tmp_path, changed(arm_data, place, value)))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["arm: {link_inertia: 1.0e-200, motor_inertia: 1.0e-200}", "arm: {stiffness: 1.0e+100}"],
+)
+def test_a_request_that_makes_no_model_is_refused_when_read(text: str, tmp_path: Path) -> None:
+    with pytest.raises(DesignFileError, match=r"my\.yaml: "):
+        load_request(written(tmp_path, text))
+
+
+def test_a_clean_design_is_not_one_for_an_arbitrary_disturbance(tmp_path: Path) -> None:
+    """The same matrices with the same state count, and no proof."""
+    clean = synthesise(ArmRequest(disturbance=(DisturbanceTerm("clean"),)))
+    request = replace(clean.request, disturbance=(DisturbanceTerm("arbitrary"),))
+    path = tmp_path / "my.yaml"
+    save_design(replace(clean, request=request), path)
+    with pytest.raises(CertificateError, match="disturbance has a model: DOES NOT HOLD"):
+        load_design(path)
+
+
+def test_numpy_numbers_are_saved_as_numbers(shipped: Design, tmp_path: Path) -> None:
+    terms = (DisturbanceTerm("bias", {"density": np.float64(1e-4)}),)
+    noise = ProcessNoise(np.float64(1e-4), np.float64(1e-5))
+    request = replace(
+        shipped.request, x_max=np.float64(0.75), rate=200, disturbance=terms, process_noise=noise
+    )
+    save_design(replace(shipped, request=request), tmp_path / "a.yaml")
+    assert load_design(tmp_path / "a.yaml").request == shipped.request
+
+
+@pytest.mark.parametrize("load", [load_design, load_request])
+def test_what_is_no_file_is_named(load: Any, tmp_path: Path) -> None:
+    with pytest.raises(DesignFileError, match=r"nothing\.yaml: no such design file"):
+        load(tmp_path / "nothing.yaml")
+    with pytest.raises(DesignFileError, match="cannot read the design file: Is a directory"):
+        load(tmp_path)
+    path = tmp_path / "my.yaml"
+    with path.open("wb") as file:
+        file.truncate(1 << 33)
+    with pytest.raises(DesignFileError, match="larger than 1048576 bytes, not a design file"):
+        load(path)
+    for text in (b"\xff\xfe\x00\x01", b"\x80", bytes(range(256))):
+        path.write_bytes(text)
+        with pytest.raises(DesignFileError, match=r"my\.yaml: not valid YAML"):
+            load(path)
+
+
+BOMB = "\n".join(
+    ["a0: &a0 [" + "x, " * 9 + "x]"]
+    + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)]
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected a mapping, got NoneType"),
+        ("[1, 2]", "expected a mapping, got list"),
+        ("just words", "expected a mapping, got str"),
+        ("a: [", "not valid YAML"),
+        ("--- {}\n--- {}", "not valid YAML"),
+        ("design: !!python/name:os.system", "not valid YAML.*python/name"),
+        ("[" * 20_000, "not valid YAML"),
+        (BOMB, "not valid YAML: line 2: aliases"),
+        ("format: 0x" + "f" * 6000, "format: expected"),
+        ("rate: 0x" + "f" * 6000, "format: missing"),
+    ],
+    ids=lambda text: repr(text[:24]),
+)
+def test_hostile_text_is_refused_with_the_file_named(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DesignFileError, match=rf"my\.yaml: (?s:{message})"):
+        load_design(written(tmp_path, text))
+
+
+def places(data: Any, prefix: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the place of every entry of nested mappings and lists."""
+    items = data.items() if isinstance(data, dict) else enumerate(data)
+    for key, value in items:
+        yield (*prefix, key)
+        if isinstance(value, dict | list):
+            yield from places(value, (*prefix, key))
+
+
+def entry_at(data: Any, place: tuple[Any, ...]) -> Any:
+    for key in place:
+        data = data[key]
+    return data
+
+
+def loaded(path: Path) -> Design | None:
+    """Return the design a file holds, None if it is refused by name; other errors get out."""
+    refusal = ""
+    try:
+        design = load_design(path)
+    except DesignFileError as error:
+        refusal = str(error)
+    if refusal:
+        assert refusal.startswith(f"{path}: ")
+        return None
+    assert design.certificate.holds
+    return design
+
+
+WRONG = st.recursive(
+    st.one_of(
+        st.none(), st.booleans(), st.integers(), st.floats(), st.just(10**400),
+        st.text("abc: 1.-", max_size=8), st.dates(), st.binary(max_size=4),
+    ),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("ab", max_size=2), inner),
+    max_leaves=6,
+)  # fmt: skip
+
+
+@settings(PROPERTY, max_examples=200)
+@given(data=st.data())
+@pytest.mark.parametrize("name", ["arm", "system"])
+def test_a_mutated_file_is_either_a_design_or_a_named_refusal(
+    name: str, data: st.DataObject, tmp_path: Path
+) -> None:
+    """Entries replaced by other types or numbers, removed, or set beside the known ones."""
+    edited = yaml_of(f"{name}.design.yaml")
+    kind = data.draw(st.sampled_from(["replace", "remove", "add", "numbers"]))
+    if kind == "numbers":
+        numeric = [place for place in places(edited) if isinstance(entry_at(edited, place), float)]
+        for place in data.draw(st.lists(st.sampled_from(numeric), min_size=1, max_size=3)):
+            edited = changed(edited, place, data.draw(st.floats()))
+    else:
+        place = data.draw(st.sampled_from(list(places(edited))))
+        if kind == "add":
+            is_list = isinstance(entry_at(edited, place[:-1]), list)
+            place = (*place[:-1], 0 if is_list else data.draw(st.text("ab", max_size=2)))
+        edited = changed(edited, place, ... if kind == "remove" else data.draw(WRONG))
+    loaded(written(tmp_path, edited))
+
+
+@settings(PROPERTY, max_examples=100)
+@given(cut=st.floats(0.0, 1.0))
+@pytest.mark.parametrize("name", ["arm", "system"])
+def test_a_truncated_file_is_either_a_design_or_a_named_refusal(
+    name: str, cut: float, tmp_path: Path
+) -> None:
+    text = (DATA / f"{name}.design.yaml").read_text(encoding="utf-8")
+    design = loaded(written(tmp_path, text[: int(cut * len(text))]))
+    if design is not None:
+        # Only the solver's report, which proves nothing, may be incomplete.
+        whole = load_design(DATA / f"{name}.design.yaml")
+        assert (design.P == whole.P).all()
+        assert (design.K == whole.K).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"P": np.eye(4)}, r"P: expected shape \(5, 5\), got \(4, 4\)"),
+        ({"K": np.zeros(5)}, r"K: expected shape \(5, 1\), got \(5,\)"),
+        ({"P": np.full((5, 5), math.nan)}, "P: every entry must be finite"),
+    ],
+)
+def test_a_design_has_matrices_of_the_right_shape(
+    shipped: Design, change: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ModelError, match=message):
+        replace(shipped, **change)
+
+
+@pytest.mark.parametrize("P", [-np.eye(5), np.zeros((5, 5)), np.ones((5, 5))])
+def test_a_matrix_that_is_no_bound_has_no_covariance(shipped: Design, P: Any) -> None:
+    with pytest.raises(ModelError, match="P: expected a positive definite matrix"):
+        _ = replace(shipped, P=P).covariance_bound
