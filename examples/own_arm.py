@@ -15,7 +15,7 @@ import tsobs_ros as ts
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
 
 # The same can be written as YAML and read by ts.load_request("my_arm.request.yaml").
-request = ts.DesignRequest(
+request = ts.ArmRequest(
     arm=ts.ElasticJointArm(
         link_inertia=0.8, motor_inertia=1.5, stiffness=25.0, gravity_torque=6.0, link_damping=0.1
     ),

@@ -49,15 +49,14 @@ if TYPE_CHECKING:
         estimate,
         estimate_bag,
         load_design,
-        load_request,
         simulate,
-        synthesise,
     )
     from tsobs_ros.bag.reader import BagReader
     from tsobs_ros.bag.writer import BagWriter
-    from tsobs_ros.design.file import save_design
+    from tsobs_ros.design.file import load_request, save_design
     from tsobs_ros.design.record import Design
     from tsobs_ros.design.request import ArmRequest
+    from tsobs_ros.design.synthesis import synthesise
     from tsobs_ros.errors import TsobsError
     from tsobs_ros.estimation.records import Measurement
     from tsobs_ros.estimation.tracker import Tracker
@@ -84,11 +83,11 @@ _HOMES = {
     "estimate": "api",
     "estimate_bag": "api",
     "load_design": "api",
-    "load_request": "api",
+    "load_request": "design.file",
     "make_tracker": "methods",
     "save_design": "design.file",
     "simulate": "api",
-    "synthesise": "api",
+    "synthesise": "design.synthesis",
 }
 
 __all__ = [

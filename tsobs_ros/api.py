@@ -112,29 +112,6 @@ def load_design(path: str | Path | None = None) -> Design:
     return file.load_design(config_path(SHIPPED_DESIGN) if path is None else path)
 
 
-def load_request(path: str | Path) -> DesignRequest | TSRequest:
-    """Read a request, of an arm or of a T–S system; what is left out keeps its default.
-
-    Raises:
-        DesignFileError: The file is missing or no request; the text names the entry.
-
-    >>> import tsobs_ros as ts
-    >>> ts.load_request("config/elastic_joint.request.yaml").rate
-    200.0
-    """
-    path = Path(path)
-    return (ts_file.load_ts_request if ts_file.is_ts_file(path) else file.load_request)(path)
-
-
-def synthesise(request: DesignRequest | TSRequest) -> Design | TSDesign:
-    """Design the certified gain for a request; see `design.synthesis.synthesise`."""
-    from tsobs_ros.design import synthesis, ts_synthesis
-
-    if isinstance(request, DesignRequest):
-        return synthesis.synthesise(request)
-    return ts_synthesis.synthesise_ts(request)
-
-
 def simulate(
     arm: ElasticJointArm | Design | None = None,
     *,

@@ -23,8 +23,7 @@ from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.model.memberships import Always, Membership, membership
+from tsobs_ros.model.fuzzy import Always, Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, system_uncertainty
 from tsobs_ros.schema import Entries, Number, Variant, decode, naming, within
