@@ -15,7 +15,7 @@ from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
 def test_the_defaults_are_those_of_the_node() -> None:
     settings, parameters = ObserverSettings(), ObserverParameters()
 
-    assert settings.supervision == parameters.supervision.options()
+    assert settings.supervision == parameters.supervision
     assert settings.gain_mode.value == parameters.gain_mode
     for name in ("method", "theta", "settle_time", "adapt", "history", "future_tolerance",
                  "stale_after", "assume_zero_torque"):  # fmt: skip

@@ -103,19 +103,6 @@ def test_a_step_of_the_sensor_is_found_at_once_and_forgiven_soon(seed: int, size
     assert (np.abs(run.states - run.true_states)[3000:].max(axis=0) < 4.0 * state_bound).all()
 
 
-def test_without_looking_for_jumps_the_same_step_takes_much_longer() -> None:
-    step = replace(SCENARIOS["noise"], disturbance=(BiasStep(0.1, 12.0),))
-    with_, without = (
-        observe(supervised(jump_std=std), step, 0, 16.0) for std in (0.15, 0.0)
-    )  # fmt: skip
-    assert without.events[-1]["sensor jumps"] == 0
-    worst = [
-        np.sqrt((((run.states - run.true_states)[2400:] / SCALE) ** 2).mean())
-        for run in (with_, without)
-    ]
-    assert worst[1] > 2.0 * worst[0]
-
-
 @pytest.mark.parametrize("seed", [0, 1])
 def test_outliers_do_little_harm(seed: int) -> None:
     watched = observe(supervised(), SCENARIOS["outliers"], seed, 24.0)

@@ -4,7 +4,7 @@
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -422,17 +422,6 @@ def test_an_overflowing_estimate_is_counted_and_never_returned() -> None:
     assert (overflowing.used, overflowing.failures, overflowing.restarts) == (2, 2, 1)
 
 
-def test_an_overflowing_prediction_starts_afresh_at_the_measurement() -> None:
-    overflowing, fresh = exploding(1e100), exploding(1e100)
-    overflowing.offer(sample(0), END_OF_TIME)
-    with np.errstate(invalid="ignore"):
-        innovation = overflowing.offer(sample(40), END_OF_TIME)
-    assert bits(innovation) == bits(fresh.offer(sample(40), END_OF_TIME))
-    stamp = BEGIN + 41 * PERIOD
-    assert bits(overflowing.estimate(stamp)) == bits(fresh.estimate(stamp))
-    assert (overflowing.failures, overflowing.restarts, overflowing.used) == (1, 1, 2)
-
-
 @pytest.mark.parametrize("size", [1e100, 1e150, 1e200, 1e300, 1.7e308])
 @pytest.mark.parametrize("field", ["y", "u"])
 def test_enormous_numbers_never_give_an_estimate_that_is_not_finite(
@@ -469,27 +458,3 @@ def test_enormous_numbers_never_give_an_estimate_that_is_not_finite(
 def test_senseless_limits_are_refused(options: dict[str, float], reason: str) -> None:
     with pytest.raises(ModelError, match=reason):
         TrackerOptions(**options)
-
-
-def worst_errors(estimates: Sequence[Estimate], truth: Array) -> Array:
-    return np.abs(np.stack([e.state for e in estimates]) - truth).max(axis=0)
-
-
-def test_late_and_lost_samples_still_give_good_estimates(design: Design) -> None:
-    """Not only equal to something: near the truth, through dropouts and reordering."""
-    rng = np.random.default_rng(7)
-    good = tracker()
-    estimates, truth = [], []
-    indices = [k for k in range(600) if rng.random() > 0.2]
-    order = sorted(indices, key=lambda k: k + int(rng.integers(0, 20)))
-    for k in order:
-        good.offer(sample(k), END_OF_TIME)
-    for k in range(540, 600):
-        estimate = good.estimate(BEGIN + k * PERIOD)
-        assert estimate is not None
-        estimates.append(estimate)
-        truth.append(design.request.arm.to_physical(RUN.states[0, k]))
-    bound = np.stack([e.state_bound for e in estimates]).max(axis=0)
-    assert (worst_errors(estimates, np.stack(truth)) < 4.0 * bound).all()
-    assert good.used == len(indices)
-    assert good.rewinds > 100

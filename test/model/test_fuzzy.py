@@ -110,22 +110,6 @@ def test_the_blend_is_the_weighted_sum_of_the_rules(data: st.DataObject, system:
     np.testing.assert_allclose(system.output(x), output, rtol=1e-12, atol=1e-12)
 
 
-@PROPERTY
-@given(st.data(), systems())
-def test_a_batch_is_its_members_side_by_side(data: st.DataObject, system: TSSystem) -> None:
-    # To rounding, not bit for bit: einsum may add in another order for a batch.
-    x, u = data.draw(arrays(3, system.state_count)), data.draw(arrays(3, system.B.shape[-1]))
-    rates = np.stack([system.derivative(a, b) for a, b in zip(x, u, strict=True)])
-    outputs = np.stack([system.output(a) for a in x])
-    np.testing.assert_allclose(system.derivative(x, u), rates, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(system.output(x), outputs, rtol=1e-12, atol=1e-12)
-
-
-def test_output_matrices_may_differ_from_rule_to_rule() -> None:
-    # y = (1 − z)·x₁ + z·(x₁ + x₂/2) with z = x₁ = 0.4 and x₂ = 2.
-    assert plain().output([0.4, 2.0]) == pytest.approx([0.4 + 0.4 * 1.0], rel=1e-15)
-
-
 def test_a_single_matrix_serves_every_rule() -> None:
     system = plain()
     assert system.B.shape == (2, 2, 1)
