@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from lifecycle_msgs.msg import Transition, TransitionEvent
-from rcl_interfaces.srv import DescribeParameters, SetParameters
+from lifecycle_msgs.msg import Transition
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from tsobs_ros.errors import NodeError, ParameterError
+from tsobs_ros.errors import NodeError
 from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
 from tsobs_ros.nodes.parameters import parameter
 
@@ -99,26 +98,6 @@ def test_alone_it_is_active_at_once(probe: Any) -> None:
     assert manager.node.calls[:2] == ["configure", "activate"]
 
 
-def test_autostart_can_be_looked_up_and_not_changed(probe: Any) -> None:
-    manager = probe(autostart=True)
-    names = DescribeParameters.Request(names=["autostart"])
-    (descriptor,) = manager.call(DescribeParameters, "describe_parameters", names).descriptors
-    assert descriptor.read_only
-    assert "lifecycle" in descriptor.description
-    change = SetParameters.Request(
-        parameters=[Parameter("autostart", value=False).to_parameter_msg()]
-    )
-    (result,) = manager.call(SetParameters, "set_parameters", change).results
-    assert not result.successful
-
-
-def test_autostart_of_another_type_is_refused(probe: Any) -> None:
-    with pytest.raises(
-        ParameterError, match="'autostart': expected true or false, got the integer"
-    ):
-        probe(autostart=1)
-
-
 def test_unconfigured_it_owns_nothing_and_waits(probe: Any, ros: Any) -> None:
     manager = probe()
     assert manager.state == "unconfigured"
@@ -168,24 +147,6 @@ def test_callbacks_work_while_active_only(probe: Any, ros: Any) -> None:
     before = calls.count("tick")
     ros.spin_for(0.1)
     assert calls.count("tick") == before
-
-
-def test_transitions_are_announced(probe: Any, ros: Any) -> None:
-    manager = probe()
-    events: list[str] = []
-    manager.own.create_subscription(
-        TransitionEvent, "probe/transition_event", lambda m: events.append(m.goal_state.label), 10
-    )
-    ros.spin_until(
-        lambda: (
-            manager.own.count_subscribers("/probe/transition_event") == 1
-            and manager.own.count_publishers("/probe/transition_event") == 1
-        ),
-        what="the match",
-    )
-    manager.change("configure", "activate")
-    ros.spin_until(lambda: "active" in events, what="the announcement")
-    assert [label for label in events if label in WAY_TO] == ["inactive", "active"]
 
 
 @pytest.mark.parametrize("state", WAY_TO)
@@ -261,8 +222,10 @@ def test_a_bug_shows_its_traceback_and_leaves_the_node_unconfigured(
     assert manager.change(*WAY_TO["active"])
 
 
-@pytest.mark.parametrize("call", ["configure", "activate"])
-@pytest.mark.parametrize("error", [NodeError("the disk is full"), ZeroDivisionError("a bug")])
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [("configure", NodeError("the disk is full")), ("activate", ZeroDivisionError("a bug"))],
+)
 def test_a_start_that_fails_raises_and_leaves_nothing(
     probe: Any, ros: Any, capfd: Any, call: str, error: Exception
 ) -> None:
