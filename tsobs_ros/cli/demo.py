@@ -126,7 +126,8 @@ def _record(
         observer = start("observer", {"design": options.design.resolve()})
         recorder = start("recorder", {"output": bag.resolve(), "topics": topics})
         own = [re.escape(topic) + r" \[" for topic in RECORDED_TOPICS if "/observer/" in topic]
-        _wait(lambda: recorder.has_printed(*own), [observer, recorder], "the recorder to be ready")
+        others = [observer, recorder]
+        _until(lambda: recorder.has_printed(*own), others, "the recorder to be ready")
         plant = start(
             "plant_simulator",
             {
@@ -140,9 +141,16 @@ def _record(
                 "mismatch.gravity_torque": options.gravity,
             },
         )
-        nodes = [observer, recorder, plant]
-        _wait(lambda: plant.has_printed("started"), nodes, "the plant to start")
-        _follow(plant, [observer, recorder], options.duration, show_progress)
+        _until(lambda: plant.has_printed("started"), [*others, plant], "the plant to start")
+        _until(
+            lambda: not plant.running,
+            others,
+            "the plant to finish",
+            options.duration + _START_TIMEOUT,
+            lambda elapsed: show_progress(min(elapsed, options.duration)),
+        )
+        plant.require_success()
+        show_progress(options.duration)
         # The recorder first, so that it still takes what the others have sent.
         for process in (recorder, observer, plant):
             process.stop()
@@ -213,32 +221,20 @@ class _NodeProcess:
             raise NodeError(f"{self.name} ended early; see {self.log}")
 
 
-def _wait(ready: Callable[[], bool], needed: Sequence[_NodeProcess], what: str) -> None:
-    deadline = time.monotonic() + _START_TIMEOUT
-    while not ready():
+def _until(
+    done: Callable[[], bool],
+    needed: Sequence[_NodeProcess],
+    what: str,
+    timeout: float = _START_TIMEOUT,
+    show_progress: Callable[[float], object] = lambda _: None,
+) -> None:
+    """Wait while the needed processes run; `show_progress` is called with the seconds waited."""
+    begin = time.monotonic()
+    while not done():
         for process in needed:
             process.require_running()
-        if time.monotonic() > deadline:
-            logs = needed[0].log.parent
-            raise NodeError(f"waited {_START_TIMEOUT:g} s in vain for {what}; see {logs}")
-        time.sleep(_POLL)
-
-
-def _follow(
-    plant: _NodeProcess,
-    others: Sequence[_NodeProcess],
-    duration: float,
-    show_progress: Callable[[float], object],
-) -> None:
-    """Watch the processes until the plant has finished its run."""
-    begin = time.monotonic()
-    while plant.running:
-        for process in others:
-            process.require_running()
         elapsed = time.monotonic() - begin
-        if elapsed > duration + _START_TIMEOUT:
-            raise NodeError(f"the plant did not finish {duration:g} s; see {plant.log}")
-        show_progress(min(elapsed, duration))
+        if elapsed > timeout:
+            raise NodeError(f"waited {timeout:g} s in vain for {what}; see {needed[0].log.parent}")
+        show_progress(elapsed)
         time.sleep(_POLL)
-    plant.require_success()
-    show_progress(duration)

@@ -229,14 +229,8 @@ class Replay:
         schedule = self._schedule
         waiting = enumerate(self._samples.of_each_joint())
         offered, last = 0, 0
-        columns = (
-            schedule.stamps,
-            schedule.now,
-            schedule.min_known,
-            schedule.max_known,
-            schedule.reset_after,
-        )
-        ticks = zip(*(column.tolist() for column in columns), strict=True)
+        names = ("stamps", "now", "min_known", "max_known", "reset_after")
+        ticks = zip(*(getattr(schedule, name).tolist() for name in names), strict=True)
         for tick, (stamp, now, known, most, reset_after) in enumerate(ticks):
             if reset_after >= 0:
                 yield from self._offer_next(tick, waiting, reset_after - offered, now)
