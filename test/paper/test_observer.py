@@ -27,6 +27,8 @@ M = np.linalg.solve(P, AUG.C_bar.T)
 H1 = np.stack([3.0 * AUG.E_L_inverse[:, 3:], 4.0 * AUG.E_L_inverse[:, 3:]])
 GAMMA = np.stack([np.diag([5.0, 1.0, 2.0]), np.array([[2.0, 0.5, 0], [0.5, 1, 0], [0, 0, 1]])])
 START = np.array([0.1, -0.2, 0.3, 0.05, 0.0, -0.1])
+# Fits the first sample, [0, 0.3, 0], so that the innovation is zero.
+FITTING = np.concatenate([START[:3], np.array([0.0, 0.3, 0.0]) - AUG.C @ START[:3]])
 
 
 def y_of(t: float) -> Array:
@@ -123,18 +125,14 @@ def test_innovation_decays_by_its_own_equation() -> None:
 
 def test_adaptation_never_starts_from_a_fitting_estimate() -> None:
     observer = AugmentedObserver(AUG, H1, M, GAMMA)
-    fitting = START.copy()
-    fitting[3:] = y_of(0.0) - AUG.C @ START[:3]
-    silent = run(observer, 3.0, 0.02, start=fitting)
+    silent = run(observer, 3.0, 0.02, start=FITTING)
     assert np.abs(silent.Xi).max() < 1e-13
     assert np.abs(run(observer, 3.0, 0.02).Xi).max() > 0.05
 
 
 def test_disturbance_estimate_is_what_the_output_leaves() -> None:
     observer = AugmentedObserver(AUG, H1, M)
-    fitting = START.copy()
-    fitting[3:] = y_of(0.0) - AUG.C @ START[:3]
-    state = run(observer, 1.0, 0.02, start=fitting)
+    state = run(observer, 1.0, 0.02, start=FITTING)
     estimate = observer.estimate(state)
     output = EXAMPLE.system.output(estimate.x, state.z)
     np.testing.assert_allclose(estimate.omega, y_of(1.0) - output, atol=1e-12)
