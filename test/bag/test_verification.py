@@ -295,6 +295,7 @@ def overwritten(data: bytes, opcode: Opcode, place: int, new: bytes) -> bytes:
             "at byte .* no record, or one that is",
         ),
         (lambda d: overwritten(d, Opcode.CHUNK, 41, b"\xff"), "damaged: at byte .*: not a record"),
+        (lambda d: overwritten(d, Opcode.CHUNK, 48, b"\xff"), "damaged: at byte .*: not a record"),
         (lambda d: overwritten(d, Opcode.CHUNK, 25, b"\x00"), "states .* bytes of content"),
         (lambda d: overwritten(d, Opcode.MESSAGE_INDEX, 11, b"\x09"), "index at byte .* is malf"),
         (

@@ -319,7 +319,7 @@ def parse_record(record: bytes) -> McapRecord:
         reader = StreamReader(BytesIO(record), skip_magic=True, emit_chunks=True)
         found = next(reader.records)
         found.write(written)
-    except (McapError, struct.error, ValueError) as error:
+    except (McapError, struct.error, ValueError, OverflowError) as error:
         raise RecordError("not a record") from error
     # The library accepts a text that ends early.
     if written.end() != record:

@@ -258,7 +258,7 @@ class _File:
                 self._check_data(stream, progress)
             self._check_summary(summary)
             self.is_complete = not any(chunk.is_damaged for chunk in self._chunks.values())
-        except RecordError as error:
+        except (RecordError, OverflowError) as error:
             self._error(f"the file is damaged: {error}; {RECOVER_HINT}")
         except OSError as error:
             self._error(str(error).removeprefix(f"{self.path}: "))
