@@ -237,14 +237,11 @@ def test_a_snapshot_holds_the_longest_end_that_fits(
                                   if expected else 0)  # fmt: skip
     assert list(buffer.take()) == expected
     assert (len(buffer), buffer.size, buffer.duration_ns) == (0, 0, 0)
-
-
-def test_time_that_goes_back_drops_nothing_too_early() -> None:
+    # Time that goes back, as in a looped bag, drops nothing.
     buffer = SnapshotBuffer(10, 10**6)
     for time in (100, 105, 3, 4):
         buffer.add(message("/x", time))
-    assert buffer.duration_ns == 0
-    assert [m.log_time_ns for m in buffer.take()] == [100, 105, 3, 4]
+    assert (len(buffer), buffer.duration_ns) == (4, 0)
 
 
 def test_a_disk_is_synced_again_and_again_in_another_thread_until_it_fails() -> None:

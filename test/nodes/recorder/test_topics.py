@@ -37,23 +37,6 @@ def test_a_latched_message_from_before_the_recording_is_recorded(ros, recording)
     )
 
 
-def test_publishers_of_different_reliability_are_both_recorded(ros, recording) -> None:
-    node = ros.node("source")
-    publishers = [
-        node.create_publisher(String, "chatter", qos)
-        for qos in (QoSProfile(depth=10), qos_profile_sensor_data)
-    ]
-    ros.spin_until(lambda: node.count_publishers("/chatter") == 2, what="both publishers")
-    recorder = recording.start(topics=["chatter"])
-    ros.spin_until(
-        lambda: [p.get_subscription_count() for p in publishers] == [2, 1], what="the matches"
-    )
-    for index, publisher in enumerate(publishers):
-        publisher.publish(String(data=str(index)))
-    ros.spin_until(lambda: recording.count(recorder, "/chatter") == 2, what="both messages")
-    assert recorder.statistics.topics["/chatter"] == (2, 0, False)
-
-
 def test_a_publisher_that_comes_late_is_recorded(ros, recording) -> None:
     recorder = recording.start(topics=["early", "late"])
     node = ros.node("source")
