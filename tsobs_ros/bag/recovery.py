@@ -204,14 +204,6 @@ class Recovery:
         return "\n".join([*lines, f"{self.message_count} messages in {self.output}: {verdict}"])
 
 
-class Topic(NamedTuple):
-    """A topic with all that a bag stores about it."""
-
-    name: str
-    definition: MessageDefinition
-    qos: tuple[QosProfile, ...]
-
-
 class _File:
     """The records of a file that describe its topics and itself, wherever they are."""
 
@@ -326,7 +318,7 @@ class DamagedBag:
                 if definition := file.definition(channel):
                     key = (definition.type, definition.type_hash)
                     self._definitions.setdefault(key, definition)
-        self.topics: dict[str, Topic] = {}
+        self.topics: dict[str, TopicInfo] = {}
         self._destinations = [self._destinations_of(file) for file in self._files]
 
     def read(
@@ -396,7 +388,9 @@ class DamagedBag:
     ) -> None:
         if definition is None:
             found.reasons[id_] = f"of {name}, whose type is lost"
-        elif self.topics.setdefault(name, Topic(name, definition, qos))[1].type != definition.type:
+            return
+        topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
+        if self.topics.setdefault(name, topic).type != definition.type:
             found.reasons[id_] = f"of {name} as {definition.type}, which is two types"
         else:
             found.topics[id_] = name
@@ -456,8 +450,10 @@ def recover(
             writer = stack.enter_context(
                 BagWriter(target, compression=compression, custom_data=damaged.custom_data)
             )
-            for name, definition, qos in damaged.topics.values():
-                writer.add_topic(name, definition.type, qos, definition=definition)
+            for each in damaged.topics.values():
+                writer.add_topic(
+                    each.name, each.type, each.qos_profiles, definition=each.definition
+                )
         writer.write(topic, data, log_time, publish_time)
 
     with ExitStack() as stack:

@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What a bag is about: its files, its times and its topics; also of one that is not finished."""
+"""Summaries of bags: files, times and topics, also of bags that are not finished or damaged."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain, groupby
 from operator import attrgetter
@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import MAX_SIZE, RECORD, Summary
-from tsobs_ros.bag.metadata import QosProfile
+from tsobs_ros.bag.metadata import BagMetadata, QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.recovery import DamagedBag
 from tsobs_ros.errors import BagReadError
@@ -35,55 +35,42 @@ class FileSummary:
 
 
 @dataclass(frozen=True)
-class TopicSummary:
-    """One topic of a bag.
-
-    Attributes:
-        name: The full topic name.
-        type: The message type, `package/msg/Type`.
-        messages: How many messages of it the bag holds.
-        serialization_format: How they are encoded.
-        qos: What its publishers offered.
-        type_hash: The RIHS01 hash of its type, or an empty string.
-        largest_gap_ns: The longest time between two messages, ns; None if that is not known.
-    """
-
-    name: str
-    type: str
-    messages: int
-    serialization_format: str
-    qos: tuple[QosProfile, ...]
-    type_hash: str
-    largest_gap_ns: int | None
-
-
-@dataclass(frozen=True)
 class BagSummary:
-    """What a bag is about.
+    """The summary of a bag.
 
     Attributes:
         path: The bag.
-        problem: Why it had to be read through, message by message; empty for a finished bag.
+        problem: The reason for reading it through, message by message; empty for a finished bag.
         files: Its files.
         topics: Its topics.
         start_ns: The smallest log time, ns since the epoch; None without messages.
         end_ns: The largest log time, ns since the epoch; None without messages.
-        ros_distro: The ROS distribution it was recorded with; empty if unknown.
-        custom_data: What its recorder wanted remembered.
+        metadata: The content of its metadata.yaml, if it has any.
+        largest_gaps_ns: The longest time between two messages of a topic, ns, if it is known.
     """
 
     path: Path
     problem: str
     files: tuple[FileSummary, ...]
-    topics: tuple[TopicSummary, ...]
+    topics: tuple[TopicInfo, ...]
     start_ns: int | None
     end_ns: int | None
-    ros_distro: str
-    custom_data: Mapping[str, str]
+    metadata: BagMetadata | None
+    largest_gaps_ns: Mapping[str, int]
+
+    @property
+    def ros_distro(self) -> str:
+        """The ROS distribution it was recorded with; empty if unknown."""
+        return self.metadata.ros_distro if self.metadata else ""
+
+    @property
+    def custom_data(self) -> Mapping[str, str]:
+        """The notes of its recorder."""
+        return (self.metadata.custom_data if self.metadata else None) or {}
 
     @property
     def messages(self) -> int:
-        """How many messages the bag holds."""
+        """The number of messages in all files."""
         return sum(file.messages for file in self.files)
 
     @property
@@ -96,9 +83,9 @@ class BagSummary:
         """The time from the smallest to the largest log time, ns."""
         return 0 if self.start_ns is None or self.end_ns is None else self.end_ns - self.start_ns
 
-    def rate(self, topic: TopicSummary) -> float | None:
+    def rate(self, topic: TopicInfo) -> float | None:
         """Return a topic's mean rate over the whole bag, Hz; None if that has no duration."""
-        return topic.messages * 1e9 / self.duration_ns if self.duration_ns else None
+        return topic.count * 1e9 / self.duration_ns if self.duration_ns else None
 
     def as_mapping(self) -> dict[str, Any]:
         """Return plain data."""
@@ -116,8 +103,13 @@ class BagSummary:
             "files": [asdict(file) for file in self.files],
             "topics": [
                 {
-                    **asdict(topic),
-                    "qos": [profile.to_map() for profile in topic.qos],
+                    "name": topic.name,
+                    "type": topic.type,
+                    "messages": topic.count,
+                    "serialization_format": "cdr",
+                    "qos": [profile.to_map() for profile in topic.qos_profiles],
+                    "type_hash": topic.type_hash,
+                    "largest_gap_ns": self.largest_gaps_ns.get(topic.name),
                     "rate": self.rate(topic),
                 }
                 for topic in self.topics
@@ -125,7 +117,7 @@ class BagSummary:
         }
 
     def text(self) -> str:
-        """Return the same for people to read, much as `ros2 bag info` does."""
+        """Return text in the manner of `ros2 bag info`."""
         lines = [f"NOT FINISHED: {self.problem}"] if self.problem else []
         files = [f"{f.name} ({_bytes(f.size)}, {f.messages} messages)" for f in self.files]
         lines += [
@@ -141,20 +133,20 @@ class BagSummary:
         lines += [f"Custom data:  {key}: {value}" for key, value in self.custom_data.items()]
         for topic in self.topics:
             lines.append(
-                f"Topic:        {topic.name} | {topic.type} | {topic.messages} messages | "
-                f"{topic.serialization_format} | {_qos(topic.qos)}{self._pace(topic)}"
+                f"Topic:        {topic.name} | {topic.type} | {topic.count} messages | "
+                f"cdr | {_qos(topic.qos_profiles)}{self._pace(topic)}"
             )
         return "\n".join(lines)
 
-    def _pace(self, topic: TopicSummary) -> str:
-        rate = self.rate(topic) if topic.messages > 1 else None
+    def _pace(self, topic: TopicInfo) -> str:
+        rate = self.rate(topic) if topic.count > 1 else None
         text = "" if rate is None else f" | {rate:.4g} Hz"
-        gap = topic.largest_gap_ns
+        gap = self.largest_gaps_ns.get(topic.name)
         return text if gap is None else f"{text} | largest gap {gap * 1e-9:.6g} s"
 
 
 def summarise(bag: str | Path) -> BagSummary:
-    """Tell what a bag is about; one that is not finished or is damaged is read through for it.
+    """Return the summary of a bag; one that is not finished or is damaged is read through.
 
     Args:
         bag: A bag folder, or one MCAP file.
@@ -167,8 +159,6 @@ def summarise(bag: str | Path) -> BagSummary:
         reader = BagReader(path)
     except BagReadError as error:
         return _of_damaged(path, error)
-    gaps = _largest_gaps(reader.summaries)
-    metadata = reader.metadata
     return BagSummary(
         path=path,
         problem="",
@@ -176,53 +166,29 @@ def summarise(bag: str | Path) -> BagSummary:
             FileSummary(i.path.name, i.path.stat().st_size, i.statistics.message_count)
             for i in reader.summaries
         ),
-        topics=tuple(
-            TopicSummary(
-                topic.name,
-                topic.type,
-                topic.count,
-                "cdr",
-                topic.qos_profiles,
-                topic.type_hash,
-                gaps.get(topic.name) if topic.count > 1 else None,
-            )
-            for topic in reader.topics.values()
-        ),
+        topics=tuple(reader.topics.values()),
         start_ns=reader.start_time,
         end_ns=reader.end_time,
-        ros_distro=metadata.ros_distro if metadata else "",
-        custom_data=(metadata.custom_data if metadata else None) or {},
+        metadata=reader.metadata,
+        largest_gaps_ns=_largest_gaps(reader.summaries),
     )
 
 
 def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
-    """Read all of a bag whose end or description is missing."""
     damaged = DamagedBag(path)
     if set(damaged.profiles.values()) - {"ros2"} or not damaged.topics:
         raise error
     files = damaged.read(lambda *_: None)
     counts = sum((file.kept for file in files), Counter[str]())
-    metadata = damaged.metadata
     return BagSummary(
         path=path,
         problem=str(error),
         files=tuple(FileSummary(file.name, file.size, file.kept.total()) for file in files),
-        topics=tuple(
-            TopicSummary(
-                topic.name,
-                topic.definition.type,
-                counts[topic.name],
-                "cdr",
-                topic.qos,
-                topic.definition.type_hash,
-                None,
-            )
-            for topic in damaged.topics.values()
-        ),
+        topics=tuple(replace(topic, count=counts[topic.name]) for topic in damaged.topics.values()),
         start_ns=min((f.start_ns for f in files if f.start_ns is not None), default=None),
         end_ns=max((f.end_ns for f in files if f.end_ns is not None), default=None),
-        ros_distro=metadata.ros_distro if metadata else "",
-        custom_data=(metadata.custom_data if metadata else None) or {},
+        metadata=damaged.metadata,
+        largest_gaps_ns={},
     )
 
 
@@ -230,7 +196,7 @@ class _Gap:
     """The largest gap so far; the times that later chunks may still fall between are kept."""
 
     def __init__(self) -> None:
-        self.largest = 0
+        self.largest: int | None = None
         self._open: NDArray[np.uint64] = np.empty(0, np.uint64)
 
     def add(self, times: NDArray[np.uint64], start: int) -> None:
@@ -239,21 +205,21 @@ class _Gap:
         settled = int(np.searchsorted(self._open, np.uint64(start), side="right"))
         self._measure(max(1, settled))
 
-    def finish(self) -> int:
-        """Return the largest gap of all."""
+    def finish(self) -> int | None:
+        """Return the largest gap of all; None without two messages."""
         self._measure(self._open.size)
         return self.largest
 
     def _measure(self, end: int) -> None:
         if end > 1:
-            self.largest = max(self.largest, int(np.diff(self._open[:end]).max()))
+            self.largest = max(self.largest or 0, int(np.diff(self._open[:end]).max()))
         self._open = self._open[end - 1 :]
 
 
 def _largest_gaps(summaries: Sequence[Summary]) -> dict[str, int]:
     """Return the longest time between two messages of each topic, ns, from the indexes alone.
 
-    It is 0 for a topic with one message. Topics of files without message indexes are left out.
+    Topics with fewer than two messages are left out, and topics of files without message indexes.
 
     Raises:
         BagReadError: An index is damaged.
@@ -276,7 +242,8 @@ def _largest_gaps(summaries: Sequence[Summary]) -> dict[str, int]:
                             gaps.setdefault(topics[channel], _Gap()).add(times, span.start)
         except (OSError, ValueError) as error:
             raise BagReadError(f"{path}: {error}") from error
-    return {topic: gap.finish() for topic, gap in gaps.items() if topic not in unknown}
+    found = {topic: gap.finish() for topic, gap in gaps.items() if topic not in unknown}
+    return {topic: gap for topic, gap in found.items() if gap is not None}
 
 
 def _index_times(stream: IO[bytes], offset: int) -> NDArray[np.uint64]:
