@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What the recent history of an estimated disturbance looks like: a bias, a drift, a tone.
+"""The shape of an estimated disturbance's recent history: a bias, a drift, a tone.
 
 Three simple curves are fitted by least squares: two constants with a step in between, a cubic, and
 a line with a tone on it. The one that leaves least gives the kind, provided that it explains
@@ -31,7 +31,7 @@ _PAD = 4
 
 
 class FaultKind(enum.Enum):
-    """What is the matter with a sensor."""
+    """Kind of a sensor's fault."""
 
     NONE = "none"
     BIAS = "bias"
@@ -65,10 +65,9 @@ class _Tone(NamedTuple):
 
 
 def shape_of(times: Array, values: Array, motion: Array, bound: float) -> Shape:
-    """Tell the shape of a history.
+    """Return the shape of a history.
 
-    A tone that has set in lately is looked for in the last third too, where nothing explains the
-    whole.
+    A recent tone is looked for in the last third too, if no curve explains the whole.
 
     Args:
         times: Evenly spaced, rising [s], shape (samples,), at least ten.

@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Which fault a sensor has: stuck, noisier than it should be, biased, drifting or oscillating.
+"""The fault monitor of a sensor: stuck, too noisy, biased, drifting or oscillating.
 
-Told from three things. Raw samples that repeat although they are noisy: stuck. Innovations that
-are too large: noise if they are white; if they are not, the model does not fit, and the bound of
-the disturbance says nothing. And from the last seconds of the estimated disturbance, whose shape
-`fault_shapes` tells. A level is about size, a kind about shape; both must last to be reported.
+There are three signs of a fault. Raw samples repeat although they are noisy: the sensor is stuck.
+Innovations are too large: it is noise if they are white; if not, the model does not fit and the
+disturbance has no bound. The last seconds of the estimated disturbance have a shape, see
+`fault_shapes`. A level is about size, a kind about shape; both must last to be reported.
 """
 
 import math
@@ -39,7 +39,7 @@ _OPEN = 3.0
 
 
 class Fault(NamedTuple):
-    """What is known about the sensor's fault.
+    """A fault of the sensor.
 
     Attributes:
         kind: What it looks like.
@@ -47,7 +47,7 @@ class Fault(NamedTuple):
             if the sensor is stuck.
         magnitude: Of a bias or drift its present size, of an oscillation its amplitude, of noise
             its standard deviation, else the largest disturbance of the last second [rad].
-        bound: 1σ of the magnitude [rad]; infinite where the model does not hold.
+        bound: 1σ of the magnitude [rad]; infinite if the model does not hold.
         since: Stamp at which the kind was first seen [ns], None if there never was another.
         rate: Of a drift [rad/s], else None.
         frequency: Of an oscillation [rad/s], else None.
@@ -63,7 +63,7 @@ class Fault(NamedTuple):
 
 
 class FaultMonitor:
-    """Tells the fault of one sensor from what its estimator takes in and gives out.
+    """Finds the fault of one sensor from the input and output of its estimator.
 
     Args:
         measurement_std: 1σ of the noise of one sample that the design expects [rad].
@@ -86,7 +86,7 @@ class FaultMonitor:
         self._history = History()
         self._kind, self._level = Debounce(FaultKind.NONE), Debounce(Level.OK)
         self._wrong = Debounce(False)
-        self._told: dict[FaultKind, Fault] = {}
+        self._candidates: dict[FaultKind, Fault] = {}
         self._predicted = 0.0
         self._stamp: int | None = None
 
@@ -108,7 +108,7 @@ class FaultMonitor:
         was_stuck = self._repeats.stuck
         self._repeats.update(stamp, y)
         if was_stuck and not self._repeats.stuck:
-            # What came before says nothing about what comes, and the estimate was led astray.
+            # The past is no guide to the future, and the estimate was led astray.
             self._history = History(after_fault=True)
 
     def estimated(self, stamp: int, disturbance: float, bound: float) -> Fault:
@@ -150,7 +150,7 @@ class FaultMonitor:
 
     def _judge(self, stamp: int, disturbance: float, bound: float) -> Fault:
         now = self._candidate(disturbance, bound)
-        self._told[now.kind] = now
+        self._candidates[now.kind] = now
         hold = 0.0 if now.kind is FaultKind.STUCK else self.limits.hold
         kind = self._kind.update(stamp, now.kind, hold)
         level = self._level.update(stamp, now.level, hold)
@@ -158,11 +158,11 @@ class FaultMonitor:
         if wrong and kind is FaultKind.NONE:
             # Something has lasted, but no kind of it has.
             return Fault(FaultKind.UNKNOWN, level, now.magnitude, since=self._wrong.since)
-        told = self._told.get(kind, Fault())
-        return told._replace(level=level, since=self._kind.since)
+        known = self._candidates.get(kind, Fault())
+        return known._replace(level=level, since=self._kind.since)
 
     def _candidate(self, disturbance: float, bound: float) -> Fault:
-        """Return what the fault looks like at the moment."""
+        """Return the fault as it looks at the moment."""
         innovations, shape = self._innovations, self._history.shape
         if self._repeats.stuck:
             return Fault(FaultKind.STUCK, Level.ERROR, abs(disturbance))
@@ -185,7 +185,7 @@ class FaultMonitor:
 
 
 class Repeats:
-    """Notices raw samples that stay where noisy ones would not.
+    """Detects raw samples that repeat although noisy ones would not.
 
     Args:
         tolerance: Samples that differ by no more than this count as the same [rad].
@@ -242,7 +242,7 @@ class Whiteness:
 
     @property
     def white(self) -> bool:
-        """Whether an innovation says little about the next one."""
+        """Whether successive innovations are nearly uncorrelated."""
         return abs(self._product) <= _COLOURED * self.square
 
     @property

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What an estimator says of itself, as data; nodes and reports only show it."""
+"""Health of an estimator as data, which nodes and reports only show."""
 
 import enum
 import math

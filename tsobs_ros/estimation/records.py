@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What goes into an estimator and what comes out of it, as plain records."""
+"""Input and output of an estimator as plain records."""
 
 import enum
 from collections.abc import Sequence
@@ -39,11 +39,11 @@ class RejectReason(enum.Enum):
 
 
 Sample: TypeAlias = Measurement | RejectReason | None
-"""What a message has of a joint: its measurement, why that is none, or nothing at all."""
+"""Part of a message for a joint: its measurement, the reason that there is none, or nothing."""
 
 
 def stamp_of(message: Sequence[Sample]) -> int:
-    """Return the stamp [ns] of what a message has of each joint, 0 where nothing can be read."""
+    """Return the stamp [ns] of a message's samples, 0 if none can be read."""
     return next((sample.stamp for sample in message if isinstance(sample, Measurement)), 0)
 
 
@@ -75,7 +75,7 @@ class Estimate(NamedTuple):
             covariance along the estimate.
         parameters: Estimated changes θ of the model's parameters, shape (k,).
         parameter_bound: 1σ of each, shape (k,).
-        parameters_valid: Whether the motion was rich enough for them to be believed.
+        parameters_valid: Whether the motion was rich enough for them to count.
         in_domain: Whether the estimated link angle lies in the certificate's domain.
         age: Time since the newest measurement behind it [s].
     """

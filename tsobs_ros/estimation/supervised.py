@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer under supervision, as the node runs it, one joint at a time.
 
-The observer's model says how large an innovation may be. A lone one that is far too large is an
+The observer's model gives the size of an innovation. A lone one that is far too large is an
 outlier and is downweighted. Eight in a row that lean to one side are a jump of the sensor. A long
 average that is far too large is an estimate that has lost the arm. Everything is decided on the
 normalised innovation r = e/√s and on durations between stamps.

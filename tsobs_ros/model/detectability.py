@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Which modes a sensor cannot see: the Popov–Belevitch–Hautus test with mode shapes."""
+"""Modes that a sensor cannot see: the Popov–Belevitch–Hautus test with mode shapes."""
 
 from typing import NamedTuple
 

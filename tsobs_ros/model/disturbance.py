@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What is known about the sensor's disturbance: ω = H w, ẇ = S w + G n, n white noise.
+"""Models of the sensor's disturbance: ω = H w, ẇ = S w + G n, n white noise.
 
-The method's observer allows an arbitrary ω in every channel, and then the output says nothing
-about the state. An estimator that works needs an exosystem: a bias, a drift, a tone, a ramp, or
-a sum of them. Several channels: D_s H takes the place of H.
+The method's observer allows an arbitrary ω in every channel, and then the output has no
+information about the state. An estimator that works needs an exosystem: a bias, a drift, a tone,
+a ramp, or a sum of them. Several channels: D_s H takes the place of H.
 """
 
 import math
@@ -25,7 +25,7 @@ class DisturbanceModel:
     """Exosystem of an output disturbance with q states on p channels.
 
     Attributes:
-        label: What it is, for reports, e.g. "bias".
+        label: Its name in reports, e.g. "bias".
         S: Exosystem matrix, shape (q, q) [1/s].
         H: Output map, shape (p, q).
         G: Square root of the driving noise density, shape (q, g) [unit/√s].

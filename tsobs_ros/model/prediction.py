@@ -76,7 +76,7 @@ class Sensitivity(Protocol):
         Args:
             x: Augmented state, shape (n,).
             upsilon: Υ, shape (n, k).
-            covariance: Shape (n, n); None if nobody asks for it.
+            covariance: Shape (n, n); None if it is not needed.
             theta: θ̂, shape (k,).
             u: Inputs held over the step, shape (m,).
             duration: [s], at least 0.

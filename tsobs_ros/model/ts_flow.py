@@ -14,8 +14,8 @@ order, and exact for one rule. What matters for a proof is that its error map is
 
 with N₁ and N₂ two matrices that g(x) − g(x̂) = N (x − x̂) holds for, and affine in each of them:
 
-- where the premise is known, N = Σ hᵢ(Aᵢ − A₀), a convex combination over the rules;
-- where it is the estimate, N is a mean of the Jacobian of g (mean value theorem): a convex
+- if the premise is known, N = Σ hᵢ(Aᵢ − A₀), a convex combination over the rules;
+- if it is the estimate, N is a mean of the Jacobian of g (mean value theorem): a convex
   combination of any matrices J − A₀ whose hull holds the Jacobian of f on the domain.
 
 So the ordered pairs of such matrices are vertices of all error systems of a step, at any period.

@@ -4,7 +4,7 @@
 
 The classical fourth-order Runge–Kutta method at 1 ms keeps the undriven arm's energy to 1e-10
 over a minute, so its error is far below any noise; no adaptive solver or exact-flow splitting is
-needed. What decided its form here is cost: one small-array numpy operation takes longer than a
+needed. Its form is a matter of cost: one small-array NumPy operation takes longer than a
 whole scalar Runge–Kutta step. `ArmIntegrator` therefore writes the arm out column by column;
 the same lines run on plain floats (one arm, about 2 µs a step) and on arrays (a batch of runs).
 """

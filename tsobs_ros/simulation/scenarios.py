@@ -45,7 +45,7 @@ class Trajectories(NamedTuple):
         times: [s], shape (samples,).
         states: True states in the nominal arm's design coordinates, shape (runs, samples, 4).
         disturbances: True disturbances [rad], shape (runs, samples, 1).
-        measurements: y [rad], NaN where lost, shape (runs, samples, 1).
+        measurements: y [rad], NaN if lost, shape (runs, samples, 1).
         torques: Torque held from each sample to the next [N m], shape (runs, samples, 1).
     """
 

@@ -43,7 +43,7 @@ class RandomStream:
         source: What the numbers are for.
         shape: Shape of a sample.
         scale: Standard deviations, broadcast to the shape: a whole block is scaled at once.
-        key: Further integers that tell streams of the same source apart.
+        key: Further integers that distinguish streams of the same source.
         uniform: Draw uniform numbers.
 
     Raises:
@@ -89,7 +89,7 @@ class RandomStream:
             for generator in self._generators
         ]
         block = np.stack(blocks, axis=1) if self._batched else blocks[0]
-        # Samples are handed out as views, so nobody may write into them.
+        # Samples are handed out as views, so they are read-only.
         self._block = block * self._scale
         self._block.setflags(write=False)
         self._next = 0
@@ -164,7 +164,7 @@ class SensorNoise:
     def sample(self, sensor: Sensor) -> tuple[Array, Array | None]:
         """Return white noise and outliers [rad] of the next sample, each (1,) or (runs, 1).
 
-        The outliers are None where there cannot be any. Both streams move on whatever the
+        The outliers are None if there cannot be any. Both streams move on whatever the
         sensor's numbers are, so that these may change at any sample without a change of the
         others.
         """
