@@ -294,16 +294,33 @@ def test_wrong_requests_are_named(changes: dict[str, Any], message: str) -> None
         single(**changes)
 
 
-def test_slope_vertices_of_a_known_premise_are_refused() -> None:
+def test_what_does_not_go_together_is_refused(example: Design) -> None:
     with pytest.raises(ModelError, match="slope_vertices: expected none, the premise is made of"):
         blended(slope_vertices=[np.eye(3)])
-
-
-def test_directions_that_differ_from_rule_to_rule_have_no_slope_vertices(
-    example: Design,
-) -> None:
     with pytest.raises(ModelError, match="every direction must be one matrix for all rules"):
         replace(example.request, certify_uncertainty=True)
+    with pytest.raises(ModelError, match="expected a system of one output, got 2"):
+        example.supervised()
+    with pytest.raises(ModelError, match="expected one for an arm, got one for a T-S system"):
+        _ = example.arm_request
+    with pytest.raises(ModelError, match="expected 0 for any system but an arm, got 1"):
+        example.observer(torque_rate=1.0)
+
+
+def test_a_system_of_one_output_is_supervised() -> None:
+    """A jump of the sensor by 25 σ is no motion: the bias takes it."""
+    model = replace(single().model, C=np.eye(2)[:1])
+    design = synthesise(single(model=model, disturbance=[BIAS], measurement_std=[0.01]))
+    observer = design.supervised(settle_time=1.0)
+    state, T = observer.initial(), design.request.period
+    for sample in range(2000):
+        bias = 0.0 if sample < 1500 else 0.25
+        state, _ = observer.correct(state, np.array([bias]))
+        state = observer.predict(state, np.zeros(1), T)
+    readout = observer.readout(state)
+    assert state.jumps == 1
+    assert abs(readout.state[0]) < 0.02
+    assert readout.disturbance[0] == pytest.approx(0.25, abs=0.02)
 
 
 @pytest.mark.parametrize(
