@@ -1,9 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Every error this package raises: one root, subclasses that are also the expected builtin.
-
-And how their texts are shown.
-"""
+"""Errors of this package: one root, subclasses that are also the expected builtin."""
 
 
 class TsobsError(Exception):

@@ -7,7 +7,7 @@ With X = P⁻¹, the gain K and every slope vertex j of the error system (A_j, Q
     A_j [(I − K C̄) X (I − K C̄)ᵀ + K R Kᵀ] A_jᵀ + Q_j ≺ λ² X ,   λ = e^{−ρT} ≤ 1 .
 
 Its left side is matrix-convex in each slope and each uncertain parameter of the prediction's two
-kicks, so the vertices cover every slope of the domain and, where that was asked for, every
+kicks, so the vertices cover every slope of the domain and, if that was asked for, every
 parameter within its bounds. Then an error covariance below X before a sample is below X before
 the next one, along every premise trajectory that is independent of the noise.
 
@@ -67,7 +67,7 @@ class CertificateReport:
     Attributes:
         inequalities: The claims in the order they were checked.
         contraction_rate: Certified decay [1/s] of the noise-free error in the norm eᵀPe, the
-            slowest vertex; NaN where P is not positive definite.
+            slowest vertex; NaN if P is not positive definite.
     """
 
     inequalities: tuple[Inequality, ...]
@@ -110,7 +110,7 @@ def check_certificate(problem: DesignProblem, P: Array, K: Array) -> Certificate
         K: Filter gain, shape (n, p).
 
     Returns:
-        Every inequality with its margin, NaN where the matrices leave the range of numbers;
+        Every inequality with its margin, NaN if the matrices leave the range of numbers;
         nothing is raised for one that fails.
 
     Raises:

@@ -55,7 +55,7 @@ def require_detectable(problem: DesignProblem) -> None:
     """Refuse a request that no observer can answer.
 
     For a T–S system every vertex is tested by itself (Popov–Belevitch–Hautus). That all of them
-    pass is necessary; whether what lies between them passes too only the synthesis tells.
+    pass is necessary; only the synthesis shows whether what lies between them passes too.
 
     Raises:
         DetectabilityError: A mode that does not decay is hidden, or a disturbance is arbitrary;
