@@ -246,8 +246,6 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
         raise BagReadError(f"{path}: the file has no index; {RECOVER_HINT}")
     if statistics.chunk_count != len(chunks):
         raise RecordError(f"{statistics.chunk_count} chunks, but {len(chunks)} in the index")
-    if statistics.channel_count > len(channels):
-        raise RecordError(f"{statistics.channel_count} channels, but {len(channels)} in the index")
     if chunks or not statistics.message_count:
         spans = tuple(_chunk_span(chunk, rank, size) for chunk in chunks)
     else:

@@ -282,6 +282,11 @@ class BagReader:
             raise BagReadError(
                 f"{file}: not a bag of ROS 2: its profile is '{summary.profile}', expected 'ros2'"
             )
+        if statistics.channel_count > (described := len(summary.channels)):
+            raise BagReadError(
+                f"{file}: the file is damaged: {statistics.channel_count} channels, but "
+                f"{described} in the index; {RECOVER_HINT}"
+            )
         for channel in summary.channels.values():
             topic = _topic_info(file, channel, summary.schemas.get(channel.schema_id))
             known = self.topics.setdefault(topic.name, topic)
