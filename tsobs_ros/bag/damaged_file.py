@@ -252,14 +252,17 @@ class DamagedFile:
 
     def _starts_record(self, at: int) -> bool:
         """Whether there may be a record, even one that is cut off, or the end."""
-        head = self._bytes(at, RECORD.size)
-        if at >= self._written_end or len(head) < RECORD.size or head.startswith(MAGIC):
+        head = self._bytes(at, INDEX_HEAD.size)
+        if at >= self._written_end or len(head) < INDEX_HEAD.size or head.startswith(MAGIC):
             return True
-        opcode, length = RECORD.unpack(head)
-        if opcode == Opcode.CHUNK:
-            return self._has_record(at, opcode)
-        limit = self._size - at if self._has_end else MAX_SIZE
-        return bool(0 < opcode <= max(Opcode) and length <= limit)
+        opcode, length, channel, size = INDEX_HEAD.unpack(head)
+        if opcode != Opcode.CHUNK and length > self._size - at - RECORD.size:
+            return 0 < opcode <= max(Opcode) and length <= MAX_SIZE and not self._has_end
+        if opcode == Opcode.MESSAGE_INDEX:
+            return bool(size == length - INDEX_HEAD.size + RECORD.size)
+        if opcode == Opcode.MESSAGE:
+            return channel.to_bytes(2, "little") in self._bare_channels
+        return (opcode == Opcode.CHUNK or opcode in _DESCRIPTIONS) and self._has_record(at, opcode)
 
     def _search(self, at: int) -> int:
         """Return where the next record is; the end if there is none."""
