@@ -17,7 +17,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.paper.examples import example_3
 from tsobs_ros.paper.runs import SETTLED, WINDOW_START, ArmComparison, ExampleRun
-from tsobs_ros.report.style import MUTED, STYLE
+from tsobs_ros.style import MUTED, STYLE
 
 Panels = Sequence[Sequence[Axes]]
 """The panels of a figure, [row][column]."""

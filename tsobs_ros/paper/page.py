@@ -31,8 +31,8 @@ from tsobs_ros.paper.runs import (
     compare_on_arm,
     run_example,
 )
-from tsobs_ros.report.style import GRID, INK, MUTED
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.style import GRID, INK, MUTED
 
 _TITLE = "The adaptive T–S observer: what its paper claims and what holds"
 _INTRODUCTION = (

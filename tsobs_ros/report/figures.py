@@ -19,7 +19,7 @@ from tsobs_ros.report import panels as content
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
 from tsobs_ros.report.panels import MAX_BAND, Panel
 from tsobs_ros.report.run import RecordedRun
-from tsobs_ros.report.style import MUTED, STYLE
+from tsobs_ros.style import MUTED, STYLE
 
 _WIDTH = 10.0
 _DPI = 140

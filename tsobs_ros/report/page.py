@@ -16,7 +16,7 @@ from tsobs_ros.report import panels as content
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
 from tsobs_ros.report.panels import MAX_BAND, Panel
 from tsobs_ros.report.run import RecordedRun
-from tsobs_ros.report.style import INK, MUTED
+from tsobs_ros.style import INK, MUTED
 
 _ROW = 210
 _HEAD = 130
