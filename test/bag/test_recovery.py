@@ -243,6 +243,13 @@ def test_a_damaged_index_costs_no_message(compression: str) -> None:
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_byte_missing_before_a_chunk_costs_no_chunk(compression: str) -> None:
+    data, entries, _ = sample(compression)
+    for _, end in places(data, Opcode.METADATA):
+        assert scanned(remove(data, end - 1, end)) == [e[1:] for e in entries]
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_a_cut_bag_becomes_a_whole_one(tmp_path: Path, compression: str) -> None:
     data, entries, chunks = sample(compression)
     first = chunks[0][1]

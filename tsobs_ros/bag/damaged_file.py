@@ -20,7 +20,7 @@ from typing import IO, Any, NamedTuple
 from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord
+from mcap.records import Channel, Chunk, McapRecord, Metadata
 from mcap.stream_reader import StreamReader
 
 from tsobs_ros.bag.container import MAGIC, MAX_SIZE, MESSAGE, RECORD, RecordError, chunk_records
@@ -231,6 +231,9 @@ class DamagedFile:
         if opcode in _DESCRIPTIONS and length <= _MAX_OTHER_SIZE:
             self._effort_left -= size
             record = parse_record(self._bytes(at, size))
+            # One that has lost bytes may take them from the chunk that follows.
+            if isinstance(record, Metadata) and not self._starts_record(end):
+                raise RecordError("not a record")
             if isinstance(record, Channel) and not self._has_chunks:
                 self._bare_channels.add(channel)
             return record, end
