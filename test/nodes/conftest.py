@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from faults.stage import Stage
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.serialization import serialize_message
@@ -107,3 +108,9 @@ def small_bag(tmp_path: Path) -> Path:
         writer.add_topic("/chatter", "std_msgs/msg/String")
         writer.write("/chatter", serialize_message(String(data="hello")), SECOND, SECOND)
     return writer.path
+
+
+@pytest.fixture
+def stage(ros: Any) -> Stage:
+    """Observers, a sensor and the time, of which the test decides."""
+    return Stage(ros)

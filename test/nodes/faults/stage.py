@@ -8,11 +8,13 @@ due are done.
 """
 
 import math
+import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -21,11 +23,16 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from faults.arm import Arm
-from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.estimation.records import NANOSECONDS, Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import to_nanoseconds, to_stamp
-from tsobs_ros.nodes.observer import create
+from tsobs_ros.nodes.observer import Observer, create
 
+BEGIN = 100 * NANOSECONDS
+MS = 1_000_000
+PERIOD = 5 * MS
+"""Time between ticks at the default rate, and between an arm's samples [ns]."""
 TOPIC = "/joint_measurements"
 ESTIMATES = ("joint_states", "error_bound", "disturbance", "disturbance_bound")
 OUTPUTS = (*ESTIMATES, "innovation")
@@ -45,9 +52,9 @@ class Event(NamedTuple):
     publisher: Any = None
 
 
-def good(arm: Arm, begin: int, seconds: float) -> Iterator[Event]:
-    """Send the samples of the good sensor as they are taken."""
-    return (Event(stamp, arm.message(stamp)) for stamp in arm.stamps(begin, seconds))
+def good(arm: Arm, begin: int, seconds: float) -> list[Event]:
+    """Return the samples of the good sensor, sent as they are taken."""
+    return [Event(stamp, arm.message(stamp)) for stamp in arm.stamps(begin, seconds)]
 
 
 class Counts(NamedTuple):
@@ -58,27 +65,36 @@ class Counts(NamedTuple):
     rejected: Mapping[RejectReason, int]
 
 
+class Published(NamedTuple):
+    """One message of an observer."""
+
+    topic: str
+    stamp: int
+    message: JointState
+
+    @property
+    def bits(self) -> bytes:
+        """The message's numbers."""
+        return np.array([*self.message.position, *self.message.velocity]).tobytes()
+
+
 class Watcher:
     """Reads an observer's topics and holds them to what must always be true.
 
     Attributes:
         broken: Descriptions of what should never have happened.
-        newest: The newest message on each topic.
-        keep: Called with topic and message, for tests that compare them.
+        published: All messages, topic by topic of each step.
     """
 
-    def __init__(
-        self, node: Node, prefix: str, keep: Callable[[str, JointState], None] | None = None
-    ) -> None:
+    def __init__(self, node: Node, prefix: str) -> None:
         self._subscriptions = {
             topic: DrainedSubscription(
                 node, JointState, f"{prefix}/{topic}", QoSProfile(depth=5000)
             )
             for topic in OUTPUTS
         }
-        self.keep = keep
         self.broken: list[str] = []
-        self.newest: dict[str, JointState] = {}
+        self.published: list[Published] = []
         self._stamps: dict[str, int] = {}
 
     @property
@@ -100,24 +116,28 @@ class Watcher:
         """Take what has been published."""
         for topic, subscription in self._subscriptions.items():
             for message, _ in subscription.drain():
-                self._check(topic, message)
-                self.newest[topic] = message
-                if self.keep is not None:
-                    self.keep(topic, message)
+                stamp = to_nanoseconds(message.header.stamp)
+                self._check(topic, stamp, message)
+                self.published.append(Published(topic, stamp, message))
 
-    def stamp(self, topic: str = "joint_states") -> int | None:
-        """Return the newest stamp on a topic [ns]."""
-        return self._stamps.get(topic)
+    def of(self, topic: str) -> list[Published]:
+        """Return the messages of a topic."""
+        return [each for each in self.published if each.topic == topic]
+
+    @property
+    def stamps(self) -> list[int]:
+        """The stamps of the estimates [ns]."""
+        return [each.stamp for each in self.of("joint_states")]
 
     def sigmas(self, arm: Arm) -> float:
         """Return the largest error of the newest estimate, in its bounds."""
-        state, bound = self.newest["joint_states"], self.newest["error_bound"]
-        q1, v1, q2, v2 = arm.truth(to_nanoseconds(state.header.stamp))
-        error = np.abs([*state.position, *state.velocity] - np.array([q1, q2, v1, v2]))
+        state, bound = self.of("joint_states")[-1], self.of("error_bound")[-1].message
+        q1, v1, q2, v2 = arm.truth(state.stamp)
+        estimate = [*state.message.position, *state.message.velocity]
+        error = np.abs(estimate - np.array([q1, q2, v1, v2]))
         return float((error / [*bound.position, *bound.velocity]).max())
 
-    def _check(self, topic: str, message: Any) -> None:
-        stamp = to_nanoseconds(message.header.stamp)
+    def _check(self, topic: str, stamp: int, message: JointState) -> None:
         numbers = (*message.position, *message.velocity, *message.effort)
         if not all(map(math.isfinite, numbers)):
             self.broken.append(f"{topic} at {stamp}: {numbers}")
@@ -142,11 +162,18 @@ class Stage:
     def __init__(self, ros: Any) -> None:
         self.ros = ros
         self.now = 0
-        self.observers: dict[str, Any] = {}
+        self.observers: dict[str, Observer] = {}
         self.watchers: dict[str, Watcher] = {}
         self.node = ros.node("stage")
         self.sensor = self.publisher(_SENSOR_QOS)
         self._clock = self.node.create_publisher(Clock, "/clock", 100)
+        self._diagnostics: list[tuple[int, DiagnosticArray]] = []
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 100)
+
+    @property
+    def watcher(self) -> Watcher:
+        """The reader of the observer without a namespace."""
+        return self.watchers[""]
 
     def publisher(self, qos: QoSProfile) -> Any:
         """Return a publisher of measurements, matched with the observers there are."""
@@ -154,16 +181,11 @@ class Stage:
         self._wait_for_match(publisher)
         return publisher
 
-    def add(
-        self,
-        namespace: str = "",
-        keep: Callable[[str, Any], None] | None = None,
-        **parameters: Any,
-    ) -> Any:
+    def add(self, namespace: str = "", **parameters: Any) -> Observer:
         """Start an observer and wait until everything is connected; it has the time there is."""
-        watcher = Watcher(self.node, f"{namespace}/observer", keep)
+        self.watchers[namespace] = Watcher(self.node, f"{namespace}/observer")
         given = {"use_sim_time": True, **parameters}
-        observer = self.ros.add(
+        observer = self.observers[namespace] = self.ros.add(
             create(
                 context=self.ros.context,
                 namespace=namespace,
@@ -173,13 +195,18 @@ class Stage:
                 ],
             )
         )
-        self.observers[namespace], self.watchers[namespace] = observer, watcher
-        self.wait_until(lambda: watcher.matched, "matching of the outputs")
-        self._wait_for_match(self._clock)
-        self._wait_for_match(self.sensor)
+        if observer.configured:
+            self.match(namespace)
         if self.now:
             self.step(self.now)
         return observer
+
+    def match(self, namespace: str = "") -> None:
+        """Wait until an observer that is configured is connected."""
+        self.wait_until(lambda: self.watchers[namespace].matched, "matching of the outputs")
+        if self.observers[namespace].get_parameter("use_sim_time").value:
+            self._wait_for_match(self._clock)
+        self._wait_for_match(self.sensor)
 
     def remove(self, namespace: str) -> None:
         """End an observer and its reader."""
@@ -195,12 +222,13 @@ class Stage:
         self.node.destroy_client(client)
         return future.result()
 
-    def play(self, events: Iterable[Event], until: int, period: int) -> None:
+    def play(self, events: Iterable[Event], until: int | None = None, period: int = PERIOD) -> None:
         """Send events as their time comes, time going on by a period at a time, to `until` [ns].
 
         Time leaps over a long silence.
         """
         waiting, place = list(events), 0
+        until = waiting[-1].at if until is None else until
         silent_since = self.now + period
         for now in range(self.now + period, until + period, period):
             first = place
@@ -231,9 +259,20 @@ class Stage:
         rejected = sum((tracker.rejected for tracker in trackers), Counter())
         return Counts(observer.received, sum(tracker.used for tracker in trackers), rejected)
 
+    def statuses(self) -> dict[str, DiagnosticStatus]:
+        """Return the statuses that are published next, by their names."""
+        asked = time.time_ns()
+        self.wait_until(
+            lambda: bool(self._diagnostics) and self._diagnostics[-1][0] > asked, "diagnostics"
+        )
+        return {status.name: status for status in self._diagnostics[-1][1].status}
+
     def wait_until(self, predicate: Callable[[], bool], what: str) -> None:
         """Spin until something is so."""
         self.ros.spin_until(predicate, _TIMEOUT, what)
+
+    def _keep(self, message: DiagnosticArray, info: Any) -> None:
+        self._diagnostics.append((info["source_timestamp"], message))
 
     def _settled(self) -> bool:
         return all(
@@ -253,3 +292,49 @@ def _has_work(observer: Any) -> bool:
         for timer in observer.timers
         if timer.clock.clock_type == ClockType.ROS_TIME
     )
+
+
+def values(status: DiagnosticStatus) -> dict[str, str]:
+    """Return the values of a status by their keys."""
+    return {item.key: item.value for item in status.values}
+
+
+def tracker_of(observer: Observer) -> Tracker[Any]:
+    """Return a new tracker like the observer's."""
+    return Tracker(observer.tracker.estimator, observer.tracker.options)
+
+
+def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int:
+    """Hold all that was published to what a tracker makes of the same samples, bit for bit.
+
+    Args:
+        watcher: Has what was published since the observer's start.
+        observer: The observer, of one joint.
+        sent: What it has received, in the order of its stamps.
+
+    Returns:
+        The number of estimates that were compared.
+    """
+    waiting, tracker = list(sent), tracker_of(observer)
+    bits = {(each.topic, each.stamp): each.bits for each in watcher.published}
+    for stamp in watcher.stamps:
+        while waiting and waiting[0].at <= stamp:
+            outcome = tracker.offer(_sample(waiting.pop(0).message), stamp)
+            if isinstance(outcome, Innovation):
+                assert bits["innovation", outcome.stamp] == outcome.value.tobytes()
+        estimate = tracker.estimate(stamp)
+        assert estimate is not None
+        expected = (
+            estimate.state[[0, 2, 1, 3]],
+            estimate.state_bound[[0, 2, 1, 3]],
+            np.concatenate([estimate.disturbance, estimate.disturbance_rate]),
+            estimate.disturbance_bound,
+        )
+        for topic, wanted in zip(ESTIMATES, expected, strict=True):
+            assert bits[topic, stamp] == wanted.tobytes(), (topic, stamp)
+    return len(watcher.stamps)
+
+
+def _sample(message: JointState) -> Measurement:
+    stamp = to_nanoseconds(message.header.stamp)
+    return Measurement(stamp, np.array(message.position), np.array(message.effort))

@@ -1,268 +1,261 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The observer node: the tracker's numbers bit for bit, whatever arrives."""
+"""The observer node: the tracker's numbers bit for bit, whatever arrives and whoever drives it."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from observer.bench import (
-    BEST_EFFORT,
-    JOINT,
+from faults.arm import Arm
+from faults.stage import (
+    BEGIN,
+    ESTIMATES,
+    MS,
+    OUTPUTS,
     PERIOD,
-    RUN,
-    SECOND,
-    SHIPPED,
-    Bench,
-    measurement,
+    Event,
+    Stage,
+    good,
     replayed,
+    tracker_of,
     values,
 )
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from tsobs_ros.estimation.records import Measurement
-from tsobs_ros.nodes.observer import create
+from tsobs_ros.estimation.records import NANOSECONDS, Innovation
+from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.resources import config_path
 
+JOINT = "elastic_joint"
+SHIPPED = config_path("elastic_joint.design.yaml")
+ADAPTIVE = str(config_path("elastic_joint_adaptive.design.yaml"))
+ARM = Arm(BEGIN)
 
-@pytest.fixture
-def bench(ros: Any) -> Bench:
-    return Bench(ros)
+
+def samples(begin: int, count: int) -> list[Event]:
+    return good(ARM, BEGIN + begin * PERIOD, count * PERIOD * 1e-9)
 
 
-def test_estimates_are_the_trackers_bit_for_bit(bench: Bench) -> None:
-    observer = bench.start_simulated()
-    bench.feed(range(300))
-    bench.wait_for_quiet()
-    assert replayed(bench) == len(bench.estimates) > 100
-    assert observer.tracker.used == 300
-    assert observer.received == 300
-    for topic, names in (
-        ("joint_states", [f"{JOINT}_link", f"{JOINT}_motor"]),
-        ("error_bound", [f"{JOINT}_link", f"{JOINT}_motor"]),
-        ("disturbance", [JOINT]),
-        ("disturbance_bound", [JOINT]),
-        ("innovation", [JOINT]),
-    ):
-        for each in bench.of(topic):
+def test_estimates_are_the_trackers_bit_for_bit(stage: Stage) -> None:
+    observer = stage.add()
+    stage.step(BEGIN - PERIOD)
+    events = samples(0, 300)
+    stage.play(events)
+    assert replayed(stage.watcher, observer, events) >= 300
+    assert observer.tracker.used == observer.received == 300
+    for topic in OUTPUTS:
+        sides = [f"{JOINT}_link", f"{JOINT}_motor"]
+        names = sides if topic in ("joint_states", "error_bound") else [JOINT]
+        for each in stage.watcher.of(topic):
             assert list(each.message.name) == names
-            assert np.isfinite(each.message.position).all()
-            assert np.isfinite(each.message.velocity).all()
             assert len(each.message.effort) == 0
+    assert stage.watcher.broken == []
 
 
-REJECTED = {
-    "non-finite": [
-        {"position": [float("nan")]},
-        {"position": [float("inf")]},
-        {"effort": [float("nan")]},
-    ],
-    "wrong joint or shape": [
-        {"name": ["elbow"]},
-        {"name": []},
-        {"effort": []},
-        {"position": []},
-        {"name": ["elbow", JOINT]},
-    ],
-}
-
-
-def test_every_reason_to_reject_is_counted_and_estimates_go_on(bench: Bench) -> None:
-    observer = bench.start_simulated()
-    bench.feed(range(10))
-    begin, now = 100 * SECOND, bench.now
-    expected = {
-        "duplicate stamp": 2,
-        "too old": 2,
-        "from the future": 2,
-        "zero stamp": 2,
-        "gated": 0,
-        **{reason: len(changes) for reason, changes in REJECTED.items()},
+def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> None:
+    observer = stage.add()
+    stage.step(BEGIN - PERIOD)
+    before = samples(0, 10)
+    stage.play(before)
+    nan, now = float("nan"), stage.now
+    bad = {
+        "non-finite": [{"position": [nan]}, {"position": [-np.inf]}, {"effort": [nan]}],
+        "wrong joint or shape": [
+            {"name": ["elbow"]}, {"name": []}, {"effort": []}, {"position": []},
+            {"name": ["elbow", JOINT]},
+        ],
+    }  # fmt: skip
+    stamps = {
+        "duplicate stamp": [BEGIN + 3 * PERIOD, BEGIN + 9 * PERIOD],
+        "too old": [1, now - 2 * NANOSECONDS],
+        "from the future": [now + 60 * NANOSECONDS, now + 3600 * NANOSECONDS],
+        "zero stamp": [0, 0],
     }
-    for changes in (changes for kind in REJECTED.values() for changes in kind):
-        bench.send(11, now, **changes)
-    for stamp in (begin + 3 * PERIOD, begin + 9 * PERIOD):
-        bench.send(11, stamp, header=measurement(0, stamp).header)
-    for stamp in (1, now - 2 * SECOND, now + 60 * SECOND, now + 3600 * SECOND, 0, 0):
-        bench.send(11, stamp, header=measurement(0, stamp).header)
-    total = sum(expected.values())
-    bench.advance_until(lambda: observer.received == 10 + total, "the rejections", PERIOD // 5)
+    messages = [ARM.message(now, **changes) for kind in bad.values() for changes in kind]
+    messages += [ARM.message(stamp) for kind in stamps.values() for stamp in kind]
+    stage.step(now + PERIOD, [Event(now, message) for message in messages])
 
-    status = bench.status("measurements")
+    status = stage.statuses()["observer: measurements"]
+    total = len(messages)
     assert {key: int(value) for key, value in values(status).items()} == {
         "received": 10 + total,
         "used": 10,
         "rewinds": 0,
-        **{f"rejected: {reason}": count for reason, count in expected.items()},
+        "rejected: gated": 0,
+        **{f"rejected: {reason}": len(kind) for reason, kind in {**bad, **stamps}.items()},
     }
-    assert status.level == DiagnosticStatus.WARN
-    assert status.message == f"{total} rejected"
+    assert (status.level, status.message) == (DiagnosticStatus.WARN, f"{total} rejected")
+    assert status.hardware_id == JOINT
 
-    before = len(bench.estimates)
-    bench.feed(range(12, 30), begin + 100 * PERIOD)
+    after = samples(12, 18)
+    stage.play(after)
     assert observer.tracker.used == 28
-    bench.wait_until(lambda: len(bench.estimates) > before + 10, "further estimates")
-    bench.wait_for_quiet()
-    assert replayed(bench) > 20
+    assert replayed(stage.watcher, observer, before + after) >= 28
 
 
-def test_without_effort_the_torque_may_be_taken_as_zero(bench: Bench) -> None:
-    observer = bench.start_simulated(assume_zero_torque=True)
-    stamp = bench.send(0, bench.now, effort=[])
-    bench.advance_until(lambda: observer.tracker.used == 1, "the sample's use")
-    bench.sent[stamp] = Measurement(stamp, RUN.measurements[0, 0], np.zeros(1))
-    bench.advance_until(lambda: len(bench.estimates) > 10, "estimates")
-    bench.wait_for_quiet()
-    assert replayed(bench) > 9
+def test_without_effort_the_torque_may_be_taken_as_zero(stage: Stage) -> None:
+    observer = stage.add(assume_zero_torque=True)
+    stage.step(BEGIN)
+    stage.play([Event(BEGIN + PERIOD, ARM.message(BEGIN + PERIOD, effort=[]))], BEGIN + 10 * PERIOD)
+    zero = Event(BEGIN + PERIOD, ARM.message(BEGIN + PERIOD, effort=[0.0]))
+    assert replayed(stage.watcher, observer, [zero]) == 10
 
 
-def test_a_disabled_observer_is_silent_and_starts_afresh(bench: Bench) -> None:
-    observer = bench.start_simulated()
-    bench.feed(range(20))
-    bench.forget()
-    answer = bench.call(SetBool, "enable", SetBool.Request(data=False))
-    assert answer.success
-    assert "disabled" in answer.message
-    for index in range(20, 60):
-        bench.send(index, 100 * SECOND + index * PERIOD)
-        bench.set_clock(100 * SECOND + index * PERIOD)
-    status = bench.status("state")
-    assert (status.message, status.level) == ("DISABLED", DiagnosticStatus.WARN)
-    assert bench.published == []
-    assert observer.received == 20
+@pytest.mark.parametrize("how", ["enable", "activate"])
+def test_a_silenced_observer_discards_what_comes_and_then_restarts(
+    stage: Stage, manage: Callable[[Any], Any], how: str
+) -> None:
+    observer = stage.add()
+    manager = manage(observer)
 
-    assert bench.call(SetBool, "enable", SetBool.Request(data=True)).message == "enabled"
-    assert bench.call(SetBool, "enable", SetBool.Request(data=True)).success
-    assert observer.received == 0
-    bench.feed(range(100, 130), bench.now)
-    bench.wait_until(lambda: len(bench.innovations) == 30, "the innovations")
-    bench.wait_for_quiet()
-    assert list(bench.innovations[0].message.position) == RUN.measurements[0, 100].tolist()
-    assert replayed(bench) > 20
-    assert values(bench.status("state"))["resets"] == "1"
+    def work(on: bool) -> None:
+        if how == "activate":
+            assert manager.change("activate" if on else "deactivate")
+        else:
+            answer = stage.call(SetBool, "/observer/enable", SetBool.Request(data=on))
+            assert answer.success
+            assert answer.message == ("enabled" if on else "disabled: nothing is published")
 
-
-def test_without_measurements_it_coasts_then_falls_silent(bench: Bench) -> None:
-    observer = bench.start_simulated(coast_after=0.1, stale_after=1.0)
-    statuses = bench.statuses()
-    status = statuses["state"]
-    assert (status.message, status.level) == ("WAITING", DiagnosticStatus.WARN)
-    assert statuses["premise domain"].message == "no estimate yet"
-    bench.feed(range(40))
-    last = max(bench.sent)
-    bench.set_clock(last + 50_000_000)
-    status = bench.status("state")
-    assert (status.message, status.level) == ("TRACKING", DiagnosticStatus.OK)
-    assert float(values(status)["measurement age [s]"]) == 0.05
-    bench.set_clock(last + 500_000_000)
-    assert bench.status("state").message == "COASTING"
-    bench.wait_until(
-        lambda: bench.estimates[-1].stamp == last + 500_000_000, "an estimate while coasting"
-    )
-    bench.set_clock(last + SECOND)
-    bench.wait_until(lambda: bench.estimates[-1].stamp == last + SECOND, "the last estimate")
-    for k in range(1, 100):
-        bench.set_clock(last + SECOND + k * PERIOD)
-    status = bench.status("state")
-    assert (status.message, status.level) == ("STALE", DiagnosticStatus.ERROR)
-    assert bench.estimates[-1].stamp == last + SECOND
-    assert replayed(bench) > 20
-
-    # A measurement after all restarts.
-    bench.published.clear()
-    bench.feed(range(100, 140), bench.now)
-    assert observer.tracker.restarts == 1
-    bench.wait_until(lambda: len(bench.innovations) == 40, "the innovations")
-    assert list(bench.innovations[0].message.position) == RUN.measurements[0, 100].tolist()
-    assert values(bench.status("state"))["restarts"] == "1"
+    stage.step(BEGIN - PERIOD)
+    stage.play(samples(0, 20))
+    work(False)
+    stage.watcher.read()
+    stage.watcher.published.clear()
+    stage.play(samples(20, 20))
+    status = stage.statuses()["observer: state"]
+    message = "DISABLED" if how == "enable" else "INACTIVE"
+    assert (status.message, status.level) == (message, DiagnosticStatus.WARN)
+    stage.watcher.read()
+    assert (stage.watcher.published, observer.received) == ([], 20)
+    work(True)
+    stage.wait_until(lambda: observer.received == 0, "the restart")
+    events = samples(60, 30)
+    stage.play(events)
+    assert observer.tracker.used == 30
+    assert replayed(stage.watcher, observer, events) >= 30
+    if how == "enable":
+        work(True)
+        assert observer.received == 30
+        assert values(stage.statuses()["observer: state"])["resets"] == "1"
 
 
-def test_diagnostics_name_every_concern(bench: Bench) -> None:
-    observer = bench.start_simulated(fault__warn=0.05, fault__error=0.3, fault__hold=0.1)
-    bench.feed(range(60))
-    statuses = bench.statuses()
-    assert set(statuses) == {
-        "state",
-        "measurements",
-        "timing",
-        "premise domain",
-        "innovation",
-        "sensor fault",
-        "certificate",
-    }
-    assert {status.hardware_id for status in statuses.values()} == {JOINT}
-    assert statuses["state"].message == "TRACKING"
-    assert statuses["measurements"].level == DiagnosticStatus.OK
-    assert statuses["premise domain"].message == "inside the certificate's domain"
-    assert statuses["innovation"].level == DiagnosticStatus.OK
-    identity = values(statuses["certificate"])
-    assert identity["design"] == str(SHIPPED)
-    assert identity["disturbance model"] == "bias"
-    assert identity["bound"] == "along the estimate"
-    assert float(identity["margin [1/s]"]) > 0.0
-    assert observer.tracker.used == 60
-    timing = values(statuses["timing"])
-    assert 0.0 < float(timing["latency p50 [ms]"]) <= float(timing["latency p99 [ms]"])
+def test_an_observer_is_unconfigured_until_its_design_is_there(
+    stage: Stage, manage: Callable[[Any], Any], tmp_path: Path
+) -> None:
+    path = tmp_path / "my.design.yaml"
+    observer = stage.add(autostart=False, design=str(path))
+    manager = manage(observer)
+    bare = manager.entities
+    assert not manager.change("configure")
+    assert (manager.state, manager.entities) == ("unconfigured", bare)
+    path.write_text(SHIPPED.read_text(encoding="utf-8"), encoding="utf-8")
+    assert manager.change("configure")
+    stage.match()
+    stage.step(BEGIN)
+    stage.play(samples(1, 20))
+    assert (stage.watcher.published, observer.received) == ([], 0)
+    assert manager.change("activate")
+    stage.play(samples(21, 20))
+    assert observer.tracker.used == 20
+    assert values(stage.statuses()["observer: certificate"])["design"] == str(path)
+    assert manager.change("deactivate", "cleanup")
+    assert manager.entities == bare
+    for topic in OUTPUTS:
+        assert observer.count_publishers(f"/observer/{topic}") == 0
 
 
-def test_a_large_disturbance_is_reported_and_its_thresholds_can_be_tuned(bench: Bench) -> None:
-    observer = bench.start_simulated()
-    begin = bench.now
-    for index in range(400):
-        biased = (RUN.measurements[0, index] + 0.35).tolist()
-        bench.send(index, begin + index * PERIOD, position=biased)
-        bench.set_clock(begin + index * PERIOD)
-    status = bench.status("sensor fault")
-    assert status.level == DiagnosticStatus.WARN
-    assert float(values(status)["magnitude [rad]"]) == pytest.approx(0.35, abs=0.1)
-
-    lower = [Parameter("fault.warn", value=0.1), Parameter("fault.error", value=0.15)]
-    # One after the other, error first, would be refused: 0.15 is below the warning at 0.2.
-    (first, _) = observer.set_parameters([lower[1], lower[0]])
-    assert not first.successful
-    assert "'fault.*': disturbance error level: expected at least" in first.reason
-    observer.set_parameters([Parameter("fault.warn", value=0.2)])
-    assert observer.set_parameters_atomically(lower).successful
-    for index in range(400, 520):
-        biased = (RUN.measurements[0, index] + 0.35).tolist()
-        bench.send(index, begin + index * PERIOD, position=biased)
-        bench.set_clock(begin + index * PERIOD)
-    status = bench.status("sensor fault")
-    assert status.level == DiagnosticStatus.ERROR
+JOINTS = [f"joint_{k}" for k in range(1, 8)]
 
 
-def test_the_design_parameter_chooses_the_design(bench: Bench, tmp_path: Path) -> None:
-    copy = tmp_path / "copy.design.yaml"
-    copy.write_text(SHIPPED.read_text(encoding="utf-8"), encoding="utf-8")
-    bench.start(design=str(copy))
-    statuses = bench.statuses()
-    assert values(statuses["certificate"])["design"] == str(copy)
-    # On the system's clock it ticks although there is nothing to do.
-    timing = values(statuses["timing"])
-    assert timing["wanted rate [Hz]"] == "200"
-    assert 0.0 < float(timing["tick time p50 [ms]"]) <= float(timing["tick time p99 [ms]"])
-    assert float(timing["achieved rate [Hz]"]) > 0.0
+def test_messages_of_any_joints_in_any_order_give_each_joint_what_it_has_alone(
+    stage: Stage,
+) -> None:
+    observer = stage.add(joints=JOINTS)
+    stage.step(BEGIN - PERIOD)
+    rng = np.random.default_rng(3)
+    foreign = [f"foreign_{k}" for k in range(93)]
+    alone = {joint.name: tracker_of(observer) for joint in observer.joints}
+    expected: dict[str, dict[int, float]] = {joint: {} for joint in JOINTS}
+    events = []
+    for stamp in ARM.stamps(BEGIN, 0.3):
+        some = list(rng.permutation(JOINTS))[: int(rng.integers(1, len(JOINTS) + 1))]
+        others = foreign if rng.random() < 0.7 else []
+        sample = ARM.measurement(stamp)
+        taken = {joint: sample.y + rng.normal(0.0, 0.01) for joint in some}
+        message = JointState(
+            name=[*others, *some],
+            position=[9.0] * len(others) + [float(y[0]) for y in taken.values()],
+            effort=[8.0] * len(others) + sample.u.tolist() * len(some),
+        )
+        message.header.stamp = to_stamp(stamp)
+        events.append(Event(stamp, message))
+        for joint, y in taken.items():
+            outcome = alone[joint].offer(sample._replace(y=y), stamp)
+            assert isinstance(outcome, Innovation)
+            expected[joint][stamp] = float(outcome.value[0])
+    stage.play(events)
+
+    published: dict[str, dict[int, float]] = {joint: {} for joint in JOINTS}
+    for each in stage.watcher.of("innovation"):
+        for joint, value in zip(each.message.name, each.message.position, strict=True):
+            published[joint][each.stamp] = value
+    assert published == expected
+    for joint in observer.joints:
+        assert joint.received == joint.tracker.used == len(expected[joint.name])
+    last = stage.watcher.of("joint_states")[-1].message
+    assert list(last.name) == [f"{j}_{side}" for j in JOINTS for side in ("link", "motor")]
+    assert list(stage.watcher.of("disturbance")[-1].message.name) == JOINTS
 
 
-def test_namespaces_and_remappings_apply(ros: Any) -> None:
-    bench = Bench(ros, "/left")
-    remapped = ["--ros-args", "-r", "joint_measurements:=sensors/joints"]
-    bench.node.destroy_publisher(bench.sensor)
-    bench.sensor = bench.node.create_publisher(JointState, "/left/sensors/joints", BEST_EFFORT)
-    observer = bench.adopt(create(context=ros.context, namespace="left", cli_args=remapped))
-    stamp = bench.node.get_clock().now().nanoseconds
-    bench.send(0, stamp)
-    bench.wait_until(lambda: len(bench.innovations) == 1, "the innovation")
-    bench.wait_for_estimates(3)
-    assert observer.tracker.used == 1
-    status = bench.status("state")
-    assert status.name == "left/observer: state"
-    assert bench.call(Trigger, "reset", Trigger.Request()).success
-    assert observer.tracker.used == 0
+def test_a_joint_that_falls_silent_leaves_the_others_alone(stage: Stage) -> None:
+    """One with a design of its own; and a message counts as a sample of the joints it names."""
+    joints = JOINTS[:2]
+    observer = stage.add(joints=joints, joint_designs=["", ADAPTIVE], stale_after=0.2)
+    stage.step(BEGIN - PERIOD)
+    events = [
+        Event(at, ARM.message(at, name=names, position=[0.1 + at % 97 * 1e-4] * len(names),
+                              effort=[0.0] * len(names)))
+        for index, at in enumerate(ARM.stamps(BEGIN, 0.45))
+        for names in [joints if index < 20 else joints[:1]]
+    ]  # fmt: skip
+    foreign = ARM.message(BEGIN, name=["elbow"])
+    short = ARM.message(BEGIN + 1, name=joints, position=[1.0, 1.0], effort=[0.0])
+    stage.play([*events, Event(events[-1].at, foreign), Event(events[-1].at, short)])
+    assert stage.counts().received == 20 * 2 + 70 + 2 + 2
+    reasons = [
+        {reason.value: count for reason, count in joint.tracker.rejected.items()}
+        for joint in observer.joints
+    ]
+    assert [counts["wrong joint or shape"] for counts in reasons] == [1, 2]
+    assert list(stage.watcher.of("joint_states")[-1].message.name) == [
+        "joint_1_link",
+        "joint_1_motor",
+    ]
+    found = stage.statuses()
+    assert found["observer: joint_1: state"].message == "TRACKING"
+    assert found["observer: joint_2: state"].message == "STALE"
+    assert found["observer: joint_2: state"].hardware_id == "joint_2"
+    assert found["observer: joints"].message == "joint_2: state: STALE"
+    designs = [values(found[f"observer: {j}: certificate"])["design"] for j in joints]
+    assert designs == [str(SHIPPED), ADAPTIVE]
+    assert observer.count_publishers("/observer/parameters_estimate") == 1
+
+
+def test_a_stale_joint_may_hold_its_last_estimate_without_bounds(stage: Stage) -> None:
+    stage.add(stale_after=0.2, when_stale="hold")
+    stage.step(BEGIN - PERIOD)
+    fresh_until = BEGIN + 19 * PERIOD + 200 * MS
+    stage.play(samples(0, 20), fresh_until + 20 * PERIOD)
+    states = {each.stamp: each for each in stage.watcher.of("joint_states")}
+    held = [stamp for stamp in states if stamp > fresh_until]
+    assert len(held) == 20
+    assert {states[stamp].bits for stamp in held} == {states[fresh_until].bits}
+    for topic in ("error_bound", "disturbance_bound"):
+        assert stage.watcher.of(topic)[-1].stamp == fresh_until
 
 
 @pytest.mark.parametrize(
@@ -270,30 +263,13 @@ def test_namespaces_and_remappings_apply(ros: Any) -> None:
     [("paper", True), ("high_gain", False), ("proportional_integral", False)],
 )
 def test_methods_to_compare_with_publish_no_bound(
-    bench: Bench, method: str, disturbed: bool
+    stage: Stage, method: str, disturbed: bool
 ) -> None:
-    bench.start_simulated(method=method)
-    bench.feed(range(60))
-    bench.wait_until(lambda: len(bench.published) > 50, "estimates")
-    topics = {each.topic for each in bench.published}
-    assert {"joint_states", "innovation"} <= topics
-    assert not topics & {"error_bound", "disturbance_bound"}
-    assert ("disturbance" in topics) == disturbed
-    status = bench.status("certificate")
-    assert (status.level, status.message) == (
-        DiagnosticStatus.WARN,
-        f"method {method}: nothing is certified",
-    )
-
-
-def test_learnt_parameters_are_published_once_they_can_be_believed(bench: Bench) -> None:
-    adaptive = str(config_path("elastic_joint_adaptive.design.yaml"))
-    observer = bench.start_simulated(design=adaptive)
-    bench.feed(range(40))
-    status = bench.status("parameters")
-    assert status.message == "not yet: the motion is too poor"
-    assert set(values(status)) == {"stiffness", "gravity"}
-    assert observer.count_publishers("/observer/parameters_estimate") == 1
+    stage.add(method=method)
+    stage.step(BEGIN - PERIOD)
+    stage.play(samples(0, 60))
+    topics = {each.topic for each in stage.watcher.published}
+    assert topics == {"joint_states", "innovation"} | ({"disturbance"} if disturbed else set())
 
 
 class FailsOnce:
@@ -313,21 +289,76 @@ class FailsOnce:
 
 
 def test_a_numerical_failure_is_an_error_and_a_fresh_start_of_its_joint(
-    bench: Bench, capfd: pytest.CaptureFixture[str]
+    stage: Stage, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    observer = bench.start_simulated()
-    observer.tracker.estimator = estimator = FailsOnce(observer.tracker.estimator)
-    for index in range(3):
-        bench.send(index, bench.now)
-        bench.set_clock(bench.now + PERIOD)
-    bench.wait_until(lambda: estimator.corrections >= 3, "the failure")
-    status = bench.status("state")
+    observer = stage.add()
+    observer.tracker.estimator = FailsOnce(observer.tracker.estimator)
+    stage.step(BEGIN - PERIOD)
+    stage.play(samples(0, 33))
+    status = stage.statuses()["observer: state"]
     assert status.level == DiagnosticStatus.ERROR
-    assert "after a numerical failure" in status.message
+    assert status.message == "TRACKING, after a numerical failure"
     assert values(status)["resets"] == "0"
     assert "numerical failure: an estimate was not finite" in capfd.readouterr().err
-    assert (observer.tracker.failures, observer.tracker.restarts) == (1, 1)
-    bench.feed(range(10, 40), 100 * SECOND)
-    bench.wait_for_quiet()
-    assert observer.tracker.used == 33
-    assert bench.status("state").level == DiagnosticStatus.OK
+    tracker = observer.tracker
+    assert (tracker.failures, tracker.restarts, tracker.used) == (1, 1, 33)
+    assert stage.statuses()["observer: state"].level == DiagnosticStatus.OK
+
+
+def test_estimates_may_come_with_the_measurements_instead_of_the_ticks(stage: Stage) -> None:
+    observer = stage.add(rate=1.0, publish_on="measurement")
+    stage.step(BEGIN)
+    events = samples(0, 40)
+    for index, event in enumerate(events):
+        stage.step(event.at, [event])
+        stage.wait_until(lambda n=index: observer.received > n, "the arrival")
+    stage.watcher.read()
+    # Long before the first tick.
+    assert stage.watcher.stamps == [event.at for event in events]
+    assert replayed(stage.watcher, observer, events) == 40
+    # Without measurements, the ticks go on.
+    stage.play([], stage.now + 4 * NANOSECONDS, 50 * PERIOD)
+    assert len(stage.watcher.stamps) > 42
+    assert len(stage.watcher.of("innovation")) == 40
+
+
+def test_on_the_systems_clock_in_a_namespace_it_ticks_all_by_itself(stage: Stage) -> None:
+    observer = stage.add("/left", use_sim_time=False)
+    watcher = stage.watchers["/left"]
+    stamp = stage.node.get_clock().now().nanoseconds
+    stage.sensor.publish(ARM.message(stamp))
+
+    def came() -> bool:
+        watcher.read()
+        return len(watcher.stamps) > 3
+
+    stage.wait_until(came, "estimates")
+    assert [each.stamp for each in watcher.of("innovation")] == [stamp]
+    assert {each.topic for each in watcher.published} == {*ESTIMATES, "innovation"}
+    found = stage.statuses()
+    assert all(name.startswith("left/observer: ") for name in found)
+    timing = values(found["left/observer: timing"])
+    assert timing["wanted rate [Hz]"] == "200"
+    assert float(timing["achieved rate [Hz]"]) > 0.0
+    assert 0.0 < float(timing["tick time p50 [ms]"]) <= float(timing["tick time p99 [ms]"])
+    assert 0.0 < float(timing["latency p50 [ms]"]) <= float(timing["latency p99 [ms]"])
+    assert stage.call(Trigger, "/left/observer/reset", Trigger.Request()).success
+    assert observer.tracker.used == 0
+
+
+def test_a_process_of_its_own_wakes_up_for_measurements(stage: Stage, ros_process: Any) -> None:
+    """The ticks, one a second, cannot have made the estimates."""
+    process = ros_process("observer", parameters={"rate": 1.0, "publish_on": "measurement"})
+    process.wait_for_line("certificate holds")
+    stamps: list[int] = []
+    stage.node.create_subscription(
+        JointState, "observer/joint_states", lambda m: stamps.append(m.header.stamp.nanosec), 100
+    )
+    clock = stage.node.get_clock()
+    stage.node.create_timer(
+        0.02, lambda: stage.sensor.publish(ARM.message(clock.now().nanoseconds))
+    )
+    stage.wait_until(lambda: bool(stamps), "the first estimate")
+    began = clock.now().nanoseconds
+    stage.wait_until(lambda: len(stamps) >= 30, "thirty estimates")
+    assert len(stamps) > 3 * (clock.now().nanoseconds - began) / NANOSECONDS

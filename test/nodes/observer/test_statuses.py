@@ -1,0 +1,235 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Joints and their statuses without a node, and the meter of ticks; no test looks at real time."""
+
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from faults.arm import Arm
+from faults.stage import BEGIN, MS, PERIOD
+
+from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status
+from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.parameters import ObserverParameters
+from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
+from tsobs_ros.resources import config_path
+
+ADAPTIVE = str(config_path("elastic_joint_adaptive.design.yaml"))
+ARM = Arm(BEGIN)
+
+
+def joints_of(**parameters: Any) -> list[ObservedJoint]:
+    return observed_joints(ObserverParameters(**parameters))
+
+
+def feed(joints: Iterable[ObservedJoint], count: int, bias: float = 0.0, first: int = 0) -> int:
+    """Offer samples of the arm and make an estimate of each; return the last one's stamp [ns]."""
+    for stamp in range(BEGIN + first * PERIOD, BEGIN + (first + count) * PERIOD, PERIOD):
+        sample = ARM.measurement(stamp)
+        for joint in joints:
+            joint.offer(sample._replace(y=sample.y + bias), stamp)
+            joint.estimate(stamp, hold=False)
+    return stamp
+
+
+def statuses(
+    joints: list[ObservedJoint], now: int, *, method: str = "certified", failed: bool = False
+) -> tuple[dict[str, Status], dict[str, dict[str, Status]]]:
+    of_all, parts = of_node(
+        joints, TickMeter(200.0), now, method, resets=3, enabled=True, failed=failed
+    )
+    return (
+        {each.name: each for each in of_all},
+        {joint: {each.name: each for each in own} for joint, own in parts.items()},
+    )
+
+
+@pytest.mark.parametrize("hold", [False, True])
+def test_a_joint_waits_tracks_coasts_and_is_stale(hold: bool) -> None:
+    joints = joints_of(coast_after=0.1, stale_after=1.0)
+    (joint,) = joints
+    waiting, _ = statuses(joints, BEGIN)
+    assert waiting["state"][1:3] == (Level.WARN, "WAITING")
+    assert waiting["premise domain"].message == "no estimate yet"
+    assert joint.estimate(BEGIN, hold=hold) is None
+    last = feed(joints, 40)
+    for age, phase, level in (
+        (100 * MS, "TRACKING", Level.OK),
+        (101 * MS, "COASTING", Level.WARN),
+        (NANOSECONDS, "COASTING", Level.WARN),
+        (NANOSECONDS + 1, "STALE", Level.ERROR),
+    ):
+        state = statuses(joints, last + age)[0]["state"]
+        assert (state.level, state.message) == (level, phase)
+        assert state.values["measurement age [s]"] == f"{age * 1e-9:.4f}"
+    before = joint.estimate(last + NANOSECONDS, hold=hold)
+    stale = joint.estimate(last + NANOSECONDS + 1, hold=hold)
+    if not hold:
+        assert stale is None
+    else:
+        assert before is not None
+        assert stale is not None
+        assert stale.state.tobytes() == before.state.tobytes()
+        assert (stale.state_bound.size, stale.disturbance_bound.size) == (0, 0)
+
+
+def test_each_concern_of_one_joint_has_a_status() -> None:
+    joints = joints_of()
+    found, parts = statuses(joints, feed(joints, 60))
+    assert parts == {}
+    assert {name: (each.level, each.message) for name, each in found.items()} == {
+        "state": (Level.OK, "TRACKING"),
+        "measurements": (Level.OK, "0 rejected"),
+        "timing": (Level.STALE, "no ticks"),
+        "premise domain": (Level.OK, "inside the certificate's domain"),
+        "innovation": (Level.OK, found["innovation"].message),
+        "sensor fault": (Level.OK, found["sensor fault"].message),
+        "certificate": (Level.OK, "bound along the estimate"),
+    }
+    identity = found["certificate"].values
+    assert identity["design"] == str(config_path("elastic_joint.design.yaml"))
+    assert (identity["disturbance model"], identity["bound"]) == ("bias", "along the estimate")
+    assert float(identity["margin [1/s]"]) > 0.0
+    assert found["state"].values["resets"] == "3"
+    failed, _ = statuses(joints, BEGIN + 60 * PERIOD, failed=True)
+    assert failed["state"][1:3] == (Level.ERROR, "TRACKING, after a numerical failure")
+
+
+def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -> None:
+    joints = joints_of(joints=("hip", "knee"), joint_designs=("", ADAPTIVE))
+    feed(joints, 20)
+    joints[1].offer(RejectReason.WRONG_JOINT, BEGIN)
+    joints[1].offer(ARM.measurement(BEGIN + 19 * PERIOD), BEGIN)
+    joints[0].offer(None, BEGIN)
+    now = feed(joints[:1], 1200, first=20)
+    found, parts = statuses(joints, now)
+    assert (parts["hip"]["state"].message, parts["knee"]["state"].message) == ("TRACKING", "STALE")
+    assert found["state"][1:3] == (Level.ERROR, "STALE")
+    assert found["joints"][1:] == (
+        Level.ERROR, "knee: state: STALE", {"hip": "OK", "knee": "ERROR"}
+    )  # fmt: skip
+    counts = [
+        {key: int(value) for key, value in own["measurements"].values.items()}
+        for own in (*parts.values(), found)
+    ]
+    assert counts[2] == {key: counts[0][key] + counts[1][key] for key in counts[0]}
+    assert (counts[2]["received"], counts[2]["used"]) == (1242, 1240)
+    assert counts[1]["rejected: wrong joint or shape"] == 1
+    assert counts[1]["rejected: duplicate stamp"] == 1
+    assert parts["knee"]["measurements"].level == Level.WARN
+    assert parts["knee"]["certificate"].values["design"] == ADAPTIVE
+    assert "parameters" not in parts["hip"]
+    learnt = parts["knee"]["parameters"]
+    assert learnt.message == "not yet: the motion is too poor"
+    assert set(learnt.values) == {"stiffness", "gravity"}
+
+
+def test_a_large_disturbance_is_reported_at_levels_that_can_be_tuned() -> None:
+    joints, parameters = joints_of(), ObserverParameters()
+    fault = statuses(joints, feed(joints, 400, bias=0.35))[0]["sensor fault"]
+    assert fault.level == Level.WARN
+    assert float(fault.values["magnitude [rad]"]) == pytest.approx(0.35, abs=0.1)
+    joints[0].retune(replace(parameters, fault=DisturbanceLimits(warn=0.1, error=0.15, hold=0.5)))
+    fault = statuses(joints, feed(joints, 120, bias=0.35, first=400))[0]["sensor fault"]
+    assert fault.level == Level.ERROR
+
+
+def test_a_method_to_compare_with_has_no_certificate() -> None:
+    joints = joints_of(method="high_gain")
+    certificate = statuses(joints, feed(joints, 5), method="high_gain")[0]["certificate"]
+    assert certificate[1:3] == (Level.WARN, "method high_gain: nothing is certified")
+
+
+def test_without_ticks_there_is_nothing_to_report() -> None:
+    status = TickMeter(200.0).status()
+    assert (status.name, status.level, status.message) == ("timing", Level.STALE, "no ticks")
+    assert status.values == {"wanted rate [Hz]": "200", "missed ticks": "0"}
+
+
+def tick(meter: TickMeter, *times_ms: float) -> None:
+    for now in times_ms:
+        meter.begin(round(now * 1e6))
+        meter.end()
+
+
+@pytest.mark.parametrize(
+    ("rate", "times", "missed", "level", "message", "achieved"),
+    [
+        (200.0, (0.0, 5.0, 10.1, 14.9, 20.0), 0, Level.OK, "on time", "200.0"),
+        # A late tick that the next one makes good is not missed.
+        (1000.0, (0.0, 1.7, 2.0, 3.9, 4.0, 5.0), 0, Level.OK, "on time", "1000.0"),
+        (1000.0, (0.0, 1.0, 3.2, 4.0), 1, Level.WARN, "missed 1 ticks", "750.0"),
+        # 20 periods went by, of which the second tick is one.
+        (1000.0, (0.0, 20.0), 19, Level.WARN, "missed 19 ticks", "50.0"),
+    ],
+)
+def test_periods_without_a_tick_are_missed(
+    rate: float, times: tuple[float, ...], missed: int, level: Level, message: str, achieved: str
+) -> None:
+    meter = TickMeter(rate)
+    tick(meter, *times)
+    status = meter.status()
+    assert meter.missed == missed
+    assert (status.level, status.message) == (level, message)
+    assert status.values["missed ticks"] == str(missed)
+    assert status.values["achieved rate [Hz]"] == achieved
+
+
+def test_each_status_begins_a_new_interval_but_the_count_goes_on() -> None:
+    meter = TickMeter(1000.0)
+    tick(meter, 0.0, 10.0)
+    meter.status()
+    status = meter.status()
+    assert (status.level, status.message) == (Level.STALE, "no ticks")
+    assert (meter.missed, status.values["missed ticks"]) == (9, "9")
+    tick(meter, 11.0)
+    status = meter.status()
+    # A single tick is enough: its period began with the last tick of the interval before.
+    assert (status.level, status.message) == (Level.OK, "on time")
+    assert status.values["achieved rate [Hz]"] == "1000.0"
+
+
+def test_a_clock_that_is_ahead_at_once_has_jumped() -> None:
+    meter = TickMeter(100.0)
+    tick(meter, 1000.0, 1010.0, 61010.0, 61020.0)
+    assert (meter.missed, meter.jumps) == (0, 1)
+    values = meter.status().values
+    assert (values["achieved rate [Hz]"], values["clock jumps ahead"]) == ("100.0", "1")
+
+
+def test_work_between_the_ticks_belongs_to_the_rate_and_makes_no_tick_missing() -> None:
+    meter = TickMeter(100.0)
+    for now, is_tick in ((0, True), (15, False), (30, False), (50, True), (60, True)):
+        meter.begin(now * MS, tick=is_tick)
+        meter.end()
+    assert meter.missed == 0
+    assert meter.status().values["achieved rate [Hz]"] == "66.7"
+
+
+def test_latency_is_reported_if_there_is_one() -> None:
+    meter = TickMeter(100.0)
+    tick(meter, 0.0)
+    for latency in range(1, 101):
+        meter.answered(latency * 10_000)
+    values = meter.status().values
+    assert (values["latency p50 [ms]"], values["latency p99 [ms]"]) == ("0.500", "0.990")
+    tick(meter, 10.0)
+    assert "latency p50 [ms]" not in meter.status().values
+
+
+def test_the_tick_time_is_that_of_the_work() -> None:
+    meter = TickMeter(0.001)
+    for nanoseconds in (0, 0, 0, 20 * MS):
+        meter.begin(0)
+        end = time.monotonic_ns() + nanoseconds
+        while time.monotonic_ns() < end:
+            pass
+        meter.end()
+    values = meter.status().values
+    median, slow = (float(values[f"tick time {p} [ms]"]) for p in ("p50", "p99"))
+    assert slow >= 20.0
+    assert 0.0 <= median <= slow
