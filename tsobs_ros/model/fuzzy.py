@@ -74,11 +74,16 @@ class RuleBase:
                 f"got shape {premise.shape}"
             )
         grades = np.stack([self._grade(index, premise) for index in range(self.rule_count)], -1)
+        if not (grades.min(initial=0.0) >= 0.0 and grades.max(initial=0.0) < np.inf):
+            place = tuple(np.argwhere(~((grades >= 0.0) & np.isfinite(grades)))[0])
+            raise ModelError(
+                f"membership of rule {place[-1] + 1}: expected finite grades of at least 0, "
+                f"got {float(grades[place])!r}"
+            )
         # A sum of huge grades overflows; dividing by a power of two loses no digit.
         largest = grades.max(axis=-1, keepdims=True)
-        silent = np.argwhere(largest[..., 0] <= 0.0)
-        if len(silent):
-            where = premise[tuple(silent[0])].tolist()
+        if not largest.all():
+            where = premise[tuple(np.argwhere(largest[..., 0] == 0.0)[0])].tolist()
             raise ModelError(f"memberships: no rule fires at z = {where}")
         shares = np.ldexp(grades, -np.frexp(largest)[1])
         return np.asarray(shares / shares.sum(axis=-1, keepdims=True))
@@ -94,12 +99,6 @@ class RuleBase:
                     f"shape {grade.shape}, got shape {one.shape}"
                 )
             grade = grade * one
-        wrong = ~((grade >= 0.0) & np.isfinite(grade))
-        if wrong.any():
-            raise ModelError(
-                f"membership of rule {rule + 1}: expected finite grades of at least 0, "
-                f"got {float(grade[wrong][0])!r}"
-            )
         return grade
 
 

@@ -32,7 +32,7 @@ from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.paper.systems import TSSystem, arm_system
+from tsobs_ros.paper.systems import TSSystem, arm_system, blend
 
 Signal = Callable[[Array], Array]
 """A signal of time: t of shape (...) to values of shape (..., channels)."""
@@ -95,8 +95,7 @@ class PaperExample:
             z: Premise variables, shape (..., q).
             uncertainty: λ, which scales ΔAᵢ, shape (..., 1) or a number.
         """
-        change = self.system.blend(self.delta_A, z)
-        drift = (change @ x[..., np.newaxis])[..., 0]
+        drift = blend(self.delta_A, self.system.rule_base.weights(z), x)
         return np.asarray(self.system.derivative(x, u, z) + uncertainty * drift)
 
 

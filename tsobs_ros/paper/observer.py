@@ -20,6 +20,7 @@ The observer's limits are the subject of docs/method.md; it is here to be compar
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -166,19 +167,24 @@ class AugmentedObserver:
         end = (np.asarray(u_next, dtype=np.float64), sample, self._premises(sample, z_next))
         slopes = [b - a for a, b in zip(start, end, strict=True)]
         steps = max(1, math.ceil(duration / _MAX_STEP - 1e-9))
+        weights = self.augmentation.system.rule_base.weights
+
+        def signals(share: float) -> tuple[Array, Array, Array]:
+            u, y, z = (a + share * slope for a, slope in zip(start, slopes, strict=True))
+            return u, y, weights(z)
+
         xi, Xi, h = state.xi, state.Xi, duration / steps
+        at = signals(0.0)
         for index in range(steps):
-            signals = [
-                [a + (index + part) / steps * slope for a, slope in zip(start, slopes, strict=True)]
-                for part in (0.0, 0.5, 1.0)
-            ]
-            xi, Xi = self._runge_kutta(xi, Xi, signals, h)
+            middle, after = signals((index + 0.5) / steps), signals((index + 1.0) / steps)
+            xi, Xi = self._runge_kutta(xi, Xi, (at, middle, after), h)
+            at = after
         return AugmentedState(xi, Xi, end[1], end[2])
 
-    def derivative(self, xi: Array, Xi: Array, u: Array, y: Array, z: Array) -> tuple[Array, Array]:
-        """Return ξ' and Ξ̂'; shapes as in `AugmentedState`."""
+    def _derivative(
+        self, xi: Array, Xi: Array, u: Array, y: Array, weights: Array
+    ) -> tuple[Array, Array]:
         aug = self.augmentation
-        weights = aug.system.rule_base.weights(z)
         x_bar = xi + y @ aug.L1.T
         innovation = y - x_bar @ aug.C_bar.T
         # Every rule's contribution in one product each, then the blend.
@@ -210,13 +216,13 @@ class AugmentedObserver:
         return np.asarray(state.y - self.augmented_estimate(state) @ self.augmentation.C_bar.T)
 
     def _runge_kutta(
-        self, xi: Array, Xi: Array, signals: list[list[Array]], h: float
+        self, xi: Array, Xi: Array, signals: Sequence[tuple[Array, Array, Array]], h: float
     ) -> tuple[Array, Array]:
         start, middle, end = signals
-        a1, b1 = self.derivative(xi, Xi, *start)
-        a2, b2 = self.derivative(xi + 0.5 * h * a1, Xi + 0.5 * h * b1, *middle)
-        a3, b3 = self.derivative(xi + 0.5 * h * a2, Xi + 0.5 * h * b2, *middle)
-        a4, b4 = self.derivative(xi + h * a3, Xi + h * b3, *end)
+        a1, b1 = self._derivative(xi, Xi, *start)
+        a2, b2 = self._derivative(xi + 0.5 * h * a1, Xi + 0.5 * h * b1, *middle)
+        a3, b3 = self._derivative(xi + 0.5 * h * a2, Xi + 0.5 * h * b2, *middle)
+        a4, b4 = self._derivative(xi + h * a3, Xi + h * b3, *end)
         moved = Xi + (h / 6.0) * (b1 + 2.0 * (b2 + b3) + b4)
         if self.Gamma is not None and self.xi is not None:
             moved = clipped(moved, self.xi)

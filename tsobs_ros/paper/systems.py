@@ -74,10 +74,6 @@ class TSSystem:
         """Number of states n."""
         return int(self.A.shape[-1])
 
-    def blend(self, matrices: Array, z: ArrayLike) -> Array:
-        """Return Σ hᵢ(z) Mᵢ for matrices of shape (r, a, b): shape (..., a, b)."""
-        return np.asarray(np.einsum("...r,rab->...ab", self.rule_base.weights(z), matrices))
-
     def derivative(self, x: ArrayLike, u: ArrayLike, z: ArrayLike | None = None) -> Array:
         """Return ẋ.
 
@@ -87,16 +83,20 @@ class TSSystem:
             z: Premise variables, shape (..., q); taken from x by `premise` if not given.
         """
         state = np.asarray(x, dtype=np.float64)
-        premise = self.premise(state) if z is None else z
-        drift = np.einsum("...ab,...b->...a", self.blend(self.A, premise), state)
-        forced = np.einsum("...ab,...b->...a", self.blend(self.B, premise), np.asarray(u, float))
-        return np.asarray(drift + forced)
+        weights = self.rule_base.weights(self.premise(state) if z is None else z)
+        return blend(self.A, weights, state) + blend(self.B, weights, np.asarray(u, float))
 
     def output(self, x: ArrayLike, z: ArrayLike | None = None) -> Array:
         """Return the undisturbed output Σ hᵢ(z) Cᵢx, shape (..., p)."""
         state = np.asarray(x, dtype=np.float64)
-        premise = self.premise(state) if z is None else z
-        return np.asarray(np.einsum("...ab,...b->...a", self.blend(self.C, premise), state))
+        weights = self.rule_base.weights(self.premise(state) if z is None else z)
+        return blend(self.C, weights, state)
+
+
+def blend(matrices: Array, weights: Array, vector: Array) -> Array:
+    """Return Σ hᵢ Mᵢ v: (r, a, b), (..., r) and (..., b) to (..., a)."""
+    blended = np.einsum("...r,rab->...ab", weights, matrices)
+    return np.asarray(np.einsum("...ab,...b->...a", blended, vector))
 
 
 def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSSystem:
