@@ -15,7 +15,7 @@ from tsobs_ros.model.disturbance import bias, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=60)
+PROPERTY = settings(max_examples=40)
 EYE = np.eye(4)
 
 
@@ -47,23 +47,16 @@ def test_a_hidden_mode_that_decays_is_detectable() -> None:
     assert [mode.eigenvalue for mode in undetectable_modes(A, np.array([[1.0, 0.0]]))] == [2.0]
 
 
-def test_the_shape_of_a_hidden_oscillation_is_its_eigenvector() -> None:
-    """Complex shapes: the conjugate of one belongs to the other eigenvalue of the pair."""
-    A = ElasticJointArm(link_damping=0.4).slope_matrix(0.8)
-    modes = hidden_modes(A, np.zeros((1, 4)))
-    assert len(modes) == 4
-    for mode in modes:
-        assert abs(mode.eigenvalue.imag) > 1.0
-        assert np.linalg.norm(A @ mode.shape - mode.eigenvalue * mode.shape) < 1e-11
-
-
 def test_without_information_the_undamped_arm_has_four_modes_that_persist() -> None:
     modes = undetectable_modes(ElasticJointArm().slope_matrix(1.0), np.zeros((1, 4)))
     frequencies = sorted(mode.eigenvalue.imag for mode in modes)
     assert frequencies == pytest.approx([-4.7757, -1.4806, 1.4806, 4.7757], abs=5e-5)
     damped = ElasticJointArm(link_damping=0.5, motor_damping=0.5).slope_matrix(1.0)
     assert undetectable_modes(damped, np.zeros((1, 4))) == []
-    assert len(hidden_modes(damped, np.zeros((1, 4)))) == 4
+    hidden = hidden_modes(damped, np.zeros((1, 4)))
+    assert len(hidden) == 4
+    for mode in hidden:  # complex shapes: each belongs to its own eigenvalue of a pair
+        assert np.linalg.norm(damped @ mode.shape - mode.eigenvalue * mode.shape) < 1e-11
 
 
 def test_a_bias_hides_where_gravity_has_no_slope() -> None:

@@ -1,7 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""T–S systems: weights are a convex combination, and the blend is what the rules say."""
+"""Membership functions by name, and weights that are a convex combination."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -12,62 +13,37 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import MembershipFunction, RuleBase
-from tsobs_ros.paper.systems import TSSystem
+from tsobs_ros.model.fuzzy import SHAPES, Membership, RuleBase, membership, weights_and_slopes
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=60)
 NUMBERS = st.floats(-5.0, 5.0)
-
-
-def bell(centre: float, width: float) -> MembershipFunction:
-    return lambda z: np.exp(-0.5 * ((z - centre) / width) ** 2)
-
-
-def arrays(*shape: int) -> st.SearchStrategy[Array]:
-    return hnp.arrays(np.float64, shape, elements=NUMBERS)
+# Two rules of one premise variable in [0, 1] that meet at its ends.
+RAMPS = RuleBase(((lambda z: 1.0 - z,), (lambda z: z,)))
+EXAMPLES = [
+    membership("always", {}),
+    membership("linear", {"zero": -1.0, "one": 2.0}),
+    membership("linear", {"zero": 1.5, "one": 0.25}),
+    membership("triangle", {"left": -1.0, "peak": 0.3, "right": 2.0}),
+    membership("trapezoid", {"left": -1.0, "top_left": -0.4, "top_right": 0.6, "right": 1.7}),
+    membership("gaussian", {"centre": 0.3, "width": 0.7}),
+    membership("sine_upper", {"half_width": 1.8}),
+    membership("sine_lower", {"half_width": 1.8}),
+]
 
 
 @st.composite
 def rule_bases(draw: st.DrawFn) -> RuleBase:
     premises = draw(st.integers(1, 3))
-    function = st.builds(bell, NUMBERS, st.floats(0.5, 5.0))
-    rule = st.tuples(*[function] * premises)
-    return RuleBase(tuple(draw(st.lists(rule, min_size=1, max_size=4))))
+    parameters = st.fixed_dictionaries({"centre": NUMBERS, "width": st.floats(0.5, 5.0)})
+    bell = parameters.map(lambda each: membership("gaussian", each))
+    return RuleBase(tuple(draw(st.lists(st.tuples(*[bell] * premises), min_size=1, max_size=4))))
 
 
-@st.composite
-def systems(draw: st.DrawFn) -> TSSystem:
-    """Systems of random size whose premise variables are the first states."""
-    rule_base = draw(rule_bases())
-    r, q = rule_base.rule_count, rule_base.premise_count
-    n = draw(st.integers(q, 4))
-    m, p = draw(st.integers(1, 2)), draw(st.integers(1, 2))
-    matrices = [draw(arrays(r, *shape)) for shape in ((n, n), (n, m), (p, n))]
-    return TSSystem(*matrices, rule_base, lambda x: x[..., :q])
-
-
-# Two rules of one premise variable in [0, 1] that meet at its ends.
-RAMPS = RuleBase(((lambda z: 1.0 - z,), (lambda z: z,)))
-ONE_RULE = RuleBase(((np.ones_like,),))
-
-
-def plain(rule_base: RuleBase = RAMPS, **changed: Any) -> TSSystem:
-    matrices: dict[str, Any] = {
-        "A": [[[0.0, 1.0], [-1.0, 0.0]], [[0.0, 1.0], [-2.0, -1.0]]],
-        "B": [[[0.0], [1.0]]],
-        "C": [[[1.0, 0.0]], [[1.0, 0.5]]],
-    }
-    return TSSystem.from_rules(
-        **(matrices | changed), rule_base=rule_base, premise=lambda x: x[..., :1]
-    )
-
-
-@PROPERTY
+@settings(max_examples=40)
 @given(st.data(), rule_bases())
 def test_weights_are_a_convex_combination(data: st.DataObject, rule_base: RuleBase) -> None:
     batch = data.draw(st.sampled_from([(), (3,), (2, 3)]))
-    z = data.draw(arrays(*batch, rule_base.premise_count))
+    z = data.draw(hnp.arrays(np.float64, (*batch, rule_base.premise_count), elements=NUMBERS))
     weights = rule_base.weights(z)
     assert weights.shape == (*batch, rule_base.rule_count)
     assert (weights >= 0.0).all()
@@ -80,70 +56,10 @@ def test_grades_of_several_premise_variables_are_multiplied() -> None:
     np.testing.assert_allclose(rule_base.weights([0.25, 0.4]), grades / grades.sum(), rtol=1e-15)
 
 
-@PROPERTY
-@given(arrays(2), arrays(1))
-def test_a_vertex_membership_reproduces_the_vertex_model(x: Array, u: Array) -> None:
-    system = plain()
-    for vertex in (0, 1):
-        z = [float(vertex)]
-        assert (system.derivative(x, u, z) == system.A[vertex] @ x + system.B[vertex] @ u).all()
-        assert (system.output(x, z) == system.C[vertex] @ x).all()
-
-
-@PROPERTY
-@given(arrays(2), arrays(1))
-def test_one_rule_is_the_linear_system(x: Array, u: Array) -> None:
-    A, B, C = np.array([[0.0, 1.0], [-3.0, -0.2]]), np.array([[0.0], [2.0]]), np.eye(2)
-    system = plain(ONE_RULE, A=[A], B=[B], C=[C])
-    np.testing.assert_allclose(system.derivative(x, u), A @ x + B @ u, rtol=1e-14, atol=1e-14)
-    np.testing.assert_allclose(system.output(x), C @ x, rtol=1e-14, atol=1e-14)
-
-
-@PROPERTY
-@given(st.data(), systems())
-def test_the_blend_is_the_weighted_sum_of_the_rules(data: st.DataObject, system: TSSystem) -> None:
-    x, u = data.draw(arrays(system.state_count)), data.draw(arrays(system.B.shape[-1]))
-    weights = system.rule_base.weights(system.premise(x))
-    rate = sum(h * (A @ x + B @ u) for h, A, B in zip(weights, system.A, system.B, strict=True))
-    output = sum(h * (C @ x) for h, C in zip(weights, system.C, strict=True))
-    np.testing.assert_allclose(system.derivative(x, u), rate, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(system.output(x), output, rtol=1e-12, atol=1e-12)
-
-
-def test_a_single_matrix_serves_every_rule() -> None:
-    system = plain()
-    assert system.B.shape == (2, 2, 1)
-    assert (system.B[0] == system.B[1]).all()
-
-
-def test_matrices_of_a_system_cannot_be_changed_behind_its_back() -> None:
-    system = plain()
-    with pytest.raises(ValueError, match="read-only"):
-        system.A[0, 0, 0] = 1.0
-
-
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"A": [np.zeros((2, 3))] * 2}, r"A: expected shape \(2, 3, 3\), got \(2, 2, 3\)"),
-        ({"A": [np.eye(2)] * 3}, "A: expected 1 or 2 matrices, got 3"),
-        ({"A": [np.eye(2), np.eye(3)]}, r"A: every rule needs the same shape.*\(2, 2\).*\(3, 3\)"),
-        ({"A": [np.zeros(2)] * 2}, r"A: expected one matrix a rule.*got \(2, 2\)"),
-        ({"A": [np.full((2, 2), np.nan)]}, "A: every entry must be finite"),
-        ({"B": [np.zeros((3, 1))]}, r"B: expected shape \(2, 2, 1\), got \(2, 3, 1\)"),
-        ({"B": [np.full((2, 1), np.inf)]}, "B: every entry must be finite"),
-        ({"C": [np.zeros((1, 3))]}, r"C: expected shape \(2, 1, 2\), got \(2, 1, 3\)"),
-        ({"C": [np.zeros((1, 2)), np.zeros((2, 2))]}, "C: every rule needs the same shape"),
-        (
-            {"A": [[[1, 2], [3]], np.eye(2)]},
-            r"A: expected rows of equal length, got \[\[1, 2\], \[3",
-        ),
-        ({"C": [[[1.0, np.nan]]]}, "C: every entry must be finite"),
-    ],
-)
-def test_a_wrong_matrix_is_named_with_its_shapes(changed: dict[str, Any], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        plain(**changed)
+@pytest.mark.parametrize("grade", [1e308, 1e-308])
+def test_extreme_grades_still_sum_to_one(grade: float) -> None:
+    rules = RuleBase(((lambda z: np.full_like(z, grade),), (lambda z: np.full_like(z, grade),)))
+    assert rules.weights([0.0]) == pytest.approx([0.5, 0.5])
 
 
 @pytest.mark.parametrize(
@@ -175,23 +91,12 @@ def test_weights_name_what_is_wrong_with_a_premise(z: Any, message: str) -> None
         RAMPS.weights(z)
 
 
-def test_a_system_needs_an_output_matrix_for_each_rule() -> None:
-    with pytest.raises(ModelError, match=r"C: expected one matrix a rule.*got \(1, 2\)"):
-        TSSystem(np.zeros((1, 2, 2)), np.zeros((1, 2, 1)), np.zeros((1, 2)), ONE_RULE, lambda x: x)
-
-
 def test_a_membership_may_be_a_constant_but_not_of_another_shape() -> None:
     constant = RuleBase(((lambda z: np.float64(2.0),), (np.ones_like,)))
     np.testing.assert_allclose(constant.weights(np.zeros((3, 1))), [[2 / 3, 1 / 3]] * 3)
     wrong = RuleBase(((lambda z: np.ones(7),),))
     with pytest.raises(ModelError, match=r"rule 1: expected one grade an entry, shape \(3,\)"):
         wrong.weights(np.zeros((3, 1)))
-
-
-@pytest.mark.parametrize("grade", [1e308, 1e-308])
-def test_extreme_grades_still_sum_to_one(grade: float) -> None:
-    rules = RuleBase(((lambda z: np.full_like(z, grade),), (lambda z: np.full_like(z, grade),)))
-    assert rules.weights([0.0]) == pytest.approx([0.5, 0.5])
 
 
 @pytest.mark.parametrize(
@@ -202,7 +107,94 @@ def test_extreme_grades_still_sum_to_one(grade: float) -> None:
         ([[[0.5], [0.1]], [[0.2], [5.0]]], r"\[5.0\]"),
     ],
 )
-def test_a_premise_at_which_no_rule_fires_is_named(z: Any, place: str) -> None:
-    hat = RuleBase(((lambda z: np.clip(1.0 - np.abs(z), 0.0, None),),))
+@pytest.mark.parametrize("weigh", [RuleBase.weights, weights_and_slopes])
+def test_a_premise_at_which_no_rule_fires_is_named(weigh: Any, z: Any, place: str) -> None:
     with pytest.raises(ModelError, match=f"no rule fires at z = {place}"):
-        hat.weights(z)
+        weigh(RuleBase(((EXAMPLES[3],),)), z)
+
+
+@pytest.mark.parametrize(
+    ("shape", "parameters", "z", "grades"),
+    [
+        ("always", {}, [-5.0, 0.0], [1.0, 1.0]),
+        ("linear", {"zero": 1.0, "one": 3.0}, [0.0, 1.0, 1.5, 3.0, 9.0], [0, 0, 0.25, 1, 1]),
+        ("linear", {"zero": 3.0, "one": 1.0}, [0.0, 1.5, 3.0], [1.0, 0.75, 0.0]),
+        ("triangle", {"left": 0, "peak": 1, "right": 3}, [-1, 0.5, 1, 2, 4], [0, 0.5, 1, 0.5, 0]),
+        (
+            "trapezoid",
+            {"left": 0, "top_left": 1, "top_right": 2, "right": 4},
+            [-1, 0.25, 1, 1.7, 3, 5],
+            [0, 0.25, 1, 1, 0.5, 0],
+        ),
+        ("gaussian", {"centre": 1.0, "width": 2.0}, [1.0, 3.0], [1.0, math.exp(-0.5)]),
+    ],
+)
+def test_grades(
+    shape: str, parameters: dict[str, float], z: list[float], grades: list[float]
+) -> None:
+    np.testing.assert_allclose(membership(shape, parameters)(np.array(z)), grades, atol=1e-15)
+
+
+@pytest.mark.parametrize("width", [0.4, math.pi / 2, 3.0])
+def test_the_sine_sector_is_the_sine(width: float) -> None:
+    z = np.linspace(-width, width, 41)
+    upper = membership("sine_upper", {"half_width": width})(z)
+    lower = membership("sine_lower", {"half_width": width})(z)
+    bottom = math.sin(width) / width
+    np.testing.assert_allclose((upper + lower * bottom) * z, np.sin(z), atol=1e-15)
+    np.testing.assert_allclose(upper + lower, 1.0, rtol=1e-15)
+
+
+def test_every_shape_has_an_example_here() -> None:
+    assert {example.shape for example in EXAMPLES} == set(SHAPES)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda each: each.shape)
+def test_slopes_are_the_derivative_of_the_grade(example: Membership) -> None:
+    """Compare with central differences at points away from the corners."""
+    z = np.array([-2.5, -1.31, -0.77, -0.21, -1e-3, 0.0, 4e-4, 0.12, 0.45, 0.83, 1.13, 1.61, 3.1])
+    step = 1e-6
+    expected = (example(z + step) - example(z - step)) / (2.0 * step)
+    np.testing.assert_allclose(example.slope(z), expected, atol=1e-9)
+
+
+def test_slopes_of_the_weights_of_two_premises() -> None:
+    rules = RuleBase(((EXAMPLES[5], EXAMPLES[1]), (EXAMPLES[5], EXAMPLES[2]), (EXAMPLES[0],) * 2))
+    z = np.random.default_rng(3).uniform(-0.9, 1.4, (20, 2))
+    weights, slopes = weights_and_slopes(rules, z)
+    np.testing.assert_allclose(weights, rules.weights(z), rtol=1e-14)
+    assert slopes.shape == (20, 3, 2)
+    for place in range(2):
+        step = 1e-6 * np.eye(2)[place]
+        expected = (rules.weights(z + step) - rules.weights(z - step)) / 2e-6
+        np.testing.assert_allclose(slopes[..., place], expected, atol=1e-8)
+
+
+def test_only_functions_that_know_their_slope_have_one() -> None:
+    rules = RuleBase(((lambda z: np.ones_like(z),),))
+    with pytest.raises(ModelError, match="know their slopes, got function"):
+        weights_and_slopes(rules, [0.0])
+
+
+@pytest.mark.parametrize(
+    ("shape", "parameters", "message"),
+    [
+        ("circle", {}, "expected one of always, linear, .* got 'circle'"),
+        ("always", {"left": 1.0}, "membership always: expected the parameters none, got left"),
+        ("linear", {"zero": 1.0}, "membership linear: expected the parameters zero, one, got zero"),
+        ("linear", {"zero": 1.0, "one": 1.0}, "membership linear: expected zero and one apart"),
+        ("triangle", {"left": 0, "peak": 0, "right": 1}, "triangle: expected left < peak < right"),
+        (
+            "trapezoid",
+            {"left": 0, "top_left": 2, "top_right": 1, "right": 3},
+            "trapezoid: expected left < top_left < top_right < right, got",
+        ),
+        ("gaussian", {"centre": 0.0, "width": 0.0}, "membership gaussian: width"),
+        ("gaussian", {"centre": math.nan, "width": 1.0}, "membership gaussian: centre"),
+        ("sine_upper", {"half_width": 3.2}, "sine_upper: expected 0 < half_width < π, got 3.2"),
+        ("sine_lower", {"half_width": 0.0}, "sine_lower: expected 0 < half_width < π"),
+    ],
+)
+def test_wrong_parameters_are_named(shape: str, parameters: dict[str, float], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        membership(shape, parameters)

@@ -17,7 +17,6 @@ from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.linear_flow import LinearFlow
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.paper.systems import arm_system
 from tsobs_ros.simulation.integrator import rk4_step
 
 Array = NDArray[np.float64]
@@ -225,8 +224,8 @@ def test_long_steps_are_nominal_ones_and_a_remainder() -> None:
 
 def test_the_arm_as_a_ts_system_moves_as_the_arm() -> None:
     arm, T = ElasticJointArm(), 0.005
-    system = arm_system(arm, WIDTH)
-    model = TSModel(system.A, system.B[0], system.C[0], SECTOR, np.eye(4)[:1])
+    A = np.array([arm.slope_matrix(slope) for slope in (1.0, np.sin(WIDTH) / WIDTH)])
+    model = TSModel(A, arm.input_matrix, arm.output_matrix, SECTOR, np.eye(4)[:1])
     flow = TSFlow(model, bias(), [0.0, 1e-4, 0.0, 1e-3], T)
     own = ArmFlow(arm, bias(), ProcessNoise(1e-4, 1e-5), T)
     np.testing.assert_array_equal(flow.output_matrix, own.output_matrix)
