@@ -198,7 +198,9 @@ def _listener() -> None:
             for topic, each in taken.items():
                 drained = each.drain()
                 if topic == STATES:
-                    estimates += [(decode(data).stamp, info.received_ns) for data, info in drained]
+                    estimates += [
+                        (decode(data).stamp, info["received_timestamp"]) for data, info in drained
+                    ]
             timing += [
                 {item.key: item.value for item in status.values}
                 for array, _ in diagnostics.drain()

@@ -82,8 +82,8 @@ def _receive(count: int) -> dict[str, list[int]]:
         patience -= _DRAIN_PERIOD
         for data, info in subscription.drain():
             patience = _SILENCE
-            received["sent"].append(info.source_ns)
-            received["arrived"].append(info.received_ns)
+            received["sent"].append(info["source_timestamp"])
+            received["arrived"].append(info["received_timestamp"])
             received["stamps"].append(decode(data).stamp)
     node.destroy_node()
     return received

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A drained subscription gives every message once, in order, without waking the executor."""
 
+from typing import Any
+
 import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -9,7 +11,7 @@ from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
-from tsobs_ros.nodes.draining import Drained, DrainedSubscription
+from tsobs_ros.nodes.draining import DrainedSubscription
 
 COUNT = 200
 
@@ -23,100 +25,68 @@ def joint_state(index: int) -> JointState:
     return JointState(name=[f"joint_{index}"], position=[float(index)])
 
 
-def publish_and_drain(
-    ros, node: Node, subscription: DrainedSubscription, qos, *others: DrainedSubscription
-) -> list[Drained]:
+def publish(ros: Any, node: Node, qos: QoSProfile, *subscriptions: DrainedSubscription) -> None:
+    """Publish once all are matched; in one process the messages are in their queues at once."""
     publisher = node.create_publisher(JointState, "joints", qos)
-    ros.spin_until(
-        lambda: all(s.publisher_count == 1 for s in (subscription, *others)),
-        timeout=10.0,
-        what="the match",
-    )
+    ros.spin_until(lambda: all(s.publisher_count == 1 for s in subscriptions), what="the match")
     for index in range(COUNT):
         publisher.publish(joint_state(index))
-    drained: list[Drained] = []
-
-    def complete() -> bool:
-        drained.extend(subscription.drain())
-        return len(drained) >= COUNT
-
-    ros.spin_until(complete, timeout=10.0, what="the messages")
-    return drained
 
 
 @pytest.mark.parametrize("raw", [False, True])
-@pytest.mark.parametrize("in_bulk", [True, False])
+@pytest.mark.parametrize("way", ["in bulk", "by callbacks", "on arrival"])
 def test_messages_arrive_once_in_order_with_their_infos(
-    ros, node: Node, raw: bool, in_bulk: bool
+    ros: Any, node: Node, raw: bool, way: str
 ) -> None:
-    """In bulk, and by callbacks for an rclpy that has no other way."""
+    """In bulk; by callbacks if an rclpy has no other way; and as soon as they have come."""
     qos = QoSProfile(depth=COUNT)
-    subscription = DrainedSubscription(node, JointState, "joints", qos, raw=raw, in_bulk=in_bulk)
-    assert subscription.in_bulk == in_bulk
+    drained: list[Any] = []
+
+    def drain() -> None:
+        some = subscription.drain(limit=7)
+        assert len(some) <= 7
+        drained.extend([*some, *subscription.drain()])
+
+    subscription = DrainedSubscription(
+        node, JointState, "joints", qos, raw=raw,
+        on_arrival=drain if way == "on arrival" else None, in_bulk=way == "in bulk",
+    )  # fmt: skip
+    assert subscription.in_bulk == (way == "in bulk")
     before = node.get_clock().now().nanoseconds
+    publish(ros, node, qos, subscription)
 
-    drained = publish_and_drain(ros, node, subscription, qos)
+    def complete() -> bool:
+        if way != "on arrival":
+            drain()
+        return len(drained) >= COUNT
 
+    ros.spin_until(complete, what="the messages")
     after = node.get_clock().now().nanoseconds
     messages, infos = zip(*drained, strict=True)
     if raw:
         assert all(type(message) is bytes for message in messages)
         messages = [deserialize_message(message, JointState) for message in messages]
     assert list(messages) == [joint_state(i) for i in range(COUNT)]
-    assert [info.sequence for info in infos] == list(range(1, COUNT + 1))
-    assert all(before <= info.source_ns <= info.received_ns <= after for info in infos)
+    assert [info["publication_sequence_number"] for info in infos] == list(range(1, COUNT + 1))
+    for info in infos:
+        assert before <= info["source_timestamp"] <= info["received_timestamp"] <= after
     assert subscription.drain() == []
 
 
-def test_arrivals_are_drained_at_once_by_who_asks_for_it(ros, node: Node) -> None:
-    qos = QoSProfile(depth=COUNT)
-    drained: list[Drained] = []
-    subscription = DrainedSubscription(
-        node, JointState, "joints", qos, on_arrival=lambda: drained.extend(subscription.drain())
-    )
-    publisher = node.create_publisher(JointState, "joints", qos)
-    ros.spin_until(lambda: subscription.publisher_count == 1, what="the match")
-    for index in range(COUNT):
-        publisher.publish(joint_state(index))
-    ros.spin_until(lambda: len(drained) >= COUNT, what="the messages")
-    assert [item.message for item in drained] == [joint_state(i) for i in range(COUNT)]
-
-
-@pytest.mark.parametrize("in_bulk", [True, False])
-def test_a_limit_leaves_the_rest_for_the_next_drain(ros, node: Node, in_bulk: bool) -> None:
-    qos = QoSProfile(depth=10)
-    subscription = DrainedSubscription(node, JointState, "joints", qos, in_bulk=in_bulk)
-    publisher = node.create_publisher(JointState, "joints", qos)
-    ros.spin_until(lambda: subscription.publisher_count == 1, timeout=10.0, what="the match")
-    for index in range(3):
-        publisher.publish(joint_state(index))
-
-    drained: list[Drained] = []
-
-    def first_two_arrived() -> bool:
-        drained.extend(subscription.drain(limit=2 - len(drained)))
-        return len(drained) == 2
-
-    ros.spin_until(first_two_arrived, timeout=10.0, what="two messages")
-    rest: list[Drained] = []
-
-    def rest_arrived() -> bool:
-        rest.extend(subscription.drain())
-        return bool(rest)
-
-    ros.spin_until(rest_arrived, timeout=10.0, what="the third message")
-    assert [item.message for item in drained + rest] == [joint_state(i) for i in range(3)]
-
-
-def test_a_full_queue_drops_its_oldest_messages(ros, node: Node) -> None:
+def test_a_full_queue_drops_its_oldest_messages(ros: Any, node: Node) -> None:
     qos = QoSProfile(depth=COUNT)
     witness = DrainedSubscription(node, JointState, "joints", qos)
     shallow = DrainedSubscription(node, JointState, "joints", qos_profile_sensor_data)
+    publish(ros, node, qos, witness, shallow)
+    arrived: list[Any] = []
 
-    publish_and_drain(ros, node, witness, qos, shallow)
+    def complete() -> bool:
+        arrived.extend(witness.drain())
+        return len(arrived) == COUNT
 
+    ros.spin_until(complete, what="the messages")
     kept = qos_profile_sensor_data.depth
-    assert [item.message for item in shallow.drain()] == [
+    assert [message for message, _ in shallow.drain()] == [
         joint_state(i) for i in range(COUNT - kept, COUNT)
     ]
 
@@ -131,13 +101,12 @@ class CountingExecutor(SingleThreadedExecutor):
         return super().get_nodes()
 
 
-def test_waiting_messages_do_not_wake_the_executor(ros, node: Node) -> None:
+def test_waiting_messages_do_not_wake_the_executor(ros: Any, node: Node) -> None:
     qos = QoSProfile(depth=COUNT)
     subscription = DrainedSubscription(node, JointState, "joints", qos)
-    witness = DrainedSubscription(node, JointState, "joints", qos)
-    publish_and_drain(ros, node, witness, qos, subscription)
+    publish(ros, node, qos, subscription)
     ticks: list[int] = []
-    timer = node.create_timer(0.02, lambda: ticks.append(len(ticks)))
+    node.create_timer(0.02, lambda: ticks.append(len(ticks)))
     ros.executor.remove_node(node)
     executor = CountingExecutor(context=ros.context)
     executor.add_node(node)
@@ -147,7 +116,6 @@ def test_waiting_messages_do_not_wake_the_executor(ros, node: Node) -> None:
 
     executor.remove_node(node)
     executor.shutdown()
-    node.destroy_timer(timer)
     # Woken by what waits, it would turn thousands of times between two ticks, not a few.
     assert executor.turns < 100
     assert len(subscription.drain()) == COUNT

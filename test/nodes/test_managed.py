@@ -6,6 +6,8 @@ import gc
 import random
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -98,15 +100,6 @@ def test_alone_it_is_active_at_once(probe: Any) -> None:
     assert manager.node.calls[:2] == ["configure", "activate"]
 
 
-def test_unconfigured_it_owns_nothing_and_waits(probe: Any, ros: Any) -> None:
-    manager = probe()
-    assert manager.state == "unconfigured"
-    assert not manager.node.configured
-    assert manager.node.calls == []
-    assert manager.own.count_publishers("/probe/news") == 0
-    assert manager.own.count_publishers("/probe/lasting") == 1
-
-
 def test_requests_in_any_order_do_what_the_state_allows_and_are_refused_otherwise(
     probe: Any,
 ) -> None:
@@ -149,19 +142,26 @@ def test_callbacks_work_while_active_only(probe: Any, ros: Any) -> None:
     assert calls.count("tick") == before
 
 
+@pytest.mark.parametrize("by", ["shutdown", "close"])
 @pytest.mark.parametrize("state", WAY_TO)
-def test_it_can_be_shut_down_in_every_state(ros: Any, probe: Any, state: str) -> None:
+def test_it_ends_in_every_state_and_twice(ros: Any, probe: Any, state: str, by: str) -> None:
     manager = probe()
+    node, bare = manager.node, manager.entities
     manager.change(*WAY_TO[state])
-    manager.node.calls.clear()
-    assert not manager.node.finished
-    assert manager.change("shutdown")
-    assert manager.state == "finalized"
-    ros.spin_until(lambda: manager.node.finished, what="the end")
-    released = [call for call in manager.node.calls if call != "tick"]
-    assert released == ["deactivate", "cleanup", "release"][3 - len(released) :]
-    assert len(released) == {"unconfigured": 0, "inactive": 2, "active": 3}[state]
-    assert not manager.change("configure")
+    node.calls.clear()
+    assert not node.finished
+    if by == "shutdown":
+        assert manager.change("shutdown")
+        assert manager.state == "finalized"
+        assert not manager.change("configure")
+        ros.spin_until(lambda: node.finished, what="the end")
+    else:
+        node.close()
+    node.close()
+    expected = {"unconfigured": [], "inactive": ["cleanup", "release"]}
+    calls = [call for call in node.calls if call != "tick"]
+    assert calls == expected.get(state, ["deactivate", "cleanup", "release"])
+    assert (node.configured, node.active, manager.entities) == (False, False, bare)
 
 
 @pytest.mark.parametrize(
@@ -197,23 +197,15 @@ def test_a_transition_that_fails_says_why_and_the_node_goes_on(
         assert manager.change(*WAY_TO["active"][list(WAY_TO).index(end) :] or ["deactivate"])
 
 
-@pytest.mark.parametrize(
-    ("state", "asked", "call"),
-    [
-        ("unconfigured", "configure", "configure"),
-        ("inactive", "activate", "activate"),
-        ("active", "deactivate", "deactivate"),
-        ("inactive", "cleanup", "cleanup"),
-    ],
-)
+@pytest.mark.parametrize("asked", ["configure", "activate", "deactivate", "cleanup"])
 def test_a_bug_shows_its_traceback_and_leaves_the_node_unconfigured(
-    probe: Any, capfd: Any, state: str, asked: str, call: str
+    probe: Any, capfd: Any, asked: str
 ) -> None:
     manager = probe()
-    node = manager.node
-    bare = manager.entities
+    node, bare = manager.node, manager.entities
+    (state,) = [state for state, possible in POSSIBLE if possible == asked]
     manager.change(*WAY_TO[state])
-    node.fails[call] = ZeroDivisionError("a bug")
+    node.fails[asked] = ZeroDivisionError("a bug")
     assert not manager.change(asked)
     assert manager.state == "unconfigured"
     assert (node.configured, node.active, manager.entities) == (False, False, bare)
@@ -241,21 +233,6 @@ def test_a_start_that_fails_raises_and_leaves_nothing(
     ros.spin_until(lambda: "probe" not in watcher.get_node_names(), what="the end of the node")
 
 
-@pytest.mark.parametrize("state", WAY_TO)
-def test_closing_ends_in_any_state_and_twice(probe: Any, state: str) -> None:
-    manager = probe()
-    node = manager.node
-    bare = manager.entities
-    manager.change(*WAY_TO[state])
-    node.calls.clear()
-    node.close()
-    node.close()
-    expected = {"unconfigured": [], "inactive": ["cleanup", "release"]}
-    calls = [call for call in node.calls if call != "tick"]
-    assert calls == expected.get(state, ["deactivate", "cleanup", "release"])
-    assert (node.configured, node.active, manager.entities) == (False, False, bare)
-
-
 def test_closing_raises_what_could_not_be_finished_and_releases_the_rest(probe: Any) -> None:
     manager = probe()
     bare = manager.entities
@@ -267,7 +244,7 @@ def test_closing_raises_what_could_not_be_finished_and_releases_the_rest(probe: 
     assert manager.entities == bare
 
 
-def test_parameters_are_retuned_while_configured_and_read_anew_otherwise(probe: Any) -> None:
+def test_parameters_are_retuned_while_configured_and_read_again_otherwise(probe: Any) -> None:
     manager = probe()
     node = manager.node
     node.set_parameters([Parameter("gain", value=2.0)])
@@ -286,3 +263,42 @@ def test_simulated_time_that_was_switched_on_survives_a_clean_up(probe: Any) -> 
     assert [s.topic_name for s in node.subscriptions] == ["/clock"]
     node.set_parameters([Parameter("use_sim_time", value=False)])
     assert list(node.subscriptions) == []
+
+
+# Fast DDS keeps some 2 kB of every entity there has been; a leaked publisher is a hundred times it.
+GROWTH_LIMIT_MIB = 1.5
+
+
+def resident_mib() -> float:
+    """Return the memory this process has in use."""
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
+
+
+@pytest.mark.parametrize("name", ["observer", "plant_simulator", "recorder", "player"])
+def test_fifty_lives_of_a_node_leave_nothing_behind(
+    ros: Any,
+    manage: Callable[[Any], Any],
+    small_bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)  # bags get dated names in there
+    overrides = [Parameter("autostart", value=False)]
+    if name == "player":
+        overrides.append(Parameter("bag", value=str(small_bag)))
+    create = import_module(f"tsobs_ros.nodes.{name}").create
+    manager = manage(ros.add(create(context=ros.context, parameter_overrides=overrides)))
+    bare, graph = manager.entities, manager.graph
+    counts = set()
+    for cycle in range(50):
+        assert manager.change("configure", "activate", "deactivate", "activate")
+        counts.add(manager.entities[2])
+        assert manager.change("deactivate", "cleanup")
+        assert manager.entities == bare
+        if cycle == 10:
+            before = resident_mib()
+    assert len(counts) == 1
+    ros.spin_until(lambda: manager.graph == graph, what="the graph of an unconfigured node")
+    assert resident_mib() - before < GROWTH_LIMIT_MIB

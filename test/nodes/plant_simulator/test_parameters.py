@@ -93,7 +93,7 @@ def test_the_shipped_parameter_file_is_the_defaults() -> None:
 
 def test_the_executable_ends_by_itself_after_its_duration(ros_process: Any) -> None:
     process = ros_process(
-        "plant_simulator", params_file=CONFIG, parameters={"duration": 1, "noise_std": 0}
+        "plant_simulator", params_file=CONFIG, parameters={"duration": 0.2, "noise_std": 0}
     )
     ended = process.finish(60.0)
     assert ended.exit_code == 0

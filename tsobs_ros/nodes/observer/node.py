@@ -148,7 +148,7 @@ class Observer(ManagedNode[ObserverParameters]):
     def _take_all(self, now: int) -> bool:
         """Take what has arrived; return whether any of it was used."""
         used = False
-        taken = self._measurements.take()
+        taken = self._measurements.drain()
         if not self._enabled:
             return False
         arrived = [(self._reader.read(data), data, info) for data, info in taken]

@@ -118,7 +118,7 @@ class RecordedTopic:
 
     def drain(self, limit: int) -> list[Received]:
         """Take what has arrived for the first time, at most `limit` from each subscription."""
-        taken = [(kind, s, s.take(limit)) for kind, s in self._subscriptions.items()]
+        taken = [(kind, s, s.drain(limit)) for kind, s in self._subscriptions.items()]
         only_one = len(taken) == 1
         received: list[Received] = []
         numbers: list[int | None] = []
