@@ -27,7 +27,7 @@ def _add_info(actions: Commands) -> None:
 
 def _add_verify(actions: Commands) -> None:
     verify = actions.add_parser(
-        "verify", help="check each record against what rosbag2 writes; exit code 1 with reasons"
+        "verify", help="check that every tool reads the bag; exit code 1 with the reasons if not"
     )
     _add_bag(verify)
     add_json(verify)
