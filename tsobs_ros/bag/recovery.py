@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recovery of a damaged bag: a whole bag of what its files still hold, and an account of it."""
 
+import re
 from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -16,7 +17,6 @@ from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.container import RecordError, split_messages
 from tsobs_ros.bag.damaged_file import Content, Damage, DamagedFile, parse_record
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.folder import find_files
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     TYPE_HASH,
@@ -24,6 +24,7 @@ from tsobs_ros.bag.metadata import (
     QosProfile,
     TopicInfo,
     profiles_from_yaml,
+    read_metadata,
 )
 from tsobs_ros.bag.writer import LIBRARY, BagWriter
 from tsobs_ros.errors import BagReadError, BagWriteError
@@ -33,6 +34,7 @@ Keep = Callable[[str, bytes, int, int], object]
 """Takes a message: topic, data, log time [ns] and publish time [ns]."""
 
 _SHOWN = 10
+_NUMBER = re.compile(r"_(\d+)$")
 
 
 class _Destinations(NamedTuple):
@@ -292,7 +294,7 @@ class DamagedBag:
     """
 
     def __init__(self, bag: Path, progress: Progress = lambda _: None) -> None:
-        found = find_files(bag)
+        found = _find_files(bag)
         self._files = [_File(path) for path in found.paths]
         for file in self._files:
             file.read(progress)
@@ -467,3 +469,46 @@ def recover(
         reasons = "; ".join(f"{file.name}: {file.reason}" for file in files)
         raise BagReadError(f"{source}: no message can be recovered: {reasons}")
     return Recovery(source, target, files, tuple(damaged.remarks))
+
+
+class _BagFiles(NamedTuple):
+    """The files of a bag in order of recording, missing ones included, and what describes them.
+
+    `unlisted` are those that the metadata does not name, `metadata_error` is why there is none.
+    """
+
+    paths: tuple[Path, ...]
+    metadata: BagMetadata | None
+    metadata_error: str
+    unlisted: tuple[Path, ...]
+
+
+def _find_files(bag: Path) -> _BagFiles:
+    """Return the files of a bag folder, or of a single file.
+
+    Raises:
+        BagReadError: There is no such folder or file, or no MCAP file in it.
+    """
+    if not bag.is_dir():
+        if not bag.exists():
+            raise BagReadError(f"{bag}: there is no such bag")
+        return _BagFiles((bag,), None, "", ())
+    metadata, error = None, ""
+    try:
+        metadata = read_metadata(bag)
+    except BagReadError as reason:
+        error = str(reason)
+    listed = [bag / Path(file.path).name for file in metadata.files] if metadata else []
+    try:
+        present = sorted(bag.glob("*.mcap"), key=_by_number)
+    except OSError as reason:
+        raise BagReadError(f"{bag}: cannot read it: {reason}") from reason
+    unlisted = [path for path in present if path not in listed]
+    if not (listed or unlisted):
+        raise BagReadError(f"{bag}: not a bag, there is no .mcap file in it")
+    return _BagFiles((*listed, *unlisted), metadata, error, tuple(unlisted))
+
+
+def _by_number(path: Path) -> tuple[int, str]:
+    match = _NUMBER.search(path.stem)
+    return (int(match[1]) if match else -1, path.name)

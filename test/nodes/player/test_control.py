@@ -14,7 +14,7 @@ from player.bags import regular, texts, write_bag
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from tsobs_ros.nodes.player.pacing import SubscriberGate
+from tsobs_ros.nodes.player.node import SubscriberGate
 
 Play = Callable[..., Any]
 S = 10**9

@@ -9,24 +9,23 @@ means: services to pause and to step, named as those of rosbag2's player, and th
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from tsobs_ros.bag.playback import Event, Playback
-from tsobs_ros.bag.read_ahead import BagSource
+from tsobs_ros.bag.playback import BagSource, Event, Playback
 from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.errors import BagReadError, ParameterError, printable
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher, set_stamp
-from tsobs_ros.nodes.player.pacing import Pacer, SubscriberGate
 from tsobs_ros.nodes.player.parameters import CLOCK, PlayerParameters
 from tsobs_ros.nodes.player.topics import PlayedTopics
 
@@ -40,6 +39,11 @@ _MAX_BURST = 5_000_000
 _WAIT_POLL = 10_000_000
 _ACKNOWLEDGE_TIMEOUT = 5_000_000_000
 _WARN_EVERY = 5.0
+# Longest wait, after which a change is noticed without a call of `wake` [ns].
+_MAX_WAIT = 50_000_000
+# A best-effort subscriber receives nothing before it has matched the publisher too, and others may
+# be discovered at the same time [ns].
+_SETTLING = 200_000_000
 
 
 class Player(ManagedNode[PlayerParameters]):
@@ -330,3 +334,102 @@ class Player(ManagedNode[PlayerParameters]):
 def create(**node_kwargs: Any) -> Player:
     """Return a player, ready to be spun; the arguments are those of `Player`."""
     return Player(**node_kwargs)
+
+
+class Pacer:
+    """Calls back when the callback asked for it, from `start` until `stop`.
+
+    `runtime.run` takes these ticks over as it does a `Ticker`'s: it sleeps until the next one,
+    which is some 60 µs late, while an rclpy timer costs 200 µs of executor each.
+
+    Args:
+        node: The node it belongs to; its clock does not matter, time is steady.
+        callback: What to do; returns how long to wait before it is called again [ns].
+    """
+
+    def __init__(self, node: Node, callback: Callable[[], int]) -> None:
+        self._callback = callback
+        self._running = False
+        self._taken_over = False
+        self._timer = node.create_timer(
+            _MAX_WAIT * 1e-9,
+            self._tick,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+            autostart=False,
+        )
+        self._timer.cancel()
+
+    @property
+    def may_be_taken_over(self) -> bool:
+        """Whether there are ticks."""
+        return self._running
+
+    def start(self) -> None:
+        """Start to tick, at once."""
+        self._running = True
+        self.wake()
+
+    def stop(self) -> None:
+        """Stop ticking, until the next `start`."""
+        self._running = self._taken_over = False
+        self._timer.cancel()
+
+    def wake(self) -> None:
+        """Tick at once, as the next due time has changed."""
+        if self._running and not self._taken_over:
+            self._schedule(0)
+
+    def take_over(self) -> None:
+        """Stop the timer; from now on `run_if_due` ticks."""
+        if not self._taken_over:
+            self._taken_over = True
+            self._timer.cancel()
+
+    def give_back(self) -> None:
+        """Let the timer tick again."""
+        if self._taken_over:
+            self._taken_over = False
+            self.wake()
+
+    def run_if_due(self) -> int:
+        """Do what is due, and return the time until more is [ns]."""
+        return self._callback()
+
+    def _tick(self) -> None:
+        wait = self._callback()
+        if self._running and not self._taken_over:
+            self._schedule(wait)
+
+    def _schedule(self, wait: int) -> None:
+        self._timer.timer_period_ns = min(max(wait, 1), _MAX_WAIT)
+        self._timer.reset()
+
+
+class SubscriberGate:
+    """Opens once enough subscribers are there and no more come, or after a timeout.
+
+    Args:
+        wanted: Subscribers to wait for; 0 opens at once.
+        timeout: Longest wait [s]; 0: no limit.
+        now: Steady time at the start [ns].
+
+    Attributes:
+        is_open: Whether it has opened; it stays open.
+        timed_out: Whether it has opened without enough subscribers.
+    """
+
+    def __init__(self, wanted: int, timeout: float, now: int) -> None:
+        self.is_open = wanted == 0
+        self.timed_out = False
+        self._wanted = wanted
+        self._deadline = now + round(timeout * 1e9) if timeout else None
+        self._there, self._since = 0, now
+
+    def look(self, there: int, now: int) -> None:
+        """Take in the number of subscribers at a steady time [ns]."""
+        if there != self._there:
+            self._there, self._since = there, now
+        enough = there >= self._wanted
+        over = self._deadline is not None and now >= self._deadline
+        self.timed_out = over and not enough
+        self.is_open = over or (enough and now - self._since >= _SETTLING)

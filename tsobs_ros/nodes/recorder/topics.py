@@ -11,13 +11,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.losses import LossCounter
 from tsobs_ros.bag.metadata import QosProfile, QosTime
 from tsobs_ros.bag.recording import Latch
 from tsobs_ros.errors import BagWriteError, NodeError
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import message_class
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
+from tsobs_ros.nodes.recorder.status import LossCounter
 
 # The number of a topic's publishers shows that one came, but not that one took another's place.
 _POLLS_PER_FULL_LOOK = 10
