@@ -11,66 +11,46 @@ from player.bags import LATCHED, MS, START, STRING, Entry, data_of, regular, tex
 from rclpy.parameter import Parameter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from std_srvs.srv import Trigger
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.nodes.recorder import Recorder
 from tsobs_ros.nodes.recorder import create as create_recorder
 
 Play = Callable[..., Any]
 
 
-def test_topics_are_played_in_order_of_log_time(play: Play, listener: Any, tmp_path: Path) -> None:
-    entries = [*regular(20), Entry("/b", 55, "b0"), Entry("/b", 155, "b1"), Entry("/b", 155, "b2")]
-    bag = write_bag(tmp_path / "bag", entries)
-    listener.listen("/a", "/b")
-    listener.hear_out(play(bag, wait_for_subscribers=2))
-
-    heard = [said for _, said in sorted(zip(listener.sent, listener.heard, strict=True))]
-    expected = sorted(entries, key=lambda entry: entry.at)
-    assert heard == [(entry.topic, entry.text) for entry in expected]
-
-
 @pytest.mark.parametrize("make", ["split", "file", "rosbag2"])
-def test_any_kind_of_bag_is_played(
-    ros: Any, play: Play, listener: Any, tmp_path: Path, make: str
+def test_any_kind_of_bag_is_played_in_order_of_log_time(
+    play: Play, listener: Any, tmp_path: Path, make: str
 ) -> None:
     bag = tmp_path / "bag"
+    entries = [*regular(20), Entry("/b", 55, "b0"), Entry("/b", 155, "b1"), Entry("/b", 155, "b2")]
+    entries.sort(key=lambda entry: entry.at)
     if make == "rosbag2":
         store = get_typestore(Stores.ROS2_JAZZY)
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            connection = writer.add_connection("/a", STRING, typestore=store)
-            for entry in regular(20):
-                writer.write(connection, START + int(entry.at * MS), data_of(entry.text))
+            connections = {
+                t: writer.add_connection(t, STRING, typestore=store) for t in ("/a", "/b")
+            }
+            for entry in entries:
+                time = START + int(entry.at * MS)
+                writer.write(connections[entry.topic], time, data_of(entry.text))
     else:
-        write_bag(bag, regular(20), max_duration_ns=45 * MS if make == "split" else 0)
+        write_bag(bag, entries, max_duration_ns=45 * MS if make == "split" else 0)
         assert len(list(bag.glob("*.mcap"))) == (4 if make == "split" else 1)
-    listener.listen("/a")
-    player = play(bag / "bag_0.mcap" if make == "file" else bag, rate=10.0)
-    listener.hear_out(player)
+    listener.listen("/a", "/b")
+    path = bag / "bag_0.mcap" if make == "file" else bag
+    listener.hear_out(play(path, wait_for_subscribers=2))
 
-    assert listener.texts() == texts(0, 20)
-
-
-@pytest.fixture
-def record(ros: Any, tmp_path: Path) -> Callable[..., Recorder]:
-    """Give what starts recorders of some topics."""
-
-    def start(name: str, *topics: str) -> Recorder:
-        values = {"output": str(tmp_path / name), "topics": list(topics)}
-        overrides = [Parameter(key, value=value) for key, value in values.items()]
-        return ros.add(create_recorder(context=ros.context, parameter_overrides=overrides))
-
-    return start
+    heard = [said for _, said in sorted(zip(listener.sent, listener.heard, strict=True))]
+    assert heard == [(entry.topic, entry.text) for entry in entries]
 
 
 def test_what_was_recorded_played_and_recorded_again_is_the_same(
-    ros: Any, play: Play, record: Callable[..., Recorder], tmp_path: Path
+    ros: Any, play: Play, tmp_path: Path
 ) -> None:
-    offers = {
-        "/latched": [LATCHED],
-        "/best_effort": [QosProfile(reliability="best_effort")],
-    }
+    offers = {"/latched": [LATCHED], "/best_effort": [QosProfile(reliability="best_effort")]}
     entries = [
         Entry("/latched", 0, "the map"),
         *regular(100, 1.0, "/a"),
@@ -79,7 +59,9 @@ def test_what_was_recorded_played_and_recorded_again_is_the_same(
         Entry("/a", 60.5, "Größe θ̂ ≤ 1 😀" * 1000),
     ]
     first = BagReader(write_bag(tmp_path / "first", entries, offers))
-    recorder = record("second", *first.topics)
+    values = {"output": str(tmp_path / "second"), "topics": list(first.topics)}
+    overrides = [Parameter(key, value=value) for key, value in values.items()]
+    recorder = ros.add(create_recorder(context=ros.context, parameter_overrides=overrides))
     player = play(first.path, wait_for_subscribers=3)
     ros.spin_until(lambda: player.finished, what="the end")
     ros.spin_until(
@@ -120,28 +102,19 @@ def test_topics_are_selected(
 @pytest.mark.parametrize(
     ("definition", "reason"),
     [
-        (
-            MessageDefinition("no_such_msgs/msg/Thing", "int32 x\n", ""),
-            "no_such_msgs/msg/Thing is not installed",
-        ),
-        (MessageDefinition("os/path/join", "int32 x\n", ""), "'os/path/join' is not a message"),
-        (
-            MessageDefinition("std_msgs/msg/Nothing", "int32 x\n", ""),
-            "the Python module of std_msgs",
-        ),
-        (
-            find_definition(STRING)._replace(type_hash="RIHS01_" + "0" * 64),
-            "another definition of std_msgs/msg/String",
-        ),
+        (MessageDefinition("no_such_msgs/msg/Thing", "int32 x\n", ""),
+         "no_such_msgs/msg/Thing is not installed"),
+        (MessageDefinition("std_msgs/msg/Nothing", "int32 x\n", ""),
+         "the Python module of std_msgs"),
+        (find_definition(STRING)._replace(type_hash="RIHS01_" + "0" * 64),
+         "another definition of std_msgs/msg/String"),
         (MessageDefinition("std_srvs/srv/Trigger", "", ""), "it cannot be published"),
-        (
-            MessageDefinition("a\x1b[31m\x07/msg/B", "", ""),
-            r"'a\x1b[31m\x07/msg/B' is not a message",
-        ),
+        (MessageDefinition("a\x1b[31m\x07/msg/B", "", ""),
+         r"'a\x1b[31m\x07/msg/B' is not a message"),
     ],
-    ids=["package", "name", "type", "hash", "service", "escapes"],
-)
-def test_what_cannot_be_published_is_left_out_and_said(
+    ids=["package", "name", "hash", "service", "escapes"],
+)  # fmt: skip
+def test_what_cannot_be_published_is_left_out_with_a_warning(
     ros: Any, play: Play, listener: Any, tmp_path: Path, capfd: Any,
     definition: MessageDefinition, reason: str,
 ) -> None:  # fmt: skip
@@ -163,8 +136,6 @@ def test_what_cannot_be_published_is_left_out_and_said(
 
 
 def test_services_events_are_played(ros: Any, play: Play, tmp_path: Path) -> None:
-    from std_srvs.srv import Trigger
-
     definition = MessageDefinition("std_srvs/srv/Trigger_Event", "", "")
     event = b"\0\1\0\0" + bytes(44)
     with BagWriter(tmp_path / "bag") as writer:

@@ -3,6 +3,7 @@
 """Topics are offered as they were recorded, and nothing latched is missed."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,49 +20,34 @@ BEST_EFFORT = QosProfile(reliability="best_effort")
 LATE = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def offered(*profiles: QosProfile) -> tuple[str, str, int]:
-    qos = offered_qos(profiles, 1000)
-    assert qos.history.name == "KEEP_LAST"
-    return qos.reliability.name.lower(), qos.durability.name.lower(), qos.depth
+RELIABLE = ("reliable", "volatile", 1000)
 
 
 @pytest.mark.parametrize(
     ("profiles", "expected"),
     [
-        ([], ("reliable", "volatile", 1000)),
-        ([QosProfile()], ("reliable", "volatile", 1000)),
+        ([], RELIABLE),
+        ([QosProfile()], RELIABLE),
         ([BEST_EFFORT, BEST_EFFORT], ("best_effort", "volatile", 1000)),
-        ([BEST_EFFORT, QosProfile()], ("reliable", "volatile", 1000)),
-        ([LATCHED, QosProfile()], ("reliable", "volatile", 1000)),
+        ([BEST_EFFORT, QosProfile()], RELIABLE),
+        ([LATCHED, QosProfile()], RELIABLE),
         # Each of them may have latched as many as a default publisher keeps.
         ([LATCHED], ("reliable", "transient_local", 10)),
         ([LATCHED] * 3, ("reliable", "transient_local", 30)),
-        (
-            [
-                QosProfile(history="keep_last", depth=d, durability="transient_local")
-                for d in (1, 4)
-            ],
-            ("reliable", "transient_local", 5),
-        ),
-        (
-            [QosProfile(history="keep_all", durability="transient_local")],
-            ("reliable", "transient_local", 1000),
-        ),
-        ([QosProfile(history="keep_last", depth=1)], ("reliable", "volatile", 1000)),
-        (
-            [QosProfile(reliability="best_available", durability="unknown")],
-            ("reliable", "volatile", 1000),
-        ),
-        (
-            [QosProfile(reliability="system_default", liveliness="manual_by_node")],
-            ("reliable", "volatile", 1000),
-        ),
+        ([replace(LATCHED, history="keep_last", depth=d) for d in (1, 4)],
+         ("reliable", "transient_local", 5)),
+        ([replace(LATCHED, history="keep_all")], ("reliable", "transient_local", 1000)),
+        ([QosProfile(history="keep_last", depth=1)], RELIABLE),
+        ([QosProfile(reliability="best_available", durability="unknown")], RELIABLE),
+        ([QosProfile(reliability="system_default", liveliness="manual_by_node")], RELIABLE),
     ],
-)
+)  # fmt: skip
 def test_what_all_publishers_offered_is_offered(
     profiles: list[QosProfile], expected: tuple[str, str, int]
 ) -> None:
-    assert offered(*profiles) == expected
+    qos = offered_qos(tuple(profiles), 1000)
+    assert qos.history.name == "KEEP_LAST"
+    assert (qos.reliability.name.lower(), qos.durability.name.lower(), qos.depth) == expected
 
 
 def test_times_of_a_profile_are_kept(ros: Any, play: Play, tmp_path: Path) -> None:
@@ -95,13 +81,17 @@ def latched_bag(tmp_path: Path) -> Path:
     return write_bag(tmp_path / "bag", [*entries, *regular(10)], offers)
 
 
-def test_what_was_latched_before_the_start_is_published_first(
+def test_what_was_latched_before_the_start_is_published_first_even_in_a_pause(
     ros: Any, play: Play, listener: Any, latched_bag: Path
 ) -> None:
-    listener.listen("/latched", "/a")
-    player = play(latched_bag, start_offset=0.05, wait_for_subscribers=2)
-    listener.hear_out(player)
+    player = play(latched_bag, start_paused=True, start_offset=0.05)
+    ros.spin_until(lambda: player.messages == 1, what="the latched message's publication")
+    listener.listen("/latched", qos=LATE)  # late subscribers get what is latched, too
+    ros.spin_until(lambda: listener.texts("/latched") == ["l20"], what="the latched message")
 
+    listener.listen("/a")
+    player.resume()
+    listener.hear_out(player)
     assert listener.texts("/latched") == ["l20", "l60"]
     assert listener.texts("/a") == texts(5, 10)
 
@@ -120,18 +110,6 @@ def test_what_was_latched_before_a_seek_is_published_at_once_even_in_a_pause(
     assert player.step() == (True, "/a at 0.070 s")  # first what is latched, then the step
     ros.spin_until(lambda: listener.texts("/a") == ["a7"], what="the step")
     ros.spin_until(lambda: listener.texts("/latched") == ["l60"] * 2, what="the latest again")
-
-
-def test_late_subscribers_get_what_is_latched(
-    ros: Any, play: Play, listener: Any, latched_bag: Path
-) -> None:
-    player = play(latched_bag, start_paused=True, start_offset=0.05)
-    ros.spin_until(lambda: player.messages == 1, what="the latched message's publication")
-
-    listener.listen("/latched", qos=LATE)
-
-    ros.spin_until(lambda: bool(listener.heard), what="the latched message")
-    assert listener.heard == [("/latched", "l20")]
 
 
 @pytest.mark.parametrize("reliability", ["reliable", "best_effort"])

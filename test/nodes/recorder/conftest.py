@@ -8,8 +8,11 @@ from typing import Any
 
 import pytest
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
+from tsobs_ros.bag import BagReader
 from tsobs_ros.nodes.recorder import Recorder, create
 
 
@@ -19,9 +22,10 @@ class Recording:
     def __init__(self, ros: Any, folder: Path) -> None:
         self._ros = ros
         self._folder = folder
+        self._publishers: dict[str, Any] = {}
 
     def start(self, namespace: str | None = None, **parameters: Any) -> Recorder:
-        """Start a recorder with parameters, to `tmp_path/bag` unless told otherwise."""
+        """Start a recorder with parameters, to `tmp_path/bag` unless they name another bag."""
         values = {"output": str(self._folder / "bag"), **parameters}
         overrides = [Parameter(name, value=value) for name, value in values.items()]
         return self._ros.add(
@@ -29,14 +33,24 @@ class Recording:
         )
 
     def publish(self, recorder: Recorder, publisher: Any, messages: Sequence[Any]) -> None:
-        """Publish once the recorder is matched, and wait until all is recorded."""
-        spin_until = self._ros.spin_until
-        spin_until(lambda: recorder.ready, what="the recorder's subscription")
-        spin_until(lambda: publisher.get_subscription_count() > 0, what="the publisher's match")
+        """Publish once the publisher is matched, and wait until all is recorded or discarded."""
+        topic = publisher.topic_name
+
+        def taken() -> int:
+            return self.count(recorder, topic) + recorder.statistics.discarded
+
+        self._ros.spin_until(lambda: publisher.get_subscription_count() > 0, what="the match")
+        expected = taken() + len(messages)
         for message in messages:
             publisher.publish(message)
-        topic = publisher.topic_name
-        spin_until(lambda: self.count(recorder, topic) >= len(messages), what="the recording")
+        self._ros.spin_until(lambda: taken() >= expected, what=f"the messages on {topic}")
+
+    def say(self, recorder: Recorder, topic: str, *texts: str, qos: Any = 100) -> None:
+        """Publish texts as `publish` does, from a node for this topic."""
+        if topic not in self._publishers:
+            node = self._ros.node(f"source_of_{topic}")
+            self._publishers[topic] = node.create_publisher(String, topic, qos)
+        self.publish(recorder, self._publishers[topic], [String(data=text) for text in texts])
 
     @staticmethod
     def count(recorder: Recorder, topic: str) -> int:
@@ -48,6 +62,11 @@ class Recording:
     def joint_states(count: int) -> list[JointState]:
         """Return messages that differ from each other."""
         return [JointState(name=[f"joint_{i}"], position=[float(i)]) for i in range(count)]
+
+    @staticmethod
+    def texts(path: Path) -> list[str]:
+        """Return the texts of a bag of Strings."""
+        return [deserialize_message(m.data, String).data for m in BagReader(path).messages()]
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the recorder writes is what was published, as independent readers see it."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -32,17 +31,6 @@ AWKWARD_MESSAGES: list[tuple[type, list[Any]]] = [
 ]
 
 
-@pytest.fixture(params=AWKWARD_MESSAGES, ids=lambda param: param[0].__name__)
-def published(request, ros, recording) -> tuple[Path, list[Any]]:
-    """Give a closed bag and the messages that were published while it was recorded."""
-    msg_type, messages = request.param
-    recorder = recording.start(topics=["topic"], compression="zstd")
-    publisher = ros.node("source").create_publisher(msg_type, "topic", QoSProfile(depth=100))
-    recording.publish(recorder, publisher, messages)
-    recorder.close()
-    return recorder.path, messages
-
-
 def fields(message: Any, like: Any) -> Any:
     """Read a message of any library as nested plain values, by the fields of the ROS message."""
     if hasattr(like, "get_fields_and_field_types"):
@@ -57,8 +45,15 @@ def fields(message: Any, like: Any) -> Any:
     return [fields(item, like[0]) for item in message]
 
 
-def test_every_reader_reads_what_was_published(published: tuple[Path, list[Any]]) -> None:
-    path, messages = published
+@pytest.mark.parametrize(("msg_type", "messages"), AWKWARD_MESSAGES)
+def test_every_reader_reads_what_was_published(
+    ros, recording, msg_type: type, messages: list[Any]
+) -> None:
+    recorder = recording.start(topics=["topic"], compression="zstd")
+    publisher = ros.node("source").create_publisher(msg_type, "topic", QoSProfile(depth=100))
+    recording.publish(recorder, publisher, messages)
+    recorder.close()
+    path = recorder.path
     expected = [fields(message, message) for message in messages]
     with AnyReader([path]) as reader:
         read = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()]
@@ -67,10 +62,7 @@ def test_every_reader_reads_what_was_published(published: tuple[Path, list[Any]]
         made = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)
         read = [item.decoded_message for item in made.iter_decoded_messages()]
     assert [fields(m, p) for m, p in zip(read, messages, strict=True)] == expected
-    rclpy_read = [
-        deserialize_message(m.data, type(messages[0])) for m in BagReader(path).messages()
-    ]
-    assert rclpy_read == messages
+    assert [deserialize_message(m.data, msg_type) for m in BagReader(path).messages()] == messages
 
 
 def test_times_qos_and_type_hash_are_those_of_the_publisher(ros, recording) -> None:
@@ -78,6 +70,7 @@ def test_times_qos_and_type_hash_are_those_of_the_publisher(ros, recording) -> N
     node = ros.node("source")
     qos = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
     publisher = node.create_publisher(JointState, "joints", qos)
+    ros.spin_until(lambda: recorder.ready, what="the recorder's match")
     before = node.get_clock().now().nanoseconds
     recording.publish(recorder, publisher, recording.joint_states(50))
     after = node.get_clock().now().nanoseconds

@@ -13,7 +13,6 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from rclpy.parameter import Parameter
-from rclpy.parameter_client import AsyncParameterClient
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
@@ -64,15 +63,42 @@ def test_closing_records_what_has_arrived(ros, recording, capfd) -> None:
     recorder.close()
     recorder.close()
 
-    assert texts(recorder.path) == TEXTS
+    assert recording.texts(recorder.path) == TEXTS
     lines = capfd.readouterr().err
     assert lines.count(f"closing {recorder.path}: 150 messages of 1 topics, 0 lost\n") == 1
     assert lines.count(f"recording to {recorder.path}") == 1
     assert lines.count("recording /joints [std_msgs/msg/String]") == 1
 
 
-def texts(path: Path) -> list[str]:
-    return [deserialize_message(m.data, String).data for m in BagReader(path).messages()]
+def test_a_disk_that_gets_too_full_ends_the_recording_with_a_closed_bag(
+    ros, recording, capfd
+) -> None:
+    recorder = recording.start(topics=["a"])
+    recording.say(recorder, "a", "in time")
+    recorder.set_parameters([Parameter("minimum_free_disk", value=10**9)])
+    ros.spin_until(lambda: recorder.finished, what="the end")
+    assert "MiB free): recording ends here" in capfd.readouterr().err
+    assert recording.texts(recorder.path) == ["in time"]
+
+
+@pytest.fixture
+def started(ros, ros_process, tmp_path: Path) -> Callable[..., tuple[Any, Any]]:
+    """Start a recorder of /a as a process, and what publishes texts to it."""
+
+    def start(prefix: tuple[str, ...] = (), **parameters: Any) -> tuple[Any, Callable[..., None]]:
+        values = {"output": str(tmp_path / "bag"), "topics": ["a"], **parameters}
+        process = ros_process("recorder", parameters=values, prefix=prefix)
+        publisher = ros.node("source").create_publisher(String, "a", 200)
+        ros.spin_until(lambda: publisher.get_subscription_count() == 1, 30.0, what="the match")
+
+        def say(*said: str) -> None:
+            for text in said:
+                publisher.publish(String(data=text))
+            publisher.wait_for_all_acked()
+
+        return process, say
+
+    return start
 
 
 def unfinished_texts(path: Path) -> list[str]:
@@ -85,28 +111,11 @@ def unfinished_texts(path: Path) -> list[str]:
     return stored
 
 
-@pytest.fixture
-def started(ros, ros_process, tmp_path: Path) -> Callable[..., tuple[Any, Any]]:
-    """Start a recorder of /a as a process, and what publishes texts to it."""
-
-    def start(prefix: tuple[str, ...] = (), **parameters: Any) -> tuple[Any, Callable[..., None]]:
-        values = {"output": str(tmp_path / "bag"), "topics": ["a"], **parameters}
-        process = ros_process("recorder", parameters=values, prefix=prefix)
-        publisher = ros.node("source").create_publisher(String, "a", 200)
-        ros.spin_until(lambda: publisher.get_subscription_count() == 1, 20.0, what="the match")
-
-        def say(*said: str) -> None:
-            for text in said:
-                publisher.publish(String(data=text))
-            publisher.wait_for_all_acked()
-
-        return process, say
-
-    return start
-
-
-def test_what_was_flushed_survives_a_kill(ros, started, tmp_path: Path) -> None:
-    process, say = started(flush_period=0.2)
+def test_nohup_ignores_a_closed_terminal_and_what_was_flushed_survives_a_kill(
+    ros, started, tmp_path: Path
+) -> None:
+    process, say = started(prefix=("nohup",), flush_period=0.2)
+    process.signal(signal.SIGHUP)
     say(*TEXTS)
     # Far less than a chunk, and nothing follows: only the timer can have flushed it.
     file = tmp_path / "bag" / "bag_0.mcap"
@@ -119,30 +128,19 @@ def test_what_was_flushed_survives_a_kill(ros, started, tmp_path: Path) -> None:
         BagReader(tmp_path / "bag")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_closes_the_bag(started, tmp_path: Path, number: int) -> None:
+def test_a_closed_terminal_closes_the_bag(started, recording, tmp_path: Path) -> None:
     process, say = started()
     say(*TEXTS)
-    process.signal(number)
+    process.signal(signal.SIGHUP)  # SIGINT and SIGTERM: test_processes
     finished = process.finish()
 
     assert finished.exit_code == 0
     assert "Traceback" not in finished.stderr
-    assert texts(tmp_path / "bag") == TEXTS
-
-
-def test_under_nohup_a_closed_terminal_is_ignored(ros, started, tmp_path: Path) -> None:
-    process, say = started(prefix=("nohup",), flush_period=0.05)
-    process.signal(signal.SIGHUP)
-    file = tmp_path / "bag" / "bag_0.mcap"
-    say("after it")
-    ros.spin_until(lambda: unfinished_texts(file) == ["after it"], what="the recording")
-    process.signal(signal.SIGTERM)
-    assert process.finish().exit_code == 0
+    assert recording.texts(tmp_path / "bag") == TEXTS
 
 
 def test_a_disk_that_fails_ends_the_process_and_keeps_what_was_written(
-    started, tmp_path: Path
+    started, recording, tmp_path: Path
 ) -> None:
     bag = tmp_path / "bag"
     limited = ("bash", "-c", f'ulimit -f {LIMIT_KIB}; exec "$@"', "bash")
@@ -159,22 +157,6 @@ def test_a_disk_that_fails_ends_the_process_and_keeps_what_was_written(
     )
     assert "Traceback" not in finished.stderr
     recover(bag, tmp_path / "recovered")
-    stored = texts(tmp_path / "recovered")
+    stored = recording.texts(tmp_path / "recovered")
     assert len(stored) >= 1
     assert stored == said[: len(stored)]
-
-
-def test_a_disk_that_gets_too_full_ends_the_process_with_a_closed_bag(
-    ros, started, tmp_path: Path
-) -> None:
-    process, say = started()
-    say("in time")
-    client = AsyncParameterClient(ros.node("operator"), "recorder")
-    ros.spin_until(client.services_are_ready, what="the parameter services")
-    # The end of the process tells that this has arrived; its answer may be lost with the process.
-    client.set_parameters([Parameter("minimum_free_disk", value=10**9)])
-    finished = process.finish()
-    assert finished.exit_code == 0
-    assert "MiB free): recording ends here" in finished.stderr
-    assert "Traceback" not in finished.stderr
-    assert texts(tmp_path / "bag") == ["in time"]

@@ -14,31 +14,24 @@ from tsobs_ros.bag.estimate_topics import PARAMETER_TOPICS, TOPICS
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
-ROOT = Path(__file__).parents[3]
-CONFIG = ROOT / "config" / "recorder.yaml"
+CONFIG = Path(__file__).parents[3] / "config" / "recorder.yaml"
 
 
-def shipped() -> RecorderParameters:
+def test_the_shipped_file_has_every_parameter_and_selects_the_topics_of_the_readme() -> None:
     values = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
-    return RecorderParameters(
+    assert values.keys() == {field.name for field in fields(RecorderParameters)}
+    shipped = RecorderParameters(
         **{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
     )
-
-
-def test_the_shipped_file_has_every_parameter_and_its_default_but_for_the_selection() -> None:
-    names = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"].keys()
-    assert names == {field.name for field in fields(RecorderParameters)}
-    assert replace(shipped(), topics=(), regex="") == RecorderParameters()
-
-
-def test_the_shipped_file_selects_all_topics_and_awaits_only_those_that_always_come() -> None:
-    selection = shipped().resolved(full, full)
+    assert replace(shipped, topics=(), regex="") == RecorderParameters()
+    selection = shipped.resolved(full, full)
     estimates = [f"/arm/observer/{n}" for n in (*TOPICS, *PARAMETER_TOPICS)]
     others = ("joint_measurements", "joint_torque_command", "ground_truth/joint_states",
               "ground_truth/disturbance", "/diagnostics")  # fmt: skip
     topics = [*estimates, *map(full, others)]
     assert [topic for topic in topics if not selection.wants(topic, [])] == []
     assert not selection.wants("/arm/camera", [])
+    # It awaits only those that always come.
     assert not {*topics[-4:-1], estimates[1], *estimates[-2:]} & set(selection.listed())
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics say the worst there is to say, and give all counts."""
+"""Diagnostics report the worst there is, and all counts; losses are exact or unknown."""
 
 from typing import Any
 
@@ -90,29 +90,28 @@ def test_all_counts_are_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ("topics", "level", "message"),
+    ("topics", "level", "message", "unknown"),
     [
-        ({}, Level.OK, "nothing lost"),
-        ({"/a": GOOD, "/u": UNKNOWN._replace(lost=0)}, Level.OK, "losses unknown of /u"),
-        ({"/u": UNKNOWN, "/l": LOSSY, "/a": GOOD}, Level.WARN, "messages lost of /l, /u"),
+        ({}, Level.OK, "nothing lost", ""),
+        ({"/a": GOOD, "/u": UNKNOWN._replace(lost=0)}, Level.OK, "losses unknown of /u", "/u"),
+        ({"/u": UNKNOWN, "/l": LOSSY, "/v": UNKNOWN._replace(lost=0)}, Level.WARN,
+         "messages lost of /l, /u", "/u, /v"),
     ],
-)
-def test_topics_are_told_apart(
-    topics: dict[str, TopicStatistics], level: Level, message: str
+)  # fmt: skip
+def test_topics_are_reported_one_by_one(
+    topics: dict[str, TopicStatistics], level: Level, message: str, unknown: str
 ) -> None:
-    _, status = statuses(state(topics=topics))
-    assert (status.name, status.level, status.message) == ("topics", level, message)
-
-
-def test_a_topics_losses_are_said_to_be_unknown_where_they_are() -> None:
-    topics = {"/u": UNKNOWN, "/l": LOSSY, "/v": UNKNOWN._replace(lost=0)}
     recording, status = statuses(state(topics=topics))
-    assert status.values == {
+    assert (status.name, status.level, status.message) == ("topics", level, message)
+    assert recording.values["losses unknown of"] == unknown
+    texts = {
+        "/a": "100 messages, 0 lost",
         "/l": "90 messages, 3 lost",
-        "/u": "5 messages, at least 1 lost",
+        "/u": "5 messages, at least 1 lost" if topics.get("/u") == UNKNOWN
+        else "5 messages, losses unknown",
         "/v": "5 messages, losses unknown",
-    }
-    assert recording.values["losses unknown of"] == "/u, /v"
+    }  # fmt: skip
+    assert status.values == {name: texts[name] for name in topics}
 
 
 A, B = b"a", b"b"
@@ -145,20 +144,25 @@ def test_what_is_missing_of_publishers_that_follow_each_other_is_lost(
     assert counted(*(step for pair in steps for step in (pair, gone))) == (expected, True)
 
 
-def test_a_publisher_that_restarts_between_two_looks_is_neither_lost_nor_hides_a_loss() -> None:
-    assert counted((A, [5, 6, 9]), (B, [12, 1, 2, 5])) == (2 + 2, False)
-    assert counted((A, [5, 6, 9]), (B, [1, 2, 5])) == (2 + 2, True)
-    assert counted((A, [5, 6, 9]), (b"", [11])) == (2 + 1, True)
-
-
-def test_several_publishers_make_losses_unknown_and_are_not_counted() -> None:
-    assert counted((AB, [1, 2, 3])) == (0, False)
-    assert counted((A, [100]), (AB, [1, 101, 2, 102])) == (0, False)
-    # One came and went before it could be seen.
-    assert counted((A, [100]), (A, [1, 101, 102])) == (0, False)
-    # One is killed and still announced when the next one has come: counted again when it is gone.
-    assert counted((A, [100, 102]), (AB, [1, 3]), (B, [4, 7, 9])) == (1 + 3, False)
-
-
-def test_a_middleware_without_numbers_is_admitted() -> None:
-    assert counted((A, [None, None])) == (0, False)
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        # A publisher that restarts between two looks is neither lost nor hides a loss.
+        ([(A, [5, 6, 9]), (B, [12, 1, 2, 5])], (2 + 2, False)),
+        ([(A, [5, 6, 9]), (B, [1, 2, 5])], (2 + 2, True)),
+        ([(A, [5, 6, 9]), (b"", [11])], (2 + 1, True)),
+        # Several make losses unknown and are not counted.
+        ([(AB, [1, 2, 3])], (0, False)),
+        ([(A, [100]), (AB, [1, 101, 2, 102])], (0, False)),
+        # One came and went before it could be seen.
+        ([(A, [100]), (A, [1, 101, 102])], (0, False)),
+        # One is killed and still announced when the next one has come.
+        ([(A, [100, 102]), (AB, [1, 3]), (B, [4, 7, 9])], (1 + 3, False)),
+        # The middleware gives no numbers.
+        ([(A, [None, None])], (0, False)),
+    ],
+)
+def test_losses_are_exact_while_there_is_one_publisher(
+    steps: list[tuple[bytes, list[int | None]]], expected: tuple[int, bool]
+) -> None:
+    assert counted(*steps) == expected

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The recorder finds its topics, and tells what it has of them and what it lacks."""
+"""The recorder finds its topics, and reports what it has of them and what it lacks."""
 
 import sys
 from collections.abc import Iterator
@@ -26,49 +26,44 @@ from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.verification import verify
 
 
-def test_a_latched_message_from_before_the_recording_is_recorded(ros, recording) -> None:
+def test_latched_messages_from_before_and_late_publishers_are_recorded(ros, recording) -> None:
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    publisher = ros.node("source").create_publisher(String, "description", latched)
+    node = ros.node("source", namespace="/arm")
+    publisher = node.create_publisher(String, "description", latched)
     publisher.publish(String(data="said before"))
-
-    recorder = recording.start(topics=["description"])
+    recorder = recording.start(namespace="/arm", topics=["description", "late"])
     ros.spin_until(
-        lambda: recording.count(recorder, "/description") == 1, what="the latched message"
+        lambda: recording.count(recorder, "/arm/description") == 1, what="the latched message"
     )
-
-
-def test_a_publisher_that_comes_late_is_recorded(ros, recording) -> None:
-    recorder = recording.start(topics=["early", "late"])
-    node = ros.node("source")
-    publish_early = node.create_publisher(String, "early", 10)
-    ros.spin_until(lambda: "/early" in recorder.statistics.topics, what="the early topic")
     assert not recorder.ready
 
     late = node.create_publisher(String, "late", 10)
     recording.publish(recorder, late, [String(data="hello")])
     assert recorder.ready
-    assert publish_early.get_subscription_count() == 1
+    assert publisher.get_subscription_count() == 1
 
 
-def test_relative_names_are_in_the_recorders_namespace(ros, recording) -> None:
-    recorder = recording.start(namespace="/arm", topics=["joints"])
-    publisher = ros.node("source", namespace="/arm").create_publisher(JointState, "joints", 10)
-    recording.publish(recorder, publisher, recording.joint_states(1))
-    assert set(recorder.statistics.topics) == {"/arm/joints"}
-
-
-@pytest.mark.parametrize("parameters", [{}, {"topics": ["*"]}, {"topics": ["x"], "all": True}])
-def test_all_visible_topics_are_recorded(ros, recording, parameters) -> None:
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({}, {"/visible", "/diagnostics"}),
+        ({"all": True, "include_hidden": True, "exclude_topics": ["/diagnostics"]},
+         {"/visible", "/_hidden"}),
+        ({"topics": ["_hidden"]}, {"/_hidden"}),
+    ],
+)  # fmt: skip
+def test_the_topics_that_are_asked_for_are_recorded(
+    ros, recording, parameters: dict[str, Any], expected: set[str]
+) -> None:
     recorder = recording.start(**parameters)
     node = ros.node("source")
-    node.create_publisher(String, "_hidden", 10)
-    publisher = node.create_publisher(String, "visible", 10)
-    ros.spin_until(lambda: "/visible" in recorder.statistics.topics, what="the topic")
-    recording.publish(recorder, publisher, [String()])
+    publishers = {f"/{n}": node.create_publisher(String, n, 10) for n in ("visible", "_hidden")}
+    for name in expected & set(publishers):
+        recording.publish(recorder, publishers[name], [String()])
     ros.spin_until(
-        lambda: recording.count(recorder, "/diagnostics") > 0, what="its own diagnostics"
+        lambda: all(recording.count(recorder, name) for name in expected), what="all messages"
     )
-    assert "/_hidden" not in recorder.statistics.topics
+    assert expected == set(recorder.statistics.topics) & {*publishers, "/diagnostics"}
 
 
 def test_an_unknown_type_does_not_stop_the_others(ros, recording, monkeypatch, capfd) -> None:
@@ -111,43 +106,20 @@ def test_types_that_differ_are_reported_until_they_agree(ros, recording, strange
         lambda: len(node.get_publishers_info_by_topic("/chatter")) == 2, what="both publishers"
     )
     recorder = recording.start(topics=["chatter"])
-    errors: list[str] = []
+    log: list[str] = []
 
-    def reported() -> bool:
-        errors.extend(capfd.readouterr().err.splitlines())
-        return any("its publishers disagree about its type: sensor_msgs" in e for e in errors)
+    def warnings(text: str) -> int:
+        log.append(capfd.readouterr().err)
+        return "".join(log).count(text)
 
-    ros.spin_until(reported, what="the warning")
+    disagree, other = "publishers disagree about its type: sensor_msgs", "of node stranger: it is a"
+    ros.spin_until(lambda: warnings(disagree) > 0, what="the first warning")
     stranger.destroy_publisher(odd)
     recording.publish(recorder, publisher, [String(data="heard")])
-
-
-def test_a_late_publisher_of_another_type_is_reported_once(ros, recording, stranger, capfd) -> None:
-    recorder = recording.start(topics=["chatter"])
-    node = ros.node("source")
-    publisher = node.create_publisher(String, "chatter", 10)
-    recording.publish(recorder, publisher, [String(data="heard")])
     stranger.create_publisher(JointState, "chatter", 10)
-    errors: list[str] = []
-
-    def warnings() -> list[str]:
-        errors.extend(capfd.readouterr().err.splitlines())
-        return [e for e in errors if "not recording the /chatter of node stranger: it is" in e]
-
-    ros.spin_until(lambda: bool(warnings()), what="the warning")
+    ros.spin_until(lambda: warnings(other) > 0, what="the second warning")
     recording.publish(recorder, publisher, [String(data="heard")] * 2)
-    assert len(warnings()) == 1
-
-
-def test_what_a_full_queue_drops_is_counted(ros, recording) -> None:
-    recorder = recording.start(topics=["joints"], queue_depth=10)
-    publisher = ros.node("source").create_publisher(JointState, "joints", 100)
-    recording.publish(recorder, publisher, [JointState()])
-    for message in recording.joint_states(60):
-        publisher.publish(message)
-    ros.spin_until(lambda: recording.count(recorder, "/joints") == 11, what="the last ten")
-    assert recorder.statistics.topics["/joints"] == (11, 50, True)
-    assert recorder.statistics.lost == 50
+    assert (warnings(disagree), warnings(other)) == (1, 1)
 
 
 def test_of_two_publishers_losses_are_unknown(ros, recording, capfd) -> None:
@@ -169,7 +141,7 @@ def test_of_two_publishers_losses_are_unknown(ros, recording, capfd) -> None:
     assert closing in capfd.readouterr().err
 
 
-def test_a_publisher_that_restarts_is_no_loss_and_hides_none(ros, recording) -> None:
+def test_what_a_full_queue_drops_is_lost_and_a_restart_hides_none(ros, recording) -> None:
     recorder = recording.start(topics=["joints"], queue_depth=10)
     for restart in range(2):
         source = ros.node(f"source_{restart}")
@@ -186,6 +158,7 @@ def test_a_publisher_that_restarts_is_no_loss_and_hides_none(ros, recording) -> 
         )
         ros.remove(source)
     assert recorder.statistics.topics["/joints"] == (22, 100, True)
+    assert recorder.statistics.lost == 100
 
 
 def test_diagnostics_tell_counts_and_what_is_awaited(ros, recording) -> None:
@@ -263,9 +236,8 @@ def call_an_introspected_service(ros: Any, recorder: Any) -> None:
     ros.spin_until(lambda: recorder.statistics.topics[EVENTS].messages == 2, what="the events")
 
 
-@pytest.mark.parametrize("parameters", [{"services": ["/arm/enable"]}, {"all_services": True}])
-def test_the_events_of_services_are_recorded(ros, recording, parameters: dict[str, Any]) -> None:
-    recorder = recording.start(**parameters)
+def test_the_events_of_services_are_recorded(ros, recording) -> None:
+    recorder = recording.start(services=["/arm/enable"])
     call_an_introspected_service(ros, recorder)
     recorder.close()
 
@@ -287,23 +259,6 @@ def test_the_events_of_services_are_recorded(ros, recording, parameters: dict[st
         ((schema, channel, _), _) = make_reader(stream, validate_crcs=True).iter_messages()
     assert schema.data.decode() == find_definition("std_srvs/srv/SetBool_Event").text
     assert channel.metadata["topic_type_hash"] == find_definition(schema.name).type_hash
-
-
-@pytest.mark.parametrize(
-    "parameters",
-    [{"all": True, "include_hidden": True, "exclude_topics": ["/diagnostics"]},
-     {"topics": ["_hidden"]}],
-)  # fmt: skip
-def test_hidden_topics_are_recorded_if_asked_for(
-    ros, recording, parameters: dict[str, Any]
-) -> None:
-    recorder = recording.start(**parameters)
-    publisher = ros.node("source").create_publisher(String, "_hidden", 10)
-    ros.spin_until(lambda: "/_hidden" in recorder.statistics.topics, what="the topic")
-    recording.publish(recorder, publisher, [String(data="seen")])
-    recorder.close()
-    assert BagReader(recorder.path).topics["/_hidden"].count == 1
-    assert "/diagnostics" not in recorder.statistics.topics
 
 
 def test_a_topic_without_publishers_is_recorded_where_asked_for(ros, recording) -> None:
