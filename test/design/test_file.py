@@ -153,8 +153,8 @@ def test_a_membership_without_a_name_cannot_be_written(
     rules = pendulum_request.model.rule_base
     model = replace(pendulum_request.model, rule_base=replace(rules, rules=((np.ones_like,),) * 2))
     request = replace(pendulum_request, model=model)
-    design = Design(request, np.eye(3), np.zeros((3, 2)), SolverReport("", "", "", 0, 0.0))
-    with pytest.raises(DesignFileError, match=r"a\.yaml: membership of z1: expected a named one"):
+    design = Design(request, np.eye(3), np.zeros((3, 2)), SolverReport())
+    with pytest.raises(DesignFileError, match=r"a\.yaml: membership: expected a named one"):
         save_design(design, tmp_path / "a.yaml")
 
 
@@ -239,7 +239,7 @@ ARM = [
     (("version",), True, "version: expected 1, got True"),
     (("version",), 1.0, "version: expected 1, got 1.0"),
     (("version",), ..., "version: expected 1, got None"),
-    (("notes",), "mine", "unknown entry 'notes', expected some of design, format, version, gain"),
+    (("notes",), "mine", "unknown entry 'notes', expected some of design"),
     (("design",), ..., "design: missing"),
     (("design",), [1], r"design: expected a mapping, got \[1\]"),
     (("design", 3), 4, "design: expected names of entries, got 3"),
@@ -249,7 +249,7 @@ ARM = [
     (("design", "rate"), None, "design.rate: expected a number, got None"),
     (("design", "rate"), [200.0], r"design.rate: expected a number, got \[200.0\]"),
     (("design", "rate"), math.nan, "design.rate: expected a finite number, got nan"),
-    (("design", "rate"), "inf", "design.rate: expected a finite number, got 'inf'"),
+    (("design", "rate"), "inf", "design.rate: expected a finite number above 0, got inf"),
     (("design", "rate"), 10**400, "design.rate: expected a finite number, got 1000000"),
     (("design", "rate"), 0.0, "design.rate: expected a finite number above 0, got 0.0"),
     (("design", "x_max"), 4.0, "design.x_max: expected 0 < x_max <= π, got 4.0"),
@@ -266,10 +266,10 @@ ARM = [
     (("design", "disturbance"), "bias", "design.disturbance: expected a list, got 'bias'"),
     (("design", "disturbance"), [], "design.disturbance: expected at least one term"),
     (("design", "disturbance", 0), 3, r"design.disturbance\[0\]: expected a mapping, got 3"),
-    (("design", "disturbance", 0, "kind"), ..., r"disturbance\[0\].kind: expected a name, got No"),
+    (("design", "disturbance", 0, "kind"), ..., r"disturbance\[0\].kind: expected one of .* None"),
     (("design", "disturbance", 0, "kind"), "wind", r"disturbance\[0\].kind: expected one of clean"),
     (("design", "disturbance", 0, "tau"), 1.0, r"disturbance\[0\].tau: no parameter of bias"),
-    (("design", "disturbance", 0, "density"), "x", r"disturbance\[0\].density: expected a number"),
+    (("design", "disturbance", 0, "density"), "x", r"disturbance\[0\]: bias density: expected a"),
     (("design", "disturbance", 0, "density"), -1.0, r"disturbance\[0\]: bias density: expected a"),
     (("design", "uncertainty"), 3, "design.uncertainty: expected a mapping, got 3"),
     (("design", "uncertainty", "stiffness"), "x", "design.uncertainty.stiffness: expected a numb"),
@@ -278,7 +278,7 @@ ARM = [
     (("design", "certify_uncertainty"), 1, "design.certify_uncertainty: expected true or false"),
     (("design", "certify_uncertainty"), True, "design.certify_uncertainty: expected at least one"),
     (("gain", "L"), 3.0, "gain: unknown entry 'L', expected some of K"),
-    (("solver", "name"), [1], r"solver.name: expected a number or text, got \[1\]"),
+    (("solver", "name"), [1], r"solver.name: expected text, got \[1\]"),
     (("gain",), ..., "gain: missing"),
     (("gain", "K"), ..., "gain.K: missing"),
     (("gain", "K"), [1.0] * 4, r"gain.K: expected shape \(5,\), got \(4,\)"),
@@ -290,7 +290,7 @@ ARM = [
     (("certificate", "P", 1), [1.0], r"certificate.P\[1\]: expected shape \(5,\) as \[0\] has"),
     (("certificate", "P", 1, 2), "x", r"certificate.P\[1\]\[2\]: expected a number, got 'x'"),
     (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
-    (("solver", "iterations"), "many", "solver.iterations: expected a number, got 'many'"),
+    (("solver", "iterations"), "many", "solver.iterations: expected a whole number, got 'many'"),
 ]
 SYSTEM = [
     (("rate",), ..., "rate: missing"),
@@ -306,7 +306,7 @@ SYSTEM = [
     (("system", "C"), [], r"system.C: expected shape \(0, 2\), got \(0,\)"),
     (("system", "C"), [[1, 2, 3]], r"system.C: expected shape \(1, 2\), got \(1, 3\)"),
     (("system", "rules", 0, "if"), {"speed": {"shape": "always"}}, r"\[0\].if: unknown entry 'sp"),
-    (("system", "rules", 0, "if"), {"angle": {}}, r"\[0\].if.angle.shape: expected a name, got N"),
+    (("system", "rules", 0, "if"), {"angle": {}}, r"\[0\].if.angle: membership shape: .* None"),
     (("system", "rules", 0, "if"), {"angle": {"shape": "box"}}, r"\[0\].if.angle: membership sh"),
     (("system", "rules", 0, "mood"), 1, r"system.rules\[0\]: unknown entry 'mood', .*if"),
     (("system", "slope_vertices"), [[[1]]], r"slope_vertices\[0\]: expected shape \(2, 2\), got"),

@@ -400,7 +400,7 @@ def test_a_wrong_disturbance_term_is_named(
 
 def test_terms_are_filled_with_defaults_and_added_up() -> None:
     term = DisturbanceTerm("sinusoid", {"frequency": 3.0})
-    assert term.as_mapping() == {
+    assert dict(term) == {
         "kind": "sinusoid", "frequency": 3.0, "density": 1e-4, "initial_std": 0.3
     }  # fmt: skip
     request = ArmRequest(disturbance=[DisturbanceTerm("bias"), term])

@@ -30,11 +30,11 @@ class SolverReport:
         margin: Extra noise it was asked to allow for, as a fraction of the bound per second.
     """
 
-    name: str
-    version: str
-    status: str
-    iterations: int
-    seconds: float
+    name: str = ""
+    version: str = ""
+    status: str = ""
+    iterations: int = 0
+    seconds: float = 0.0
     margin: float = 1e-4
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive
+from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive, shown
 from tsobs_ros.design.problem import DesignProblem
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model import disturbance as disturbances
@@ -45,15 +45,15 @@ _MAX_MATRICES = 16
 """Vertex matrices; l of them make l² inequalities."""
 
 
-class FrozenMapping(Mapping[str, float]):
-    """Names with numbers, equal to every mapping of the same ones, in the order given."""
+class FrozenMapping(Mapping[str, Any]):
+    """Names with values, equal to every mapping of the same ones, in the order given."""
 
     __slots__ = ("_items",)
 
-    def __init__(self, items: Mapping[str, float]) -> None:
+    def __init__(self, items: Mapping[str, Any]) -> None:
         self._items = dict(items)
 
-    def __getitem__(self, name: str) -> float:
+    def __getitem__(self, name: str) -> Any:
         return self._items[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -69,52 +69,60 @@ class FrozenMapping(Mapping[str, float]):
         return repr(self._items)
 
 
-@dataclass(frozen=True)
-class DisturbanceTerm:
+class DisturbanceTerm(FrozenMapping):
     """One term of the disturbance: its kind and its parameters, the rest filled with defaults.
 
     Raises:
-        ModelError: The kind is unknown, or a parameter is not one of that kind.
+        ModelError: The kind is unknown, or a parameter is not one of that kind or out of range.
+
+    >>> DisturbanceTerm("bias", {"density": 1e-4})
+    {'kind': 'bias', 'density': 0.0001, 'initial_std': 0.3}
     """
 
-    kind: str
-    parameters: Mapping[str, float] = FrozenMapping({})
+    __slots__ = ()
 
-    def __post_init__(self) -> None:
-        if self.kind not in DISTURBANCE_KINDS:
+    def __init__(self, kind: str, parameters: Mapping[str, float] = FrozenMapping({})) -> None:
+        if not isinstance(kind, str) or kind not in DISTURBANCE_KINDS:
             raise ModelError(
-                f"kind: expected one of {', '.join(DISTURBANCE_KINDS)}, got {self.kind!r}"
+                f"kind: expected one of {', '.join(DISTURBANCE_KINDS)}, got {shown(kind)}"
             )
-        known = dict(inspect.signature(DISTURBANCE_KINDS[self.kind]).parameters)
+        known = dict(inspect.signature(DISTURBANCE_KINDS[kind]).parameters)
         known.pop("channels", None)
-        for name in self.parameters:
+        for name in parameters:
             if name not in known:
                 raise ModelError(
-                    f"{name}: no parameter of {self.kind}, "
-                    f"expected some of {', '.join(known) or 'none'}"
+                    f"{name}: no parameter of {kind}, expected some of {', '.join(known) or 'none'}"
                 )
         for name, parameter in known.items():
-            if parameter.default is inspect.Parameter.empty and name not in self.parameters:
-                raise ModelError(f"{name}: missing, {self.kind} has no default for it")
+            if parameter.default is inspect.Parameter.empty and name not in parameters:
+                raise ModelError(f"{name}: missing, {kind} has no default for it")
         filled = {
-            name: finite(f"{self.kind} {name}", self.parameters.get(name, parameter.default))
+            name: finite(f"{kind} {name}", parameters.get(name, parameter.default))
             for name, parameter in known.items()
         }
-        object.__setattr__(self, "parameters", FrozenMapping(filled))
+        super().__init__({"kind": kind, **filled})
+        self.model()
+
+    @classmethod
+    def from_mapping(cls, entries: Mapping[str, Any]) -> "DisturbanceTerm":
+        """Return the term that a file gives by its kind and parameters."""
+        parameters = dict(entries)
+        return cls(parameters.pop("kind", None), parameters)
+
+    @property
+    def kind(self) -> str:
+        """The name of the exosystem, one of `DISTURBANCE_KINDS`."""
+        return str(self["kind"])
 
     def model(self) -> DisturbanceModel:
         """Return the exosystem of this term."""
-        return DISTURBANCE_KINDS[self.kind](**self.parameters)
-
-    def as_mapping(self) -> dict[str, Any]:
-        """Return the term as a plain mapping with every parameter spelled out."""
-        return {"kind": self.kind, **self.parameters}
+        return DISTURBANCE_KINDS[self.kind](**{k: v for k, v in self.items() if k != "kind"})
 
 
 def _require_no_alias(terms: Iterable[DisturbanceTerm], rate: float) -> None:
     """Refuse tones that look slower in samples than they are, in the limit like a bias."""
     for term in terms:
-        frequency = term.parameters.get("frequency", 0.0)
+        frequency = term.get("frequency", 0.0)
         if frequency >= math.pi * rate:
             raise ModelError(
                 f"{term.kind} frequency: expected less than half the measurement rate, "
