@@ -30,7 +30,7 @@ import difflib
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import Field, field, fields, is_dataclass
 from typing import Any, Generic, NamedTuple, TypeVar, get_type_hints
 
@@ -49,7 +49,7 @@ T = TypeVar("T")
 P = TypeVar("P")
 
 _METADATA_KEY = "tsobs_ros.parameter"
-_INT64_MAX = 2**63 - 1
+_MAX_INTEGER, _MAX_FLOAT = 2**63 - 1, sys.float_info.max
 
 # Declared by rclpy or rcl on behalf of every node, so never "unknown".
 _FOREIGN_PREFIXES = ("qos_overrides.",)
@@ -94,13 +94,6 @@ class _Entry(NamedTuple):
     type: _Type
     rules: _Rules
     default: Any
-
-
-class _Group(NamedTuple):
-    """A dataclass and those of its fields that are parameters or groups, by name."""
-
-    make: type
-    members: Mapping[str, Field[Any]]
 
 
 class _RefusedParameter(Parameter):
@@ -190,9 +183,9 @@ class ParameterBinding(Generic[P]):
     def __init__(
         self, node: Node, schema: type[P], on_change: Callable[[P], None] | None = None
     ) -> None:
-        self._group = _group_of(schema)
+        self._schema = _Schema(schema, None, "")
         self._on_change = on_change
-        self._entries = {entry.name: entry for entry in _entries(self._group, "")}
+        self._entries = {entry.name: entry for entry in self._schema.entries}
         given = {
             name: each.value
             for name, each in node.get_parameters_by_prefix("").items()
@@ -202,7 +195,7 @@ class ParameterBinding(Generic[P]):
             name: _convert(entry, given[name]) if name in given else entry.default
             for name, entry in self._entries.items()
         }
-        self._value: P = _build(self._group, "", self._values)
+        self._value: P = self._schema.build(self._values)
         for name in given:
             node.undeclare_parameter(name)
         for name, entry in self._entries.items():
@@ -224,34 +217,28 @@ class ParameterBinding(Generic[P]):
         return self._value
 
     def _convert_proposal(self, proposal: list[Parameter]) -> list[Parameter]:
-        return [self._converted(proposed) for proposed in proposal]
-
-    def _converted(self, proposed: Parameter) -> Parameter:
-        entry = self._entries.get(proposed.name)
-        if entry is None:
-            return proposed
-        try:
-            value = _convert(entry, proposed.value)
-        except ParameterError as error:
-            return _RefusedParameter(entry, self._values[entry.name], str(error))
-        return Parameter(entry.name, entry.type.ros, _to_ros(value))
+        return [
+            _converted(self._entries[each.name], each, self._values[each.name])
+            if each.name in self._entries
+            else each
+            for each in proposal
+        ]
 
     def _check_proposal(self, proposal: list[Parameter]) -> SetParametersResult:
-        refusals = [p.reason for p in proposal if isinstance(p, _RefusedParameter)]
-        if refusals:
-            return SetParametersResult(successful=False, reason="; ".join(refusals))
-        try:
-            _build(self._group, "", self._merged(proposal))
-        except ParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+        reason = "; ".join(each.reason for each in proposal if isinstance(each, _RefusedParameter))
+        if not reason:
+            try:
+                self._schema.build(self._merged(proposal))
+            except ParameterError as error:
+                reason = str(error)
+        return SetParametersResult(successful=not reason, reason=reason)
 
     def _take_over(self, accepted: list[Parameter]) -> None:
         values = self._merged(accepted)
         if values == self._values:
             return
         self._values = values
-        self._value = _build(self._group, "", values)
+        self._value = self._schema.build(values)
         if self._on_change is not None:
             self._on_change(self._value)
 
@@ -266,50 +253,56 @@ class ParameterBinding(Generic[P]):
         )
 
 
-def _group_of(schema: Any) -> _Group:
-    if not (isinstance(schema, type) and is_dataclass(schema)):
-        raise TypeError(f"{schema!r} is not a dataclass of parameters")
-    return _Group(schema, {item.name: item for item in fields(schema)})
+class _Schema:
+    """A dataclass of parameters and of groups of them.
+
+    Attributes:
+        entries: The parameters in the order of the fields, those of groups included.
+    """
+
+    def __init__(self, make: Any, members: Mapping[str, Field[Any]] | None, prefix: str) -> None:
+        if not (isinstance(make, type) and is_dataclass(make)):
+            raise TypeError(f"{make!r} is not a dataclass of parameters")
+        self.entries: list[_Entry] = []
+        self._make, self._prefix = make, prefix
+        self._parts: dict[str, _Schema | _Entry] = {}
+        hints = get_type_hints(make)
+        for name, item in (members or {item.name: item for item in fields(make)}).items():
+            hint, rules = hints[name], item.metadata.get(_METADATA_KEY)
+            if isinstance(rules, dict):
+                group = _Schema(hint, rules, f"{prefix}{name}.")
+                self._parts[name] = group
+                self.entries += group.entries
+            elif rules is None or hint not in _TYPES:
+                raise TypeError(
+                    f"{make.__name__}.{name}: {hint} is not a parameter; use parameter() "
+                    f"or parameter_group() with one of {', '.join(map(str, _TYPES))}"
+                )
+            else:
+                entry = _Entry(f"{prefix}{name}", _TYPES[hint], rules, item.default)
+                self._parts[name] = entry = entry._replace(default=_convert(entry, item.default))
+                self.entries.append(entry)
+
+    def build(self, values: Mapping[str, Any]) -> Any:
+        """Make the dataclass from the values by full names; its __post_init__ validates them."""
+        arguments = {
+            name: part.build(values) if isinstance(part, _Schema) else values[part.name]
+            for name, part in self._parts.items()
+        }
+        try:
+            return self._make(**arguments)
+        except ModelError as error:
+            where = f"parameters '{self._prefix}*': " if self._prefix else ""
+            raise ParameterError(f"{where}{error}") from error
 
 
-def _inner(hint: Any, item: Field[Any]) -> _Group | None:
-    """Return the group that a field is, None if it is a parameter."""
-    members = item.metadata.get(_METADATA_KEY)
-    if not isinstance(members, dict):
-        return None
-    return _Group(hint, members) if members else _group_of(hint)
-
-
-def _entries(group: _Group, prefix: str) -> Iterator[_Entry]:
-    """Flatten a dataclass of parameters and groups, in the order of its fields."""
-    hints = get_type_hints(group.make)
-    for name, item in group.members.items():
-        hint, rules = hints[name], item.metadata.get(_METADATA_KEY)
-        if (inner := _inner(hint, item)) is not None:
-            yield from _entries(inner, f"{prefix}{name}.")
-        elif rules is None or hint not in _TYPES:
-            raise TypeError(
-                f"{group.make.__name__}.{name}: {hint} is not a parameter; use parameter() "
-                f"or parameter_group() with one of {', '.join(map(str, _TYPES))}"
-            )
-        else:
-            entry = _Entry(f"{prefix}{name}", _TYPES[hint], rules, item.default)
-            yield entry._replace(default=_convert(entry, item.default))
-
-
-def _build(group: _Group, prefix: str, values: Mapping[str, Any]) -> Any:
-    """Make the dataclass from flat parameter values; its __post_init__ validates them."""
-    hints = get_type_hints(group.make)
-    arguments: dict[str, Any] = {}
-    for name, item in group.members.items():
-        inner = _inner(hints[name], item)
-        full = f"{prefix}{name}"
-        arguments[name] = values[full] if inner is None else _build(inner, f"{full}.", values)
+def _converted(entry: _Entry, proposed: Parameter, current: Any) -> Parameter:
+    """Return a proposal with its value converted, or what its refusal needs."""
     try:
-        return group.make(**arguments)
-    except ModelError as error:
-        where = f"parameters '{prefix}*': " if prefix else ""
-        raise ParameterError(f"{where}{error}") from error
+        value = _convert(entry, proposed.value)
+    except ParameterError as error:
+        return _RefusedParameter(entry, current, str(error))
+    return Parameter(entry.name, entry.type.ros, _to_ros(value))
 
 
 def _declare(node: Node, entry: _Entry, value: Any) -> None:
@@ -345,16 +338,15 @@ def _descriptor(entry: _Entry) -> ParameterDescriptor:
     elif entry.type.element is int:
         descriptor.integer_range = [
             IntegerRange(
-                from_value=-_INT64_MAX if low is None else math.ceil(low),
-                to_value=_INT64_MAX if high is None else math.floor(high),
+                from_value=-_MAX_INTEGER if low is None else math.ceil(low),
+                to_value=_MAX_INTEGER if high is None else math.floor(high),
             )
         ]
     else:
-        limit = sys.float_info.max
         descriptor.floating_point_range = [
             FloatingPointRange(
-                from_value=-limit if low is None else float(low),
-                to_value=limit if high is None else float(high),
+                from_value=-_MAX_FLOAT if low is None else float(low),
+                to_value=_MAX_FLOAT if high is None else float(high),
             )
         ]
     return descriptor

@@ -138,11 +138,6 @@ class ObserverParameters(ManagedParameters):
                 f"coast_after: expected at most stale_after = {self.stale_after}, "
                 f"got {self.coast_after}"
             )
-        if self.supervision.reject < self.supervision.gate:
-            raise ParameterError(
-                f"supervision.reject: expected at least supervision.gate = "
-                f"{self.supervision.gate}, got {self.supervision.reject}"
-            )
         if not self.joints or "" in self.joints:
             raise ParameterError(f"joints: expected names, got {list(self.joints)}")
         if len(set(self.joints)) < len(self.joints):

@@ -79,14 +79,13 @@ class DisturbanceParameters:
 
     def build(self) -> tuple[Component, ...]:
         """Return the components of the chosen kinds; the numbers of all kinds are checked."""
-        stuck = StuckSensor(self.stuck.start, self.stuck.duration or math.inf)
         components: tuple[Component, ...] = (
             self.bias_step,
             self.sinusoid,
             self.ramp,
             self.two_tone,
             self.gauss_markov,
-            stuck,
+            StuckSensor(self.stuck.start, self.stuck.duration or math.inf),
         )
         kinds = {component.kind: component for component in components}
         return tuple(kinds[name] for name in parse_kinds(self.kind))
