@@ -55,9 +55,13 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 for _variable in ("ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID", "ROS_STATIC_PEERS"):
     os.environ.pop(_variable, None)
 
-# A job in the background of a script is born with SIGINT ignored, and so would be its children.
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# Child processes inherit ignored signals: SIGINT from a job in the background, SIGHUP from nohup.
+for _number, _default in (
+    (signal.SIGINT, signal.default_int_handler),
+    (signal.SIGHUP, signal.SIG_DFL),
+):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _default)
 
 # 102 and above may collide with the ports Linux hands out for outgoing connections.
 _DOMAINS = range(1, 102)
