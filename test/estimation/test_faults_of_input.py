@@ -42,131 +42,69 @@ class Kind(NamedTuple):
     """A bad stretch between good ones, lengths in seconds."""
 
     write: Write
-    lasts: float
-    warm_up: float
-    recovery: float
+    lasts: float = 0.5
+    warm_up: float = 1.0
+    recovery: float = 2.0
 
 
-KINDS: dict[str, Kind] = {}
-
-
-def kind(name: str, *, lasts: float = 0.5, warm_up: float = 1.0, recovery: float = 2.0) -> Callable:
-    def enter(write: Write) -> Write:
-        KINDS[name] = Kind(write, lasts, warm_up, recovery)
-        return write
-
-    return enter
+FUTURE, OLD = RejectReason.FROM_FUTURE, RejectReason.TOO_OLD
+ZERO, NON_FINITE = RejectReason.ZERO_STAMP, RejectReason.NON_FINITE
+DUPLICATE, GATED = RejectReason.DUPLICATE, RejectReason.GATED
 
 
 def changed(
     change: Callable[[Measurement, int], Measurement],
     outcome: RejectReason | str,
     seconds: float = 0.5,
+    arrival: Callable[[int, int, int], int] = lambda at, index, begin: at,
 ) -> Write:
-    """Return the arm's samples at their time, each changed by its index."""
+    """Return the arm's samples, each changed by its index, by default arriving at their time."""
 
     def write(arm: Arm, begin: int) -> Iterator[Event]:
         for index, at in enumerate(arm.stamps(begin, seconds)):
-            yield at, change(arm.measurement(at), index), outcome
+            yield arrival(at, index, begin), change(arm.measurement(at), index), outcome
 
     return write
 
 
-def stamped(stamp_of: Callable[[int, int], int]) -> Callable[[Measurement, int], Measurement]:
-    return lambda sample, index: sample._replace(stamp=stamp_of(sample.stamp, index))
+def same(sample: Measurement, _: int) -> Measurement:
+    return sample
 
 
-def angle(*angles: float) -> Callable[[Measurement, int], Measurement]:
-    return lambda sample, index: sample._replace(y=np.array([angles[index % len(angles)]]))
+def stamped(
+    stamp: Callable[[int, int], int], outcome: RejectReason | str, seconds: float = 0.5
+) -> Write:
+    return changed(lambda s, k: s._replace(stamp=stamp(s.stamp, k)), outcome, seconds)
 
 
-def torque(*torques: float) -> Callable[[Measurement, int], Measurement]:
-    return lambda sample, index: sample._replace(u=np.array([torques[index % len(torques)]]))
+def angle(
+    value: Callable[[float, int], float], outcome: RejectReason | str = JUDGED, seconds: float = 0.5
+) -> Write:
+    return changed(lambda s, k: s._replace(y=np.array([value(s.y[0], k)])), outcome, seconds)
 
 
-def off(by: Callable[[int], float]) -> Callable[[Measurement, int], Measurement]:
-    return lambda sample, index: sample._replace(y=sample.y + by(index))
+def torque(
+    value: Callable[[float, int], float], outcome: RejectReason | str = JUDGED, seconds: float = 0.5
+) -> Write:
+    return changed(lambda s, k: s._replace(u=np.array([value(s.u[0], k)])), outcome, seconds)
 
 
-def noise_of(index: int) -> float:
-    return float(np.random.default_rng(index).normal(0.0, 0.2))
+def twice(second: Callable[[Measurement, Arm], Measurement], outcome: RejectReason) -> Write:
+    """Return the arm's samples, each followed by another."""
+
+    def write(arm: Arm, begin: int) -> Iterator[Event]:
+        for at in arm.stamps(begin, 0.5):
+            sample = arm.measurement(at)
+            yield at, sample, USED
+            yield at, second(sample, arm), outcome
+
+    return write
 
 
-FUTURE, OLD = RejectReason.FROM_FUTURE, RejectReason.TOO_OLD
-ZERO, NON_FINITE = RejectReason.ZERO_STAMP, RejectReason.NON_FINITE
-DUPLICATE, GATED = RejectReason.DUPLICATE, RejectReason.GATED
-ABSENT: Write = lambda arm, begin: iter(())  # noqa: E731
-
-for name, write, options in (
-    ("gap of a second", ABSENT, {"lasts": 1.0}),
-    ("gap of minutes", ABSENT, {"lasts": 160.0, "recovery": 3.0}),
-    ("zero stamp", changed(stamped(lambda at, k: 0), ZERO), {}),
-    ("negative stamp", changed(stamped(lambda at, k: 1 - 5 * NANOSECONDS), ZERO), {}),
-    ("most nanoseconds", changed(stamped(lambda at, k: at + 2**32), FUTURE), {}),
-    ("end of time", changed(stamped(lambda at, k: 2**31 * NANOSECONDS), FUTURE), {}),
-    ("an hour ahead", changed(stamped(lambda at, k: at + 3600 * NANOSECONDS), FUTURE), {}),
-    (
-        "just inside the tolerance",
-        changed(stamped(lambda at, k: at + TOLERANCE), JUDGED, 0.005),
-        {},
-    ),
-    (
-        "just outside the tolerance",
-        changed(stamped(lambda at, k: at + TOLERANCE + TICK), FUTURE),
-        {},
-    ),
-    ("clock since boot", changed(stamped(lambda at, k: BOOT + k * 5 * MS), OLD), {}),
-    (
-        "first ever since boot",
-        changed(stamped(lambda at, k: BOOT + k * 5 * MS), JUDGED),
-        {"warm_up": 0.0, "recovery": 3.0},
-    ),
-    ("jittered stamps", changed(stamped(lambda at, k: at + (k % 5 - 2) * MS), JUDGED), {}),
-    ("nan angle", changed(angle(math.nan), NON_FINITE), {}),
-    ("infinite angle", changed(angle(math.inf, -math.inf), NON_FINITE), {}),
-    ("nan torque", changed(torque(math.nan), NON_FINITE), {}),
-    ("infinite torque", changed(torque(math.inf, -math.inf), NON_FINITE), {}),
-    ("largest angle", changed(angle(LARGEST, -LARGEST), JUDGED), {}),
-    ("largest torque", changed(torque(LARGEST, -LARGEST), JUDGED, 0.05), {}),
-    (
-        "denormal numbers",
-        changed(lambda s, k: angle(SMALLEST)(torque(-SMALLEST)(s, k), k), JUDGED, 0.025),
-        {"recovery": 3.0},
-    ),
-    ("single outlier", changed(off(lambda k: 1.0), JUDGED, 0.005), {}),
-    (
-        "every fifth an outlier",
-        changed(off(lambda k: 0.0 if k % 5 else 3.0 * math.sin(k)), JUDGED),
-        {},
-    ),
-    (
-        "jump",
-        changed(off(lambda k: 0.3), JUDGED, 3.0),
-        {"warm_up": 9.0, "lasts": 3.0, "recovery": 3.0},
-    ),
-    ("short jump", changed(off(lambda k: 0.3), JUDGED), {"warm_up": 9.0, "recovery": 10.0}),
-    (
-        "wrapped angle",
-        changed(off(lambda k: math.tau), JUDGED, 1.0),
-        {"lasts": 1.0, "recovery": 5.0},
-    ),
-    (
-        "degrees",
-        changed(lambda s, k: s._replace(y=np.degrees(s.y)), JUDGED, 1.0),
-        {"lasts": 1.0, "recovery": 5.0},
-    ),
-    ("noise", changed(off(noise_of), JUDGED, 1.0), {"lasts": 1.0, "recovery": 5.0}),
-    ("torque steps", changed(torque(1e6, -1e6), JUDGED), {"recovery": 5.0}),
-    (
-        "torque in other units",
-        changed(lambda s, k: s._replace(u=1e3 * s.u), JUDGED),
-        {"recovery": 5.0},
-    ),
-):
-    kind(name, **options)(write)
+def absent(arm: Arm, begin: int) -> Iterator[Event]:
+    return iter(())
 
 
-@kind("burst of 5000", lasts=1.0)
 def burst(arm: Arm, begin: int) -> Iterator[Event]:
     rng, at = np.random.default_rng(5), begin + NANOSECONDS
     for stamp in range(begin, at, 200_000):
@@ -176,69 +114,17 @@ def burst(arm: Arm, begin: int) -> Iterator[Event]:
         yield at, sample._replace(y=sample.y + rng.normal(0.0, 0.01)), JUDGED if stale else USED
 
 
-@kind("held up", lasts=1.0)
-def held_up(arm: Arm, begin: int) -> Iterator[Event]:
-    for stamp in arm.stamps(begin, 1.0):
-        yield begin + NANOSECONDS, arm.measurement(stamp), USED
-
-
-@kind("late by a second", lasts=2.0)
-def late_by_a_second(arm: Arm, begin: int) -> Iterator[Event]:
-    for stamp in arm.stamps(begin, 2.0):
-        yield min(stamp, begin + NANOSECONDS) + NANOSECONDS, arm.measurement(stamp), USED
-
-
-@kind("late in turn", lasts=1.0)
-def late_in_turn(arm: Arm, begin: int) -> Iterator[Event]:
-    for index, stamp in enumerate(arm.stamps(begin, 0.7)):
-        yield stamp + index % 2 * 300 * MS, arm.measurement(stamp), USED
-
-
-@kind("every tenth alone", lasts=2.0)
 def every_tenth_alone(arm: Arm, begin: int) -> Iterator[Event]:
     for stamp in list(arm.stamps(begin, 2.0))[::10]:
         yield stamp, arm.measurement(stamp), USED
 
 
-@kind("same again")
-def same_again(arm: Arm, begin: int) -> Iterator[Event]:
-    for stamp in arm.stamps(begin, 0.5):
-        yield stamp, arm.measurement(stamp), USED
-        yield stamp, arm.measurement(stamp), DUPLICATE
-
-
-@kind("same stamp other value")
-def same_stamp_other_value(arm: Arm, begin: int) -> Iterator[Event]:
-    for stamp in arm.stamps(begin, 0.5):
-        sample = arm.measurement(stamp)
-        yield stamp, sample, USED
-        yield stamp, sample._replace(y=np.ones(1)), DUPLICATE
-
-
-@kind("stopped clock")
 def stopped_clock(arm: Arm, begin: int) -> Iterator[Event]:
     for stamp in arm.stamps(begin, 0.3):
         sample = arm.measurement(stamp)._replace(stamp=begin - arm.period)
         yield stamp, sample, DUPLICATE
 
 
-@kind("out of order")
-def out_of_order(arm: Arm, begin: int) -> Iterator[Event]:
-    stamps = list(arm.stamps(begin, 0.5))
-    for first in range(0, len(stamps), 20):
-        block = stamps[first : first + 20]
-        for stamp in reversed(block):
-            yield block[-1], arm.measurement(stamp), USED
-
-
-@kind("older than the history")
-def older_than_the_history(arm: Arm, begin: int) -> Iterator[Event]:
-    for stamp in arm.stamps(begin, 0.5):
-        yield stamp, arm.measurement(stamp), USED
-        yield stamp, arm.measurement(stamp - 2 * HISTORY), OLD
-
-
-@kind("two clocks in turn")
 def two_clocks_in_turn(arm: Arm, begin: int) -> Iterator[Event]:
     for index, stamp in enumerate(arm.stamps(begin, 0.5)):
         sample = arm.measurement(stamp)
@@ -250,12 +136,75 @@ def two_clocks_in_turn(arm: Arm, begin: int) -> Iterator[Event]:
             yield stamp, sample._replace(stamp=stamp + 7200 * NANOSECONDS), FUTURE
 
 
-@kind("stuck angle", lasts=1.0)
 def stuck_angle(arm: Arm, begin: int) -> Iterator[Event]:
     frozen = arm.measurement(begin - arm.period).y
     for index, stamp in enumerate(arm.stamps(begin, 1.0)):
         outcome = JUDGED if index < 9 else GATED
         yield stamp, arm.measurement(stamp)._replace(y=frozen), outcome
+
+
+KINDS: dict[str, Kind] = {
+    "gap of a second": Kind(absent, lasts=1.0),
+    "gap of minutes": Kind(absent, lasts=160.0, recovery=3.0),
+    "zero stamp": Kind(stamped(lambda at, k: 0, ZERO)),
+    "negative stamp": Kind(stamped(lambda at, k: 1 - 5 * NANOSECONDS, ZERO)),
+    "most nanoseconds": Kind(stamped(lambda at, k: at + 2**32, FUTURE)),
+    "end of time": Kind(stamped(lambda at, k: 2**31 * NANOSECONDS, FUTURE)),
+    "an hour ahead": Kind(stamped(lambda at, k: at + 3600 * NANOSECONDS, FUTURE)),
+    "just inside the tolerance": Kind(stamped(lambda at, k: at + TOLERANCE, JUDGED, 0.005)),
+    "just outside the tolerance": Kind(stamped(lambda at, k: at + TOLERANCE + TICK, FUTURE)),
+    "clock since boot": Kind(stamped(lambda at, k: BOOT + k * 5 * MS, OLD)),
+    "first ever since boot": Kind(
+        stamped(lambda at, k: BOOT + k * 5 * MS, JUDGED), warm_up=0.0, recovery=3.0
+    ),
+    "jittered stamps": Kind(stamped(lambda at, k: at + (k % 5 - 2) * MS, JUDGED)),
+    "nan angle": Kind(angle(lambda y, k: math.nan, NON_FINITE)),
+    "infinite angle": Kind(angle(lambda y, k: (-1) ** k * math.inf, NON_FINITE)),
+    "nan torque": Kind(torque(lambda u, k: math.nan, NON_FINITE)),
+    "infinite torque": Kind(torque(lambda u, k: (-1) ** k * math.inf, NON_FINITE)),
+    "largest angle": Kind(angle(lambda y, k: (-1) ** k * LARGEST)),
+    "largest torque": Kind(torque(lambda u, k: (-1) ** k * LARGEST, JUDGED, 0.05)),
+    "denormal numbers": Kind(
+        changed(
+            lambda s, k: s._replace(y=np.array([SMALLEST]), u=np.array([-SMALLEST])), JUDGED, 0.025
+        ),
+        recovery=3.0,
+    ),
+    "single outlier": Kind(angle(lambda y, k: y + 1.0, JUDGED, 0.005)),
+    "every fifth an outlier": Kind(angle(lambda y, k: y if k % 5 else y + 3.0 * math.sin(k))),
+    "jump": Kind(angle(lambda y, k: y + 0.3, JUDGED, 3.0), lasts=3.0, warm_up=9.0, recovery=3.0),
+    "short jump": Kind(angle(lambda y, k: y + 0.3), warm_up=9.0, recovery=10.0),
+    "wrapped angle": Kind(angle(lambda y, k: y + math.tau, JUDGED, 1.0), lasts=1.0, recovery=5.0),
+    "degrees": Kind(angle(lambda y, k: math.degrees(y), JUDGED, 1.0), lasts=1.0, recovery=5.0),
+    "noise": Kind(
+        angle(lambda y, k: y + np.random.default_rng(k).normal(0.0, 0.2), JUDGED, 1.0),
+        lasts=1.0,
+        recovery=5.0,
+    ),
+    "torque steps": Kind(torque(lambda u, k: (-1) ** k * 1e6), recovery=5.0),
+    "torque in other units": Kind(torque(lambda u, k: 1e3 * u), recovery=5.0),
+    "burst of 5000": Kind(burst, lasts=1.0),
+    "held up": Kind(changed(same, USED, 1.0, lambda at, k, begin: begin + NANOSECONDS), lasts=1.0),
+    "late by a second": Kind(
+        changed(same, USED, 2.0, lambda at, k, begin: min(at, begin + NANOSECONDS) + NANOSECONDS),
+        lasts=2.0,
+    ),
+    "late in turn": Kind(
+        changed(same, USED, 0.7, lambda at, k, begin: at + k % 2 * 300 * MS), lasts=1.0
+    ),
+    "every tenth alone": Kind(every_tenth_alone, lasts=2.0),
+    "same again": Kind(twice(lambda sample, arm: sample, DUPLICATE)),
+    "same stamp other value": Kind(twice(lambda s, arm: s._replace(y=np.ones(1)), DUPLICATE)),
+    "stopped clock": Kind(stopped_clock),
+    "out of order": Kind(
+        changed(same, USED, 0.5, lambda at, k, begin: begin + (20 * (k // 20) + 19) * 5 * MS)
+    ),
+    "older than the history": Kind(
+        twice(lambda sample, arm: arm.measurement(sample.stamp - 2 * HISTORY), OLD)
+    ),
+    "two clocks in turn": Kind(two_clocks_in_turn),
+    "stuck angle": Kind(stuck_angle, lasts=1.0),
+}
 
 
 def script(arm: Arm, kind: Kind) -> list[Event]:
