@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tsobs_ros.design.record import Design
+from tsobs_ros.estimation.baselines import integrate
 from tsobs_ros.estimation.observer import ObserverState
-from tsobs_ros.simulation.integrator import rk4_step
 
 Array = NDArray[np.float64]
 RUNS = 800
@@ -56,7 +56,7 @@ def campaign(shipped: Design) -> Campaign:
         state = observer.predict(state, u, period)
         assert state.certified
         for _ in range(SUBSTEPS):
-            x = rk4_step(arm.derivative, x, u, substep)
+            x = integrate(lambda z, u=u: arm.derivative(z, u), x, substep, substep)
             x = x + kick_std * rng.standard_normal((RUNS, 4))
         bias = bias + math.sqrt(1e-4 * period) * rng.standard_normal((RUNS, 1))
     return Campaign(np.array(errors), widest)

@@ -62,3 +62,16 @@ def test_one_output_takes_a_quick_way_to_the_same_numbers() -> None:
         (one.gram, other.gram),
     ):
         np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9)
+
+
+def test_a_reset_keeps_the_parameters_unless_they_are_to_be_nominal() -> None:
+    observer = AdaptiveObserver(DESIGN.observer(), DESIGN.request.uncertainty_model)
+    fresh = observer.initial()
+    learnt = fresh._replace(theta=fresh.theta + 0.1, gamma=2.0 * fresh.gamma, gram=fresh.gram + 1.0)
+    reset = observer.reset_adaptation(learnt, nominal=False)
+    assert (reset.gamma == fresh.gamma).all()
+    assert (reset.theta == learnt.theta).all()
+    assert (reset.gram == learnt.gram).all()
+    nominal = observer.reset_adaptation(learnt, nominal=True)
+    assert not nominal.theta.any()
+    assert not nominal.gram.any()

@@ -18,6 +18,7 @@ from tsobs_ros.design.request import DisturbanceTerm, TSRequest
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.adaptive import AdaptationOptions, AdaptiveObserver
+from tsobs_ros.estimation.baselines import integrate
 from tsobs_ros.estimation.observer import GainMode, ObserverState
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, membership
@@ -25,11 +26,14 @@ from tsobs_ros.model.prediction import TSSensitivity
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.resources import config_path
-from tsobs_ros.simulation.integrator import rk4_step
 
 Array = NDArray[np.float64]
 
 RUNS = 1000
+
+
+def moved_by(derivative: Callable[[Array, Array], Array], x: Array, u: Array, T: float) -> Array:
+    return integrate(lambda z: derivative(z, u), x, T, T)
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +141,7 @@ def campaign(pendulum: Design) -> Campaign:
         state = observer.predict(state, u, T)
         assert state.certified
         for _ in range(substeps):
-            x = rk4_step(derivative, x, u, h)
+            x = moved_by(derivative, x, u, h)
             x = x + rng.standard_normal((RUNS, 2)) * [0.0, math.sqrt(1e-3 * h)]
         bias = bias + math.sqrt(1e-6 * T) * rng.standard_normal((RUNS, 1))
     return Campaign(np.array(errors), widest)
@@ -176,7 +180,7 @@ def test_adaptation_finds_the_true_parameter(theta: float, pendulum: Design) -> 
         state, correction = observer.correct(state, y)
         assert correction.innovation_covariance.shape == (2, 2)
         state = observer.predict(state, u, T)
-        x = rk4_step(derivative, x, u, T)
+        x = moved_by(derivative, x, u, T)
     readout = observer.readout(state)
     assert readout.parameters_valid
     # Adapted, but the certificate was not asked to cover θ.
@@ -224,7 +228,7 @@ def test_known_parameters_are_those_of_the_changed_model(pendulum: Design) -> No
         x, _, _ = carrier.carry(x, none, None, theta, u, 0.01)
     truth = np.array([0.7, -0.4])
     for _ in range(200):
-        truth = rk4_step(changed.derivative, truth, u, 0.005)
+        truth = moved_by(changed.derivative, truth, u, 0.005)
     np.testing.assert_allclose(x[:2], truth, atol=1e-3)
 
 
@@ -248,7 +252,7 @@ def test_a_wide_start_is_handed_over_to_the_certified_gain(pendulum: Design) -> 
     for _ in range(1500):
         state, _ = observer.correct(state, x + np.array([0.0, 0.05]))
         state = observer.predict(state, u, T)
-        x = rk4_step(derivative, x, u, T)
+        x = moved_by(derivative, x, u, T)
     assert state.certified
     np.testing.assert_allclose(state.x, [*x, 0.05], atol=5e-3)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.baselines import integrate
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, per_channel, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise
@@ -17,7 +18,6 @@ from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.linear_flow import LinearFlow
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.simulation.integrator import rk4_step
 
 Array = NDArray[np.float64]
 
@@ -100,9 +100,7 @@ def test_it_is_of_second_order() -> None:
     """Halving the step divides the error after one second by four."""
     start, u = np.array([0.4, -0.3, 0.2]), np.array([0.7])
     model = tangled(1.0).model
-    exact = start
-    for _ in range(500):
-        exact = rk4_step(model.derivative, exact, u, 1.0 / 500)
+    exact = integrate(lambda x: model.derivative(x, u), start, 1.0, 1.0 / 500)
     errors = []
     for steps in (20, 40, 80):
         flow, x = tangled(1.0 / steps), start
@@ -208,6 +206,8 @@ def test_a_batch_is_its_systems_one_by_one() -> None:
     covariance = root @ np.swapaxes(root, 1, 2)
     moved, spread = flow.predict_with_covariance(x, covariance, u, 0.12)
     np.testing.assert_allclose(moved, flow.predict(x, u, 0.12), rtol=1e-13)
+    _, shared = flow.predict_with_covariance(x, covariance[0], u, 0.12)
+    np.testing.assert_allclose(shared[0], spread[0], rtol=1e-12, atol=1e-14)
     for k in range(4):
         one, own = flow.predict_with_covariance(x[k], covariance[k], u[k], 0.12)
         np.testing.assert_allclose(moved[k], one, rtol=1e-12, atol=1e-14)

@@ -5,7 +5,6 @@
 import numpy as np
 import pytest
 
-from tsobs_ros.errors import ModelError
 from tsobs_ros.simulation.plant import Plant
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -72,8 +71,3 @@ def test_the_motion_stays_in_the_regime_the_scenarios_are_for() -> None:
     spread = np.sqrt((runs.states**2).mean(axis=(0, 1)))
     np.testing.assert_allclose(spread, (0.226, 0.60, 3.55, 4.64), rtol=0.35)
     assert np.abs(runs.states[..., 0]).max() < 1.0
-
-
-def test_runs_need_a_seed() -> None:
-    with pytest.raises(ModelError, match="seeds"):
-        simulate(SCENARIOS["noise"], [], 1.0)

@@ -153,7 +153,14 @@ def place_single_output(A: Array, C: Array, poles: ArrayLike) -> Array:
 def integrate(
     derivative: Callable[[Array], Array], x: Array, duration: float, longest_step: float
 ) -> Array:
-    """Return the state after `duration` [s] by equal classical Runge–Kutta steps."""
+    """Return the state after `duration` [s] by equal Runge–Kutta steps of order four.
+
+    Args:
+        derivative: ẋ = f(x), x and ẋ of shape (..., n).
+        x: State, shape (..., n).
+        duration: [s].
+        longest_step: Upper limit of a step [s].
+    """
     steps = max(1, math.ceil(duration / longest_step - 1e-9))
     h = duration / steps
     for _ in range(steps):

@@ -67,15 +67,8 @@ class SupervisionOptions:
     def __post_init__(self) -> None:
         for name in ("gate", "lost", "disturbance_limit", "strain"):
             positive(name, getattr(self, name))
-        for name in (
-            "jump_std",
-            "jump_duration",
-            "jump_quiet",
-            "jump_budget",
-            "jump_budget_window",
-            "stuck_samples",
-            "relearn_budget",
-        ):
+        jumps = ("jump_std", "jump_duration", "jump_quiet", "jump_budget", "jump_budget_window")
+        for name in (*jumps, "stuck_samples", "relearn_budget"):
             non_negative(name, getattr(self, name))
         if not self.reject >= self.gate:
             raise ModelError(

@@ -4,9 +4,9 @@
 
 The classical fourth-order Runge–Kutta method at 1 ms keeps the undriven arm's energy to 1e-10
 over a minute, so its error is far below any noise; no adaptive solver or exact-flow splitting is
-needed. Its form is a matter of cost: one small-array NumPy operation takes longer than a
-whole scalar Runge–Kutta step. `ArmIntegrator` therefore writes the arm out column by column;
-the same lines run on plain floats (one arm, about 2 µs a step) and on arrays (a batch of runs).
+needed. One small-array NumPy operation takes longer than a whole scalar Runge–Kutta step, so
+`ArmIntegrator` writes the arm out column by column; the same lines run on plain floats (one arm,
+about 2 µs a step) and on arrays (a batch of runs).
 """
 
 import math
@@ -25,25 +25,6 @@ LONGEST_SUBSTEP = 1e-3
 
 Column = TypeVar("Column", float, Array)
 """One state of one arm, or of every arm of a batch."""
-
-
-def rk4_step(
-    derivative: Callable[[Array, Array], Array], x: ArrayLike, u: ArrayLike, step: float
-) -> Array:
-    """Return the state one classical Runge–Kutta step later, the input held.
-
-    Args:
-        derivative: ẋ = f(x, u), with x of shape (..., n) and u of shape (..., m).
-        x: State, shape (..., n).
-        u: Input, shape (..., m).
-        step: Step length [s].
-    """
-    start, held = np.asarray(x, dtype=np.float64), np.asarray(u, dtype=np.float64)
-    k1 = derivative(start, held)
-    k2 = derivative(start + 0.5 * step * k1, held)
-    k3 = derivative(start + 0.5 * step * k2, held)
-    k4 = derivative(start + step * k3, held)
-    return np.asarray(start + (step / 6.0) * (k1 + 2.0 * (k2 + k3) + k4))
 
 
 class ArmIntegrator:
@@ -112,14 +93,10 @@ class ArmIntegrator:
         """Run the substeps on one arm's floats or on a batch's columns."""
         arm, h = self._arm, self.substep
         half, sixth, gravity = 0.5 * h, h / 6.0, arm.gravity_gain
-        link_spring, motor_spring = (
-            arm.stiffness / arm.link_inertia,
-            arm.stiffness / arm.motor_inertia,
-        )
-        link_drag, motor_drag = (
-            arm.link_damping / arm.link_inertia,
-            arm.motor_damping / arm.motor_inertia,
-        )
+        link_spring = arm.stiffness / arm.link_inertia
+        link_drag = arm.link_damping / arm.link_inertia
+        motor_spring = arm.stiffness / arm.motor_inertia
+        motor_drag = arm.motor_damping / arm.motor_inertia
         drive = torque / arm.motor_inertia
 
         def accelerations(q1: Column, v1: Column, q2: Column, v2: Column) -> tuple[Column, Column]:
