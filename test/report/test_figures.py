@@ -104,7 +104,7 @@ def test_long_curves_are_thinned_evenly() -> None:
 def test_panels_hold_the_run_in_its_units(simulated) -> None:
     shown = panels(simulated, measure(simulated), innovation_std=0.03)
 
-    assert [(panel.title, panel.unit) for panel in shown] == [
+    assert [(panel.values.label, panel.unit) for panel in shown] == [
         ("link angle", "rad"),
         ("link velocity", "rad/s"),
         ("motor angle", "rad"),
@@ -112,12 +112,12 @@ def test_panels_hold_the_run_in_its_units(simulated) -> None:
         ("sensor disturbance", "rad"),
         ("innovation", "rad"),
     ]
-    np.testing.assert_array_equal(shown[0].dots.values, simulated.measurements.values[:, 0])
-    np.testing.assert_array_equal(shown[2].truth.values, simulated.truth.values[:, 2])
-    np.testing.assert_array_equal(shown[4].estimate.values, simulated.disturbance)
-    np.testing.assert_array_equal(shown[3].bound, simulated.state_bounds[:, 3])
-    assert shown[5].level[0] == pytest.approx(0.09)
-    assert all(panel.dots is None for panel in shown[1:5])
+    np.testing.assert_array_equal(shown[0].values.dots.values, simulated.measurements.values[:, 0])
+    np.testing.assert_array_equal(shown[2].values.truth.values, simulated.truth.values[:, 2])
+    np.testing.assert_array_equal(shown[4].values.estimate.values, simulated.disturbance)
+    np.testing.assert_array_equal(shown[3].values.bound, simulated.state_bounds[:, 3])
+    assert shown[5].values.level[0] == pytest.approx(0.09)
+    assert all(panel.values.dots is None for panel in shown[1:5])
 
 
 def test_wild_first_guesses_do_not_flatten_the_rest(simulated) -> None:
@@ -126,7 +126,7 @@ def test_wild_first_guesses_do_not_flatten_the_rest(simulated) -> None:
 
     panel = panels(replace(simulated, states=states), measure(simulated))[0]
 
-    assert panel.limits[1] < 1.5
+    assert panel.values.limits[1] < 1.5
 
 
 def test_spans_that_do_not_count_are_the_windows_complement(simulated) -> None:

@@ -14,10 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from tsobs_ros.checks import Array
 from tsobs_ros.report import panels as content
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
-from tsobs_ros.report.panels import MAX_BAND, Panel
+from tsobs_ros.report.panels import ERROR, Panel, Plot
 from tsobs_ros.report.run import RecordedRun
 from tsobs_ros.style import MUTED, STYLE
 
@@ -54,7 +53,7 @@ def draw_run(
 
 def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> Figure:
     with_errors = any(panel.error is not None for panel in panels)
-    heights = [_TALL if panel.estimate else _FLAT for panel in panels]
+    heights = [_TALL if panel.values.estimate else _FLAT for panel in panels]
     height = sum(heights) + _TOP + _BOTTOM
     figure = Figure(figsize=(_WIDTH, height))
     FigureCanvasAgg(figure)
@@ -73,14 +72,14 @@ def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> F
     left: list[Axes] = []
     right: list[Axes] = []
     for row, panel in enumerate(panels):
-        axes = figure.add_subplot(grid[row, 0], sharex=left[0] if left else None)
-        left.append(axes)
-        _draw_values(axes, panel)
+        left.append(figure.add_subplot(grid[row, 0], sharex=left[0] if left else None))
+        _draw(left[-1], panel.values, panel.unit)
         if panel.error is None:
-            _write_beside(axes, panel)
+            _write_beside(left[-1], panel)
         else:
             right.append(figure.add_subplot(grid[row, 1], sharex=left[0]))
-            _draw_error(right[-1], panel)
+            _draw(right[-1], panel.error, panel.unit)
+            right[-1].set_title("  ·  ".join(panel.remark), loc="left", fontsize=8.5, pad=5)
     for column in (left, right):
         for axes in column:
             _mark_events(axes, run, metrics)
@@ -131,14 +130,15 @@ def _legend(run: RecordedRun) -> list[Line2D | Patch]:
     ]
 
 
-def _draw_values(axes: Axes, panel: Panel) -> None:
-    _prepare(axes)
-    axes.set_ylabel(f"{panel.title}\n[{panel.unit}]", linespacing=1.4)
-    axes.set_ylim(panel.limits)
-    if panel.dots is not None:
+def _draw(axes: Axes, plot: Plot, unit: str) -> None:
+    axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
+    axes.tick_params(length=0)
+    axes.set_ylabel(f"{plot.label}\n[{unit}]", linespacing=1.4)
+    axes.set_ylim(plot.limits)
+    if plot.dots is not None:
         # Thousands of dots as vectors would make an SVG slow and large.
         axes.plot(
-            *panel.dots,
+            *plot.dots,
             ".",
             ms=2.2,
             mew=0,
@@ -147,55 +147,25 @@ def _draw_values(axes: Axes, panel: Panel) -> None:
             zorder=2,
             rasterized=True,
         )
-    if panel.truth is not None:
-        axes.plot(*panel.truth, color=content.TRUTH_COLOUR, lw=3.0, zorder=3)
-    if panel.estimate is not None:
-        if panel.bound is not None:
-            _draw_bound(axes, panel.estimate.times, panel.estimate.values, panel.bound)
-        axes.plot(*panel.estimate, color=content.ESTIMATE_COLOUR, lw=1.1, zorder=5)
-    if panel.level is not None:
+    if plot.truth is not None:
+        axes.plot(*plot.truth, color=content.TRUTH_COLOUR, lw=3.0, zorder=3)
+    blue = content.ESTIMATE_COLOUR
+    for sigmas, times, lower, upper in plot.bands():
+        alpha = _STRONG - _FAINT if sigmas == 1.0 else _FAINT
+        axes.fill_between(times, lower, upper, color=blue, alpha=alpha, lw=0, zorder=4)
+    if plot.label == ERROR:
+        axes.axhline(0.0, color=content.TRUTH_COLOUR, lw=1.6, zorder=4)
+    if plot.estimate is not None:
+        axes.plot(*plot.estimate, color=blue, lw=1.0, zorder=5)
+    if plot.level is not None:
         for sign in (-1.0, 1.0):
-            axes.axhline(sign * panel.level[0], color=MUTED, lw=0.9, ls=(0, (5, 3)), zorder=4)
-
-
-def _draw_error(axes: Axes, panel: Panel) -> None:
-    assert panel.estimate is not None
-    assert panel.error is not None
-    times = panel.estimate.times
-    _prepare(axes)
-    axes.set_ylim(-panel.max_error, panel.max_error)
-    if panel.bound is not None:
-        _draw_bound(axes, times, np.zeros(len(times)), panel.bound)
-    axes.axhline(0.0, color=content.TRUTH_COLOUR, lw=1.6, zorder=4)
-    axes.plot(times, panel.error, color=content.ESTIMATE_COLOUR, lw=0.9, zorder=5)
-    axes.set_ylabel(f"error\n[{panel.unit}]", linespacing=1.4)
-    axes.set_title("  ·  ".join(panel.remark), loc="left", fontsize=8.5, pad=5)
-
-
-def _draw_bound(axes: Axes, times: Array, centre: Array, bound: Array) -> None:
-    step = -(-len(times) // MAX_BAND)
-    times, centre, bound = times[::step], centre[::step], bound[::step]
-    for sigmas, alpha in ((SIGMAS, _FAINT), (1.0, _STRONG - _FAINT)):
-        axes.fill_between(
-            times,
-            centre - sigmas * bound,
-            centre + sigmas * bound,
-            color=content.ESTIMATE_COLOUR,
-            alpha=alpha,
-            lw=0,
-            zorder=4,
-        )
-
-
-def _prepare(axes: Axes) -> None:
-    axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
-    axes.tick_params(length=0)
+            axes.axhline(sign * plot.level[0], color=MUTED, lw=0.9, ls=(0, (5, 3)), zorder=4)
 
 
 def _write_beside(axes: Axes, panel: Panel) -> None:
     lines = list(panel.remark)
-    if panel.level is not None:
-        lines.insert(0, f"– – {panel.level[1]}")
+    if panel.values.level is not None:
+        lines.insert(0, f"– – {panel.values.level[1]}")
     axes.text(
         1.02,
         0.5,

@@ -13,8 +13,8 @@ from plotly.subplots import make_subplots
 
 from tsobs_ros.checks import Array
 from tsobs_ros.report import panels as content
-from tsobs_ros.report.metrics import SIGMAS, RunMetrics
-from tsobs_ros.report.panels import MAX_BAND, Panel
+from tsobs_ros.report.metrics import RunMetrics
+from tsobs_ros.report.panels import ERROR, Panel, Plot
 from tsobs_ros.report.run import RecordedRun
 from tsobs_ros.style import INK, MUTED
 
@@ -66,9 +66,22 @@ def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> A
         horizontal_spacing=0.08,
     )
     for row, panel in enumerate(panels, start=1):
-        _add_values(figure, panel, row)
+        _add_plot(figure, panel.values, panel.unit, (row, 1))
         if panel.error is not None:
-            _add_error(figure, panel, row)
+            _add_plot(figure, panel.error, panel.unit, (row, 2))
+            figure.add_annotation(
+                text="  ·  ".join(panel.remark),
+                x=0.0,
+                y=1.0,
+                xref="x domain",
+                yref="y domain",
+                xanchor="left",
+                yanchor="bottom",
+                showarrow=False,
+                row=row,
+                col=2,
+                font={"size": 11},
+            )
     _mark_events(figure, run, metrics)
     figure.update_layout(
         template="plotly_white",
@@ -95,88 +108,39 @@ def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> A
     return figure
 
 
-def _add_values(figure: Any, panel: Panel, row: int) -> None:
-    if panel.estimate is not None and panel.bound is not None:
-        _add_bound(figure, panel.estimate.times, panel.estimate.values, panel.bound, row, 1)
-    if panel.dots is not None:
-        _add(
-            figure,
-            "measured" if panel.truth or panel.estimate else panel.title,
-            panel.dots.times,
-            panel.dots.values,
-            (row, 1),
-            mode="markers",
-            marker={"size": 2.5, "color": content.MEASUREMENT_COLOUR},
-        )
-    if panel.truth is not None:
-        line = {"color": content.TRUTH_COLOUR, "width": 4}
-        _add(figure, "true", panel.truth.times, panel.truth.values, (row, 1), line=line)
-    if panel.estimate is not None:
-        line = {"color": content.ESTIMATE_COLOUR, "width": 1.5}
-        _add(figure, "estimated", *panel.estimate, (row, 1), line=line)
-    if panel.level is not None:
-        for sign in (-1.0, 1.0):
-            figure.add_hline(
-                sign * panel.level[0],
-                row=row,
-                col=1,
-                line={"color": MUTED, "dash": "dash", "width": 1},
-            )
-    figure.update_yaxes(
-        title_text=f"{panel.title}<br>[{panel.unit}]", range=panel.limits, row=row, col=1
-    )
-
-
-def _add_error(figure: Any, panel: Panel, row: int) -> None:
-    assert panel.estimate is not None
-    assert panel.error is not None
-    times = panel.estimate.times
-    if panel.bound is not None:
-        _add_bound(figure, times, np.zeros(len(times)), panel.bound, row, 2)
-    line = {"color": content.ESTIMATE_COLOUR, "width": 1.2}
-    _add(figure, "error", times, panel.error, (row, 2), line=line)
-    figure.update_yaxes(
-        title_text=f"error<br>[{panel.unit}]",
-        range=[-panel.max_error, panel.max_error],
-        row=row,
-        col=2,
-    )
-    figure.add_annotation(
-        text="  ·  ".join(panel.remark),
-        x=0.0,
-        y=1.0,
-        xref="x domain",
-        yref="y domain",
-        xanchor="left",
-        yanchor="bottom",
-        showarrow=False,
-        row=row,
-        col=2,
-        font={"size": 11},
-    )
-
-
-def _add_bound(
-    figure: Any, times: Array, centre: Array, bound: Array, row: int, column: int
-) -> None:
-    step = -(-len(times) // MAX_BAND)
-    times, centre, bound = times[::step], centre[::step], bound[::step]
-    known = np.isfinite(centre) & np.isfinite(bound)
-    times, centre, bound = times[known], centre[known], bound[known]
-    for sigmas in (SIGMAS, 1.0):
-        edge = np.concatenate([centre + sigmas * bound, (centre - sigmas * bound)[::-1]])
+def _add_plot(figure: Any, plot: Plot, unit: str, place: tuple[int, int]) -> None:
+    row, column = place
+    for sigmas, times, lower, upper in plot.bands():
+        known = np.isfinite(lower)
+        times, lower, upper = times[known], lower[known], upper[known]
         _add(
             figure,
             f"bound {sigmas:g}σ",
             np.concatenate([times, times[::-1]]),
-            edge,
-            (row, column),
+            np.concatenate([upper, lower[::-1]]),
+            place,
             fill="toself",
             fillcolor="rgba(0, 114, 178, 0.15)",
             line={"width": 0},
-            mode="lines",
             hoverinfo="skip",
         )
+    if plot.dots is not None:
+        name = plot.label if plot.estimate is None else "measured"
+        dot = {"size": 2.5, "color": content.MEASUREMENT_COLOUR}
+        _add(figure, name, *plot.dots, place, mode="markers", marker=dot)
+    if plot.truth is not None:
+        line = {"color": content.TRUTH_COLOUR, "width": 4}
+        _add(figure, "true", *plot.truth, place, line=line)
+    if plot.estimate is not None:
+        name = ERROR if plot.label == ERROR else "estimated"
+        line = {"color": content.ESTIMATE_COLOUR, "width": 1.5}
+        _add(figure, name, *plot.estimate, place, line=line)
+    if plot.level is not None:
+        line = {"color": MUTED, "dash": "dash", "width": 1}
+        for sign in (-1.0, 1.0):
+            figure.add_hline(sign * plot.level[0], row=row, col=column, line=line)
+    title = f"{plot.label}<br>[{unit}]"
+    figure.update_yaxes(title_text=title, range=plot.limits, row=row, col=column)
 
 
 def _add(
@@ -191,7 +155,7 @@ def _add(
         y=values.astype(np.float32),
         name=name,
         legendgroup=name,
-        showlegend=name not in known and name not in ("error", "innovation"),
+        showlegend=name not in known and name not in (ERROR, "innovation"),
         **style,
     )
     figure.add_trace(trace, row=place[0], col=place[1])

@@ -24,6 +24,9 @@ MAX_CURVE = 5000
 MAX_BAND = 1500
 """Longer bands are thinned further, for they are drawn as polygons."""
 
+ERROR = "error"
+"""Label of a plot of errors."""
+
 # Errors after a jump may leave the picture, so that the bound keeps a tenth of its height.
 _MAX_TRANSIENT = 10.0
 
@@ -42,34 +45,52 @@ class Curve(NamedTuple):
     values: Array
 
 
-class Panel(NamedTuple):
-    """One plot; what is None is not drawn.
+class Plot(NamedTuple):
+    """Curves over time; what is None is not drawn.
 
     Attributes:
-        title: The quantity.
-        unit: Of the values.
-        remark: Phrases on how good the estimate is.
+        label: The quantity, or "error".
+        limits: Range of values to show.
         dots: Measured values.
         truth: True values.
-        estimate: Estimated values.
+        estimate: Estimated values, or their error.
         bound: 1σ bound at the estimate's times, shape (n,).
-        error: Estimate − truth at the same times, shape (n,).
         level: A constant ± line, e.g. what is expected of noise, and what to call it.
-        limits: Range of values to show.
-        max_error: Errors and bounds are shown up to this size.
     """
 
-    title: str
-    unit: str
-    remark: tuple[str, ...]
+    label: str
+    limits: tuple[float, float]
     dots: Curve | None = None
     truth: Curve | None = None
     estimate: Curve | None = None
     bound: Array | None = None
-    error: Array | None = None
     level: tuple[float, str] | None = None
-    limits: tuple[float, float] = (-1.0, 1.0)
-    max_error: float = 1.0
+
+    def bands(self) -> Iterator[tuple[float, Array, Array, Array]]:
+        """Yield the bands of 3σ and 1σ as (σ, times, lower edge, upper edge), thinned."""
+        if self.estimate is None or self.bound is None:
+            return
+        step = -(-len(self.bound) // MAX_BAND)
+        times, values, bound = (each[::step] for each in (*self.estimate, self.bound))
+        centre = np.zeros(len(times)) if self.label == ERROR else values
+        for sigmas in (SIGMAS, 1.0):
+            yield sigmas, times, centre - sigmas * bound, centre + sigmas * bound
+
+
+class Panel(NamedTuple):
+    """One quantity.
+
+    Attributes:
+        unit: Of the values.
+        remark: Phrases on how good the estimate is.
+        values: Its values.
+        error: Estimate − truth; None without truth.
+    """
+
+    unit: str
+    remark: tuple[str, ...]
+    values: Plot
+    error: Plot | None = None
 
 
 def panels(
@@ -143,20 +164,20 @@ def _panel(run: RecordedRun, metrics: RunMetrics, place: int, error: Array | Non
         dots = Curve(measured.seconds(run.origin), measured.values[:, 0])
     estimate = thin(Curve(run.times, values))
     bound = thin(Curve(run.times, bounds)).values
-    if error is not None and not np.isfinite(error).any():
-        error = None
-    return Panel(
-        title=quantity.name,
-        unit=quantity.unit,
-        remark=_remark(metrics, quantity),
+    shown = Plot(
+        label=quantity.name,
+        limits=_limits(dots, truth, estimate, bound),
         dots=None if dots is None else thin(dots),
         truth=None if truth is None else thin(truth),
         estimate=estimate,
         bound=bound,
-        error=None if error is None else thin(Curve(run.times, error)).values,
-        limits=_limits(dots, truth, estimate, bound),
-        max_error=_max_error(run, metrics, error, bounds),
     )
+    errors_shown = None
+    if error is not None and np.isfinite(error).any():
+        size = _max_error(run, metrics, error, bounds)
+        curve = thin(Curve(run.times, error))
+        errors_shown = Plot(ERROR, (-size, size), estimate=curve, bound=bound)
+    return Panel(quantity.unit, _remark(metrics, quantity), shown, errors_shown)
 
 
 def _innovation_panel(run: RecordedRun, metrics: RunMetrics, std: float | None) -> Panel:
@@ -165,14 +186,9 @@ def _innovation_panel(run: RecordedRun, metrics: RunMetrics, std: float | None) 
     finite = curve.values[np.isfinite(curve.values)]
     size = 1.2 * float(np.quantile(np.abs(finite), 0.998)) if len(finite) else 1.0
     size = max(size, 3.5 * (std or 0.0)) or 1.0
-    return Panel(
-        title="innovation",
-        unit="rad",
-        remark=() if metrics.nis is None else (f"mean square {metrics.nis:.2f} × expected",),
-        dots=thin(curve),
-        level=None if std is None else (SIGMAS * std, f"±{SIGMAS:g}σ expected"),
-        limits=(-size, size),
-    )
+    level = None if std is None else (SIGMAS * std, f"±{SIGMAS:g}σ expected")
+    remark = () if metrics.nis is None else (f"mean square {metrics.nis:.2f} × expected",)
+    return Panel("rad", remark, Plot("innovation", (-size, size), dots=thin(curve), level=level))
 
 
 def _remark(metrics: RunMetrics, quantity: Quantity) -> tuple[str, ...]:
@@ -187,15 +203,14 @@ def _remark(metrics: RunMetrics, quantity: Quantity) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _max_error(run: RecordedRun, metrics: RunMetrics, error: Array | None, bounds: Array) -> float:
+def _max_error(run: RecordedRun, metrics: RunMetrics, error: Array, bounds: Array) -> float:
     """Return a size with all settled errors and bounds inside, and most of what a jump does."""
     settled = inside_windows(run.times, metrics.windows)
-    sizes = [(SIGMAS + 1.0) * bounds[settled]]
-    if error is not None:
-        sizes.append(1.2 * np.abs(error[settled]))
-        after_start = run.times >= (metrics.windows[0][0] if metrics.windows else 0.0)
-        sizes.append(np.minimum(1.1 * np.abs(error), _MAX_TRANSIENT * bounds)[after_start])
-    joined = np.concatenate(sizes)
+    after_start = run.times >= (metrics.windows[0][0] if metrics.windows else 0.0)
+    transient = np.minimum(1.1 * np.abs(error), _MAX_TRANSIENT * bounds)
+    joined = np.concatenate(
+        [(SIGMAS + 1.0) * bounds[settled], 1.2 * np.abs(error[settled]), transient[after_start]]
+    )
     return float(joined[np.isfinite(joined)].max(initial=0.0)) or 1.0
 
 
