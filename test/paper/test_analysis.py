@@ -19,9 +19,6 @@ from tsobs_ros.paper.augmentation import Augmentation, check_conditions
 from tsobs_ros.paper.examples import example_1, example_3
 from tsobs_ros.paper.systems import TSSystem, arm_system
 
-STIFFNESS = np.array([[0.0], [1.0], [0.0], [-5.0]])
-VELOCITIES = np.eye(4)[:, [1, 3]]
-
 
 def some_system(seed: int, n: int = 4, p: int = 2, r: int = 3) -> TSSystem:
     random = np.random.default_rng(seed)
@@ -165,24 +162,3 @@ def test_epsilon_needs_room_for_the_uncertainty_it_is_to_cover() -> None:
     assert aug.min_epsilon([0.0, 0.0], [0.0, 0.0]) == 0.0
     with pytest.raises(ModelError, match="xi: expected bounds above 0 for every rule with alpha"):
         aug.min_epsilon([0.1, 0.1], [0.1, 0.0])
-
-
-@pytest.mark.parametrize(
-    ("outputs", "G", "possible"),
-    [
-        ([0], STIFFNESS, False),
-        ([0, 2], STIFFNESS, False),
-        ([0, 1], STIFFNESS, True),
-        ([0, 1], VELOCITIES, False),
-        ([1, 3], VELOCITIES, True),
-    ],
-)
-def test_gradient_law_needs_measured_velocities(outputs, G, possible) -> None:
-    """PG = CᵀF gives GᵀPG = (CG)ᵀF, which no P ≻ 0 meets if CG has lost rank."""
-    C = np.eye(4)[outputs]
-    assert (np.linalg.matrix_rank(C @ G) == np.linalg.matrix_rank(G)) == possible
-    left_over = [
-        np.linalg.norm(C.T @ np.linalg.lstsq(C.T, P @ G, rcond=None)[0] - P @ G)
-        for P in (np.eye(4), some_P(1, 4), some_P(2, 4))
-    ]
-    assert possible or min(left_over) > 0.1

@@ -33,18 +33,6 @@ def test_stands_for_the_system_whatever_the_disturbance_does(seed: int | None, r
     np.testing.assert_allclose(left, right, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_output_enters_the_estimate_as_disturbance_only_for_every_l(seed: int) -> None:
-    aug = Augmentation(SYSTEM, 0, some_L(seed))
-    np.testing.assert_allclose(aug.L1, np.vstack([np.zeros((3, 3)), np.eye(3)]), atol=1e-12)
-
-
-def test_default_l_has_the_inverse_in_closed_form() -> None:
-    aug = Augmentation(SYSTEM)
-    expected = np.block([[np.eye(3), np.zeros((3, 3))], [-aug.C, np.eye(3)]])
-    np.testing.assert_allclose(aug.E_L_inverse, expected, atol=1e-14)
-
-
 def test_bound_of_the_uncertainty_covers_every_uncertainty_of_that_norm() -> None:
     aug = Augmentation(SYSTEM, 0, some_L(1))
     random = np.random.default_rng(3)

@@ -28,15 +28,6 @@ def test_a_run_comes_back_from_its_bag(short, messages_of, write_bag, namespace)
     assert run.name.endswith("/bag")
 
 
-def test_a_bag_of_a_real_robot_has_no_truth(short, messages_of, write_bag) -> None:
-    run = read_run(write_bag(messages_of(replace(short, truth=None, true_disturbance=None))))
-
-    assert run.truth is None
-    assert run.true_states is None
-    assert run.true_disturbance_held is None
-    assert len(run.stamps) == len(short.stamps)
-
-
 def test_missing_topics_are_named_with_the_bag(short, messages_of, write_bag) -> None:
     topics = messages_of(short)
     del topics["/observer/error_bound"], topics["/joint_measurements"]
@@ -56,14 +47,15 @@ def test_a_topic_without_messages_about_the_joint_is_named(short, messages_of, w
         read_run(bag, "elbow")
 
 
-def test_optional_topics_may_be_empty(short, messages_of, write_bag) -> None:
+def test_optional_topics_may_be_empty_or_lack(short, messages_of, write_bag) -> None:
     empty = {"/ground_truth/joint_states": [], "/observer/innovation": []}
+    topics = messages_of(replace(short, true_disturbance=None))
 
-    run = read_run(write_bag({**messages_of(short), **empty}))
+    run = read_run(write_bag({**topics, **empty}))
 
-    assert run.truth is None
-    assert run.innovations is None
-    assert run.true_disturbance is not None
+    assert run.truth is run.true_states is run.innovations is None
+    assert run.true_disturbance is run.true_disturbance_held is None
+    assert len(run.stamps) == len(short.stamps)
 
 
 def test_of_two_arms_one_must_be_chosen(short, messages_of, write_bag) -> None:
