@@ -13,7 +13,6 @@ from typing import Any, TypeAlias
 import msgspec
 import numpy as np
 from msgspec import UNSET, UnsetType
-from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array, as_matrix, shown
 from tsobs_ros.design.record import Design, SolverReport
@@ -28,7 +27,8 @@ from tsobs_ros.yaml_files import read_yaml, write_yaml
 FilePath: TypeAlias = str | PathLike[str]
 Request: TypeAlias = ArmRequest | TSRequest
 
-Numbers: TypeAlias = NDArray[np.float64]
+# Not NDArray: numpy 2.5 makes that an alias without an origin that `schema` could find.
+Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 VERSION = 1
 _ARM, _SYSTEM = "tsobs_ros design", "tsobs_ros T-S design"
