@@ -68,12 +68,9 @@ def test_only_joints_that_are_wanted_are_estimated_and_a_reset_forgets_all() -> 
     together.offer([sample(0, 0), sample(1, 0), None], END)
     some = together.estimate(BEGIN, [True, False, True])
     assert [estimate is not None for estimate in some] == [True, False, False]
+    with pytest.raises(ValueError, match="shorter"):
+        together.offer([sample(0, 0)], END)
+    with pytest.raises(ValueError, match="shorter"):
+        together.estimate(BEGIN, [])
     together.reset()
     assert together.estimate(BEGIN) == [None] * 3
-
-
-def test_as_many_entries_as_joints_are_expected() -> None:
-    with pytest.raises(ValueError, match="shorter"):
-        joints().offer([sample(0, 0)], END)
-    with pytest.raises(ValueError, match="shorter"):
-        joints().estimate(BEGIN, [])

@@ -183,12 +183,12 @@ def test_the_certified_gain_takes_over_once_settled_and_covered(
     certified = np.sqrt(np.diag(design.covariance_bound))
     for index, (before, after) in enumerate(observe(observer, y, u)):
         bound = observer.error_bound(before)
+        assert observer.disturbance_bound(before) == pytest.approx(bound[4:], rel=1e-12)
         if before.certified:
             handed_over = index
             assert (bound == certified).all()
             break
         assert (bound >= np.maximum(certified, np.sqrt(np.diag(before.covariance)))).all()
-        assert observer.disturbance_bound(before) == pytest.approx(bound[4:], rel=1e-12)
         _, covariance = flow.predict_with_covariance(after.x, after.covariance, u[index], T)
         covered = np.linalg.eigvalsh(root.T @ covariance @ root)[-1] <= 1.0
         waited = (index + 1) * T >= settle_time - 1e-9

@@ -139,19 +139,6 @@ def test_a_jump_opens_the_bound_of_the_disturbance_and_nothing_else() -> None:
     assert certified_again - found >= 140
 
 
-def test_steps_leave_the_state_they_were_given_alone() -> None:
-    observer = supervised()
-    state, _ = observer.correct(observer.initial(), np.array([0.3]))
-    before = [field.tobytes() for field in observer.readout(state)[:5]]
-    events = observer.events(state)
-    observer.correct(state, np.array([9.0]))
-    observer.predict(state, np.ones(1), T)
-    observer.extrapolate(state, np.ones(1), 3 * T)
-    assert [field.tobytes() for field in observer.readout(state)[:5]] == before
-    assert observer.events(state) == events
-    assert observer.period == T
-
-
 @pytest.mark.parametrize(("seed", "size"), [(0, 0.1), (1, -0.1)])
 def test_a_step_of_the_sensor_is_found_at_once_and_forgiven_soon(seed: int, size: float) -> None:
     step = replace(SCENARIOS["noise"], disturbance=(BiasStep(size, 12.0),))

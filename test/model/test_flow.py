@@ -18,6 +18,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, ramp, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+from tsobs_ros.model.linear_flow import LinearFlow
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=40)
@@ -280,22 +281,6 @@ def test_the_covariance_follows_the_steps_own_jacobian(
     )
 
 
-def test_output_and_physical_coordinates_of_the_augmented_state() -> None:
-    flow = ArmFlow(ElasticJointArm(), bias() + sinusoid(3.0), ProcessNoise(), 0.005)
-    assert flow.state_count == 7
-    assert (flow.output_matrix == [[1, 0, 0, 0, 1, 1, 0]]).all()
-    np.testing.assert_allclose(flow.to_physical(np.arange(7.0)), [0.0, 1.0, 0.2, 0.3])
-    expected = block_diag(flow.arm.slope_matrix(0.3), flow.disturbance.S)
-    assert (flow.slope_matrix(0.3) == expected).all()
-
-
-@pytest.mark.parametrize(
-    ("x_max", "lowest"), [(0.5, math.cos(0.5)), (math.pi / 2, 0.0), (math.pi, -1.0), (7.0, -1.0)]
-)
-def test_the_slope_range_is_that_of_the_cosine(x_max: float, lowest: float) -> None:
-    assert slope_range(x_max) == (pytest.approx(lowest, abs=1e-15), 1.0)
-
-
 def test_a_multiple_of_the_period_takes_as_many_periods_whatever_the_rounding() -> None:
     flow, u = shipped(), np.array([0.5])
     start = expected = np.array([0.4, 0.1, 3.0, 0.2, 0.1])
@@ -348,6 +333,10 @@ FAST = ElasticJointArm(1e-3, 1e-4, 1e4)
             lambda: ArmFlow(ElasticJointArm(), TWO, ProcessNoise(), 0.005),
             "disturbance: expected one channel, the measured angle's, got 2",
         ),
+        (
+            lambda: LinearFlow(np.full((2, 2), np.nan), np.ones((2, 1)), np.eye(2), 0.1),
+            "state matrix: every entry must be finite",
+        ),
         (lambda: shipped(stiffness=1e150), "at most 65536 rad in a step of 0.005 s"),
         (
             lambda: shipped(link_inertia=1e-200, motor_inertia=1e-200),
@@ -362,3 +351,13 @@ FAST = ElasticJointArm(1e-3, 1e-4, 1e4)
 def test_a_wrong_number_is_named(build: Any, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         build()
+
+
+def test_output_and_slopes_of_the_augmented_state() -> None:
+    flow = ArmFlow(ElasticJointArm(), bias() + sinusoid(3.0), ProcessNoise(), 0.005)
+    assert (flow.output_matrix == [[1, 0, 0, 0, 1, 1, 0]]).all()
+    np.testing.assert_allclose(flow.to_physical(np.arange(7.0)), [0.0, 1.0, 0.2, 0.3])
+    expected = block_diag(flow.arm.slope_matrix(0.3), flow.disturbance.S)
+    assert (flow.slope_matrix(0.3) == expected).all()
+    for x_max, lowest in ((0.5, math.cos(0.5)), (math.pi / 2, 0.0), (math.pi, -1.0), (7.0, -1.0)):
+        assert slope_range(x_max) == (pytest.approx(lowest, abs=1e-15), 1.0)

@@ -44,8 +44,8 @@ def test_outliers_are_one_in_a_hundred_of_either_sign() -> None:
 
 
 def test_drift_grows_to_its_variance_and_runs_differ() -> None:
-    runs = simulate(SCENARIOS["drift"], range(400), 10.0)
-    expected = 0.1 * np.sqrt(1.0 - np.exp(-2.0 * 10.0 / 20.0))
+    runs = simulate(SCENARIOS["drift"], range(400), 4.0)
+    expected = 0.1 * np.sqrt(1.0 - np.exp(-2.0 * 4.0 / 20.0))
     assert runs.disturbances[:, -1, 0].std() == pytest.approx(expected, rel=0.14)
 
 
@@ -67,7 +67,7 @@ def test_arrays_are_the_samples_of_a_plant() -> None:
 
 
 def test_the_motion_stays_in_the_regime_the_scenarios_are_for() -> None:
-    runs = simulate(SCENARIOS["noise"], range(20))
+    runs = simulate(SCENARIOS["noise"], range(12), 30.0)
     spread = np.sqrt((runs.states**2).mean(axis=(0, 1)))
     np.testing.assert_allclose(spread, (0.226, 0.60, 3.55, 4.64), rtol=0.35)
     assert np.abs(runs.states[..., 0]).max() < 1.0

@@ -31,61 +31,6 @@ from tsobs_ros.simulation.signals import (
 TIMES = [0.0, 1.0, 1.999, 2.0, 2.5, 3.0, 10.0, 29.995, 30.0, 59.0]
 
 
-@pytest.mark.parametrize(
-    ("component", "formula"),
-    [
-        (BiasStep(0.1, 30.0), lambda t: 0.1 * (t >= 30.0)),
-        (Sinusoid(0.2, 3.0, 2.0), lambda t: 0.2 * math.sin(3 * (t - 2)) * (t >= 2)),
-        (Ramp(0.004, 10.0), lambda t: 0.004 * (t - 10.0) * (t >= 10.0)),
-        (TwoTone(0.4, 1.0), lambda t: 0.4 * (math.sin(2 * t) + math.cos(3 * t)) * (t >= 1)),
-        (GaussMarkov(), lambda t: 0.0),
-        (StuckSensor(), lambda t: 0.0),
-    ],
-)
-def test_components_follow_their_formulas(
-    component: Component, formula: Callable[[float], float]
-) -> None:
-    for time in TIMES:
-        assert component.value(time) == pytest.approx(formula(time), abs=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("excitation", "formula"),
-    [
-        (NoTorque(), lambda t: 0.0),
-        (Sine(), math.sin),
-        (Sine(2.0, 3.0), lambda t: 2.0 * math.sin(3.0 * t)),
-        (Multisine(1.5, 2.0, 9.0, 1), lambda t: 1.5 * math.sin(2.0 * t)),
-        (Square(2.0, math.pi / 1.1), lambda t: 2.0 if t % 2.2 < 1.1 else -2.0),
-        (Chirp(1.0, 1.0, 3.0, 100.0), lambda t: math.sin(t + 0.01 * t * t)),
-    ],
-)
-def test_torques_follow_their_formulas(
-    excitation: Excitation, formula: Callable[[float], float]
-) -> None:
-    for time in TIMES:
-        assert excitation.torque(time) == pytest.approx(formula(time), abs=1e-12)
-
-
-def test_multisine_has_the_stated_power_and_a_moderate_crest() -> None:
-    signal = Multisine(amplitude=2.0, lowest=0.5, highest=6.0, tones=12)  # period 4π
-    torque = np.array([signal.torque(t) for t in np.arange(4000) * (4 * math.pi / 4000)])
-    assert np.sqrt(np.mean(torque**2)) == pytest.approx(2.0 / math.sqrt(2.0), rel=1e-6)
-    assert np.abs(torque).max() < 2.5 * np.sqrt(np.mean(torque**2))
-
-
-def test_chirp_begins_again_after_a_sweep() -> None:
-    chirp = Chirp(1.0, 1.0, 4.0, 5.0)
-    assert chirp.torque(6.25) == pytest.approx(chirp.torque(1.25), abs=1e-12)
-
-
-def test_components_are_added_up() -> None:
-    parts = (BiasStep(0.1, 1.0), Sinusoid(0.2, 3.0, 2.0))
-    source = DisturbanceSource(parts, 0.005, 0)
-    for time in TIMES:
-        assert source.sample(time) == pytest.approx([sum(p.value(time) for p in parts)])
-
-
 def test_drift_obeys_its_recursion_and_leaves_zero_at_its_start() -> None:
     period, tau, std = 0.005, 2.0, 0.3
     source = DisturbanceSource((GaussMarkov(std, tau, 0.1),), period, range(400))
@@ -118,34 +63,6 @@ def test_stuck_sensor_holds_for_its_duration_only() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ("none", ()),
-        ("ramp", ("ramp",)),
-        ("bias_step+sinusoid", ("bias_step", "sinusoid")),
-        ("stuck + gauss_markov", ("stuck", "gauss_markov")),
-    ],
-)
-def test_kinds_are_parsed(text: str, names: tuple[str, ...]) -> None:
-    assert parse_kinds(text) == names
-    assert all(name in KINDS for name in names)
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("offset", "got 'offset'"),
-        ("", "got ''"),
-        ("none+ramp", "got 'none'"),
-        ("ramp+ramp", "at most once"),
-    ],
-)
-def test_unknown_kinds_are_refused(text: str, complaint: str) -> None:
-    with pytest.raises(ModelError, match=complaint):
-        parse_kinds(text)
-
-
-@pytest.mark.parametrize(
     ("make", "complaint"),
     [
         (lambda: BiasStep(math.nan), "bias_step amplitude"),
@@ -164,3 +81,64 @@ def test_unknown_kinds_are_refused(text: str, complaint: str) -> None:
 def test_senseless_numbers_are_refused_by_name(make: Callable[[], object], complaint: str) -> None:
     with pytest.raises(ModelError, match=complaint):
         make()
+
+
+@pytest.mark.parametrize(
+    ("signal", "formula"),
+    [
+        (BiasStep(0.1, 30.0), lambda t: 0.1 * (t >= 30.0)),
+        (Sinusoid(0.2, 3.0, 2.0), lambda t: 0.2 * math.sin(3 * (t - 2)) * (t >= 2)),
+        (Ramp(0.004, 10.0), lambda t: 0.004 * (t - 10.0) * (t >= 10.0)),
+        (TwoTone(0.4, 1.0), lambda t: 0.4 * (math.sin(2 * t) + math.cos(3 * t)) * (t >= 1)),
+        (GaussMarkov(), lambda t: 0.0),
+        (StuckSensor(), lambda t: 0.0),
+        (NoTorque(), lambda t: 0.0),
+        (Sine(), math.sin),
+        (Sine(2.0, 3.0), lambda t: 2.0 * math.sin(3.0 * t)),
+        (Multisine(1.5, 2.0, 9.0, 1), lambda t: 1.5 * math.sin(2.0 * t)),
+        (Square(2.0, math.pi / 1.1), lambda t: 2.0 if t % 2.2 < 1.1 else -2.0),
+        (Chirp(1.0, 1.0, 3.0, 100.0), lambda t: math.sin(t + 0.01 * t * t)),
+        # A chirp begins again after a sweep.
+        (Chirp(1.0, 1.0, 4.0, 5.0), lambda t: math.sin(t % 5.0 + 0.3 * (t % 5.0) ** 2)),
+    ],
+)
+def test_signals_follow_their_formulas(
+    signal: Component | Excitation, formula: Callable[[float], float]
+) -> None:
+    for time in TIMES:
+        value = signal.torque(time) if isinstance(signal, Excitation) else signal.value(time)
+        assert value == pytest.approx(formula(time), abs=1e-12)
+
+
+def test_components_are_added_up() -> None:
+    parts = (BiasStep(0.1, 1.0), Sinusoid(0.2, 3.0, 2.0))
+    source = DisturbanceSource(parts, 0.005, 0)
+    for time in TIMES:
+        assert source.sample(time) == pytest.approx([sum(p.value(time) for p in parts)])
+
+
+def test_multisine_has_the_stated_power_and_a_moderate_crest() -> None:
+    signal = Multisine(amplitude=2.0, lowest=0.5, highest=6.0, tones=12)  # period 4π
+    torque = np.array([signal.torque(t) for t in np.arange(4000) * (4 * math.pi / 4000)])
+    assert np.sqrt(np.mean(torque**2)) == pytest.approx(2.0 / math.sqrt(2.0), rel=1e-6)
+    assert np.abs(torque).max() < 2.5 * np.sqrt(np.mean(torque**2))
+
+
+def test_kinds_are_parsed() -> None:
+    assert parse_kinds("none") == ()
+    assert parse_kinds("+".join(KINDS)) == tuple(KINDS)
+    assert parse_kinds("stuck + gauss_markov") == ("stuck", "gauss_markov")
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("offset", "got 'offset'"),
+        ("", "got ''"),
+        ("none+ramp", "got 'none'"),
+        ("ramp+ramp", "at most once"),
+    ],
+)
+def test_unknown_kinds_are_refused(text: str, complaint: str) -> None:
+    with pytest.raises(ModelError, match=complaint):
+        parse_kinds(text)
