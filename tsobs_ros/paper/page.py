@@ -67,17 +67,15 @@ class PaperReport:
 
     Attributes:
         output: The folder.
-        runs: Of Examples 1 and 2, by name.
-        comparison: Example 3 by every observer.
         claims: The table of claims.
+        numbers: What was measured, by example, as plain data.
         figures: The figures.
         seconds: Computing time [s].
     """
 
     output: Path
-    runs: Mapping[str, ExampleRun]
-    comparison: ArmComparison
     claims: tuple[Claim, ...]
+    numbers: dict[str, Any]
     figures: tuple[Path, ...]
     seconds: float
 
@@ -90,7 +88,7 @@ class PaperReport:
         """Return claims, every measured number and the files as plain data, for JSON."""
         return {
             "claims": [claim.as_mapping() for claim in self.claims],
-            "numbers": _numbers(self.runs, self.comparison),
+            "numbers": self.numbers,
             "page": str(self.page),
             "figures": [str(figure) for figure in self.figures],
         }
@@ -131,7 +129,7 @@ def make_paper_report(output: Path, *, progress: bool = True, seeds: int = 20) -
     parts = _parts(claims, runs, comparison, "\n\n".join(map(_analysis, examples)), figures)
     paths = tuple(path for drawn in figures.values() for path in drawn)
     seconds = time.perf_counter() - started
-    report = PaperReport(output, runs, comparison, claims, paths, seconds)
+    report = PaperReport(output, claims, _numbers(runs, comparison), paths, seconds)
     report.page.write_text(html_page(parts), encoding="utf-8")
     (output / "paper.md").write_text(markdown(parts), encoding="utf-8")
     text = json.dumps(report.as_mapping(), indent=2, ensure_ascii=False)
