@@ -55,17 +55,6 @@ def written_chunk(calls, compression: CompressionType) -> Chunk:
     return next(record for record in records if isinstance(record, Chunk))
 
 
-def chunk_of(records: bytes, compression: str) -> Chunk:
-    return Chunk(
-        compression=compression,
-        data=COMPRESSIONS[compression](records),
-        message_start_time=0,
-        message_end_time=0,
-        uncompressed_crc=zlib.crc32(records),
-        uncompressed_size=len(records),
-    )
-
-
 @given(CALLS.filter(bool), st.sampled_from(CompressionType))
 def test_messages_are_those_that_the_library_reads(calls, compression: CompressionType) -> None:
     chunk = written_chunk(calls, compression)
@@ -112,7 +101,8 @@ def test_malformed_records_are_refused(records: bytes, reason: str) -> None:
 @pytest.mark.parametrize("compression", sorted(COMPRESSIONS))
 def test_a_chunk_is_what_it_states(compression: str) -> None:
     records = bytes(1000)
-    chunk = chunk_of(records, compression)
+    crc, size = zlib.crc32(records), len(records)
+    chunk = Chunk(compression, COMPRESSIONS[compression](records), 0, 0, crc, size)
     assert chunk_records(chunk) == records
     assert chunk_records(replace(chunk, uncompressed_crc=0)) == records
     for change, reason in (
@@ -130,17 +120,7 @@ def test_a_chunk_is_what_it_states(compression: str) -> None:
 HEADER = Header(profile="ros2", library="")
 STATISTICS = Statistics(0, 0, {}, 0, 0, 0, 0, 0, 0)
 BARE = replace(STATISTICS, message_count=1)
-CHUNK = ChunkIndex(
-    chunk_length=50,
-    chunk_start_offset=8,
-    compression="",
-    compressed_size=0,
-    message_end_time=2,
-    message_index_length=0,
-    message_index_offsets={},
-    message_start_time=1,
-    uncompressed_size=0,
-)
+CHUNK = ChunkIndex(50, 8, "", 0, 2, 0, {}, 1, 0)
 
 
 def bytes_of(*parts: McapRecord | bytes) -> bytes:
@@ -158,16 +138,13 @@ def bytes_of(*parts: McapRecord | bytes) -> bytes:
         ([HEADER], [], "has no index"),
         ([HEADER], [b"\x0b\xff"], "the file is damaged"),
         ([HEADER], [replace(STATISTICS, chunk_count=1)], "1 chunks, but 0 in the index"),
-        (
-            [HEADER],
-            [replace(STATISTICS, chunk_count=1), replace(CHUNK, chunk_length=2**63)],
-            "the index states a chunk up to byte",
-        ),
+        ([HEADER], [replace(STATISTICS, chunk_count=1), replace(CHUNK, chunk_length=2**63)],
+         "the index states a chunk up to byte"),
         ([HEADER, b"\x05" + bytes(8)], [BARE], "has only 0 bytes"),
         ([HEADER, b"\x05" + b"\xff" * 8], [BARE], "ends at byte"),
         ([HEADER], [BARE, b"\x0d" + bytes(3)], "the file is damaged"),
     ],
-)
+)  # fmt: skip
 def test_a_hostile_summary_is_refused(tmp_path: Path, data, summary, reason: str | None) -> None:
     front = MAGIC + bytes_of(*data)
     footer = Footer(summary_start=len(front), summary_offset_start=0, summary_crc=0)

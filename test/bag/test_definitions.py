@@ -18,15 +18,10 @@ SEPARATOR = "=" * 80
 TYPES = [
     "sensor_msgs/msg/JointState",
     "sensor_msgs/msg/PointCloud2",
-    "std_msgs/msg/Float64MultiArray",
-    "std_msgs/msg/String",
     "diagnostic_msgs/msg/DiagnosticArray",
     "geometry_msgs/msg/TwistWithCovarianceStamped",
-    "nav_msgs/msg/Path",
     "rosgraph_msgs/msg/Clock",
-    "rcl_interfaces/msg/Log",
     "rcl_interfaces/msg/ParameterEvent",
-    "trajectory_msgs/msg/JointTrajectory",
     "visualization_msgs/msg/InteractiveMarkerUpdate",
 ]
 
@@ -58,24 +53,16 @@ def write_package(share: Path, package: str, **messages: str) -> None:
     "types",
     [
         ("std_msgs/String",),
-        ("sensor_msgs/JointState", "std_msgs/Header", "builtin_interfaces/Time"),
-        (
-            "diagnostic_msgs/DiagnosticArray",
-            "diagnostic_msgs/DiagnosticStatus",
-            "diagnostic_msgs/KeyValue",
-            "std_msgs/Header",
-            "builtin_interfaces/Time",
-        ),
-        (
-            "std_msgs/Float64MultiArray",
-            "std_msgs/MultiArrayLayout",
-            "std_msgs/MultiArrayDimension",
-        ),
+        ("diagnostic_msgs/DiagnosticArray", "diagnostic_msgs/DiagnosticStatus",
+         "diagnostic_msgs/KeyValue", "std_msgs/Header", "builtin_interfaces/Time"),
+        ("std_msgs/Float64MultiArray", "std_msgs/MultiArrayLayout", "std_msgs/MultiArrayDimension"),
     ],
     ids=lambda types: types[0],
-)
+)  # fmt: skip
 def test_dependencies_follow_depth_first_in_bytewise_order(types: tuple[str, ...]) -> None:
-    assert find_definition(types[0].replace("/", "/msg/")).text == concatenated(*types)
+    assert find_definition(types[0]) == find_definition(types[0].replace("/", "/msg/"))
+    assert find_definition(types[0]).type == types[0].replace("/", "/msg/")
+    assert find_definition(types[0]).text == concatenated(*types)
 
 
 def test_each_dependency_comes_once_where_it_is_first_needed(tmp_path: Path) -> None:
@@ -173,15 +160,6 @@ def test_what_actions_send_is_composed_of_their_file(tmp_path: Path) -> None:
     assert f"{SEPARATOR}\nMSG: a_msgs/action/Go_Result\nfloat64 took\n" in result
 
 
-def test_a_file_that_lacks_a_part_is_named(tmp_path: Path) -> None:
-    folder = tmp_path / "a_msgs" / "srv"
-    folder.mkdir(parents=True)
-    (folder / "Half.srv").write_text("int8 x\n")
-    write_package(tmp_path, "service_msgs", ServiceEventInfo="uint8 event_type\n")
-    with pytest.raises(BagWriteError, match=r"Half_Response: its \.srv file lacks that part"):
-        find_definition("a_msgs/srv/Half_Event", [tmp_path])
-
-
 def test_without_a_msg_file_the_definition_is_in_idl(tmp_path: Path) -> None:
     # As rosbag2 does it, which does not know the type wstring either.
     root = '#include "b_msgs/msg/Part.idl"\n\nmodule a_msgs { wstring wide; };\n'
@@ -198,11 +176,6 @@ def test_without_a_msg_file_the_definition_is_in_idl(tmp_path: Path) -> None:
     )
 
 
-def test_a_type_may_be_named_without_its_middle_part() -> None:
-    assert find_definition("std_msgs/String") == find_definition("std_msgs/msg/String")
-    assert find_definition("std_msgs/String").type == "std_msgs/msg/String"
-
-
 def test_sourced_prefixes_come_before_the_interpreters(monkeypatch, tmp_path: Path) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'over'}:{tmp_path / 'under'}")
     assert share_folders() == (
@@ -216,13 +189,20 @@ def test_sourced_prefixes_come_before_the_interpreters(monkeypatch, tmp_path: Pa
     assert share_folders() == (Path(sys.prefix) / "share",)
 
 
-def test_an_uninstalled_type_or_dependency_is_named(tmp_path: Path) -> None:
+def test_an_uninstalled_type_or_part_is_named(tmp_path: Path) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]
     with pytest.raises(BagWriteError, match=r"no_msgs/msg/None is not installed.*one, .*two"):
         find_definition("no_msgs/msg/None", folders)
     write_package(tmp_path, "my_msgs", Root="other_msgs/Gone gone\n")
-    with pytest.raises(BagWriteError, match="other_msgs/msg/Gone is not installed"):
-        find_definition("my_msgs/msg/Root", [tmp_path])
+    write_package(tmp_path, "service_msgs", ServiceEventInfo="uint8 event_type\n")
+    (tmp_path / "my_msgs" / "srv").mkdir()
+    (tmp_path / "my_msgs" / "srv" / "Half.srv").write_text("int8 x\n")
+    for name, reason in (
+        ("my_msgs/msg/Root", "other_msgs/msg/Gone is not installed"),
+        ("my_msgs/srv/Half_Event", r"Half_Response: its \.srv file lacks that part"),
+    ):
+        with pytest.raises(BagWriteError, match=reason):
+            find_definition(name, [tmp_path])
 
 
 @pytest.mark.parametrize(
