@@ -11,7 +11,7 @@ from zipfile import ZipFile
 import pytest
 
 import tsobs_ros
-from tsobs_ros.extras import LIBRARIES, missing_library
+from tsobs_ros.errors import LIBRARIES, missing_library
 
 ROOT = Path(__file__).resolve().parents[1]
 EXECUTABLES = ("observer", "plant_simulator", "recorder", "player", "tsobs")

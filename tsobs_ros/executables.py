@@ -12,7 +12,7 @@ import sys
 from functools import partial
 from importlib import import_module
 
-from tsobs_ros.extras import missing_library
+from tsobs_ros.errors import missing_library
 from tsobs_ros.stop import StopFlag, end_at_once
 
 # Time for the interpreter's own shutdown, which may still destroy a participant.

@@ -15,8 +15,7 @@ from collections.abc import Callable, Sequence
 from tsobs_ros import __version__
 from tsobs_ros.cli import bag, compare, demo, design, estimate, export, paper, report, verify
 from tsobs_ros.cli.common import complain
-from tsobs_ros.errors import TsobsError
-from tsobs_ros.extras import missing_library
+from tsobs_ros.errors import TsobsError, missing_library
 
 _COMMANDS = (demo, design, verify, estimate, compare, export, report, bag, paper)
 """In the order in which the help lists them."""

@@ -1,18 +1,25 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of a bag as CSV or Parquet files, one each; numbers read back to the same bits."""
+"""Topics of a bag as CSV or Parquet files, one each; numbers read back to the same bits.
+
+A topic becomes a table: columns with units, found in a first pass, and rows. Nested fields become
+columns such as `pose.position.x` or `data[3]`. Units are those of REP 103 and of the messages'
+definitions: a unit belongs to a field of a type and to all fields below it, so a Twist's `angular`
+is a Vector3 in rad/s. A field that is not listed has no unit.
+"""
 
 import csv
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.errors import BagReadError, ExportError
-from tsobs_ros.report.export_table import Column, Table
+from tsobs_ros.errors import BagReadError, ExportError, MessageError
 
 FORMATS = ("csv", "parquet")
 
@@ -20,6 +27,260 @@ _BLOCK = 16_384
 _MAX_INT64 = 2**63 - 1
 # A spreadsheet takes text with such a first character for a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+MAX_COLUMNS = 64
+"""Arrays that are ever longer stay in one column, as lists."""
+
+_FIRST = (("time", "s"), ("log_time", "ns"), ("publish_time", "ns"))
+_TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
+_NANOSECONDS = 1_000_000_000
+
+_POINT = {"x": "m", "y": "m", "z": "m"}
+
+_UNITS: Mapping[str, Mapping[str, str]] = {
+    "builtin_interfaces/Time": {"sec": "s", "nanosec": "ns"},
+    "builtin_interfaces/Duration": {"sec": "s", "nanosec": "ns"},
+    "geometry_msgs/Accel": {"linear": "m/s^2", "angular": "rad/s^2"},
+    "geometry_msgs/Inertia": {
+        "m": "kg",
+        "com": "m",
+        **dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "kg m^2"),
+    },
+    "geometry_msgs/Point": _POINT,
+    "geometry_msgs/Point32": _POINT,
+    "geometry_msgs/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
+    "geometry_msgs/Transform": {"translation": "m", "rotation": ""},
+    "geometry_msgs/Twist": {"linear": "m/s", "angular": "rad/s"},
+    "geometry_msgs/Wrench": {"force": "N", "torque": "N m"},
+    "nav_msgs/MapMetaData": {"resolution": "m"},
+    "sensor_msgs/BatteryState": {
+        "voltage": "V",
+        "current": "A",
+        "charge": "A h",
+        "capacity": "A h",
+        "design_capacity": "A h",
+        "temperature": "degC",
+        "cell_voltage": "V",
+        "cell_temperature": "degC",
+    },
+    "sensor_msgs/FluidPressure": {"fluid_pressure": "Pa"},
+    "sensor_msgs/Illuminance": {"illuminance": "lx"},
+    "sensor_msgs/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
+    # Of revolute joints; bags do not distinguish prismatic ones.
+    "sensor_msgs/JointState": {"position": "rad", "velocity": "rad/s", "effort": "N m"},
+    "sensor_msgs/LaserScan": {
+        "angle_min": "rad",
+        "angle_max": "rad",
+        "angle_increment": "rad",
+        "time_increment": "s",
+        "scan_time": "s",
+        "range_min": "m",
+        "range_max": "m",
+        "ranges": "m",
+    },
+    "sensor_msgs/MagneticField": {"magnetic_field": "T"},
+    "sensor_msgs/NavSatFix": {"latitude": "deg", "longitude": "deg", "altitude": "m"},
+    "sensor_msgs/Range": {
+        "field_of_view": "rad",
+        "min_range": "m",
+        "max_range": "m",
+        "range": "m",
+    },
+    "sensor_msgs/Temperature": {"temperature": "degC"},
+    "trajectory_msgs/JointTrajectoryPoint": {
+        "positions": "rad",
+        "velocities": "rad/s",
+        "accelerations": "rad/s^2",
+        "effort": "N m",
+    },
+}
+
+
+class Cell(NamedTuple):
+    """One value of a row.
+
+    Attributes:
+        column: Its column's name.
+        unit: Its unit, empty for none.
+        value: A number, text, bytes, or a list if the array stays in one column.
+    """
+
+    column: str
+    unit: str
+    value: Any
+
+
+@dataclass
+class Column:
+    """A column.
+
+    Attributes:
+        name: Its name, without unit.
+        unit: Its unit, empty for none.
+        kind: The type of its values.
+        item: The type of their items if they are lists.
+        largest: The largest value if they are whole numbers.
+    """
+
+    name: str
+    unit: str
+    kind: type = float
+    item: type = float
+    largest: int = 0
+
+    def see(self, value: Any) -> None:
+        """Note the type and size of one of the values."""
+        self.kind = type(value)
+        if self.kind is int:
+            self.largest = max(self.largest, value)
+        elif self.kind is list and value:
+            self.item = type(value[0])
+
+
+class Table:
+    """A topic as a table.
+
+    The first columns are `time`, in seconds since the bag's first message, and the times at which
+    the message was received and published. They are followed by the message's own, in the order
+    in which they first appear.
+
+    Args:
+        reader: The bag.
+        topic: The topic.
+
+    Attributes:
+        topic: The topic.
+        columns: Its columns.
+        count: Number of rows.
+        damage: The place where reading ended early, if it did.
+
+    Raises:
+        BagReadError: The topic's messages cannot be decoded at all: their definition is malformed
+            or not in `ros2msg`, or `mcap-ros2-support` is not installed.
+    """
+
+    def __init__(self, reader: BagReader, topic: str) -> None:
+        self.topic = topic
+        self.damage: BagReadError | None = None
+        self.count = 0
+        self._reader = reader
+        self._whole: set[str] = set()
+        self.columns = self._survey()
+
+    def rows(self) -> Iterator[list[Any]]:
+        """Yield the rows; None if a message has nothing for a column."""
+        places = {column.name: place for place, column in enumerate(self.columns)}
+        start = self._reader.start_time or 0
+        for log_time, publish_time, cells in self._messages():
+            row: list[Any] = [None] * len(places)
+            row[:3] = (log_time - start) / 1e9, log_time, publish_time
+            for column, _, value in cells:
+                row[places[column]] = value
+            yield row
+
+    def _survey(self) -> list[Column]:
+        """Read all messages once to find the columns."""
+        found = {name: Column(name, unit) for name, unit in _FIRST}
+        for log_time, publish_time, cells in self._messages():
+            self.count += 1
+            found["log_time"].see(log_time)
+            found["publish_time"].see(publish_time)
+            for name, unit, value in cells:
+                found.setdefault(name, Column(name, unit)).see(value)
+                if isinstance(value, list):
+                    self._whole.add(name)
+        # What was an array of several columns before it became too long is one column throughout.
+        split = tuple(f"{name}[" for name in self._whole)
+        return (
+            [column for name, column in found.items() if not name.startswith(split)]
+            if split
+            else list(found.values())
+        )
+
+    def _messages(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
+        # Outside of the `try`: without a decoder nothing is damaged, and there are no rows to keep.
+        messages = self._decoded()
+        try:
+            yield from messages
+        except BagReadError as error:
+            self.damage = error
+
+    def _decoded(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
+        if self._reader.topics[self.topic].type == JOINT_STATE:
+            return self._joint_states()
+        messages = self._reader.decoded([self.topic])  # without a decoder it fails here
+        return (
+            (message.log_time, message.publish_time, _flatten_message(message.message, self._whole))
+            for message in messages
+        )
+
+    def _joint_states(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
+        decode = JointStateDecoder()
+        for raw in self._reader.messages([self.topic]):
+            try:
+                state = decode(raw.data)
+            except MessageError as error:
+                raise BagReadError(
+                    f"{self._reader.path}: the message of {self.topic} at {raw.log_time} ns is "
+                    f"not a {JOINT_STATE}: {error}"
+                ) from error
+            yield raw.log_time, raw.publish_time, _flatten_joint_state(state)
+
+
+def _flatten_message(message: Any, whole: Collection[str] = ()) -> Iterator[Cell]:
+    """Yield the cells of a message as decoded, but for the arrays of the `whole` columns."""
+    type_ = _type_of(message)
+    for field in message.__slots__:
+        unit = _unit_of(type_, field)
+        yield from _flatten(getattr(message, field), field, unit, whole)
+
+
+def _flatten_joint_state(message: JointState) -> Iterator[Cell]:
+    """Yield the cells of a JointState; its numbers have the names of their joints."""
+    yield Cell("header.stamp", "ns", message.stamp)
+    yield Cell("header.frame_id", "", message.frame_id)
+    names = message.names
+    for field in ("position", "velocity", "effort"):
+        unit = _unit_of("sensor_msgs/JointState", field)
+        for place, value in enumerate(getattr(message, field)):
+            column = f"{field}.{names[place]}" if place < len(names) else f"{field}[{place}]"
+            yield Cell(column, unit, value)
+
+
+def _flatten(value: Any, column: str, unit: str, whole: Collection[str]) -> Iterator[Cell]:
+    if isinstance(value, list | tuple):
+        yield from _flatten_array(value, column, unit, whole)
+    elif (type_ := _type_of(value)) in _TIMES:
+        yield Cell(column, "ns", value.sec * _NANOSECONDS + value.nanosec)
+    elif type_:
+        for field in value.__slots__:
+            below = _unit_of(type_, field, unit)
+            yield from _flatten(getattr(value, field), f"{column}.{field}", below, whole)
+    elif isinstance(value, bytearray | memoryview):
+        yield Cell(column, unit, bytes(value))
+    else:
+        yield Cell(column, unit, value)
+
+
+def _flatten_array(
+    values: Sequence[Any], column: str, unit: str, whole: Collection[str]
+) -> Iterator[Cell]:
+    nested = bool(values) and bool(_type_of(values[0]))
+    if not nested and (len(values) > MAX_COLUMNS or column in whole):
+        yield Cell(column, unit, list(values))
+        return
+    for place, value in enumerate(values):
+        yield from _flatten(value, f"{column}[{place}]", unit, whole)
+
+
+def _type_of(value: Any) -> str:
+    """Return the type of a decoded message as `package/Type`, empty for anything else."""
+    return str(getattr(value, "_type", ""))
+
+
+def _unit_of(type_: str, field: str, inherited: str = "") -> str:
+    """Return the unit of a field of a type `package/Type` that is part of something with a unit."""
+    return "" if "covariance" in field else _UNITS.get(type_, {}).get(field, inherited)
 
 
 class Exported(NamedTuple):

@@ -8,7 +8,7 @@ import pytest
 from builtin_interfaces.msg import Time
 
 from tsobs_ros.nodes.messages import set_stamp, to_nanoseconds, to_stamp
-from tsobs_ros.nodes.plant_simulator.schedule import SampleSchedule, ScaledTime
+from tsobs_ros.nodes.plant_simulator.node import SampleSchedule, ScaledTime
 
 SECOND = 1_000_000_000
 
