@@ -207,3 +207,13 @@ def test_damage_is_an_error_after_all_before_it(arms, write_bag, capsys) -> None
     assert "estimated up to there" in err
     assert "exported up to there" in err
     assert 0 < BagReader(f"{bag}_estimates").topics["/observer/joint_states"].count < 600
+
+
+@pytest.mark.parametrize("command", ["estimate", "compare", "report"])
+def test_a_ts_design_is_refused_in_one_line(command: str, bag: Path, capsys) -> None:
+    design = Path(__file__).parents[1] / "design/data/system.design.yaml"
+
+    assert main([command, str(bag), "--design", str(design)]) == 1
+
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert f"{design}: design: expected one for an arm, got one for a T-S system" in line

@@ -183,7 +183,7 @@ def _observers(
 
 def _designs(arguments: Sequence[str], joints: Sequence[str]) -> "dict[str, tuple[Design, ...]]":
     """Return the designs to compare by the names of their files, each with one design a joint."""
-    from tsobs_ros.design.file import load_design
+    from tsobs_ros.design.file import load_arm_design
 
     own = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
     shared = [Path(argument) for argument in arguments if "=" not in argument]
@@ -198,12 +198,12 @@ def _designs(arguments: Sequence[str], joints: Sequence[str]) -> "dict[str, tupl
                 + ", ".join(map(str, shared))
             )
         rest = shared[0] if shared else config_path(SHIPPED_DESIGN)
-        return {"own": tuple(load_design(Path(own.get(joint, rest))) for joint in joints)}
+        return {"own": tuple(load_arm_design(Path(own.get(joint, rest))) for joint in joints)}
     found: dict[str, tuple[Design, ...]] = {}
     for path in shared or [config_path(SHIPPED_DESIGN)]:
         stem = path.name.split(".")[0].replace("-", "_").replace(" ", "_")
         name = stem if stem not in found else f"{stem}_{len(found) + 1}"
-        found[name] = (load_design(path),) * len(joints)
+        found[name] = (load_arm_design(path),) * len(joints)
     return found
 
 

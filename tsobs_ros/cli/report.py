@@ -29,9 +29,9 @@ def run(options: argparse.Namespace) -> int:
 
 def report_on(bag: Path, output: Path, design_path: Path, *, ekf: bool, as_json: bool) -> int:
     """Report on a bag and return the exit code."""
-    from tsobs_ros.design.file import load_design
+    from tsobs_ros.design.file import load_arm_design
     from tsobs_ros.report.bag_report import make_bag_report
 
-    result = make_bag_report(bag, output, load_design(design_path), ekf=ekf)
+    result = make_bag_report(bag, output, load_arm_design(design_path), ekf=ekf)
     show(result.as_mapping(), result.text(), as_json)
     return 0

@@ -82,6 +82,19 @@ def load_design(path: FilePath) -> Design:
     return design
 
 
+def load_arm_design(path: FilePath) -> Design:
+    """Read the design file of an arm and re-check its certificate.
+
+    Raises:
+        DesignFileError: As for `load_design`, or the design is for a T–S system.
+        CertificateError: As for `load_design`.
+    """
+    design = load_design(path)
+    with naming(path):
+        _ = design.arm_request
+    return design
+
+
 def parse_design(path: FilePath) -> Design:
     """Read a design file without judging its certificate (for `tsobs verify`).
 

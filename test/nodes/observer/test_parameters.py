@@ -15,6 +15,7 @@ from tsobs_ros.nodes.observer import Observer, create
 from tsobs_ros.resources import config_path
 
 SHIPPED = config_path("elastic_joint.design.yaml")
+TS_DESIGN = Path(__file__).parents[2] / "design/data/system.design.yaml"
 
 
 @pytest.fixture
@@ -94,13 +95,14 @@ def drop_the_gain(data: dict[str, Any]) -> None:
     [
         (lambda path: path, DesignFileError, ["no such design file"]),
         (lambda path: tampered(path, drop_the_gain), DesignFileError, ["gain"]),
+        (lambda path: TS_DESIGN, DesignFileError, ["expected one for an arm, got one for a T-S"]),
         (
             lambda path: tampered(path, triple_the_gain),
             CertificateError,
             ["covariance decrease", "slopes (1, 1)", "DOES NOT HOLD"],
         ),
     ],
-    ids=["missing", "malformed", "certificate does not hold"],
+    ids=["missing", "malformed", "not an arm", "certificate does not hold"],
 )
 def test_a_wrong_design_is_refused_by_name(
     make: Callable[..., Observer],

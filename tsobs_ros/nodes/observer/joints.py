@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.design.file import load_design
+from tsobs_ros.design.file import load_arm_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.estimation.estimator import Estimator
@@ -27,7 +27,6 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.schema import naming
 
 _IDENTITY_LENGTH = 12
 _NOTHING = np.zeros(0)
@@ -55,9 +54,7 @@ def load(path: str) -> LoadedDesign:
         CertificateError: The design's certificate does not hold.
     """
     file = Path(path) if path else config_path(SHIPPED_DESIGN)
-    design = load_design(file)
-    with naming(file):
-        _ = design.arm_request
+    design = load_arm_design(file)
     try:
         identity = hashlib.sha256(file.read_bytes()).hexdigest()[:_IDENTITY_LENGTH]
     except OSError as error:
