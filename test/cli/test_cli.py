@@ -176,7 +176,9 @@ def test_an_impossible_request_is_explained(tmp_path: Path, capsys: Captured) ->
     assert main(["design", str(request), "--output", str(path)]) == 1
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith("error: no observer can tell the arm from a disturbance of kind bias")
+    assert err.startswith(
+        "error: no observer can distinguish the arm from a disturbance of kind bias"
+    )
     assert "gravity slope c = 0" in err
     assert "what would help:" in err
     assert "a smaller domain" in err

@@ -20,7 +20,6 @@ from hypothesis.extra import numpy as hnp
 from tsobs_ros.design.file import load_design, load_request, parse_design, save_design
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
-from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import CertificateError, DesignFileError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
@@ -30,7 +29,7 @@ DATA = Path(__file__).parent / "data"
 """Files as they were written by version 0.1.0 before requests and designs had a schema."""
 
 PROPERTY = settings(
-    max_examples=60,
+    max_examples=30,
     # The file is written again by every example.
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
@@ -238,7 +237,6 @@ ARM = [
     (("version",), 2, "version: expected 1, got 2"),
     (("version",), True, "version: expected 1, got True"),
     (("version",), 1.0, "version: expected 1, got 1.0"),
-    (("version",), ..., "version: expected 1, got None"),
     (("notes",), "mine", "unknown entry 'notes', expected some of design"),
     (("design",), ..., "design: missing"),
     (("design",), [1], r"design: expected a mapping, got \[1\]"),
@@ -246,18 +244,14 @@ ARM = [
     (("design", "speed"), 3.0, "design: unknown entry 'speed', expected some of arm"),
     (("design", "rate"), "fast", "design.rate: expected a number, got 'fast'"),
     (("design", "rate"), True, "design.rate: expected a number, got True"),
-    (("design", "rate"), None, "design.rate: expected a number, got None"),
-    (("design", "rate"), [200.0], r"design.rate: expected a number, got \[200.0\]"),
     (("design", "rate"), math.nan, "design.rate: expected a finite number, got nan"),
     (("design", "rate"), "inf", "design.rate: expected a finite number above 0, got inf"),
     (("design", "rate"), 10**400, "design.rate: expected a finite number, got 1000000"),
     (("design", "rate"), 0.0, "design.rate: expected a finite number above 0, got 0.0"),
     (("design", "x_max"), 4.0, "design.x_max: expected 0 < x_max <= π, got 4.0"),
-    (("design", "arm"), 3.0, "design.arm: expected a mapping, got 3.0"),
     (("design", "arm", "mass"), 3.0, "design.arm: unknown entry 'mass', expected some of link_in"),
     (("design", "arm", "stiffness"), "soft", "design.arm.stiffness: expected a number, got 'soft'"),
     (("design", "arm", "stiffness"), -3, "design.arm.stiffness: .* number above 0, got -3"),
-    (("design", "process_noise", "wind"), 1.0, "design.process_noise: unknown entry 'wind'"),
     (("design", "process_noise", "link"), -1.0, "design.process_noise: .* of the link: expected"),
     (("design", "initial_std"), [1.0], r"design.initial_std: expected shape \(4,\), got \(1,\)"),
     (("design", "initial_std", 2), "x", r"design.initial_std\[2\]: expected a number, got 'x'"),
@@ -288,7 +282,6 @@ ARM = [
     (("certificate",), 3, "certificate: expected a mapping, got 3"),
     (("certificate", "P", 4), ..., r"certificate.P: expected shape \(5, 5\), got \(4, 5\)"),
     (("certificate", "P", 1), [1.0], r"certificate.P\[1\]: expected shape \(5,\) as \[0\] has"),
-    (("certificate", "P", 1, 2), "x", r"certificate.P\[1\]\[2\]: expected a number, got 'x'"),
     (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
     (("solver", "iterations"), "many", "solver.iterations: expected a whole number, got 'many'"),
 ]
@@ -399,16 +392,6 @@ def test_a_request_that_makes_no_model_is_refused_when_read(text: str, tmp_path:
         load_request(written(tmp_path, text))
 
 
-def test_a_clean_design_is_not_one_for_an_arbitrary_disturbance(tmp_path: Path) -> None:
-    """The same matrices with the same state count, and no proof."""
-    clean = synthesise(ArmRequest(disturbance=(DisturbanceTerm("clean"),)))
-    request = replace(clean.request, disturbance=(DisturbanceTerm("arbitrary"),))
-    path = tmp_path / "my.yaml"
-    save_design(replace(clean, request=request), path)
-    with pytest.raises(CertificateError, match="disturbance has a model: DOES NOT HOLD"):
-        load_design(path)
-
-
 def test_numpy_numbers_are_saved_as_numbers(shipped: Design, tmp_path: Path) -> None:
     terms = (DisturbanceTerm("bias", {"density": np.float64(1e-4)}),)
     noise = ProcessNoise(np.float64(1e-4), np.float64(1e-5))
@@ -504,7 +487,7 @@ WRONG = st.recursive(
 )  # fmt: skip
 
 
-@settings(PROPERTY, max_examples=200)
+@settings(PROPERTY, max_examples=60)
 @given(data=st.data())
 @pytest.mark.parametrize("name", ["arm", "system"])
 def test_a_mutated_file_is_either_a_design_or_a_named_refusal(
@@ -526,7 +509,7 @@ def test_a_mutated_file_is_either_a_design_or_a_named_refusal(
     loaded(written(tmp_path, edited))
 
 
-@settings(PROPERTY, max_examples=100)
+@settings(PROPERTY, max_examples=30)
 @given(cut=st.floats(0.0, 1.0))
 @pytest.mark.parametrize("name", ["arm", "system"])
 def test_a_truncated_file_is_either_a_design_or_a_named_refusal(

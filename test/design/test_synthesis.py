@@ -35,12 +35,16 @@ def relative_eigenvalues(covariance: Array, P: Array) -> Array:
     return np.asarray(np.linalg.eigvalsh(root.T @ covariance @ root))
 
 
-def test_the_shipped_design_can_be_made_again(shipped: Design) -> None:
-    again = synthesise(ArmRequest())
-    assert again.request == shipped.request
+@pytest.fixture(scope="module")
+def default() -> Design:
+    return synthesise(ArmRequest())
+
+
+def test_the_shipped_design_can_be_made_again(default: Design, shipped: Design) -> None:
+    assert default.request == shipped.request
     # Solver versions differ in the last digits; the design they agree on does not.
-    np.testing.assert_allclose(again.K, shipped.K, rtol=2e-3)
-    np.testing.assert_allclose(again.bound_std, shipped.bound_std, rtol=2e-3)
+    np.testing.assert_allclose(default.K, shipped.K, rtol=2e-3)
+    np.testing.assert_allclose(default.bound_std, shipped.bound_std, rtol=2e-3)
 
 
 def test_the_shipped_gain_and_bound_are_the_known_ones(shipped: Design) -> None:
@@ -88,9 +92,7 @@ def test_fast_sampling_tends_to_the_continuous_inequality() -> None:
     assert excess[1] < 5e-3
 
 
-@pytest.mark.parametrize(
-    ("x_max", "known"), [(0.45, 0.006), (1.05, 0.009), (1.27, 0.012), (1.52, 0.028)]
-)
+@pytest.mark.parametrize(("x_max", "known"), [(0.45, 0.006), (1.52, 0.028)])
 def test_a_bias_is_seen_worse_the_wider_the_domain(x_max: float, known: float) -> None:
     # The known values are to one or two digits and for a bound of least trace, not of least volume.
     design = synthesise(ArmRequest(x_max=x_max))
@@ -98,19 +100,10 @@ def test_a_bias_is_seen_worse_the_wider_the_domain(x_max: float, known: float) -
 
 
 @pytest.mark.parametrize(
-    "disturbance",
-    [
-        (DisturbanceTerm("ramp"),),
-        (DisturbanceTerm("gauss_markov"),),
-        tone(3.0),
-        (DisturbanceTerm("bias"), *tone(3.0)),
-    ],
-    ids=lambda terms: "+".join(term.kind for term in terms),
+    "terms", [[DisturbanceTerm("ramp")], [DisturbanceTerm("bias"), *tone(3.0)]]
 )
-def test_designs_exist_for_every_kind_of_disturbance(
-    disturbance: tuple[DisturbanceTerm, ...],
-) -> None:
-    design = synthesise(ArmRequest(disturbance=disturbance))
+def test_designs_exist_for_disturbances_that_grow_or_swing(terms: list[DisturbanceTerm]) -> None:
+    design = synthesise(ArmRequest(disturbance=terms))
     assert design.certificate.holds
     assert (design.bound_std[:4] < [0.02, 0.05, 0.03, 0.04]).all()
     assert design.solver.name == "Clarabel"
@@ -139,13 +132,7 @@ def test_how_far_the_solver_got_is_not_made_up() -> None:
         synthesise(ArmRequest(decay_rate=100.0))
 
 
-STIFF = [
-    (0.05, 0.005, 200.0, 2.0), (0.01, 0.001, 50.0, 0.5), (1.0, 0.5, 5000.0, 10.0),
-    (0.1, 0.02, 1000.0, 3.0),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize("arm", STIFF)
+@pytest.mark.parametrize("arm", [(0.01, 0.001, 50.0, 0.5), (1.0, 0.5, 5000.0, 10.0)])
 def test_a_stiff_or_light_arm_has_a_design(arm: tuple[float, ...]) -> None:
     request = ArmRequest(arm=ElasticJointArm(*arm))
     assert find_obstacles(request) == []
@@ -206,12 +193,9 @@ def test_an_obstacle_is_a_hidden_mode(
         assert np.linalg.norm(C @ shape) < 1e-12
 
 
-def test_a_smaller_domain_is_advised_beyond_the_horizontal_too() -> None:
+def test_a_smaller_domain_is_advised_only_if_it_helps() -> None:
     request = ArmRequest(disturbance=tone(3.474), x_max=math.pi)
     assert "a smaller domain: x_max below 2.09" in explain(request, find_obstacles(request))
-
-
-def test_a_smaller_domain_is_not_advised_where_it_cannot_help() -> None:
     request = ArmRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("ramp")))
     assert "a smaller domain" not in explain(request, find_obstacles(request))
 
@@ -284,7 +268,7 @@ def test_without_noise_no_stationary_filter_exists(request_: ArmRequest) -> None
         pytest.param(
             ArmRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("bias"))),
             ["kind bias+bias", "at every gravity slope", "q1 0, q1' 0, q2 0, q2' 0, w1 1, w2 -1",
-             "two of bias and bias move alike and cannot be told apart"],
+             "two of bias and bias move alike and cannot be distinguished"],
             id="two biases",
         ),
     ],
@@ -324,45 +308,15 @@ def test_a_tone_is_refused_exactly_in_the_arms_blind_bands(frequency: float) -> 
     assert bool(find_obstacles(ArmRequest(disturbance=tone(frequency)))) == blind
 
 
-def test_the_known_blind_bands() -> None:
-    for frequency in (1.34, 1.47, 4.54, 4.77):
-        with pytest.raises(DetectabilityError):
-            require_detectable(ArmRequest(disturbance=tone(frequency)))
-    for frequency in (1.32, 1.49, 4.52, 4.79):
-        require_detectable(ArmRequest(disturbance=tone(frequency)))
-
-
-@PROPERTY
-@given(st.floats(0.1, 1.55), st.floats(0.2, 5.0), st.floats(1.0, 50.0), st.floats(1.0, 50.0))
-def test_a_bias_is_detectable_below_the_horizontal(
-    x_max: float, inertia: float, stiffness: float, gravity: float
-) -> None:
-    arm = ElasticJointArm(inertia, 1.0, stiffness, gravity)
-    assert find_obstacles(ArmRequest(arm=arm, x_max=x_max)) == []
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"measurement_std": 0.0}, "measurement_std: expected a finite number above 0, got 0.0"),
         ({"rate": -200.0}, "rate: expected a finite number above 0, got -200.0"),
         ({"decay_rate": -0.1}, "decay_rate: expected a finite number of at least 0, got -0.1"),
-        ({"x_max": 0.0}, "x_max: expected 0 < x_max <= π, got 0.0"),
-        ({"x_max": 3.2}, "x_max: expected 0 < x_max <= π, got 3.2"),
         ({"x_max": math.nan}, "x_max: expected a finite number, got nan"),
-        ({"initial_std": (0.3, 0.6, 0.3)}, r"initial_std: expected shape \(4,\), got \(3,\)"),
-        ({"initial_std": (0.3, 0.0, 0.3, 0.4)}, "initial_std: expected a finite number above 0"),
-        ({"measurement_std": 1e200}, "measurement_std: expected a number with a finite square"),
         ({"initial_std": (1e200, 1, 1, 1)}, "initial_std: expected a number with a finite square"),
-        (
-            {"disturbance": tone(629.0)},
-            r"sinusoid frequency: expected less than half the measure.*"
-            r"628\.319 rad/s, got 629\.0",
-        ),
+        ({"disturbance": tone(629.0)}, r"sinusoid frequency: .*half the.* 628\.319 rad/s, got 629"),
         ({"disturbance": tone(400.0 * math.pi)}, "sinusoid frequency: expected less than half"),
-        ({"uncertainty": {"wind": 0.1}}, "uncertainty: expected some of stiffness"),
-        ({"uncertainty": {"stiffness": 0.0}}, "uncertainty.stiffness: expected a finite number ab"),
-        ({"certify_uncertainty": True}, "certify_uncertainty: expected at least one uncertain"),
         (
             {
                 "certify_uncertainty": True,
@@ -372,7 +326,6 @@ def test_a_bias_is_detectable_below_the_horizontal(
             },
             "certify_uncertainty: expected at most 3 uncertain parameters besides gravity",
         ),
-        ({"disturbance": ()}, "disturbance: expected at least one term"),
     ],
 )
 def test_a_request_out_of_range_is_named(change: dict[str, Any], message: str) -> None:
@@ -415,12 +368,12 @@ def test_the_initial_covariance_is_given_in_physical_units() -> None:
     np.testing.assert_allclose(request.initial_covariance, expected, rtol=1e-14)
 
 
-def test_process_noise_makes_the_bound() -> None:
+def test_process_noise_makes_the_bound(default: Design) -> None:
     """Ten times the densities of everything, ten times the bound: the problem is homogeneous."""
     loud = ArmRequest(
         process_noise=ProcessNoise(1e-3, 1e-4),
         measurement_std=0.028 * math.sqrt(10.0),
         disturbance=(DisturbanceTerm("bias", {"density": 1e-3}),),
     )
-    ratio = synthesise(loud).bound_std / synthesise(ArmRequest()).bound_std
+    ratio = synthesise(loud).bound_std / default.bound_std
     np.testing.assert_allclose(ratio, math.sqrt(10.0), rtol=1e-3)

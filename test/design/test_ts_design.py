@@ -16,11 +16,7 @@ from tsobs_ros.design.file import load_design, load_request, save_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.errors import (
-    DesignError,
-    DetectabilityError,
-    ModelError,
-)
+from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
 from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import system_uncertainty
@@ -146,30 +142,24 @@ def test_the_arm_is_a_special_case() -> None:
     np.testing.assert_allclose(design.K, reference.K, rtol=2e-3)
 
 
-def test_with_a_known_premise_the_certificate_holds_at_every_weight(known: Design) -> None:
-    flow = known.request.flow
-    rng = np.random.default_rng(11)
+@pytest.mark.parametrize("kind", ["known", "estimated"])
+def test_the_bound_decreases_at_every_weight_and_state(
+    kind: str, known: Design, example: Design
+) -> None:
+    """At random weights of a known premise, or states of the domain of an estimated one."""
+    design = known if kind == "known" else example
+    flow, rng = design.request.flow, np.random.default_rng(11)
     margins = []
     for _ in range(50):
-        u = np.array([0.0, rng.uniform()])
-        # The premise does not move with the state, so the Jacobian is the blend of the rules.
-        N = flow.deviation_jacobian(np.zeros(4), u)
-        margins.append(decrease(known, *flow.error_map(N, N, flow.nominal)))
+        if kind == "known":
+            # The premise does not move with the state, so the Jacobian is the blend of the rules.
+            pair = [flow.deviation_jacobian(np.zeros(4), np.array([0.0, rng.uniform()]))] * 2
+        else:
+            states = rng.uniform(-1.2, 1.2, (2, 3))
+            pair = [flow.deviation_jacobian(x, np.zeros(1)) for x in states]
+        margins.append(decrease(design, *flow.error_map(*pair, flow.nominal)))
     assert min(margins) > 0.0
-    assert "covers every weight" in known.request.claim
-
-
-def test_slope_vertices_cover_the_estimated_premise(example: Design) -> None:
-    """At random states of the domain, whatever the state in the middle of the step."""
-    flow = example.request.flow
-    rng = np.random.default_rng(12)
-    margins = []
-    for _ in range(50):
-        x, other = rng.uniform(-1.2, 1.2, (2, 3))
-        pair = [flow.deviation_jacobian(each, np.zeros(1)) for each in (x, other)]
-        margins.append(decrease(example, *flow.error_map(*pair, flow.nominal)))
-    assert min(margins) > 0.0
-    assert "Jacobian" in example.request.claim
+    assert ("covers every weight" if kind == "known" else "Jacobian") in design.request.claim
 
 
 def test_without_slope_vertices_the_gap_is_not_covered_and_said_so(example: Design) -> None:

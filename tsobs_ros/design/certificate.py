@@ -34,10 +34,10 @@ class Inequality(NamedTuple):
     """One strict matrix inequality and its margin.
 
     Attributes:
-        name: What is claimed.
+        name: The claim.
         where: The vertex, e.g. "slopes (0.732, 1)", or "" for one that has none.
-        margin: Smallest eigenvalue in coordinates where X = I; per second for the decrease.
-        required: The margin must exceed this, which is what rounding may have added to it.
+        margin: Smallest eigenvalue in coordinates in which X = I; per second for the decrease.
+        required: Bound on what rounding may have added to the margin, which must exceed it.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Inequality(NamedTuple):
 
 
 UNMODELLED = Inequality("disturbance has a model", "", -math.inf, 0.0)
-"""What fails for an arbitrary disturbance."""
+"""The inequality that fails for an arbitrary disturbance."""
 
 
 @dataclass(frozen=True)
@@ -148,10 +148,10 @@ def _check_vertex(
     # solution Z of L Z = Mᵀ.
     error_map = solve_triangular(root, closed.T @ root, lower=True, check_finite=False).T
     noise_map = root.T @ vertex.transition @ K
-    spread = noise_map @ problem.measurement_covariance @ noise_map.T
-    spread += root.T @ vertex.noise @ root
+    noise = noise_map @ problem.measurement_covariance @ noise_map.T
+    noise += root.T @ vertex.noise @ root
     kept = math.exp(-2.0 * problem.decay_rate * problem.period) * np.eye(K.shape[0])
-    margin = _smallest_eigenvalue(kept - error_map @ error_map.T - (spread + spread.T) / 2)
+    margin = _smallest_eigenvalue(kept - error_map @ error_map.T - (noise + noise.T) / 2)
     finite = bool(np.isfinite(error_map).all())
     return vertex.where, margin, float(np.linalg.norm(error_map, 2)) if finite else math.nan
 

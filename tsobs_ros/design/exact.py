@@ -13,8 +13,8 @@ claim of `certificate` can be written in fractions, up to three things that are 
 
 A symmetric matrix of fractions is positive definite if and only if all pivots of its LDLᵀ are
 positive, which integers decide. The margins are proved as well: μ is printed only if the inequality
-still holds with μ X a second taken away. Candidates for μ come from the check in floating point,
-which makes them neither true nor false.
+still holds with μ X a second taken away. Candidates for μ come from the check in floating point;
+the proof does not rely on them.
 
 The model is the request's: A and the arm's noise are computed from its parameters without
 rounding; the disturbance's S, H and G and the directions of uncertainty are those that are stored.
@@ -43,7 +43,7 @@ Rational = NDArray[Any]
 _LARGEST_GROWTH = 1000
 
 _NEARLY_ALL = (2.0**-20, 2.0**-10, 2.0**-4, 0.5, 0.9, 1.0 - 1e-3, 1.0 - 1e-6)
-"""How much is taken off the margin in floating point, one after the other, until it is proved."""
+"""Shares taken off the floating-point margin, in this order, until the rest is proved."""
 
 
 class Enclosure(NamedTuple):
@@ -57,9 +57,9 @@ class ExactInequality(NamedTuple):
     """One strict matrix inequality, proved or not.
 
     Attributes:
-        name: What is claimed.
+        name: The claim.
         where: The vertex, or "" for one that has none.
-        holds: Whether it is proved, which for these is whether it is true but for enclosures.
+        holds: Whether it is proved.
         margin: A proved lower bound on the margin; per second for the decrease.
     """
 
@@ -76,7 +76,7 @@ class ExactInequality(NamedTuple):
 
 @dataclass(frozen=True)
 class ExactReport:
-    """Every inequality of a certificate as exact arithmetic finds it."""
+    """Every inequality of a certificate, with its exact verdict."""
 
     inequalities: tuple[ExactInequality, ...]
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Detectability of a request: the modes that stay hidden, where, and what would help."""
+"""Detectability of a request: its hidden modes, their gravity slopes and the remedies."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -36,9 +36,9 @@ def find_obstacles(request: ArmRequest) -> list[Obstacle]:
     """Return the undetectable modes on the request's domain, one of each conjugate pair.
 
     The test is structural, with no rank to judge: the arm alone is observable at every slope, so
-    a hidden mode is one of the disturbance, either hidden among its own terms or at a slope where
-    the arm has a mode of the same eigenvalue. Gravity enters in a single place, so that slope is
-    solved for in closed form. An arbitrary disturbance hides the whole arm, decaying or not.
+    a hidden mode is one of the disturbance. It is hidden among the disturbance's own terms, or at
+    a slope at which the arm has a mode of the same eigenvalue. Gravity enters in a single place,
+    so that slope has a closed form. An arbitrary disturbance hides the whole arm, decaying or not.
     """
     if request.disturbance_model.arbitrary:
         # ω = y − C x explains every output whatever x does: C̄ carries nothing about the state.
@@ -59,7 +59,7 @@ def require_detectable(problem: DesignProblem) -> None:
 
     Raises:
         DetectabilityError: A mode that does not decay is hidden, or a disturbance is arbitrary;
-            the text says where, the mode's eigenvalue and shape, and what would help.
+            the text names the place, the mode's eigenvalue and shape, and what would help.
     """
     if isinstance(problem, ArmRequest):
         obstacles = find_obstacles(problem)
@@ -73,7 +73,7 @@ def explain(request: ArmRequest, obstacles: list[Obstacle]) -> str:
     """Return the report: what is hidden, at which slope and angle, its shape, what would help."""
     label = request.disturbance_model.label
     lines = [
-        f"no observer can tell the arm from a disturbance of kind {label} on "
+        f"no observer can distinguish the arm from a disturbance of kind {label} on "
         f"|q1| <= {request.x_max:.6g} rad:"
     ]
     if request.disturbance_model.arbitrary:
@@ -116,7 +116,7 @@ def _resonance(arm: ElasticJointArm, eigenvalue: complex) -> tuple[complex, comp
     """Return the slope at which the arm has the eigenvalue λ, and q₂/q₁ of the mode.
 
     det(A(c) − λI) = (m₁ + k/J₁ + c mgl/J₁)(m₂ + k/J₂) − k²/(J₁J₂) with mᵢ = λ² + λ bᵢ/Jᵢ vanishes
-    where c mgl/J₁ = −m₁ − (k/J₁) m₂/(m₂ + k/J₂), a form without cancellation at λ = 0.
+    if c mgl/J₁ = −m₁ − (k/J₁) m₂/(m₂ + k/J₂), a form without cancellation at λ = 0.
     """
     link = eigenvalue * (eigenvalue + arm.link_damping / arm.link_inertia)
     motor = eigenvalue * (eigenvalue + arm.motor_damping / arm.motor_inertia)
@@ -202,8 +202,8 @@ def _advice(request: ArmRequest, obstacles: list[Obstacle]) -> Iterator[str]:
     if len(slopes) < len(obstacles):
         terms = " and ".join(term.kind for term in request.disturbance)
         yield (
-            f"fewer terms: two of {terms} move alike and cannot be told apart, not even without "
-            f"the arm"
+            f"fewer terms: two of {terms} move alike and cannot be distinguished, not even "
+            f"without the arm"
         )
     if slopes and max(slopes) < 1.0 - _SLOPE_TOLERANCE:
         worst = _tidy(max(slopes))
@@ -221,7 +221,7 @@ def _require_detectable_vertices(request: TSRequest) -> None:
     if request.disturbance_model.arbitrary:
         raise DetectabilityError(
             "an arbitrary disturbance explains every value of the outputs it acts on, which "
-            "then say nothing of the state. What would help: a model of it (bias, "
+            "then carry nothing about the state. What would help: a model of it (bias, "
             "gauss_markov, sinusoid, ramp), or leaving these outputs out of C and reading "
             "their disturbance as y − C x̂ from the others"
         )

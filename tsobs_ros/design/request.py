@@ -127,7 +127,7 @@ def _require_no_alias(terms: Iterable[DisturbanceTerm], rate: float) -> None:
             raise ModelError(
                 f"{term.kind} frequency: expected less than half the measurement rate, "
                 f"π·rate = {math.pi * rate:.6g} rad/s, got {frequency!r}; faster tones "
-                f"cannot be told from slower ones in the samples"
+                f"look like slower ones in the samples"
             )
 
 
@@ -409,12 +409,12 @@ class TSRequest(DesignProblem):
 
     @property
     def claim(self) -> str:
-        """What a certificate for this request says of the premise, for reports."""
+        """The part of the premise that a certificate covers, for reports."""
         if self.model.premise_known:
             return "the premise is known; covers every weight of the rules"
         if self.slope_vertices:
             return (
-                "the premise is the estimate; covers it wherever the Jacobian of f lies in the "
+                "the premise is the estimate; covers it if the Jacobian of f lies in the "
                 "convex hull of the slope vertices"
             )
         return (
