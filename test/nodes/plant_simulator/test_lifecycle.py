@@ -6,18 +6,8 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
-from rosgraph_msgs.msg import Clock
-
-from tsobs_ros.nodes.messages import to_stamp
-
 PERIOD = 5_000_000
 SECOND = 1_000_000_000
-
-
-def indices(listener: Any, samples: list[Any]) -> list[int]:
-    """Find each true state that arrived among the samples of the core."""
-    index = {sample.physical[0].item(): sample.index for sample in samples}
-    return [index[item.message.position[0]] for item in listener.states]
 
 
 def test_after_a_pause_the_arm_goes_on_from_there_with_present_stamps(
@@ -34,7 +24,7 @@ def test_after_a_pause_the_arm_goes_on_from_there_with_present_stamps(
     assert manager.change("activate")
     listener.wait_for(listener.states, 30)
 
-    found = indices(listener, listener.core(5000))
+    found = listener.indices(listener.states, listener.core(5000))
     assert found == list(range(found[0], found[0] + len(found)))
     stamps = [item.stamp for item in listener.states]
     (gap,) = {b - a for a, b in itertools.pairwise(stamps)} - {PERIOD}
@@ -69,7 +59,7 @@ def test_a_clean_up_ends_the_arm_and_configuring_makes_a_new_one(
     before = ros.hear_out(listener.states)
     assert manager.change("configure", "activate")
     listener.wait_for(listener.states, 20)
-    found = indices(listener, listener.core(5000))[before:]
+    found = listener.indices(listener.states, listener.core(5000))[before:]
     # Truth needs no listener to begin: the first samples may be before its match.
     assert found == list(range(found[0], found[0] + len(found)))
     assert found[0] < 50
@@ -78,35 +68,21 @@ def test_a_clean_up_ends_the_arm_and_configuring_makes_a_new_one(
 def test_an_external_clock_that_stood_still_or_went_back_during_a_pause(
     listener: Any, manage: Callable[[Any], Any]
 ) -> None:
-    clock = listener.node.create_publisher(Clock, "/clock", 10)
-    manager = manage(listener.start(use_sim_time=True))
-    listener.wait_until(lambda: clock.get_subscription_count() == 1, "matching of /clock")
-
-    def show(now: int) -> None:
-        clock.publish(Clock(clock=to_stamp(now)))
-        listener.wait_until(lambda: manager.node.get_clock().now().nanoseconds == now, "the clock")
-
-    def sampled(now: int) -> None:
-        listener.wait_until(
-            lambda: bool(listener.states) and listener.states[-1].stamp == now, "the sample"
-        )
-
+    manager = manage(listener.start_simulated())
     for step in range(2):
-        show(10 * SECOND + step * PERIOD)
-        sampled(10 * SECOND + step * PERIOD)
+        listener.show_and_sample(10 * SECOND + step * PERIOD)
     assert manager.change("deactivate", "activate")
-    show(10 * SECOND + 2 * PERIOD)
-    sampled(10 * SECOND + 2 * PERIOD)
+    listener.show_and_sample(10 * SECOND + 2 * PERIOD)
     assert manager.change("deactivate")
-    show(4 * SECOND)
+    listener.show(4 * SECOND)
     assert manager.change("activate")
-    sampled(4 * SECOND)
+    listener.wait_until(lambda: listener.states[-1].stamp == 4 * SECOND, "the new arm")
     stamps = [item.stamp for item in listener.states]
     assert stamps == [10 * SECOND + k * PERIOD for k in range(3)] + [4 * SECOND]
-    assert indices(listener, listener.core(10)) == [0, 1, 2, 0]
+    assert listener.indices(listener.states, listener.core(10)) == [0, 1, 2, 0]
 
 
-def test_a_reset_while_it_is_inactive_begins_anew_with_the_next_activation(
+def test_a_reset_while_it_is_inactive_restarts_with_the_next_activation(
     ros: Any, listener: Any, manage: Callable[[Any], Any]
 ) -> None:
     manager = manage(listener.start())
@@ -117,4 +93,5 @@ def test_a_reset_while_it_is_inactive_begins_anew_with_the_next_activation(
     listener.states.clear()
     assert manager.change("activate")
     listener.wait_for(listener.states, 10)
-    assert indices(listener, listener.core(5000))[:10] == list(range(10))
+    found = listener.indices(listener.states, listener.core(5000))
+    assert found[:10] == list(range(10))

@@ -7,9 +7,7 @@ import time
 from typing import Any
 
 from rclpy.parameter import Parameter
-from rosgraph_msgs.msg import Clock
 
-from tsobs_ros.nodes.messages import set_stamp, to_stamp
 from tsobs_ros.nodes.plant_simulator import create
 
 PERIOD = 5_000_000
@@ -68,64 +66,37 @@ def test_driven_clock_starts_at_one_second_and_leads_the_samples(listener: Any) 
 
 
 def test_external_clock_is_followed_and_a_jump_back_restarts(listener: Any) -> None:
-    publisher = listener.node.create_publisher(Clock, "/clock", 10)
-    node = listener.start(use_sim_time=True)
-    listener.wait_until(lambda: publisher.get_subscription_count() == 1, "matching of /clock")
-    samples, message, node_clock = listener.core(1000), Clock(), node.get_clock()
+    listener.start_simulated()
+    samples = listener.core(1000)
 
     def advance(first: int, count: int) -> list[Any]:
         """Publish the clock in steps of 12 ms, no multiple of the period; return what came."""
         already = len(listener.states)
-        times = [first + step * 12_000_000 for step in range(count)]
-        for now in times:
-            set_stamp(message.clock, now)
-            publisher.publish(message)
-            listener.wait_until(lambda n=now: node_clock.now().nanoseconds == n, "the clock")
-        listener.wait_until(
-            lambda: 0 <= times[-1] - listener.states[-1].stamp < PERIOD, "the last sample"
-        )
+        for now in range(first, first + count * 12_000_000, 12_000_000):
+            listener.show(now)
+        listener.wait_until(lambda: 0 <= now - listener.states[-1].stamp < PERIOD, "the last one")
         return listener.states[already:]
 
-    def found(received: list[Any]) -> list[int]:
-        index = {sample.physical[0].item(): sample.index for sample in samples}
-        return [index[item.message.position[0]] for item in received]
-
     assert not listener.states  # before there is a time
-    set_stamp(message.clock, 50 * SECOND)
-    publisher.publish(message)
-    listener.wait_until(lambda: bool(listener.states), "the first sample")
+    listener.show_and_sample(50 * SECOND)
     advance(50 * SECOND, 80)
-    came = found(listener.states)
-    assert came == list(range(came[0], 190))
+    came = listener.indices(listener.states, samples)
+    assert came == list(range(190))
     assert [item.stamp for item in listener.states] == [50 * SECOND + k * PERIOD for k in came]
 
     again = advance(20 * SECOND, 20)
-    assert found(again) == list(range(46))
+    assert listener.indices(again, samples) == list(range(46))
     assert [item.stamp for item in again] == [20 * SECOND + k * PERIOD for k in range(46)]
 
 
 def test_a_late_tick_catches_up_and_a_long_stop_does_not(listener: Any) -> None:
-    publisher = listener.node.create_publisher(Clock, "/clock", 10)
-    listener.start(use_sim_time=True)
-    listener.wait_until(lambda: publisher.get_subscription_count() == 1, "matching of /clock")
-
-    def come(now: int) -> list[Any]:
-        already = len(listener.states)
-        publisher.publish(Clock(clock=to_stamp(now)))
-        listener.wait_until(
-            lambda: len(listener.states) > already and listener.states[-1].stamp == now,
-            "the sample at the clock's time",
-        )
-        return listener.states[already:]
-
-    come(10 * SECOND)
+    listener.start_simulated()
+    listener.show_and_sample(10 * SECOND)
     # Depth 10 of the publisher bounds what may reach the listener, not what is published.
-    caught_up = come(10 * SECOND + 10 * PERIOD)
+    caught_up = listener.show_and_sample(10 * SECOND + 10 * PERIOD)
     assert [item.stamp for item in caught_up] == [10 * SECOND + k * PERIOD for k in range(1, 11)]
-    assert [item.stamp for item in come(20 * SECOND)] == [20 * SECOND]
-    samples = listener.core(13)
-    expected = [sample.physical[0].item() for sample in samples[:12]]
-    assert [item.message.position[0] for item in listener.states] == expected
+    assert [item.stamp for item in listener.show_and_sample(20 * SECOND)] == [20 * SECOND]
+    assert listener.indices(listener.states, listener.core(13)) == list(range(12))
 
 
 def test_a_stopped_process_holds_its_driven_clock_back(listener: Any) -> None:
