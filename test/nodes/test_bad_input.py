@@ -6,8 +6,6 @@ test/estimation/test_faults_of_input.py has all kinds of bad samples, without a 
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +21,6 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
-from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
@@ -48,9 +45,6 @@ def test_no_publisher_is_incompatible() -> None:
         # A warning is for what it leaves to the system's default.
         assert compatible != QoSCompatibility.ERROR, reason
 
-
-Change = Callable[[Arm, int], Any]
-"""Makes a message of the sample at a stamp, or the bytes of one."""
 
 SPOILT = {
     "infinite torque": lambda turn: ([0.1], [math.inf]),
@@ -98,44 +92,6 @@ def test_what_befalls_one_joint_leaves_the_others_bits_alone(stage: Stage, spoil
     assert (
         counts.received == 2 * len(events) - absent == counts.used + sum(counts.rejected.values())
     )
-
-
-def changed(**changes: Any) -> Change:
-    return lambda arm, at: arm.message(at, **changes)
-
-
-def truncated(arm: Arm, at: int) -> bytes:
-    data = bytes(serialize_message(arm.message(at)))
-    return data[: len(data) // 2]
-
-
-WRONG, NON_FINITE = RejectReason.WRONG_JOINT, RejectReason.NON_FINITE
-KINDS: dict[str, tuple[Change | None, dict[RejectReason, int]]] = {
-    "nothing": (None, {}),
-    "infinite torque": (changed(effort=[math.inf]), {NON_FINITE: 100}),
-    "largest torque": (changed(effort=[1.7e308]), {}),
-    "very long name": (changed(name=["x" * 100_000]), {WRONG: 100}),
-    "truncated bytes": (truncated, {WRONG: 100}),
-}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_bad_input_is_counted_and_the_observer_recovers(stage: Stage, kind: str) -> None:
-    change, rejected = KINDS[kind]
-    stage.add(rate=RATE)
-    stage.step(BEGIN - PERIOD)
-    arm = Arm(BEGIN)
-    bad_from, good_from = BEGIN + NANOSECONDS, BEGIN + 3 * NANOSECONDS // 2
-    bad = [Event(at, change(arm, at)) for at in arm.stamps(bad_from, 0.5) if change]
-    events = [*good(arm, BEGIN, 1.0), *bad, *good(arm, good_from, 3.0)]
-    stage.play(events, events[-1].at, PERIOD)
-    assert stage.watcher.broken == []
-    assert stage.watcher.stamps[-1] == stage.now
-    assert stage.watcher.sigmas(arm) < SIGMAS
-    counts = stage.counts()
-    assert counts.received == counts.used + sum(counts.rejected.values()) == len(events)
-    others = {reason: n for reason, n in counts.rejected.items() if reason.value != "gated"}
-    assert others == rejected
 
 
 def test_of_a_burst_the_queue_keeps_the_newest(stage: Stage) -> None:

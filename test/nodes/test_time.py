@@ -18,6 +18,8 @@ from faults.stage import (
     values,
 )
 from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
@@ -249,7 +251,9 @@ def test_a_reset_while_time_stands_still_repeats_no_stamp(stage: Stage) -> None:
 
 def test_ten_thousand_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
     lines: list[str] = []
-    stage.node.create_subscription(Log, "/rosout", lambda message: lines.append(message.msg), 1000)
+    # Latched: it may match the observer only after the first of the lines.
+    latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    stage.node.create_subscription(Log, "/rosout", lambda each: lines.append(each.msg), latched)
     stage.add(rate=50.0)
     arm = Arm(BEGIN)
     stage.step(BEGIN - 20 * MS)
@@ -262,6 +266,7 @@ def test_ten_thousand_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
         arm.message(BEGIN - NANOSECONDS),
         arm.message(BEGIN + 3600 * NANOSECONDS),
         arm.message(0),
+        bytes(serialize_message(arm.message(BEGIN)))[:40],
     ]
     stage.step(stage.now + 20 * MS, [Event(0, arm.message(BEGIN, name=["x" * 100_000]))])
     for _ in range(10):
