@@ -329,3 +329,16 @@ def test_a_bag_cannot_be_begun_on_a_full_disk(tmp_path: Path) -> None:
     refusal = r"bag_0\.mcap: cannot write it: .* too large"
     with no_room_beyond(100), pytest.raises(BagWriteError, match=refusal):
         BagWriter(tmp_path / "bag")
+
+
+def test_a_split_on_a_full_disk_leaves_the_bag_closed_and_whole(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic("/a", STRING)
+    writer.write("/a", b"one", 1, 1)
+    # Before the disk is full: the limit is that of each file, and the first is the larger one.
+    writer._file.finish(writer.metadata())
+    with no_room_beyond(100), pytest.raises(BagWriteError, match=r"cannot write it: .* too large"):
+        writer.split()
+    with pytest.raises(BagWriteError, match="the bag is closed"):
+        writer.write("/a", b"two", 2, 2)
+    assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"one"]

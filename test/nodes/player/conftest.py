@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Players in the test's graph, and somebody who listens to them."""
+"""Players in the test's graph, and a node that listens to them."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +18,7 @@ from tsobs_ros.nodes.player import Player, create
 
 
 class Listener:
-    """Subscribes in a node of its own and keeps what it hears.
+    """A node that subscribes and keeps what it receives.
 
     Attributes:
         heard: Topic and text of every String, in order of arrival.

@@ -72,24 +72,18 @@ def test_an_unknown_type_does_not_stop_the_others(ros, recording, monkeypatch, c
     monkeypatch.setitem(sys.modules, "stereo_msgs.msg", None)
     recorder = recording.start(topics=["strange", "joints"])
     publisher = node.create_publisher(JointState, "joints", 10)
-    ros.spin_until(lambda: publisher.get_subscription_count() == 1, what="the match")
-    for message in recording.joint_states(3):
-        publisher.publish(message)
-    ros.spin_until(lambda: recording.count(recorder, "/joints") == 3, what="the messages")
+    recording.publish(recorder, publisher, recording.joint_states(3))
     assert not recorder.ready
     recorder.close()
 
     assert set(BagReader(recorder.path).topics) == {"/joints"}
-    warnings = [line for line in capfd.readouterr().err.splitlines() if "not recording" in line]
-    assert len(warnings) == 1
-    assert (
-        "not recording /strange: the Python module of stereo_msgs/msg/DisparityImage" in warnings[0]
-    )
+    (line,) = [line for line in capfd.readouterr().err.splitlines() if "not recording" in line]
+    assert "not recording /strange: the Python module of stereo_msgs/msg/DisparityImage" in line
 
 
 @pytest.fixture
 def stranger(ros) -> Iterator[Any]:
-    """Give a node of another process, as far as DDS can tell: there, types may differ."""
+    """Give a node that DDS takes for one of another process: there, types may differ."""
     context = rclpy.Context()
     rclpy.init(args=[], context=context, domain_id=ros.domain_id)
     node = Node("stranger", context=context)
@@ -161,7 +155,7 @@ def test_what_a_full_queue_drops_is_lost_and_a_restart_hides_none(ros, recording
     assert recorder.statistics.lost == 100
 
 
-def test_diagnostics_tell_counts_and_what_is_awaited(ros, recording) -> None:
+def test_diagnostics_report_counts_and_what_is_awaited(ros, recording) -> None:
     recorder = recording.start(topics=["joints"])
     node = ros.node("source")
     statuses: list[Any] = []
@@ -184,7 +178,7 @@ def test_diagnostics_tell_counts_and_what_is_awaited(ros, recording) -> None:
     }
 
 
-def test_a_late_publisher_that_offers_less_is_heard_and_takes_nothing_from_others(
+def test_a_late_publisher_that_offers_less_is_recorded_and_takes_nothing_from_others(
     ros, recording
 ) -> None:
     recorder = recording.start(topics=["chatter"])
@@ -205,8 +199,7 @@ def test_a_late_publisher_that_offers_less_is_heard_and_takes_nothing_from_other
 
     assert recorder.statistics.topics["/chatter"] == (41, 0, False)
     reader = BagReader(recorder.path)
-    texts = [deserialize_message(m.data, String).data for m in reader.messages()]
-    assert sorted(texts) == sorted(
+    assert sorted(recording.texts(recorder.path)) == sorted(
         ["first"] + [f"{who} {index}" for who in ("strong", "weak") for index in range(20)]
     )
     (offer,) = reader.topics["/chatter"].qos_profiles
