@@ -201,6 +201,12 @@ class ManagedNode(LifecycleNode, Generic[P]):
             self.close()
         finally:
             super().destroy_node()
+            # rclpy's state machine keeps the node in the graph, and its name bound to this node's
+            # /rosout, until Python's collector has both; a node of the same name may come before.
+            for held in list(vars(self).values()):
+                release = getattr(held, "destroy_when_not_in_use", None)
+                if release is not None:
+                    release()
 
     def declare_parameters(
         self, namespace: str, parameters: list[Any], ignore_override: bool = False

@@ -167,15 +167,11 @@ def _as_sequence(created: RunnableNode | Sequence[RunnableNode]) -> Sequence[Run
     return created if isinstance(created, Sequence) else [created]
 
 
-def _tear_down(nodes: list[RunnableNode], exit_code: int) -> int:
+def _tear_down(nodes: Sequence[RunnableNode], exit_code: int) -> int:
     """Close all nodes, then destroy them, whatever fails on the way."""
     exit_code = _call_all(nodes, "close", exit_code)
     limit_time_left(_TEARDOWN_TIMEOUT)
     exit_code = _call_all(nodes, "destroy_node", exit_code)
-    # A lifecycle node leaves the graph only when Python's collector has it.
-    nodes.clear()
-    gc.unfreeze()
-    gc.collect()
     rclpy.try_shutdown()
     limit_time_left(0.0)
     return exit_code
