@@ -235,6 +235,6 @@ def _until(
             process.require_running()
         elapsed = time.monotonic() - begin
         if elapsed > timeout:
-            raise NodeError(f"waited {timeout:g} s in vain for {what}; see {needed[0].log.parent}")
+            raise NodeError(f"waited {timeout:g} s for {what}; see {needed[0].log.parent}")
         show_progress(elapsed)
         time.sleep(_POLL)

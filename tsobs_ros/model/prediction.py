@@ -59,32 +59,7 @@ class PredictionModel(Protocol):
         ...
 
 
-class Sensitivity(Protocol):
-    """Predicts estimate, sensitivity and covariance together."""
-
-    def carry(
-        self,
-        x: Array,
-        upsilon: Array,
-        covariance: Array | None,
-        theta: Array,
-        u: Array,
-        duration: float,
-    ) -> tuple[Array, Array, Array | None]:
-        """Return x̄, Υ and the error covariance a time `duration` later.
-
-        Args:
-            x: Augmented state, shape (n,).
-            upsilon: Υ, shape (n, k).
-            covariance: Shape (n, n); None if it is not needed.
-            theta: θ̂, shape (k,).
-            u: Inputs held over the step, shape (m,).
-            duration: [s], at least 0.
-        """
-        ...
-
-
-def sensitivity(flow: Any, uncertainty: Uncertainty) -> Sensitivity:
+def sensitivity(flow: Any, uncertainty: Uncertainty) -> "ArmSensitivity | TSSensitivity":
     """Return the prediction of a flow with uncertain parameters.
 
     Raises:
@@ -131,7 +106,16 @@ class ArmSensitivity:
         u: Array,
         duration: float,
     ) -> tuple[Array, Array, Array | None]:
-        """Return x̄, Υ and the covariance later; see `Sensitivity.carry`."""
+        """Return x̄, Υ and the error covariance a time `duration` later.
+
+        Args:
+            x: Augmented state, shape (n,).
+            upsilon: Υ, shape (n, k).
+            covariance: Shape (n, n); None if it is not needed.
+            theta: θ̂, shape (k,).
+            u: Inputs held over the step, shape (m,).
+            duration: [s], at least 0.
+        """
         torque = float(u[0])
         columns = [x.tolist(), *upsilon.T.tolist()]
         for step in self._flow.steps(duration):
@@ -225,7 +209,7 @@ class TSSensitivity:
         u: Array,
         duration: float,
     ) -> tuple[Array, Array, Array | None]:
-        """Return x̄, Υ and the covariance later; see `Sensitivity.carry`."""
+        """Return x̄, Υ and the covariance later; see `ArmSensitivity.carry`."""
         flow = self._flow
         inputs = u[: flow.model.input_count]
         for step in flow.steps(duration):
