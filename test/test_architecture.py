@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "tsobs_ros"
 
 # What each part of the package may import of the others; all may import COMMON.
-COMMON = {"checks", "errors", "resources", "schema", "stop", "style", "yaml_files"}
+COMMON = {"checks", "compiled", "errors", "resources", "schema", "stop", "style", "yaml_files"}
 CORE = {"estimation", "model"}
 MAY_IMPORT: dict[str, set[str]] = {
     "model": set(),
@@ -55,6 +55,7 @@ HOME: dict[str, set[str]] = {
     "matplotlib": {"report", "paper"},
     "plotly": {"report"},
     "pyarrow": {"report"},
+    "numba": {"compiled"},
 }
 ROS_INTERFACES = {"rcl_interfaces", "builtin_interfaces", "std_srvs"}
 

@@ -31,9 +31,9 @@ def compiled_nogil(function: Function) -> Function:
 
 
 def _compile(function: Function, nogil: bool) -> Function:
-    options = {"error_model": "numpy", "nogil": nogil}
+    njit: Any = numba.njit
     try:
-        result: Function = numba.njit(cache=True, **options)(function)
+        result: Function = njit(cache=True, error_model="numpy", nogil=nogil)(function)
     except RuntimeError:  # no folder for the cache
-        result = numba.njit(**options)(function)
+        result = njit(error_model="numpy", nogil=nogil)(function)
     return result
