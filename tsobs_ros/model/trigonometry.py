@@ -1,0 +1,60 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Sine and cosine with the same bits on every CPU.
+
+The system's differ: glibc has variants with and without fused multiplication and addition, which
+disagree in the last bit of one sine in 1,300. These are products and sums in a fixed order (the
+polynomials of Sun's fdlibm), within two units in the last place of the true value up to 10⁶ rad.
+Of an angle that is not finite they are NaN, and raise nothing.
+"""
+
+import math
+
+from tsobs_ros.compiled import compiled
+
+_QUARTERS = 2.0 / math.pi
+# π/2 in three parts; the first two have 33 bits, so that small multiples of them are exact.
+_PART_1 = 1.57079632673412561417e00
+_PART_2 = 6.07710050630396597660e-11
+_PART_3 = 2.02226624879595063154e-21
+_MAX_EXACT = 1e6
+
+
+@compiled
+def sine(angle: float) -> float:
+    """Return sin of an angle [rad]."""
+    return _turned(angle, 0)
+
+
+@compiled
+def cosine(angle: float) -> float:
+    """Return cos of an angle [rad]."""
+    return _turned(angle, 1)
+
+
+@compiled
+def _turned(angle: float, quarters: int) -> float:
+    """Return sin(angle + quarters π/2)."""
+    if not math.fabs(angle) <= _MAX_EXACT:
+        if not math.fabs(angle) < math.inf:
+            return math.nan
+        # What is lost is less than the rounding of so large an angle.
+        angle = angle % math.tau
+    if math.fabs(angle) > 0.25 * math.pi:
+        whole = math.floor(angle * _QUARTERS + 0.5)
+        angle = ((angle - whole * _PART_1) - whole * _PART_2) - whole * _PART_3
+        quarters += int(whole)
+    z = angle * angle
+    if quarters & 1:
+        r = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
+        r = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * r)
+        r = 4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * r)
+        half = 0.5 * z
+        value = 1.0 - half
+        value += ((1.0 - value) - half) + z * (z * r)
+    else:
+        r = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+        r = -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * r)
+        r = -1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * r)
+        value = angle + angle * z * r
+    return -value if quarters & 2 else value
