@@ -3,6 +3,10 @@
 """Membership functions by name, and weights that are a convex combination."""
 
 import math
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +18,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.fuzzy import SHAPES, Membership, RuleBase, membership, weights_and_slopes
+from tsobs_ros.model.memberships import rule_weights, rule_weights_and_slopes
 
 Array = NDArray[np.float64]
 NUMBERS = st.floats(-5.0, 5.0)
@@ -171,9 +176,67 @@ def test_slopes_of_the_weights_of_two_premises() -> None:
 
 
 def test_only_functions_that_know_their_slope_have_one() -> None:
-    rules = RuleBase(((lambda z: np.ones_like(z),),))
-    with pytest.raises(ModelError, match="know their slopes, got function"):
-        weights_and_slopes(rules, [0.0])
+    rules = RuleBase(((EXAMPLES[0], lambda z: np.ones_like(z)),))
+    for ask in (lambda: weights_and_slopes(rules, [0.0, 0.0]), lambda: rules.coded):
+        with pytest.raises(ModelError, match="know their slopes, got function"):
+            ask()
+
+
+# Every shape, alone and with another premise; the last rule fires everywhere but at NaN.
+MIXED = RuleBase(
+    (
+        *((one, other) for one, other in zip(EXAMPLES, EXAMPLES[::-1], strict=True)),
+        (EXAMPLES[0], EXAMPLES[5]),
+    )
+)
+
+
+def every_bit() -> bytes:
+    """Return weights and slopes of `MIXED` at many premises, far ones and corners among them."""
+    random = np.random.default_rng(11)
+    corners = [*[x for each in EXAMPLES for x in each.parameters().values()], 0.0, 1e-300, -7.9]
+    z = np.concatenate([random.normal(0.0, 1.5, (2000, 2)), random.choice(corners, (500, 2))])
+    weights, slopes = weights_and_slopes(MIXED, z)
+    return weights.tobytes() + slopes.tobytes()
+
+
+def test_interpreted_they_are_the_same_bits() -> None:
+    script = "import sys, test_fuzzy; sys.stdout.buffer.write(test_fuzzy.every_bit())"
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(Path(__file__).parent)}
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, check=True
+    )
+    assert done.stdout == every_bit()
+
+
+def test_single_premises_have_the_bits_of_a_batch() -> None:
+    z = np.random.default_rng(5).normal(0.0, 1.0, (50, 2))
+    batch, all_slopes = weights_and_slopes(MIXED, z)
+    weights, same, slopes = np.empty(9), np.empty(9), np.empty((9, 2))
+    for place, one in enumerate(z):
+        rule_weights(*MIXED.coded, one, weights)
+        rule_weights_and_slopes(*MIXED.coded, one, same, slopes)
+        assert weights.tobytes() == same.tobytes() == batch[place].tobytes()
+        assert slopes.tobytes() == all_slopes[place].tobytes()
+    assert (batch == MIXED.weights(z)).all()
+
+
+@pytest.mark.parametrize(
+    ("rule", "z"), [(EXAMPLES[3], 3.0), (EXAMPLES[3], np.nan), (EXAMPLES[6], -np.inf)]
+)
+def test_where_no_rule_fires_compiled_weights_are_not_numbers(rule: Membership, z: float) -> None:
+    weights, slopes = np.zeros(1), np.zeros((1, 1))
+    rule_weights_and_slopes(*RuleBase(((rule,),)).coded, np.array([z]), weights, slopes)
+    assert np.isnan([weights, slopes[0]]).all()
+
+
+def test_the_sine_sector_is_level_outside_of_its_domain() -> None:
+    """Beyond 2π the sine's share rises above the lower sector again."""
+    z = np.array([-np.inf, -7.8, -3.0, 3.0, 7.8, 1e300])
+    for shape, grade in (("sine_upper", 0.0), ("sine_lower", 1.0)):
+        sector = membership(shape, {"half_width": 3.0})
+        assert (sector(z) == grade).all()
+        assert (sector.slope(z) == 0.0).all()
 
 
 @pytest.mark.parametrize(
@@ -191,8 +254,8 @@ def test_only_functions_that_know_their_slope_have_one() -> None:
         ),
         ("gaussian", {"centre": 0.0, "width": 0.0}, "membership gaussian: width"),
         ("gaussian", {"centre": math.nan, "width": 1.0}, "membership gaussian: centre"),
-        ("sine_upper", {"half_width": 3.2}, "sine_upper: expected 0 < half_width < π, got 3.2"),
-        ("sine_lower", {"half_width": 0.0}, "sine_lower: expected 0 < half_width < π"),
+        ("sine_upper", {"half_width": 3.2}, "sine_upper: expected 1e-4 ≤ half_width < π, got 3.2"),
+        ("sine_lower", {"half_width": 0.0}, "sine_lower: expected 1e-4 ≤ half_width < π"),
     ],
 )
 def test_wrong_parameters_are_named(shape: str, parameters: dict[str, float], message: str) -> None:

@@ -8,20 +8,44 @@ side.
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, finite, positive
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.memberships import (
+    ALWAYS,
+    GAUSSIAN,
+    LINEAR,
+    SINE_LOWER,
+    SINE_UPPER,
+    TRAPEZOID,
+    Codes,
+    grades_and_slopes,
+    normalise_each,
+    weights_and_slopes_of_each,
+)
 
 MembershipFunction = Callable[[Array], Array]
 """Grade in [0, ∞) of one premise variable, evaluated elementwise on an array."""
+
+
+class CodedRules(NamedTuple):
+    """A rule base for the compiled functions of `tsobs_ros.model.memberships`.
+
+    Attributes:
+        shapes: Codes, shape (r, q).
+        parameters: Shape (r, q, 4).
+    """
+
+    shapes: Codes
+    parameters: Array
 
 
 @dataclass(frozen=True)
@@ -54,6 +78,32 @@ class RuleBase:
         """Number of premise variables."""
         return len(self.rules[0])
 
+    @property
+    def coded(self) -> CodedRules:
+        """The rules as arrays.
+
+        Raises:
+            ModelError: A membership function is none of this module, so that no code, and no
+                slope of it, is known.
+        """
+        if self._coded is None:
+            other = next(
+                each for rule in self.rules for each in rule if not isinstance(each, Membership)
+            )
+            raise ModelError(
+                f"memberships: expected functions of tsobs_ros.model.fuzzy, which know their "
+                f"slopes, got {type(other).__name__}"
+            )
+        return self._coded
+
+    @cached_property
+    def _coded(self) -> CodedRules | None:
+        named = [[each for each in rule if isinstance(each, Membership)] for rule in self.rules]
+        if sum(map(len, named)) < self.rule_count * self.premise_count:
+            return None
+        shapes = np.array([[each.code for each in rule] for rule in named], dtype=np.int64)
+        return CodedRules(shapes, np.array([[each.coded for each in rule] for rule in named]))
+
     def weights(self, z: ArrayLike) -> Array:
         """Return the normalised rule weights h(z).
 
@@ -67,43 +117,56 @@ class RuleBase:
             ModelError: z has the wrong last axis, a grade is negative or not finite, or no rule
                 fires at some z.
         """
+        if self._coded is not None:
+            return weights_and_slopes(self, z)[0]
+        premise = self._checked(z)
+        weights = self._grades(premise)
+        normalise_each(weights.reshape(-1, self.rule_count))
+        self._check(premise, weights)
+        return weights
+
+    def _checked(self, z: ArrayLike) -> Array:
+        """Return the premise variables as a contiguous array."""
         premise = np.asarray(z, dtype=np.float64)
         if premise.ndim == 0 or premise.shape[-1] != self.premise_count:
             raise ModelError(
                 f"z: expected a last axis of {self.premise_count} premise variables, "
                 f"got shape {premise.shape}"
             )
-        grades = np.stack([self._grade(index, premise) for index in range(self.rule_count)], -1)
-        if not (grades.min(initial=0.0) >= 0.0 and grades.max(initial=0.0) < np.inf):
-            place = tuple(np.argwhere(~((grades >= 0.0) & np.isfinite(grades)))[0])
+        return np.ascontiguousarray(premise)
+
+    def _check(self, premise: Array, weights: Array) -> None:
+        """Refuse weights that are not numbers, with the reason."""
+        if not np.isnan(weights).any():
+            return
+        grades = self._grades(premise)
+        wrong = ~((grades >= 0.0) & np.isfinite(grades))
+        if wrong.any():
+            place = tuple(np.argwhere(wrong)[0])
             raise ModelError(
                 f"membership of rule {place[-1] + 1}: expected finite grades of at least 0, "
                 f"got {float(grades[place])!r}"
             )
-        # A sum of huge grades overflows; dividing by a power of two loses no digit.
-        largest = grades.max(axis=-1, keepdims=True)
-        if not largest.all():
-            where = premise[tuple(np.argwhere(largest[..., 0] == 0.0)[0])].tolist()
-            raise ModelError(f"memberships: no rule fires at z = {where}")
-        shares = np.ldexp(grades, -np.frexp(largest)[1])
-        return np.asarray(shares / shares.sum(axis=-1, keepdims=True))
+        where = premise[tuple(np.argwhere(np.isnan(weights[..., 0]))[0])].tolist()
+        raise ModelError(f"memberships: no rule fires at z = {where}")
 
-    def _grade(self, rule: int, premise: Array) -> Array:
-        """Return μᵢ(z), shape (...); the product of huge grades may be beyond all numbers."""
-        grade = np.ones(premise.shape[:-1])
-        for place, membership in enumerate(self.rules[rule]):
-            one = np.asarray(membership(premise[..., place]), dtype=np.float64)
-            if one.shape not in ((), grade.shape):
-                raise ModelError(
-                    f"membership of rule {rule + 1}: expected one grade an entry, "
-                    f"shape {grade.shape}, got shape {one.shape}"
-                )
-            grade = grade * one
-        return grade
+    def _grades(self, premise: Array) -> Array:
+        """Return μ(z), shape (..., r); the product of huge grades may be beyond all numbers."""
+        grades = np.ones((*premise.shape[:-1], self.rule_count))
+        for rule, memberships in enumerate(self.rules):
+            for place, membership in enumerate(memberships):
+                one = np.asarray(membership(premise[..., place]), dtype=np.float64)
+                if one.shape not in ((), premise.shape[:-1]):
+                    raise ModelError(
+                        f"membership of rule {rule + 1}: expected one grade an entry, "
+                        f"shape {premise.shape[:-1]}, got shape {one.shape}"
+                    )
+                grades[..., rule] *= one
+        return grades
 
 
 @dataclass(frozen=True)
-class Membership(ABC):
+class Membership:
     """A grade in [0, 1] of one premise variable z, elementwise; its parameters are its fields.
 
     Raises:
@@ -111,6 +174,7 @@ class Membership(ABC):
     """
 
     shape: ClassVar[str]
+    code: ClassVar[int]
     increasing: ClassVar[tuple[str, ...]] = ()
 
     def __post_init__(self) -> None:
@@ -126,17 +190,30 @@ class Membership(ABC):
         """Return the parameters by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
+    @property
+    def coded(self) -> tuple[float, float, float, float]:
+        """The parameters for the compiled functions, filled up with zeros."""
+        a, b, c, d = (*self.parameters().values(), 0.0, 0.0, 0.0, 0.0)[:4]
+        return a, b, c, d
+
     def as_mapping(self) -> dict[str, Any]:
         """Return shape and parameters as a file has them."""
         return {"shape": self.shape, **self.parameters()}
 
-    @abstractmethod
-    def __call__(self, z: Array) -> Array:
+    def __call__(self, z: ArrayLike) -> Array:
         """Return the grade."""
+        return self._evaluated(z)[0]
 
-    @abstractmethod
-    def slope(self, z: Array) -> Array:
+    def slope(self, z: ArrayLike) -> Array:
         """Return the grade's derivative."""
+        return self._evaluated(z)[1]
+
+    def _evaluated(self, z: ArrayLike) -> tuple[Array, Array]:
+        premise = np.ascontiguousarray(z, dtype=np.float64)
+        grades, slopes = np.empty((2, premise.size))
+        grades_and_slopes(self.code, np.array(self.coded), premise.ravel(), grades, slopes)
+        shape = np.shape(z)
+        return grades.reshape(shape), slopes.reshape(shape)
 
 
 @dataclass(frozen=True)
@@ -144,12 +221,7 @@ class Always(Membership):
     """1 everywhere: a rule that does not look at this premise."""
 
     shape: ClassVar[str] = "always"
-
-    def __call__(self, z: Array) -> Array:
-        return np.ones_like(z)
-
-    def slope(self, z: Array) -> Array:
-        return np.zeros_like(z)
+    code: ClassVar[int] = ALWAYS
 
 
 @dataclass(frozen=True)
@@ -159,18 +231,12 @@ class Linear(Membership):
     zero: float
     one: float
     shape: ClassVar[str] = "linear"
+    code: ClassVar[int] = LINEAR
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.zero == self.one:
             raise ModelError(f"membership linear: expected zero and one apart, got {self.zero}")
-
-    def __call__(self, z: Array) -> Array:
-        return _share((z - self.zero) / (self.one - self.zero))
-
-    def slope(self, z: Array) -> Array:
-        inside = (z >= min(self.zero, self.one)) & (z < max(self.zero, self.one))
-        return np.where(inside, 1.0 / (self.one - self.zero), 0.0)
 
 
 @dataclass(frozen=True)
@@ -181,13 +247,13 @@ class Triangle(Membership):
     peak: float
     right: float
     shape: ClassVar[str] = "triangle"
+    code: ClassVar[int] = TRAPEZOID
     increasing: ClassVar[tuple[str, ...]] = ("left", "peak", "right")
 
-    def __call__(self, z: Array) -> Array:
-        return np.interp(z, [self.left, self.peak, self.right], [0.0, 1.0, 0.0])
-
-    def slope(self, z: Array) -> Array:
-        return _edges(z, self.left, self.peak, self.peak, self.right)
+    @property
+    def coded(self) -> tuple[float, float, float, float]:
+        """The parameters of a trapezoid whose top is a point."""
+        return self.left, self.peak, self.peak, self.right
 
 
 @dataclass(frozen=True)
@@ -199,14 +265,8 @@ class Trapezoid(Membership):
     top_right: float
     right: float
     shape: ClassVar[str] = "trapezoid"
+    code: ClassVar[int] = TRAPEZOID
     increasing: ClassVar[tuple[str, ...]] = ("left", "top_left", "top_right", "right")
-
-    def __call__(self, z: Array) -> Array:
-        corners = [self.left, self.top_left, self.top_right, self.right]
-        return np.interp(z, corners, [0.0, 1.0, 1.0, 0.0])
-
-    def slope(self, z: Array) -> Array:
-        return _edges(z, self.left, self.top_left, self.top_right, self.right)
 
 
 @dataclass(frozen=True)
@@ -216,49 +276,37 @@ class Gaussian(Membership):
     centre: float
     width: float
     shape: ClassVar[str] = "gaussian"
+    code: ClassVar[int] = GAUSSIAN
 
     def __post_init__(self) -> None:
         super().__post_init__()
         positive("membership gaussian: width", self.width)
-
-    def __call__(self, z: Array) -> Array:
-        return np.asarray(np.exp(-0.5 * ((z - self.centre) / self.width) ** 2))
-
-    def slope(self, z: Array) -> Array:
-        return np.asarray(-(z - self.centre) / self.width**2 * self(z))
 
 
 @dataclass(frozen=True)
 class SineUpper(Membership):
     """Share of the upper sector of the sine: sin z = (h·1 + (1 − h)·b) z on |z| ≤ half_width.
 
-    b = sin(half_width)/half_width is the lower sector, whose share is `SineLower`.
+    b = sin(half_width)/half_width is the lower sector, whose share is `SineLower`. Outside of the
+    domain h is 0.
     """
 
     half_width: float
     shape: ClassVar[str] = "sine_upper"
+    code: ClassVar[int] = SINE_UPPER
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 < self.half_width < np.pi:
+        # Below, sin(half_width)/half_width is 1 to so many digits that the sectors are lost.
+        if not 1e-4 <= self.half_width < np.pi:
             raise ModelError(
-                f"membership {self.shape}: expected 0 < half_width < π, got {self.half_width!r}"
+                f"membership {self.shape}: expected 1e-4 ≤ half_width < π, got {self.half_width!r}"
             )
 
-    def __call__(self, z: Array) -> Array:
-        bottom = np.sinc(self.half_width / np.pi)
-        return _share((np.sinc(z / np.pi) - bottom) / (1.0 - bottom))
-
-    def slope(self, z: Array) -> Array:
-        z = np.asarray(z, dtype=np.float64)
-        near = np.abs(z) < 1e-3
-        away = np.where(near, 1.0, z)
-        # (z cos z − sin z)/z² loses every digit near 0, where its series is −z/3 + z³/30.
-        fall = np.where(
-            near, -z / 3.0 + z**3 / 30.0, (away * np.cos(away) - np.sin(away)) / away**2
-        )
-        bottom = np.sinc(self.half_width / np.pi)
-        return np.where(np.abs(z) < self.half_width, fall / (1.0 - bottom), 0.0)
+    @property
+    def coded(self) -> tuple[float, float, float, float]:
+        """The half width and the lower sector b."""
+        return self.half_width, math.sin(self.half_width) / self.half_width, 0.0, 0.0
 
 
 @dataclass(frozen=True)
@@ -266,12 +314,7 @@ class SineLower(SineUpper):
     """Share of the lower sector of the sine, 1 − `SineUpper`."""
 
     shape: ClassVar[str] = "sine_lower"
-
-    def __call__(self, z: Array) -> Array:
-        return np.asarray(1.0 - super().__call__(z))
-
-    def slope(self, z: Array) -> Array:
-        return np.asarray(-super().slope(z))
+    code: ClassVar[int] = SINE_LOWER
 
 
 SHAPES: Mapping[str, type[Membership]] = {
@@ -307,43 +350,12 @@ def weights_and_slopes(rule_base: RuleBase, z: ArrayLike) -> tuple[Array, Array]
     Raises:
         ModelError: A membership function does not know its slope, or no rule fires.
     """
-    premise = np.asarray(z, dtype=np.float64)
-    grades, slopes = [], []
-    for rule in rule_base.rules:
-        each = [_named(one)(premise[..., j]) for j, one in enumerate(rule)]
-        grades.append(math.prod(each))
-        slopes.append(
-            [
-                _named(one).slope(premise[..., j]) * math.prod(each[:j] + each[j + 1 :])
-                for j, one in enumerate(rule)
-            ]
-        )
-    total = np.asarray(sum(grades))
-    if not (total > 0.0).all():
-        # Says at which z no rule fires.
-        rule_base.weights(premise)
-    weights = np.moveaxis(np.array(grades), 0, -1) / total[..., np.newaxis]
-    rise = np.moveaxis(np.array(slopes), (0, 1), (-2, -1)) / total[..., np.newaxis, np.newaxis]
-    return weights, rise - weights[..., np.newaxis] * rise.sum(axis=-2, keepdims=True)
-
-
-def _named(function: Any) -> Membership:
-    if not isinstance(function, Membership):
-        raise ModelError(
-            f"memberships: expected functions of tsobs_ros.model.fuzzy, which know their "
-            f"slopes, got {type(function).__name__}"
-        )
-    return function
-
-
-def _edges(z: Array, left: float, top_left: float, top_right: float, right: float) -> Array:
-    """Return the slope of a trapezoid, whose top may be a point."""
-    rising = (z >= left) & (z < top_left)
-    falling = (z >= top_right) & (z < right)
-    up, down = 1.0 / (top_left - left), 1.0 / (right - top_right)
-    return np.asarray(np.where(rising, up, 0.0) - np.where(falling, down, 0.0))
-
-
-def _share(value: Array) -> Array:
-    """Return the value, kept within [0, 1]; np.clip takes five times as long for one number."""
-    return np.asarray(np.minimum(np.maximum(value, 0.0), 1.0))
+    premise, coded = rule_base._checked(z), rule_base.coded
+    r, q = coded.shapes.shape
+    weights = np.empty((*premise.shape[:-1], r))
+    slopes = np.empty((*premise.shape[:-1], r, q))
+    weights_and_slopes_of_each(
+        *coded, premise.reshape(-1, q), weights.reshape(-1, r), slopes.reshape(-1, r, q)
+    )
+    rule_base._check(premise, weights)
+    return weights, slopes
