@@ -80,7 +80,7 @@ setup(
         "scipy",
         "pyyaml",
         "msgspec>=0.18.5",  # the first with wheels for Python 3.12
-        "numba>=0.59",  # the first for Python 3.12
+        "numba>=0.58",
         "mcap>=1.5",
         "zstandard",
         "lz4",

@@ -33,6 +33,23 @@ def test_the_import_is_light() -> None:
     assert modules.isdisjoint({"numpy", "scipy", "yaml", "mcap", "rclpy", "msgspec", "numba"})
 
 
+@pytest.mark.parametrize(
+    "code",
+    [
+        "from tsobs_ros.cli.main import main; main(['bag', 'info', 'nowhere'])",
+        "import tsobs_ros.nodes.recorder",
+        "import tsobs_ros.nodes.player",
+    ],
+)
+def test_what_estimates_nothing_loads_no_compiler(code: str) -> None:
+    code += "; import sys; print('loaded', *sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    _, _, modules = run.stdout.partition("loaded ")
+
+    assert "numpy" in modules.split()
+    assert "numba" not in modules.split()
+
+
 def test_every_name_is_there_and_explained() -> None:
     assert set(ts.__all__) <= set(dir(ts))
     for name in ts.__all__:
