@@ -140,6 +140,12 @@ def test_grades(
     np.testing.assert_allclose(membership(shape, parameters)(np.array(z)), grades, atol=1e-15)
 
 
+def test_a_gaussian_is_the_exponential() -> None:
+    z = np.concatenate([np.linspace(0.0, 40.0, 4001), [1e9, 1e150, np.inf]])
+    grades = membership("gaussian", {"centre": 0.0, "width": 1.0})(z)
+    np.testing.assert_array_max_ulp(grades, np.exp(-0.5 * z * z), 2)
+
+
 @pytest.mark.parametrize("width", [0.4, math.pi / 2, 3.0])
 def test_the_sine_sector_is_the_sine(width: float) -> None:
     z = np.linspace(-width, width, 41)
@@ -191,7 +197,7 @@ MIXED = RuleBase(
 )
 
 
-def every_bit() -> bytes:
+def bits() -> bytes:
     """Return weights and slopes of `MIXED` at many premises, far ones and corners among them."""
     random = np.random.default_rng(11)
     corners = [*[x for each in EXAMPLES for x in each.parameters().values()], 0.0, 1e-300, -7.9]
@@ -200,13 +206,21 @@ def every_bit() -> bytes:
     return weights.tobytes() + slopes.tobytes()
 
 
-def test_interpreted_they_are_the_same_bits() -> None:
-    script = "import sys, test_fuzzy; sys.stdout.buffer.write(test_fuzzy.every_bit())"
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(Path(__file__).parent)}
+@pytest.mark.parametrize(
+    "setting", [{"NUMBA_DISABLE_JIT": "1"}, {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2"}]
+)
+def test_the_same_bits_interpreted_and_on_another_cpu(setting: dict[str, str]) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", script], env=environment, stdout=subprocess.PIPE, check=True
+        [
+            sys.executable,
+            "-c",
+            "import sys, test_fuzzy; sys.stdout.buffer.write(test_fuzzy.bits())",
+        ],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent), **setting},
+        stdout=subprocess.PIPE,
+        check=True,
     )
-    assert done.stdout == every_bit()
+    assert done.stdout == bits()
 
 
 def test_single_premises_have_the_bits_of_a_batch() -> None:

@@ -7,7 +7,6 @@ an estimate as well; so the named membership functions know theirs. At a corner 
 side.
 """
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -31,6 +30,7 @@ from tsobs_ros.model.memberships import (
     normalise_each,
     weights_and_slopes_of_each,
 )
+from tsobs_ros.model.trigonometry import sine
 
 MembershipFunction = Callable[[Array], Array]
 """Grade in [0, ∞) of one premise variable, evaluated elementwise on an array."""
@@ -306,7 +306,7 @@ class SineUpper(Membership):
     @property
     def coded(self) -> tuple[float, float, float, float]:
         """The half width and the lower sector b."""
-        return self.half_width, math.sin(self.half_width) / self.half_width, 0.0, 0.0
+        return self.half_width, sine(self.half_width) / self.half_width, 0.0, 0.0
 
 
 @dataclass(frozen=True)
