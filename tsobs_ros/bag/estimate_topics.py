@@ -5,10 +5,16 @@
 STATES, STATE_BOUNDS = "joint_states", "error_bound"
 DISTURBANCE, DISTURBANCE_BOUND = "disturbance", "disturbance_bound"
 INNOVATION = "innovation"
+RESTARTS = "restarts"
 PARAMETERS, PARAMETER_BOUNDS = "parameters_estimate", "parameters_bound"
 
-TOPICS = (STATES, STATE_BOUNDS, DISTURBANCE, DISTURBANCE_BOUND, INNOVATION)
-"""What every observer publishes."""
+TOPICS = (STATES, STATE_BOUNDS, DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS)
+"""What every observer publishes.
+
+All but the restarts are published for those who listen at the time. A message about a restart, its
+positions the number of restarts before it, stays there for those who come later: what follows it is
+that of an observer without a past.
+"""
 
 PARAMETER_TOPICS = (PARAMETERS, PARAMETER_BOUNDS)
 """What it publishes besides where it learns parameters."""

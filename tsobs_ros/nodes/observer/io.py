@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag import estimate_topics as topics
@@ -23,7 +23,8 @@ from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, Reje
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
 
-_RELIABLE = 10
+_RELIABLE = QoSProfile(depth=10)
+_LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_KNOWN = 256
 
 _Row = tuple[int, Sequence[float], Sequence[float]]
@@ -99,18 +100,25 @@ class MeasurementReader:
 class _Output:
     """A publisher of JointStates of any of some joints, each with its names."""
 
-    def __init__(self, node: Node, topic: str, names: Sequence[Sequence[str]]) -> None:
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        names: Sequence[Sequence[str]],
+        qos: QoSProfile = _RELIABLE,
+    ) -> None:
         # Every QoS event is one more thing the executor gathers for each of its waits.
         quiet = PublisherEventCallbacks(use_default_callbacks=False)
         self._publisher = node.create_publisher(
-            JointState, f"~/{topic}", _RELIABLE, event_callbacks=quiet
+            JointState, f"~/{topic}", qos, event_callbacks=quiet
         )
+        self._latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
         self._names = names
         self._encoders: dict[tuple[int, ...], JointStateEncoder] = {}
 
     def publish(self, stamp: int, rows: Sequence[_Row]) -> None:
-        """Send one message of all the rows' joints, if it has any and a subscriber."""
-        if not rows or not self._publisher.get_subscription_count():
+        """Send one message of all the rows' joints, if it has any and there may be a listener."""
+        if not rows or not (self._latched or self._publisher.get_subscription_count()):
             return
         joints = tuple([row[0] for row in rows])
         encode = self._encoders.get(joints)
@@ -141,6 +149,8 @@ class EstimatePublisher:
         self._disturbance = _Output(node, topics.DISTURBANCE, joints)
         self._disturbance_bound = _Output(node, topics.DISTURBANCE_BOUND, joints)
         self._innovation = _Output(node, topics.INNOVATION, joints)
+        self._restarts = _Output(node, topics.RESTARTS, joints, _LATCHED)
+        self._joint_count = len(joints)
         self._parameters: tuple[_Output, _Output] | None = None
         if any(learnt.values()):
             names = [
@@ -207,6 +217,16 @@ class EstimatePublisher:
                 if isinstance(each, Innovation)
             ],
         )
+
+    def publish_restart(self, stamp: int, number: int) -> None:
+        """Publish that the joints have no past from now on, for those who come later too.
+
+        Args:
+            stamp: Time on the node's clock [ns].
+            number: Number of restarts up to this one, 0 at the start.
+        """
+        count = float(number)
+        self._restarts.publish(stamp, [(joint, (count,), ()) for joint in range(self._joint_count)])
 
     def restart(self) -> None:
         """Let parameters be published again at once, as stamps may have gone back."""

@@ -87,7 +87,9 @@ class Observer(ManagedNode[ObserverParameters]):
     def activate(self) -> None:
         """Start to estimate from what comes from now on."""
         self._measurements.drain()
-        if not self._is_new:
+        if self._is_new:
+            self._publish_restart()
+        else:
             self._restart("activated again")
         self._meter.restart()
         self._ticker.start()
@@ -213,6 +215,10 @@ class Observer(ManagedNode[ObserverParameters]):
         self._resets += 1
         self._is_new = True
         self._unanswered.clear()
+        self._publish_restart()
+
+    def _publish_restart(self) -> None:
+        self._publisher.publish_restart(int(self.get_clock().now().nanoseconds), self._resets)
 
     def _on_reset(self) -> tuple[bool, str]:
         # What was received before the reset must not be used after it.
