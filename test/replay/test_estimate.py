@@ -171,23 +171,20 @@ def test_a_restart_of_time_resets_the_observer(arms, write_bag, estimate, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("lost", "unheard", "settings", "counts", "reason"),
+    ("lost", "settings", "counts", "reason"),
     [
-        ([40], [], {}, (1, 0), "the live observer used 1 measurement that the bag lacks"),
-        ([40, 60], [], {}, (2, 0), "used 2 measurements that the bag lacks"),
-        ([], [40], {}, (0, 1), "did not receive or use 1 measurement of the bag"),
-        ([], [], {"method": "high_gain"}, (0, 0), "it had another design"),
+        ([40], {}, (1, 0), "the live observer used 1 measurement that the bag lacks"),
+        ([40, 60], {}, (2, 0), "used 2 measurements that the bag lacks"),
+        ([], {"method": "high_gain"}, (0, 0), "it had another design"),
     ],
 )
 def test_the_reason_of_a_difference_is_named(
-    arms, write_bag, estimate, tmp_path, lost, unheard, settings, counts, reason
+    arms, write_bag, estimate, tmp_path, lost, settings, counts, reason
 ) -> None:
     messages = arms.messages(100)
-    heard = [message for k, message in enumerate(messages) if k not in unheard]
-    estimate(write_bag(heard), output="live")
+    estimate(write_bag(messages), output="live")
     recorded = [(m.topic, m.data, m.log_time) for m in BagReader(tmp_path / "live").messages()]
     kept = [message for message in recorded if message not in [messages[k] for k in lost]]
-    kept = sorted([*kept, *(messages[k] for k in unheard)], key=lambda message: message[2])
 
     agreement = estimate(write_bag(kept, "other"), **settings).agreement()
 
@@ -196,7 +193,68 @@ def test_the_reason_of_a_difference_is_named(
     assert reason in agreement.text()
     if not settings:
         assert agreement.reproduced >= 39
-        assert agreement.first_difference == START + (41 if unheard else 40) * PERIOD
+        assert agreement.first_difference == START + 40 * PERIOD
+
+
+@pytest.mark.parametrize("joints", [1, 2])
+@pytest.mark.parametrize(
+    ("unheard", "recorded_from", "counts"),
+    [
+        ([40], 0, (0, 1, 0)),
+        ([*range(30)], 0, (30, 0, 0)),
+        ([*range(30), 50, *range(70, 75), *range(90, 100)], 0, (30, 6, 10)),
+        # The recorder of the observer came later than that of the measurements.
+        ([], 30, (0, 0, 0)),
+        ([*range(10)], 30, (10, 0, 0)),
+    ],
+)
+def test_what_the_live_observer_did_not_receive_is_left_out(
+    arms, write_bag, estimate, tmp_path, joints, unheard, recorded_from, counts
+) -> None:
+    messages = arms.messages(100, joints)
+    messages[60] = outlier(messages[60])
+    heard = [message for k, message in enumerate(messages) if k not in unheard]
+    estimate(write_bag(heard), output="live")
+    later = [one for one in observed(tmp_path / "live") if one[2] >= messages[recorded_from][2]]
+    bag = write_bag(sorted([*messages, *later], key=lambda message: message[2]), "other")
+
+    run = estimate(bag, output="again")
+
+    agreement = run.agreement()
+    assert agreement.complete, agreement.text()
+    assert (agreement.before_first, agreement.in_between, agreement.after_last) == counts
+    assert run.replay.used == (99 - len(unheard)) * joints
+    kinds = "from before the live observer's first", "that did not reach it", "from after its last"
+    for count, kind in zip(counts, kinds, strict=True):
+        plural = "s" * (count > 1)
+        assert (f"{count} measurement{plural} {kind}" in agreement.text()) == (count > 0)
+
+
+def test_an_observer_that_had_run_before_is_recognised(arms, write_bag, estimate, tmp_path) -> None:
+    messages = arms.messages(100)
+    estimate(write_bag(messages), output="live")
+    later = [one for one in observed(tmp_path / "live") if one[2] >= messages[50][2]]
+    bag = write_bag(sorted([*messages[50:], *later], key=lambda message: message[2]), "other")
+
+    agreement = estimate(bag).agreement()
+
+    assert agreement.reproduced == 0
+    assert "the live observer had run before the recording of it began" in agreement.text()
+    assert "design" not in agreement.text()
+
+
+def test_an_observer_of_the_second_pass_of_a_loop_did_not_receive_the_first(
+    arms, write_bag, estimate, tmp_path
+) -> None:
+    once = arms.messages(300)
+    again = [(topic, data, time + 2 * 10**9) for topic, data, time in once]
+    estimate(write_bag(again), output="live")
+    both = sorted([*once, *again, *observed(tmp_path / "live")], key=lambda message: message[2])
+
+    agreement = estimate(write_bag(both, "both")).agreement()
+
+    assert agreement.complete, agreement.text()
+    assert (agreement.recorded, agreement.before_first) == (300, 300)
 
 
 def test_messages_of_one_joint_each_are_put_together(arms, write_bag, estimate) -> None:

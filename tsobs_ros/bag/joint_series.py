@@ -59,6 +59,14 @@ class JointSeries:
         """The number of messages."""
         return len(self.stamps)
 
+    def take(self, places: NDArray[np.intp]) -> "JointSeries":
+        """Return some of the messages, or all of them in another order."""
+        taken = {name: getattr(self, name)[places] for name in _ARRAYS}
+        return JointSeries(**taken, other_names=self.other_names)
+
+
+_ARRAYS = [field.name for field in fields(JointSeries) if field.name != "other_names"]
+
 
 class _Builder:
     """Gathers one topic's messages and turns them into arrays, a block at a time."""
@@ -78,9 +86,8 @@ class _Builder:
     def finish(self) -> JointSeries:
         self._decode()
         joined = {
-            field.name: np.concatenate([getattr(block, field.name) for block in self._blocks])
-            for field in fields(JointSeries)
-            if field.name != "other_names"
+            name: np.concatenate([getattr(block, name) for block in self._blocks])
+            for name in _ARRAYS
         }
         return JointSeries(**joined, other_names=tuple(self._others))
 

@@ -87,6 +87,13 @@ class Tracker(Generic[S]):
         self._history = _History(self._span, self.options.max_steps)
         self._coasted: tuple[_Step, int, S] | None = None
 
+    def copy(self) -> "Tracker[S]":
+        """Return a tracker that goes on from here by itself."""
+        other = Tracker(self.estimator, self.options)
+        other.__dict__.update(self.__dict__)
+        other._refused, other._history = self._refused.copy(), self._history.copy()
+        return other
+
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
@@ -272,6 +279,10 @@ class JointTrackers:
         for tracker in self.trackers:
             tracker.reset()
 
+    def copy(self) -> "JointTrackers":
+        """Return trackers that go on from here by themselves."""
+        return JointTrackers([tracker.copy() for tracker in self.trackers])
+
     def offer(
         self, measurements: Sequence[Measurement | None], now: int
     ) -> list[Innovation | RejectReason | None]:
@@ -325,6 +336,13 @@ class _History:
         self._base: _Step | None = None
         self._steps: list[_Step] = []
         self._stamps: list[int] = []
+
+    def copy(self) -> "_History":
+        """Return a history that goes on from here by itself."""
+        other = _History(self._span, self._max_steps)
+        other.last, other._base = self.last, self._base
+        other._steps, other._stamps = self._steps.copy(), self._stamps.copy()
+        return other
 
     def append(self, step: _Step) -> None:
         """Add a step that is newer than all others."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.definitions import find_definition
-from tsobs_ros.bag.joint_series import Times
+from tsobs_ros.bag.joint_series import JointSeries, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter
@@ -122,9 +122,11 @@ class Run:
         learnt = dict(zip(source.joints, names, strict=True))
         most = max(map(len, learnt.values()), default=0)
         self.table = EstimateTable(schedule.count, source.samples.count, len(learnt), most)
-        self._recorded = None if live is None else Recorded(live, schedule)
+        self._recorded = None if live is None else Recorded(live, schedule, source.samples)
         self._publisher = _Publisher(f"{source.namespace}/{observer.name}/", learnt)
         self.topics = self._publisher.topics
+        self._joint_count = len(learnt)
+        self._restarts = None if live is None else live.others.get(topics.RESTARTS)
 
     def records(self, progress: Callable[[int], None]) -> Iterator[Record]:
         """Run the observer, and yield its messages in order of log time.
@@ -132,9 +134,24 @@ class Run:
         Args:
             progress: Called with the number of measurements taken since its last call.
         """
-        agrees = None if self._recorded is None else self._recorded.agrees
+        yield from heapq.merge(self._restart_records(), self._run(progress), key=_log_time)
+
+    def _restart_records(self) -> Iterator[Record]:
+        """Return the messages of the start and of the restarts, those recorded if there are any."""
+        schedule = self.schedule
+        if self._restarts is not None:
+            at = _Times.of(self._restarts)
+            return self._publisher.messages(topics.RESTARTS, at, self._restarts.values[..., :1])
+        begins = schedule.reset_after >= 0
+        begins[:1] = True
+        ticks = np.flatnonzero(begins)
+        numbers = np.repeat(np.arange(float(len(ticks))), self._joint_count)
+        numbers = numbers.reshape(len(ticks), -1, 1)
+        return self._publisher.messages(topics.RESTARTS, _Times.of(schedule).take(ticks), numbers)
+
+    def _run(self, progress: Callable[[int], None]) -> Iterator[Record]:
         block = _Block()
-        for event in self.replay.run(agrees):
+        for event in self.replay.run(self._recorded):
             match event:
                 case Used(tick, message, outcomes):
                     self.table.add_innovations(message, outcomes)
@@ -159,7 +176,7 @@ class Run:
         table, schedule, publish = self.table, self.schedule, self._publisher.messages
         ticks = np.array(block.ticks, np.intp)
         table.add(block.ticks, block.estimates)
-        at = _Times(schedule.stamps, schedule.log_times, schedule.publish_times).take(ticks)
+        at = _Times.of(schedule).take(ticks)
         records = list(publish(topics.INNOVATION, *self._innovations(block)))
         for topic, values in (
             (topics.STATES, table.states[ticks]),
@@ -186,7 +203,7 @@ class Run:
 
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if the run was made by them."""
-        return None if self._recorded is None else self._recorded.compare(self.table, self._samples)
+        return None if self._recorded is None else self._recorded.compare(self.table, self.replay)
 
 
 def open_source(
@@ -234,7 +251,8 @@ def make_runs(
     samples = source.samples
     live = source.live if as_live else None
     if live is not None:
-        schedule = as_recorded(samples, live.states, live.others.get(topics.INNOVATION))
+        innovations, restarts = map(live.others.get, (topics.INNOVATION, topics.RESTARTS))
+        schedule = as_recorded(samples, live.states, innovations, restarts)
     else:
         schedule = at_samples(samples) if rate is None else at_rate(samples, rate)
     return [Run(observer, source, schedule, live) for observer in observers]
@@ -296,6 +314,10 @@ class _Times(NamedTuple):
     log_times: Times
     publish_times: Times
 
+    @classmethod
+    def of(cls, one: Schedule | JointSeries) -> "_Times":
+        return cls(one.stamps, one.log_times, one.publish_times)
+
     def take(self, places: NDArray[np.intp]) -> "_Times":
         return _Times(*(array[places] for array in self))
 
@@ -319,7 +341,7 @@ class _Publisher:
         self._learns = any(learnt.values())
         self._names: dict[str, Sequence[tuple[str, ...]]] = {
             **dict.fromkeys((topics.STATES, topics.STATE_BOUNDS), arms),
-            **dict.fromkeys((topics.DISTURBANCE, topics.DISTURBANCE_BOUND, topics.INNOVATION), own),
+            **dict.fromkeys(topics.OF_JOINTS, own),
             **dict.fromkeys(topics.PARAMETER_TOPICS, parameters),
         }
         self._encoders: dict[tuple[str, tuple[int, ...]], JointStateEncoder] = {}

@@ -3,13 +3,13 @@
 """Recorded measurements of some joints, in order of arrival, and the bags that hold them."""
 
 from abc import ABC, abstractmethod
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,8 @@ _RESTART_MESSAGES = 10
 # Clocks that differ by more than this are not the same clock.
 _SAME_CLOCK = NANOSECONDS
 _FIRST_MESSAGES = 1000
-_UNKNOWN = np.iinfo(np.int64).max
+UNKNOWN = np.iinfo(np.int64).max
+"""Time of use of a measurement without innovation [ns], later than all others."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,12 @@ class Samples:
     def count(self) -> int:
         """The number of messages."""
         return len(self.stamps)
+
+    @property
+    def usable(self) -> Flags:
+        """Whether an observer may use a message of any joint, shape (n,)."""
+        numbers = self.complete & np.isfinite(self.y) & np.isfinite(self.u)
+        return np.asarray(numbers.any(axis=1) & (self.stamps > 0))
 
     @cached_property
     def same_clock(self) -> bool:
@@ -340,7 +347,7 @@ def in_order_of_use(samples: Samples, innovations: JointSeries) -> Samples:
 
 def _filled_in(used_at: Times, published: Times) -> Times:
     """Return the times of use of one publisher's messages, the unknown ones estimated."""
-    known = used_at != _UNKNOWN
+    known = used_at != UNKNOWN
     if not known.any():
         return published
     usual = published + int(np.median(used_at[known] - published[known]))
@@ -352,29 +359,60 @@ def _filled_in(used_at: Times, published: Times) -> Times:
 def times_of_use(samples: Samples, innovations: JointSeries) -> Times:
     """Return the publishing time of each measurement's innovation [ns], shape (n,).
 
-    A measurement without innovation has a time later than all others.
+    It is `UNKNOWN` of a measurement without innovation.
     """
-    used_at = np.full(samples.count, _UNKNOWN)
-    order = np.argsort(innovations.publish_times, kind="stable")
+    places = places_of_innovations(samples, innovations)
+    return np.append(innovations.publish_times, UNKNOWN)[places]
+
+
+def places_of_innovations(samples: Samples, innovations: JointSeries) -> NDArray[np.intp]:
+    """Return the place of each measurement's recorded innovation, -1 without, shape (n,)."""
+    found = np.full(samples.count, -1)
     # Messages with the same stamp, each of another joint, have an innovation each.
     for joints in np.unique(samples.named, axis=0):
         own = np.flatnonzero((samples.named == joints).all(axis=1))
-        theirs = order[innovations.named[order][:, joints].any(axis=1)]
-        places = match(samples.stamps[own], innovations.stamps[theirs])
-        found = places >= 0
-        used_at[own[found]] = innovations.publish_times[theirs[places[found]]]
-    return used_at
+        theirs = np.flatnonzero(innovations.named[:, joints].any(axis=1))
+        places = match(samples.take(own), innovations.take(theirs))
+        found[own[places >= 0]] = theirs[places[places >= 0]]
+    return found
 
 
-def match(wanted: Times, there: Times) -> NDArray[np.intp]:
-    """Return the place of each stamp, -1 for none, and no place twice, shape of `wanted`.
+class Stamped(Protocol):
+    """What has stamps and publishing times [ns], shape (n,) each."""
 
-    After a restart stamps occur twice: the first is matched with the first.
+    @property
+    def stamps(self) -> Times: ...
+
+    @property
+    def publish_times(self) -> Times: ...
+
+
+def match(wanted: Stamped, there: Stamped) -> NDArray[np.intp]:
+    """Return the place of each stamp, -1 for none, and no place twice, shape (n,).
+
+    After a restart of time stamps occur again: those belong together that were published at about
+    the same time. Of those in the same pass of time it is the first.
     """
-    places: dict[int, deque[int]] = defaultdict(deque)
-    for place, stamp in enumerate(there.tolist()):
-        places[stamp].append(place)
-    none = deque([-1])
-    return np.array(
-        [(places.get(stamp) or none.copy()).popleft() for stamp in wanted.tolist()], dtype=np.intp
-    )
+    found = np.full(len(wanted.stamps), -1)
+    stamps, inverse = np.unique(np.concatenate([wanted.stamps, there.stamps]), return_inverse=True)
+    own, others = inverse[: len(found)], inverse[len(found) :]
+    counts = [np.bincount(each, minlength=len(stamps)) for each in (own, others)]
+    single = (counts[0] == 1) & (counts[1] == 1)
+    place = np.full(len(stamps), -1)
+    place[others] = np.arange(len(others))
+    once = single[own]
+    found[once] = place[own[once]]
+    several = np.flatnonzero(~single[others] & (counts[0][others] > 0))
+    if not len(several):
+        return found
+    candidates: dict[int, list[int]] = defaultdict(list)
+    for row in np.flatnonzero(~once & (counts[1][own] > 0)).tolist():
+        candidates[own[row]].append(row)
+    begins = [begin for begin, _ in passes(wanted.stamps.tolist())]
+    pass_of = np.searchsorted(begins, np.arange(len(found)), side="right")
+    for row in several[np.argsort(there.publish_times[several], kind="stable")].tolist():
+        if rows := candidates[others[row]]:
+            apart = np.abs(wanted.publish_times[rows] - there.publish_times[row])
+            alike = pass_of[rows] == pass_of[rows[int(np.argmin(apart))]]
+            found[rows.pop(int(np.argmax(alike)))] = row
+    return found

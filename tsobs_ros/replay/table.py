@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
+from tsobs_ros.bag.joint_series import Flags, JointSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.records import Estimate, Innovation
-from tsobs_ros.replay.replay import Schedule
-from tsobs_ros.replay.source import Live, Samples, match
+from tsobs_ros.replay.replay import Replay, Schedule
+from tsobs_ros.replay.source import Live, Samples, match, places_of_innovations
 
 _COLUMNS = {
     "state": slice(0, 4),
@@ -96,6 +96,11 @@ class Agreement(NamedTuple):
         first_difference: Stamp of the first that is not [ns], None if all are.
         not_recorded: Number of measurements that the live observer used but the bag lacks.
         not_received: Number of those in the bag that were used here but not live.
+        before_first: Number of those left out as they came before the live observer's first.
+        in_between: Number of those left out as they did not reach it later.
+        after_last: Number of those left out as they came after its last.
+        ran_before: Whether it had used measurements from before the recording; None if no
+            innovations show what it used.
     """
 
     recorded: int
@@ -103,6 +108,10 @@ class Agreement(NamedTuple):
     first_difference: int | None
     not_recorded: int
     not_received: int
+    before_first: int
+    in_between: int
+    after_last: int
+    ran_before: bool | None
 
     @property
     def complete(self) -> bool:
@@ -114,9 +123,21 @@ class Agreement(NamedTuple):
         line = (
             f"live estimates: {self.reproduced:,} of {self.recorded:,} reproduced to the last bit"
         )
+        without = [
+            f"{_measurements(count)} {which}"
+            for count, which in (
+                (self.before_first, "from before the live observer's first"),
+                (self.in_between, "that did not reach it"),
+                (self.after_last, "from after its last"),
+            )
+            if count
+        ]
+        line += f", without {' and '.join(without)}" if without else ""
         if self.complete:
             return line
         reasons = []
+        if self.ran_before:
+            reasons.append("the live observer had run before the recording of it began")
         if self.not_recorded:
             lost = _measurements(self.not_recorded)
             reasons.append(f"the live observer used {lost} that the bag lacks")
@@ -124,10 +145,9 @@ class Agreement(NamedTuple):
             unused = _measurements(self.not_received)
             reasons.append(f"the live observer did not receive or use {unused} of the bag")
         if not reasons:
-            reasons.append(
-                "it had another design, other parameters or another version, was reset, or ran "
-                "before the recording began"
-            )
+            reasons.append("it had another design, other parameters or another version")
+            if self.ran_before is None:
+                reasons[-1] += ", or used other measurements, which only innovations would show"
         return f"{line}; {' and '.join(reasons)}"
 
 
@@ -137,14 +157,25 @@ class Recorded:
     Args:
         live: The recorded topics.
         schedule: The ticks.
+        samples: The measurements.
+
+    Attributes:
+        innovations: Those of each message, NaN without, shape (n, J).
     """
 
-    def __init__(self, live: Live, schedule: Schedule) -> None:
+    def __init__(self, live: Live, schedule: Schedule, samples: Samples) -> None:
         self._live = live
-        self._stamps = schedule.stamps
+        self._schedule = schedule
         joints = live.states.values.shape[1] // 2
-        self._states = _by_tick(live.states, schedule.stamps).reshape(-1, joints, 4)
+        self._states = _by_tick(live.states, schedule).reshape(-1, joints, 4)
         self._rows = self._states.tolist()
+        own = live.others.get(topics.INNOVATION)
+        self.innovations = np.full((samples.count, joints), np.nan)
+        self._not_recorded = 0
+        if own is not None:
+            places = places_of_innovations(samples, own)
+            self.innovations[places >= 0] = own.values[places[places >= 0], :, 0]
+            self._not_recorded = own.count - int((places >= 0).sum())
 
     def agrees(self, tick: int, estimates: Sequence[Estimate | None]) -> bool:
         """Return whether a tick's states are those of the live run."""
@@ -153,7 +184,7 @@ class Recorded:
             for row, one in zip(self._rows[tick], estimates, strict=True)
         )
 
-    def compare(self, table: EstimateTable, samples: Samples) -> Agreement:
+    def compare(self, table: EstimateTable, replay: Replay) -> Agreement:
         """Compare a whole replay."""
         same = _same(table.states, self._states)
         for topic, values in (
@@ -162,44 +193,39 @@ class Recorded:
             (topics.DISTURBANCE_BOUND, table.disturbance_bounds),
         ):
             if topic in self._live.others:
-                recorded = _by_tick(self._live.others[topic], self._stamps)
+                recorded = _by_tick(self._live.others[topic], self._schedule)
                 recorded = recorded.reshape(*values.shape[:2], -1)[..., : values.shape[2]]
                 # A single message that is missing was lost, not different.
                 lost = np.isnan(recorded).all(axis=(1, 2))
                 same &= lost | _same(values, recorded)
-        different = np.flatnonzero(~same)
-        not_recorded, not_received = self._lost(table, samples)
+        different = np.flatnonzero(~same).tolist()
+        received = np.asarray(np.isfinite(self.innovations).any(axis=1))
+        begin, end = int(received.argmax()), len(received) - int(received[::-1].argmax())
+        used_here = ~np.isnan(table.innovations).all(axis=1) & ~received & received.any()
+        left_out = replay.left_out
         return Agreement(
             recorded=len(same),
             reproduced=int(same.sum()),
-            first_difference=int(self._stamps[different[0]]) if len(different) else None,
-            not_recorded=not_recorded,
-            not_received=not_received,
+            first_difference=int(self._schedule.stamps[different[0]]) if different else None,
+            not_recorded=self._not_recorded,
+            # Those after the recording's last innovation may just have been on their way.
+            not_received=int(used_here[:end].sum()),
+            before_first=int(left_out[:begin].sum()),
+            in_between=int(left_out[begin:end].sum()),
+            after_last=int(left_out[end:].sum()),
+            ran_before=None if replay.began_anew is None else not replay.began_anew,
         )
-
-    def _lost(self, table: EstimateTable, samples: Samples) -> tuple[int, int]:
-        innovations = self._live.others.get(topics.INNOVATION)
-        if innovations is None or not innovations.count:
-            return 0, 0
-        order = np.argsort(innovations.publish_times, kind="stable")
-        places = match(samples.stamps, innovations.stamps[order])
-        used_here = ~np.isnan(table.innovations).all(axis=1)
-        # Innovations after the recording's last one may just not have been recorded.
-        last = innovations.publish_times.max()
-        unreceived = used_here & (places < 0) & (samples.publish_times < last)
-        return innovations.count - int((places >= 0).sum()), int(unreceived.sum())
 
 
 def _measurements(count: int) -> str:
     return f"{count:,} measurement{'s' if count != 1 else ''}"
 
 
-def _by_tick(series: JointSeries, stamps: Times) -> Array:
+def _by_tick(series: JointSeries, schedule: Schedule) -> Array:
     """Return a topic's values at the ticks' stamps, NaN where it has none."""
-    order = np.argsort(series.publish_times, kind="stable")
-    places = match(stamps, series.stamps[order])
-    values = np.full((len(stamps), *series.values.shape[1:]), np.nan)
-    values[places >= 0] = series.values[order][places[places >= 0]]
+    places = match(schedule, series)
+    values = np.full((schedule.count, *series.values.shape[1:]), np.nan)
+    values[places >= 0] = series.values[places[places >= 0]]
     return values
 
 

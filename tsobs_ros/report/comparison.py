@@ -22,7 +22,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.tracker import JointTrackers, Tracker, TrackerOptions
 from tsobs_ros.replay.estimate import Run
-from tsobs_ros.replay.replay import Estimated, Replay, Schedule, Used
+from tsobs_ros.replay.replay import Estimated, Evidence, Replay, Schedule, Used
 from tsobs_ros.replay.source import Samples, Source, Truth, passes
 from tsobs_ros.replay.table import EstimateTable
 from tsobs_ros.report.metrics import (
@@ -150,6 +150,7 @@ def rerun(run: RecordedRun, observer: Estimator[Any], x_max: float) -> RecordedR
         reset_after=np.full(len(run.stamps), -1),
         log_times=run.stamps,
         publish_times=run.stamps,
+        evidence=np.full(samples.count, Evidence.CERTAIN, np.int8),
     )
     table = EstimateTable(len(run.stamps), samples.count, 1)
     for event in Replay(trackers, samples, schedule, stale_after=math.inf).run():

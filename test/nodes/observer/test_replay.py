@@ -1,0 +1,177 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A recording of an observer that came late, was reset, silenced and ended, estimated over again.
+
+The recorder runs throughout, so its bag has measurements that the observer never used.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from faults.arm import Arm
+from faults.stage import BEGIN, OUTPUTS, PERIOD, TOPIC, Event, Stage, good
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from tsobs_ros.bag import BagReader, BagWriter
+from tsobs_ros.bag.joint_states import JointStateDecoder
+from tsobs_ros.design.record import Design
+from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.nodes import recorder
+from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
+from tsobs_ros.replay.source import BagSource
+
+RESTARTS = "/observer/restarts"
+ARM = Arm(BEGIN)
+
+
+class Scene:
+    """An observer in the hands of a test, and a recorder that misses nothing."""
+
+    def __init__(self, stage: Stage, manage: Callable[[Any], Any], output: Path) -> None:
+        self.stage, self._manage = stage, manage
+        topics = [TOPIC, RESTARTS, *(f"/observer/{name}" for name in OUTPUTS)]
+        overrides = {"output": str(output), "topics": topics}
+        self._recorder = stage.ros.add(
+            recorder.create(
+                context=stage.ros.context,
+                parameter_overrides=[Parameter(n, value=v) for n, v in overrides.items()],
+            )
+        )
+        stage.wait_until(lambda: stage.sensor.get_subscription_count() > 0, "the recorder")
+        self.sent = Counter[str]()
+        stage.step(BEGIN - PERIOD)
+
+    def start(self) -> None:
+        """Start the observer; the recorder reads it from its first message on."""
+        observer = self.stage.add()
+        self.stage.wait_until(lambda: self.stage.sensor.get_subscription_count() > 1, "matching")
+        self.stage.wait_until(
+            lambda: all(each.get_subscription_count() > 1 for each in self._outputs(observer)),
+            "matching of the outputs",
+        )
+
+    def end(self) -> None:
+        """End the observer."""
+        self.sent.update(f"/observer/{one.topic}" for one in self.stage.watcher.published)
+        self.stage.remove("")
+
+    def play(self, count: int, outliers: int = 0) -> None:
+        """Send samples, the last ones of them far off."""
+        begin = self.stage.now + PERIOD
+        events = good(ARM, begin, count * PERIOD * 1e-9)
+        for k in range(count - outliers, count):
+            stamp = events[k].at
+            events[k] = Event(stamp, ARM.message(stamp, position=[100.0 + k]))
+        self.stage.play(events)
+        self.sent[TOPIC] += count
+
+    def reset(self) -> None:
+        """Restart the observer by its service."""
+        assert self.stage.call(Trigger, "/observer/reset", Trigger.Request()).success
+
+    def enable(self, on: bool) -> None:
+        """Silence the observer, or let it go on."""
+        assert self.stage.call(SetBool, "/observer/enable", SetBool.Request(data=on)).success
+
+    def change(self, label: str) -> None:
+        """Ask the observer for a transition."""
+        assert self._manage(self.stage.observers[""]).change(label)
+
+    def recorded(self) -> Path:
+        """Return the finished bag."""
+
+        def all_there() -> bool:
+            there = self._recorder.statistics.topics
+            return all(there[topic].messages == count for topic, count in self.sent.items())
+
+        self.stage.wait_until(all_there, "everything in the bag")
+        self._recorder.close()
+        return Path(self._recorder.path)
+
+    @staticmethod
+    def _outputs(observer: Any) -> list[Any]:
+        return [each for each in observer.publishers if each.msg_type is JointState
+                and "restarts" not in each.topic_name]  # fmt: skip
+
+
+@pytest.fixture
+def scene(stage: Stage, manage: Callable[[Any], Any], tmp_path: Path) -> Scene:
+    return Scene(stage, manage, tmp_path / "bag")
+
+
+def estimated(bag: Path, design: Design, output: Path) -> Run:
+    source = BagSource(bag)
+    observer = Observer("observer", ObserverSettings(), (design,))
+    (run,) = make_runs(source, [observer], rate=None, as_live=True)
+    run_all(source, [run], output)
+    return run
+
+
+def observed(bag: Path) -> dict[str, list[bytes]]:
+    """Return the messages of the observer's topics, each in the order of publishing."""
+    found: dict[str, list[bytes]] = {}
+    for one in sorted(BagReader(bag).messages(), key=lambda message: message.publish_time):
+        if one.topic != TOPIC:
+            found.setdefault(one.topic, []).append(one.data)
+    return found
+
+
+def without(bag: Path, topic: str) -> Path:
+    """Return a copy of a bag that lacks a topic."""
+    with BagWriter(bag.with_name(f"without_{topic.rpartition('/')[2]}")) as writer:
+        for one in BagReader(bag).messages():
+            if one.topic != topic:
+                writer.add_topic(one.topic, one.type)
+                writer.write(one.topic, one.data, one.log_time, one.publish_time)
+    return Path(writer.path)
+
+
+def test_what_an_observer_did_not_receive_is_left_out_and_all_the_rest_reproduced(
+    scene: Scene, design: Design, tmp_path: Path
+) -> None:
+    scene.play(50)
+    scene.start()
+    scene.play(60, outliers=3)
+    scene.play(60, outliers=1)
+    scene.reset()
+    scene.play(60)
+    scene.enable(False)
+    scene.play(40)
+    scene.enable(True)
+    scene.play(60, outliers=2)
+    scene.change("deactivate")
+    scene.play(40)
+    scene.change("activate")
+    scene.play(60)
+    scene.end()
+    scene.play(40)
+    scene.start()
+    scene.play(60, outliers=1)
+    scene.stage.step(BEGIN)
+    scene.play(60)
+    scene.end()
+    scene.play(40)
+    bag = scene.recorded()
+    restarts = map(JointStateDecoder(), observed(bag)[RESTARTS])
+    assert [each.position[0] for each in restarts] == [0, 1, 2, 3, 0, 1]
+
+    # Without the restarts, the innovations show them.
+    for recorded in (bag, without(bag, RESTARTS)):
+        again = recorded.with_name(f"{recorded.name}_again")
+        agreement = estimated(recorded, design, again).agreement()
+
+        assert agreement is not None
+        assert agreement.complete, agreement.text()
+        assert agreement.recorded == 420
+        assert agreement.before_first == 50
+        assert agreement.in_between >= 120
+        assert agreement.after_last == 40
+        expected, came = observed(bag), observed(again)
+        if recorded != bag:
+            del expected[RESTARTS], came[RESTARTS]
+        assert came == expected
