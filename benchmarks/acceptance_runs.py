@@ -21,8 +21,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
-from tsobs_ros.simulation.plant import Scenario
-from tsobs_ros.simulation.scenarios import Trajectories
+from tsobs_ros.simulation.plant import Scenario, Trajectories
 
 SCALE = np.array([0.226, 0.60, 3.55, 4.64])
 """Typical size of the motion in design coordinates, by which errors are divided."""

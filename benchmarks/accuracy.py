@@ -22,7 +22,8 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.report.metrics import SIGMAS, MetricsOptions
-from tsobs_ros.simulation.scenarios import SCENARIOS, Trajectories, simulate
+from tsobs_ros.simulation.plant import Trajectories
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.signals import BiasStep
 
 _NO_ADAPTATION = ("noise", "bias_step", "drift", "outliers", "dropouts")

@@ -18,7 +18,8 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.baselines import HighGainObserver
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.resources import config_path
-from tsobs_ros.simulation.scenarios import SCENARIOS, Trajectories, simulate
+from tsobs_ros.simulation.plant import Trajectories
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.signals import BiasStep
 
 DESIGN = load_design(config_path("elastic_joint.design.yaml"))

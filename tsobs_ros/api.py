@@ -23,7 +23,7 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import KINDS, Component, Excitation, parse_kinds
+from tsobs_ros.simulation.signals import KINDS, Component, Excitation, Sine, parse_kinds
 
 if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Run
@@ -154,18 +154,20 @@ def simulate(
         mismatch=_changed("mismatch", Mismatch(), mismatch or {}),
         rate=rate or Scenario.rate,
         duration=duration,
+        excitation=torque if isinstance(torque, Excitation) else Sine(),
         disturbance=_components(disturbance),
         sensor=Sensor() if noise_std is None else Sensor(noise_std=noise_std),
     )
-    plant, count = Plant(scenario, seed), scenario.sample_count
-    torques = _torques(torque, np.arange(count) / scenario.rate)
-    samples = [plant.step(one) for one in torques]
+    count, given = scenario.sample_count, None
+    if torque is not scenario.excitation and torque is not None:
+        given = _torques(torque, np.arange(count) / scenario.rate)
+    run = Plant(scenario, seed).run(count, given)
     return Simulation(
-        time=np.array([one.time for one in samples]),
-        angle=np.array([one.measurement[0] for one in samples]),
-        torque=np.array([one.torque[0] for one in samples]),
-        state=np.array([one.physical for one in samples]),
-        disturbance=np.array([one.disturbance[0] for one in samples]),
+        time=run.times,
+        angle=run.measurements[:, 0],
+        torque=run.torques[:, 0],
+        state=run.physical,
+        disturbance=run.disturbances[:, 0],
     )
 
 
@@ -401,14 +403,11 @@ def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
     return replace(record, **values)
 
 
-def _torques(torque: Any, times: Array) -> Sequence[float | None]:
-    if torque is None:
-        return [None] * len(times)
+def _torques(torque: Any, times: Array) -> Array:
     function = getattr(torque, "torque", torque)
     if callable(function):
-        return [float(function(time)) for time in times.tolist()]
-    values: list[float] = _columns("torque", torque, len(times), 1)[:, 0].tolist()
-    return values
+        torque = [float(function(time)) for time in times.tolist()]
+    return _columns("torque", torque, len(times), 1)
 
 
 def _tracker(design: Design, settings: ObserverSettings) -> Tracker[Any]:

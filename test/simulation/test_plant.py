@@ -2,8 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The plant: what a sample means, what a seed means, and what can be changed on the way."""
 
+import hashlib
+import math
+import os
+import subprocess
+import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,20 +20,47 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.integrator import ArmIntegrator
-from tsobs_ros.simulation.plant import Mismatch, Plant, Sample, Scenario
+from tsobs_ros.simulation.plant import Mismatch, Plant, Sample, Scenario, Trajectories
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,
+    Chirp,
+    Component,
+    Excitation,
     GaussMarkov,
+    Multisine,
     NoTorque,
     Sine,
     Sinusoid,
+    Square,
     StuckSensor,
+    TwoTone,
 )
 
 QUIET = Scenario(
     initial_spread=(0.0,) * 4, process_noise=ProcessNoise(0.0, 0.0), sensor=Sensor(noise_std=0.0)
 )
+
+
+BUSY = Scenario(
+    disturbance=(
+        Sinusoid(0.2, 3.0, 0.3),
+        GaussMarkov(0.1, 5.0, 0.5),
+        TwoTone(0.4, 0.7),
+        GaussMarkov(),
+        StuckSensor(1.0, 0.2),
+    ),
+    excitation=Multisine(1.7, 0.4, 6.5, 8),
+    sensor=Sensor(outlier_probability=0.1, dropout_interval=0.5, dropout_duration=0.1),
+    mismatch=Mismatch(stiffness=0.2, motor_damping=-0.1),
+)
+
+
+def digests() -> list[str]:
+    """Return a digest of the runs of each excitation."""
+    excitations = (BUSY.excitation, NoTorque(), Sine(1.1, 0.7), Square(2.0, 3.0), Chirp(sweep=1.3))
+    runs = [Plant(replace(BUSY, excitation=each), [4, 9]).run(300) for each in excitations]
+    return [hashlib.sha256(b"".join(map(bytes, run))).hexdigest() for run in runs]
 
 
 def run(scenario: Scenario, count: int, seeds: Any = 0) -> list[Sample]:
@@ -54,18 +87,83 @@ def test_samples_are_what_the_integrator_and_the_formulas_say() -> None:
         x = integrator.advance(x, sample.torque)
 
 
-def test_a_run_of_a_batch_is_the_single_plant_of_its_seed() -> None:
-    scenario = Scenario(
-        disturbance=(GaussMarkov(), StuckSensor(1.0, 0.2)),
-        sensor=Sensor(outlier_probability=0.1, dropout_interval=0.5, dropout_duration=0.1),
+@pytest.mark.parametrize("seeds", [[4, 9, 2], range(700)])
+def test_a_run_is_the_same_bits_in_a_batch_alone_in_one_call_and_sample_by_sample(
+    seeds: Any,
+) -> None:
+    # Random numbers are drawn 256 samples at a time, of 700 runs 93.
+    batch, stepped = Plant(BUSY, seeds).run(600), Plant(BUSY, seeds)
+    stepping = [stepped.step() for _ in range(600)]
+    for place, seed in list(enumerate(seeds))[:3]:
+        single, parted = Plant(BUSY, seed).run(600), Plant(BUSY, seed)
+        parts = [parted.run(count) for count in (1, 299, 0, 213, 87)]
+        for field in Trajectories._fields:
+            whole = getattr(single, field)
+            assert np.concatenate([getattr(p, field) for p in parts]).tobytes() == whole.tobytes()
+            if field != "times":
+                assert getattr(batch, field)[place].tobytes() == whole.tobytes()
+                steps = stack(stepping, field.removesuffix("s"))[:, place]
+                assert steps.tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        {"NUMBA_DISABLE_JIT": "1"},
+        {"NUMBA_CPU_NAME": "generic", "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2"},
+    ],
+    ids=["interpreted", "other CPU"],
+)
+def test_a_run_is_the_same_bits_interpreted_and_on_another_cpu(setting: dict[str, str]) -> None:
+    printed = subprocess.run(
+        [sys.executable, "-W", "error", __file__],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **setting},
+        check=True,
+        capture_output=True,
+        text=True,
     )
-    batch = run(scenario, 400, [4, 9, 2])
-    for place, seed in enumerate([4, 9, 2]):
-        single = run(scenario, 400, seed)
-        for name in ("physical", "state", "disturbance", "measurement", "torque"):
-            np.testing.assert_allclose(
-                stack(batch, name)[:, place], stack(single, name), rtol=0.0, atol=1e-12
-            )
+    assert printed.stdout.split() == digests()
+
+
+def test_what_others_make_of_torques_and_disturbances_is_used() -> None:
+    class Stairs(Excitation):
+        def torque(self, time: float) -> float:
+            return math.floor(4.0 * time)
+
+    @dataclass(frozen=True)
+    class LouderSine(Sine):
+        def torque(self, time: float) -> float:
+            return 2.0 * super().torque(time)
+
+    @dataclass(frozen=True)
+    class Growth(Component):
+        kind = "growth"
+
+        def value(self, time: float) -> float:
+            return time * time
+
+    scenario = replace(QUIET, disturbance=(Growth(), BiasStep(0.5, 0.25)), excitation=LouderSine())
+    run, times = Plant(scenario).run(300), np.arange(300) / 200.0
+    np.testing.assert_allclose(run.torques[:, 0], 2.0 * np.sin(times), atol=1e-15)
+    added = times**2 + 0.5 * (times >= 0.25)
+    np.testing.assert_allclose(run.disturbances[:, 0], added, atol=1e-15)
+    plant, other = Plant(scenario, [0, 1]), Plant(replace(scenario, disturbance=()), [0, 1])
+    for one in (plant, other):
+        one.run(100)
+        one.exchange_excitation(Stairs())
+    later = plant.run(100)
+    assert later.torques[1, :, 0].tolist() == [float(k // 50) for k in range(100, 200)]
+    added = times[100:200, np.newaxis] ** 2 + 0.5
+    assert later.disturbances[0] == pytest.approx(added)
+    assert (other.run(100).physical == later.physical).all()
+
+
+def test_an_arm_that_moves_out_of_all_bounds_is_nan_and_no_exception() -> None:
+    plant = Plant(Scenario(disturbance=(StuckSensor(0.0, 1.0),)), [0, 1])
+    run = plant.run(4000, np.array([[1e308], [0.0]]).repeat(4000, axis=1)[..., np.newaxis])
+    assert np.isnan(run.physical[0, -1]).any()
+    assert np.isfinite(run.physical[1]).all()
+    assert not plant.step().lost
 
 
 def test_reset_starts_as_fresh_even_after_changes() -> None:
@@ -141,6 +239,10 @@ def test_a_stuck_sensor_freezes_the_measured_value() -> None:
     np.testing.assert_allclose(np.delete(d, np.s_[100:150]), 0.1)
     unstuck = stack(run(replace(scenario, disturbance=(BiasStep(0.1, 0.0),)), 200), "measurement")
     assert (unstuck[150:, 0] == measured[150:]).all()
+    forever = stack(
+        run(replace(scenario, disturbance=(StuckSensor(0.5, math.inf),)), 200), "measurement"
+    )
+    assert (forever[100:] == forever[100]).all()
 
 
 def test_a_disturbance_put_in_on_the_way_counts_its_own_time() -> None:
@@ -213,3 +315,7 @@ def test_a_seed_repeats_out_of_an_array_too_and_another_does_not() -> None:
 def test_senseless_numbers_are_refused(make: Callable[[], object], complaint: str) -> None:
     with pytest.raises(ModelError, match=complaint):
         make()
+
+
+if __name__ == "__main__":
+    print(*digests())

@@ -4,17 +4,19 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
+from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
+from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.signals import (
     KINDS,
     BiasStep,
     Chirp,
     Component,
-    DisturbanceSource,
     Excitation,
     GaussMarkov,
     Multisine,
@@ -31,10 +33,13 @@ from tsobs_ros.simulation.signals import (
 TIMES = [0.0, 1.0, 1.999, 2.0, 2.5, 3.0, 10.0, 29.995, 30.0, 59.0]
 
 
+def disturbances(components: tuple[Component, ...], seeds: Any, samples: int) -> Array:
+    return Plant(Scenario(disturbance=components), seeds).run(samples).disturbances[..., 0]
+
+
 def test_drift_obeys_its_recursion_and_leaves_zero_at_its_start() -> None:
     period, tau, std = 0.005, 2.0, 0.3
-    source = DisturbanceSource((GaussMarkov(std, tau, 0.1),), period, range(400))
-    values = np.stack([source.sample(k * period) for k in range(2000)])[..., 0]
+    values = disturbances((GaussMarkov(std, tau, 0.1),), range(400), 2000).T
     assert not values[:21].any()
     assert values[21].all()
     steps = values[21:] - math.exp(-period / tau) * values[20:-1]
@@ -46,20 +51,17 @@ def test_drift_obeys_its_recursion_and_leaves_zero_at_its_start() -> None:
 
 
 def test_drifts_of_different_generations_and_places_are_independent() -> None:
-    def path(generation: int, place: int) -> list[float]:
-        parts: list[Component] = [GaussMarkov(), BiasStep(0.0)]
-        source = DisturbanceSource(parts[::-1] if place else parts, 0.005, 3, generation)
-        return [source.sample(k * 0.005).item() for k in range(50)]
+    drift, nothing = GaussMarkov(), BiasStep(0.0)
+    plant = Plant(Scenario(disturbance=(drift,)), 3)
+    first = plant.run(50).disturbances
+    plant.exchange_disturbance((drift,))
+    second = plant.run(50).disturbances
 
-    assert path(0, 0) == path(0, 0)
-    assert path(0, 0) != path(1, 0)
-    assert path(0, 0) != path(0, 1)
-
-
-def test_stuck_sensor_holds_for_its_duration_only() -> None:
-    stuck = StuckSensor(start=1.0, duration=0.5)
-    assert [stuck.holds(t) for t in (0.999, 1.0, 1.499, 1.5)] == [False, True, True, False]
-    assert StuckSensor(1.0, math.inf).holds(1e9)
+    assert (first[:, 0] == disturbances((drift,), 3, 50)).all()
+    assert (first[:, 0] == disturbances((drift, nothing), 3, 50)).all()
+    assert not (first[1:, 0] == disturbances((nothing, drift), 3, 50)[1:]).any()
+    assert second[0] == 0.0
+    assert not (first[1:] == second[1:]).any()
 
 
 @pytest.mark.parametrize(
@@ -111,10 +113,15 @@ def test_signals_follow_their_formulas(
 
 
 def test_components_are_added_up() -> None:
-    parts = (BiasStep(0.1, 1.0), Sinusoid(0.2, 3.0, 2.0))
-    source = DisturbanceSource(parts, 0.005, 0)
-    for time in TIMES:
-        assert source.sample(time) == pytest.approx([sum(p.value(time) for p in parts)])
+    parts = (BiasStep(0.1, 1.0), Sinusoid(0.2, 3.0, 2.0), Ramp(0.1, 0.5), TwoTone(0.3, 1.5))
+    sums = [sum(part.value(k / 200.0) for part in parts) for k in range(600)]
+    assert disturbances(parts, 0, 600) == pytest.approx(sums, abs=1e-15)
+
+
+def test_signals_may_be_too_large_for_a_sine() -> None:
+    assert math.isnan(Sine(1.0, 1e300).torque(1e300))
+    assert math.isnan(Sinusoid(1.0, 1e300, 0.0).value(1e300))
+    assert abs(Chirp(1.0, 1e250, 1e300, 1e8).torque(7.0)) <= 1.0
 
 
 def test_multisine_has_the_stated_power_and_a_moderate_crest() -> None:

@@ -26,7 +26,8 @@ from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
 from tsobs_ros.paper.examples import PaperExample
 from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState, printed_observer
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
-from tsobs_ros.simulation.scenarios import SCENARIOS, Trajectories, simulate
+from tsobs_ros.simulation.plant import Trajectories
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 PERIOD = 4e-3
 """Step of plant and observer [s]. Between samples y is taken as linear, which is off by

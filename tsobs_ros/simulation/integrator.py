@@ -4,27 +4,39 @@
 
 The classical fourth-order Runge–Kutta method at 1 ms keeps the undriven arm's energy to 1e-10
 over a minute, so its error is far below any noise; no adaptive solver or exact-flow splitting is
-needed. One small-array NumPy operation takes longer than a whole scalar Runge–Kutta step, so
-`ArmIntegrator` writes the arm out column by column; the same lines run on plain floats (one arm,
-about 2 µs a step) and on arrays (a batch of runs).
+needed.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, positive
+from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.trigonometry import sine
 
 LONGEST_SUBSTEP = 1e-3
 """Upper limit of an integration step [s]; a sampling period is cut into equal steps below it."""
 
-Column = TypeVar("Column", float, Array)
-"""One state of one arm, or of every arm of a batch."""
+_MOTION = np.dtype(
+    (
+        np.record,
+        [
+            ("substeps", np.int64),
+            ("substep", np.float64),
+            ("gravity", np.float64),
+            ("motor_inertia", np.float64),
+            ("link_spring", np.float64),
+            ("link_drag", np.float64),
+            ("motor_spring", np.float64),
+            ("motor_drag", np.float64),
+        ],
+    )
+)
 
 
 class ArmIntegrator:
@@ -38,6 +50,9 @@ class ArmIntegrator:
         period: Time that one call of `advance` covers [s].
         longest_substep: Upper limit of the integration step [s].
 
+    Attributes:
+        motion: One record with the numbers that `advance_arm` takes.
+
     Raises:
         ModelError: The period or the step limit is not a finite number above zero.
     """
@@ -49,7 +64,17 @@ class ArmIntegrator:
         # A period of exactly five steps must not become six because .005/.001 rounds upwards.
         self.substeps = max(1, math.ceil(positive("period", period) / longest_substep - 1e-9))
         self.substep = period / self.substeps
-        self._arm = arm
+        self.motion = np.empty(1, _MOTION)
+        self.motion[0] = (
+            self.substeps,
+            self.substep,
+            arm.gravity_gain,
+            arm.motor_inertia,
+            arm.stiffness / arm.link_inertia,
+            arm.link_damping / arm.link_inertia,
+            arm.stiffness / arm.motor_inertia,
+            arm.motor_damping / arm.motor_inertia,
+        )
 
     def advance(self, state: ArrayLike, torque: ArrayLike, kicks: ArrayLike | None = None) -> Array:
         """Return the physical state one period later.
@@ -63,61 +88,72 @@ class ArmIntegrator:
         Raises:
             ModelError: The state or the kicks have another shape.
         """
-        start, held = np.asarray(state, dtype=np.float64), np.asarray(torque, dtype=np.float64)
+        start = np.array(state, dtype=np.float64)
         if start.ndim not in (1, 2) or start.shape[-1] != 4:
             raise ModelError(f"state: expected shape (4,) or (runs, 4), got {start.shape}")
-        noise = None if kicks is None else np.asarray(kicks, dtype=np.float64)
-        if noise is not None and noise.shape != (*start.shape[:-1], self.substeps, 2):
-            raise ModelError(
-                f"kicks: expected shape {(*start.shape[:-1], self.substeps, 2)}, got {noise.shape}"
-            )
-        if start.ndim == 1:
-            q1, v1, q2, v2 = start.tolist()
-            pairs = None if noise is None else noise.tolist()
-            return np.array(self._columns(math.sin, q1, v1, q2, v2, held.item(), pairs))
-        q1, v1, q2, v2 = np.ascontiguousarray(start.T)
-        columns_torque = np.ascontiguousarray(held[..., 0])
-        rows = None if noise is None else list(np.ascontiguousarray(noise.transpose(1, 2, 0)))
-        return np.stack(self._columns(np.sin, q1, v1, q2, v2, columns_torque, rows), axis=-1)
+        held = np.broadcast_to(np.asarray(torque, dtype=np.float64), (*start.shape[:-1], 1))
+        shape = (*start.shape[:-1], self.substeps, 2)
+        noise = np.zeros(shape) if kicks is None else np.asarray(kicks, dtype=np.float64)
+        if noise.shape != shape:
+            raise ModelError(f"kicks: expected shape {shape}, got {noise.shape}")
+        _advance_arms(
+            self.motion,
+            start.reshape(-1, 4),
+            np.ascontiguousarray(held).reshape(-1),
+            np.ascontiguousarray(noise).reshape(-1, 2 * self.substeps),
+        )
+        return start
 
-    def _columns(
-        self,
-        sine: Callable[[Column], Column],
-        q1: Column,
-        v1: Column,
-        q2: Column,
-        v2: Column,
-        torque: Column,
-        kicks: Sequence[Sequence[Column]] | None,
-    ) -> tuple[Column, Column, Column, Column]:
-        """Run the substeps on one arm's floats or on a batch's columns."""
-        arm, h = self._arm, self.substep
-        half, sixth, gravity = 0.5 * h, h / 6.0, arm.gravity_gain
-        link_spring = arm.stiffness / arm.link_inertia
-        link_drag = arm.link_damping / arm.link_inertia
-        motor_spring = arm.stiffness / arm.motor_inertia
-        motor_drag = arm.motor_damping / arm.motor_inertia
-        drive = torque / arm.motor_inertia
 
-        def accelerations(q1: Column, v1: Column, q2: Column, v2: Column) -> tuple[Column, Column]:
-            twist = q2 - q1
-            link = link_spring * twist - gravity * sine(q1) - link_drag * v1
-            return link, drive - motor_spring * twist - motor_drag * v2
+@compiled
+def advance_arm(
+    motion: Any, state: Array, torque: float, kicks: Array, link_kick: float, motor_kick: float
+) -> None:
+    """Move the physical state of one arm over a period, in place.
 
-        for index in range(self.substeps):
-            a1, b1 = accelerations(q1, v1, q2, v2)
-            # The velocity of each stage is the slope of the angle: w of the link, s of the motor.
-            w2, s2 = v1 + half * a1, v2 + half * b1
-            a2, b2 = accelerations(q1 + half * v1, w2, q2 + half * v2, s2)
-            w3, s3 = v1 + half * a2, v2 + half * b2
-            a3, b3 = accelerations(q1 + half * w2, w3, q2 + half * s2, s3)
-            w4, s4 = v1 + h * a3, v2 + h * b3
-            a4, b4 = accelerations(q1 + h * w3, w4, q2 + h * s3, s4)
-            q1 = q1 + sixth * (v1 + 2.0 * (w2 + w3) + w4)
-            q2 = q2 + sixth * (v2 + 2.0 * (s2 + s3) + s4)
-            v1 = v1 + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-            v2 = v2 + sixth * (b1 + 2.0 * (b2 + b3) + b4)
-            if kicks is not None:
-                v1 = v1 + kicks[index][0]
-                v2 = v2 + kicks[index][1]
-        return q1, v1, q2, v2
+    Args:
+        motion: Record of an `ArmIntegrator`.
+        state: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (4,).
+        torque: Motor torque held over the period [N m].
+        kicks: Velocity steps of link and motor after each integration step in turn, shape
+            (2 substeps,), or (0,) for none.
+        link_kick: What the link's are to be multiplied by [rad/s].
+        motor_kick: What the motor's are to be multiplied by [rad/s].
+    """
+    # Floats, since scalars of NumPy are slow and warn of an overflow when this is interpreted.
+    h, gravity = float(motion.substep), float(motion.gravity)
+    link_spring, link_drag = float(motion.link_spring), float(motion.link_drag)
+    motor_spring, motor_drag = float(motion.motor_spring), float(motion.motor_drag)
+    drive = torque / float(motion.motor_inertia)
+    half, sixth = 0.5 * h, h / 6.0
+    q1, v1, q2, v2 = float(state[0]), float(state[1]), float(state[2]), float(state[3])
+    for step in range(motion.substeps):
+        # The velocity of each stage is the slope of the angle: w of the link, s of the motor.
+        a1 = link_spring * (q2 - q1) - gravity * sine(q1) - link_drag * v1
+        b1 = drive - motor_spring * (q2 - q1) - motor_drag * v2
+        w2, s2 = v1 + half * a1, v2 + half * b1
+        p1, p2 = q1 + half * v1, q2 + half * v2
+        a2 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w2
+        b2 = drive - motor_spring * (p2 - p1) - motor_drag * s2
+        w3, s3 = v1 + half * a2, v2 + half * b2
+        p1, p2 = q1 + half * w2, q2 + half * s2
+        a3 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w3
+        b3 = drive - motor_spring * (p2 - p1) - motor_drag * s3
+        w4, s4 = v1 + h * a3, v2 + h * b3
+        p1, p2 = q1 + h * w3, q2 + h * s3
+        a4 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w4
+        b4 = drive - motor_spring * (p2 - p1) - motor_drag * s4
+        q1 += sixth * (v1 + 2.0 * (w2 + w3) + w4)
+        q2 += sixth * (v2 + 2.0 * (s2 + s3) + s4)
+        v1 += sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        v2 += sixth * (b1 + 2.0 * (b2 + b3) + b4)
+        if kicks.shape[0]:
+            v1 += link_kick * float(kicks[2 * step])
+            v2 += motor_kick * float(kicks[2 * step + 1])
+    state[0], state[1], state[2], state[3] = q1, v1, q2, v2
+
+
+@compiled
+def _advance_arms(motion: Any, states: Array, torques: Array, kicks: Array) -> None:
+    for run in range(states.shape[0]):
+        advance_arm(motion[0], states[run], float(torques[run]), kicks[run], 1.0, 1.0)

@@ -3,32 +3,69 @@
 """The simulated plant: a pure, deterministic machine that is stepped by sample index.
 
 Sample k belongs to the time k/rate. A step measures at that time, then moves the arm on to the
-next sample with the torque held. No clock is read: the same scenario, seed and sequence of calls
-give the same numbers, for one arm and for a batch of runs alike.
+next sample with the torque held. No clock is read: the same scenario, seed and torques give the
+same numbers, to the bit, for one arm and for a batch, sample by sample and many at a time.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, non_negative, positive
+from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.integrator import ArmIntegrator
-from tsobs_ros.simulation.sensor import (
-    RandomStream,
-    Seeds,
-    Sensor,
-    SensorNoise,
-    Source,
-    batch_shape,
-    checked_seeds,
+from tsobs_ros.simulation.integrator import ArmIntegrator, advance_arm
+from tsobs_ros.simulation.sensor import Sensor, is_dropped, outlier
+from tsobs_ros.simulation.signals import (
+    GAUSS_MARKOV,
+    ROW,
+    Component,
+    Excitation,
+    Sine,
+    component_row,
+    disturbance_at,
+    excitation_row,
+    is_stuck,
+    torque_at,
 )
-from tsobs_ros.simulation.signals import Component, DisturbanceSource, Excitation, Sine
+from tsobs_ros.simulation.streams import RandomStream, Seeds, Source, checked_seeds
+
+_BLOCK = 256
+"""Samples drawn at a time, fewer of many runs."""
+
+_LARGEST_BLOCK = 2**16
+"""Samples of all runs drawn at a time, so that the memory stays bounded."""
+
+_PLANT = np.dtype(
+    (
+        np.record,
+        [
+            ("rate", np.float64),
+            ("injected", np.int64),
+            ("excitation", np.float64, (ROW,)),
+            ("noise_std", np.float64),
+            ("outlier_probability", np.float64),
+            ("outlier_size", np.float64),
+            ("dropout_interval", np.float64),
+            ("dropout_duration", np.float64),
+            ("link_kick", np.float64),
+            ("motor_kick", np.float64),
+            ("lost", np.bool_),
+        ],
+    )
+)
+_RUN = np.dtype(
+    (
+        np.record,
+        [("physical", np.float64, (4,)), ("frozen", np.float64), ("stuck", np.bool_)],
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -136,6 +173,26 @@ class Sample:
     lost: bool
 
 
+class Trajectories(NamedTuple):
+    """A batch of runs; without the first axis a single one.
+
+    Attributes:
+        times: [s], shape (samples,).
+        states: True states in the nominal arm's design coordinates, shape (runs, samples, 4).
+        disturbances: True disturbances [rad], shape (runs, samples, 1).
+        measurements: y [rad], NaN if lost, shape (runs, samples, 1).
+        torques: Torque held from each sample to the next [N m], shape (runs, samples, 1).
+        physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
+    """
+
+    times: Array
+    states: Array
+    disturbances: Array
+    measurements: Array
+    torques: Array
+    physical: Array
+
+
 class Plant:
     """An elastic-joint arm with its excitation, its sensor and everything random about them.
 
@@ -149,35 +206,45 @@ class Plant:
     """
 
     def __init__(self, scenario: Scenario, seeds: Seeds = 0) -> None:
-        checked_seeds(seeds)
+        self._seeds = checked_seeds(seeds)
+        self._is_batch = not isinstance(seeds, int | np.integer)
         self.scenario = scenario
-        self._seeds = seeds
-        # A number times this is the cheapest array of equal numbers, for one sample at a time.
-        self._ones = np.ones((*batch_shape(seeds), 1))
         self._period = 1.0 / scenario.rate
         self._integrator = ArmIntegrator(scenario.true_arm, self._period)
         self.reset()
 
     def reset(self) -> None:
         """Start again, exactly as a new plant of the same scenario and seeds."""
-        scenario = self.scenario
-        spread = RandomStream(
-            self._seeds, Source.INITIAL_STATE, (4,), scale=scenario.initial_spread
-        ).draw()
-        start = np.array(scenario.initial_state) + spread
-        self._physical = scenario.arm.to_physical(start)
+        scenario, runs = self.scenario, len(self._seeds)
+        spread = np.empty((runs, 4))
+        RandomStream(self._seeds, Source.INITIAL_STATE).fill(spread)
+        start = np.array(scenario.initial_state) + spread * np.array(scenario.initial_spread)
+        self._runs = np.zeros(runs, _RUN)
+        self._runs["physical"] = scenario.arm.to_physical(start)
         self._index = 0
-        self._excitation = scenario.excitation
-        self._sensor = scenario.sensor
-        self._sensor_noise = SensorNoise(self._seeds)
-        noise = scenario.process_noise
-        densities = [noise.link, noise.motor]
-        substeps, substep = self._integrator.substeps, self._integrator.substep
-        kick_std = np.sqrt(np.array(densities) * substep)
-        kicks = self._stream(Source.PROCESS, (substeps, 2), kick_std)
-        self._kicks = kicks if any(densities) else None
+        self._plant = np.zeros(1, _PLANT)
+        numbers, noise, substep = self._plant[0], scenario.process_noise, self._integrator.substep
+        numbers.rate = scenario.rate
+        numbers.link_kick = math.sqrt(noise.link * substep)
+        numbers.motor_kick = math.sqrt(noise.motor * substep)
+        self._block = min(_BLOCK, max(1, _LARGEST_BLOCK // runs))
+        self._drawn = self._block
+        kicks = 2 * self._integrator.substeps if noise.link or noise.motor else 0
+        self._kicks = np.empty((runs, self._block, kicks))
+        self._noise = np.empty((runs, self._block))
+        self._luck = np.empty((runs, self._block))
+        self._streams: list[tuple[RandomStream, Array]] = [
+            (RandomStream(self._seeds, Source.MEASUREMENT), self._noise),
+            (RandomStream(self._seeds, Source.OUTLIER, uniform=True), self._luck),
+        ]
+        if kicks:
+            self._streams.append((RandomStream(self._seeds, Source.PROCESS), self._kicks))
+        self.exchange_excitation(scenario.excitation)
+        self.exchange_sensor(scenario.sensor)
         self._generation = -1
         self.exchange_disturbance(scenario.disturbance)
+        # So that the code is compiled, or loaded, and the first block drawn, before the first step.
+        self._advance(0)
 
     @property
     def index(self) -> int:
@@ -195,19 +262,34 @@ class Plant:
         The time of the new components, their `start` included, counts from the next sample.
         """
         self._generation += 1
-        self._injected_at = self._index
-        self._frozen: Array | None = None
-        self._disturbance = DisturbanceSource(
-            components, self._period, self._seeds, self._generation
-        )
+        self._plant[0].injected = self._index
+        self._runs["stuck"] = False
+        rows = [component_row(each, self._period) for each in components]
+        known = [row for row in rows if row is not None]
+        self._components = np.array(known).reshape(len(known), ROW)
+        self._others = [each for each, row in zip(components, rows, strict=True) if row is None]
+        drifts = [
+            RandomStream(self._seeds, Source.DISTURBANCE, (self._generation, place))
+            for place, row in enumerate(rows)
+            if row is not None and row[0] == GAUSS_MARKOV
+        ]
+        runs = len(self._seeds)
+        self._drifts = np.zeros((runs, len(drifts)))
+        self._drift_noise = np.empty((len(drifts), runs, self._block))
+        self._drift_streams = list(zip(drifts, self._drift_noise, strict=True))
+        for stream, block in self._drift_streams:
+            stream.fill(block[:, self._drawn :])
 
     def exchange_excitation(self, excitation: Excitation) -> None:
         """Move the arm otherwise from the next sample on; its time goes on counting."""
-        self._excitation = excitation
+        row = excitation_row(excitation)
+        self._excitation = excitation if row is None else None
+        self._plant[0].excitation[:] = 0.0 if row is None else row
 
     def exchange_sensor(self, sensor: Sensor) -> None:
         """Measure with other noise, outliers or dropouts from the next sample on."""
-        self._sensor = sensor
+        for item in fields(sensor):
+            self._plant[0][item.name] = getattr(sensor, item.name)
 
     def step(self, torque: ArrayLike | None = None) -> Sample:
         """Measure at the present sample, move on to the next one and return the former.
@@ -218,42 +300,205 @@ class Plant:
         Raises:
             ModelError: The torque is not finite or does not fit the batch.
         """
-        index, time, physical = self._index, self.time, self._physical
-        applied = self._torque(time, torque)
-        disturbance, measurement = self._measure(physical[..., :1])
-        lost = self._sensor.drops(time)
-        if lost:
-            measurement = np.full_like(measurement, np.nan)
-        kicks = None if self._kicks is None else self._kicks.draw()
-        self._physical = self._integrator.advance(physical, applied, kicks)
-        self._index = index + 1
+        index, time = self._index, self.time
+        if torque is not None:
+            torque = self._checked_torque(torque, (len(self._seeds), 1) if self._is_batch else (1,))
+        physical, torques, disturbances, measurements = self._advance(1, torque)
+        physical = physical[:, 0]
+        if not self._is_batch:
+            physical, torques = physical[0], torques[0]
+            disturbances, measurements = disturbances[0], measurements[0]
         state = self.scenario.arm.from_physical(physical)
-        return Sample(index, time, state, physical, disturbance, measurement, applied, lost)
+        lost = bool(self._plant["lost"][0])
+        return Sample(index, time, state, physical, disturbances, measurements, torques, lost)
 
-    def _stream(self, source: Source, shape: tuple[int, ...], scale: ArrayLike) -> RandomStream:
-        return RandomStream(self._seeds, source, shape, scale=scale)
+    def run(self, samples: int, torque: ArrayLike | None = None) -> Trajectories:
+        """Step many times and return all samples; other threads of Python can run meanwhile.
 
-    def _torque(self, time: float, torque: ArrayLike | None) -> Array:
-        if torque is None:
-            return self._excitation.torque(time) * self._ones
+        Everything is kept: 88 bytes a run and sample.
+
+        Args:
+            samples: Number of steps.
+            torque: Torque to apply instead of the excitation [N m]; a number, shape (samples, 1)
+                or (runs, samples, 1).
+
+        Raises:
+            ModelError: The torque is not finite, or of another shape.
+        """
+        if torque is not None:
+            shapes = [(samples, 1)] + [(len(self._seeds), samples, 1)] * self._is_batch
+            given = self._checked_torque(torque, *shapes)
+            torque = given[..., 0] if given.ndim else given
+        times = np.arange(self._index, self._index + samples) / self.scenario.rate
+        physical, *signals = self._advance(samples, torque)
+        if not self._is_batch:
+            physical, signals = physical[0], [signal[0] for signal in signals]
+        torques, disturbances, measurements = (signal[..., np.newaxis] for signal in signals)
+        states = self.scenario.arm.from_physical(physical)
+        return Trajectories(times, states, disturbances, measurements, torques, physical)
+
+    def _checked_torque(self, torque: ArrayLike, *shapes: tuple[int, ...]) -> Array:
         given = np.asarray(torque, dtype=np.float64)
-        if not np.isfinite(given).all():
-            raise ModelError(f"torque of sample {self._index}: expected finite numbers")
-        if given.shape not in ((), self._ones.shape):
-            raise ModelError(f"torque: expected shape {self._ones.shape}, got {given.shape}")
-        return np.asarray(given * self._ones)
+        if given.shape not in ((), *shapes):
+            expected = " or ".join(map(str, shapes))
+            raise ModelError(f"torque: expected shape {expected}, got {given.shape}")
+        wrong = ~np.isfinite(given)
+        if wrong.any():
+            place = int(wrong.any(axis=0).argmax()) if given.ndim == 3 else int(wrong.argmax())
+            raise ModelError(f"torque of sample {self._index + place}: expected finite numbers")
+        return given
 
-    def _measure(self, angle: Array) -> tuple[Array, Array]:
-        """Return disturbance and measurement of the link angle, shape (..., 1) each."""
-        elapsed = (self._index - self._injected_at) / self.scenario.rate
-        disturbance = self._disturbance.sample(elapsed)
-        noise, outliers = self._sensor_noise.sample(self._sensor)
-        measured = angle + disturbance + noise
-        if not self._disturbance.stuck(elapsed):
-            self._frozen = None
-        else:
-            if self._frozen is None:
-                self._frozen = measured
-            measured = self._frozen
-            disturbance = measured - angle
-        return disturbance, measured if outliers is None else measured + outliers
+    def _advance(
+        self, samples: int, torque: ArrayLike | None = None
+    ) -> tuple[Array, Array, Array, Array]:
+        """Step and return physical states, torques, disturbances and measurements, runs first."""
+        shape = (len(self._seeds), samples)
+        physical, measurements = np.empty((*shape, 4)), np.empty(shape)
+        torques, disturbances = np.empty(shape), np.zeros(shape)
+        if torque is not None:
+            torques[:] = torque
+        elif self._excitation is not None:
+            torques[:] = [self._excitation.torque(time) for time in self._times(samples)]
+        for other in self._others:
+            injected = int(self._plant[0].injected)
+            disturbances += [other.value(time) for time in self._times(samples, injected)]
+        done = 0
+        while True:
+            if self._drawn == self._block:
+                for stream, block in self._streams + self._drift_streams:
+                    stream.fill(block)
+                self._drawn = 0
+            part = min(samples - done, self._block - self._drawn)
+            _simulate(
+                self._plant,
+                self._integrator.motion,
+                self._components,
+                self._runs,
+                self._drifts,
+                self._kicks,
+                self._noise,
+                self._luck,
+                self._drift_noise,
+                self._index,
+                self._drawn,
+                part,
+                physical,
+                torques,
+                torque is not None or self._excitation is not None,
+                disturbances,
+                measurements,
+                done,
+            )
+            self._index += part
+            self._drawn += part
+            done += part
+            if done == samples:
+                return physical, torques, disturbances, measurements
+
+    def _times(self, samples: int, since: int = 0) -> list[float]:
+        first, rate = self._index - since, self.scenario.rate
+        return [place / rate for place in range(first, first + samples)]
+
+
+@compiled_nogil
+def _simulate(
+    plant: Any,
+    motion: Any,
+    components: Array,
+    runs: Any,
+    drifts: Array,
+    kicks: Array,
+    noise: Array,
+    luck: Array,
+    drift_noise: Array,
+    index: int,
+    drawn: int,
+    samples: int,
+    physical: Array,
+    torques: Array,
+    are_given: bool,
+    disturbances: Array,
+    measurements: Array,
+    first: int,
+) -> None:
+    """Measure and move every run, sample by sample.
+
+    Args:
+        plant: One record of what all runs share; whether the last sample is lost is written.
+        motion: One record of the arm that moves.
+        components: Rows of the disturbance, shape (rows, ROW).
+        runs: A record for each run, which is moved.
+        drifts: Present values of the drifts, shape (runs, drifts), which are moved.
+        kicks: Normal numbers of the process noise, shape (runs, block, 2 substeps or 0).
+        noise: Normal numbers of the sensor, shape (runs, block).
+        luck: Numbers of [0, 1) that decide on outliers, shape (runs, block).
+        drift_noise: Normal numbers of the drifts, shape (drifts, runs, block).
+        index: Index of the first sample.
+        drawn: Its place in the blocks of random numbers.
+        samples: Number of samples.
+        physical: Physical states to write, shape (runs, all, 4).
+        torques: Torques to write, unless they are given, shape (runs, all).
+        are_given: Whether they are.
+        disturbances: Disturbances to add to, shape (runs, all).
+        measurements: To write, shape (runs, all).
+        first: Place of the first sample in these four.
+    """
+    numbers, rate, injected = plant[0], float(plant[0].rate), int(plant[0].injected)
+    for step in range(samples):
+        draw, place = drawn + step, first + step
+        time, since = (index + step) / rate, index + step - injected
+        elapsed = since / rate
+        lost = is_dropped(time, numbers.dropout_interval, numbers.dropout_duration)
+        added, stuck = disturbance_at(components, elapsed), is_stuck(components, elapsed)
+        numbers.lost = lost
+        torque = 0.0 if are_given else torque_at(numbers.excitation, time)
+        for run in range(runs.shape[0]):
+            state = runs[run].physical
+            angle = float(state[0])
+            disturbance = float(disturbances[run, place]) + added
+            drift = 0
+            for row in range(components.shape[0]):
+                if int(components[row, 0]) == GAUSS_MARKOV:
+                    number = float(drift_noise[drift, run, draw])
+                    value = _drifted(
+                        components[row], float(drifts[run, drift]), number, since, rate
+                    )
+                    drifts[run, drift] = value
+                    disturbance += value
+                    drift += 1
+            measured = angle + disturbance + float(numbers.noise_std) * float(noise[run, draw])
+            if stuck:
+                if not runs[run].stuck:
+                    runs[run].frozen = measured
+                measured = float(runs[run].frozen)
+                disturbance = measured - angle
+            runs[run].stuck = stuck
+            if numbers.outlier_probability > 0.0:
+                measured += outlier(
+                    luck[run, draw], numbers.outlier_probability, float(numbers.outlier_size)
+                )
+            for item in range(4):
+                physical[run, place, item] = state[item]
+            disturbances[run, place] = disturbance
+            measurements[run, place] = math.nan if lost else measured
+            if are_given:
+                torque = float(torques[run, place])
+            else:
+                torques[run, place] = torque
+            advance_arm(
+                motion[0],
+                state,
+                torque,
+                kicks[run, draw],
+                float(numbers.link_kick),
+                float(numbers.motor_kick),
+            )
+
+
+@compiled
+def _drifted(row: Array, value: float, number: float, since: int, rate: float) -> float:
+    """Return a drift at the sample `since` after it was put in, by its value at the one before."""
+    start = float(row[3])
+    if since == 0 or (since - 1) / rate < start:
+        return 0.0
+    return float(row[1]) * value + float(row[2]) * number

@@ -5,19 +5,28 @@
 The time of a torque counts from the plant's start. A disturbance is a sum of components, and its
 time counts from the moment it is put in, which is the plant's start unless it is exchanged while
 the plant runs.
+
+A signal of this module is evaluated by compiled code from a row: the code of its kind, then its
+numbers. Others are evaluated by their own methods.
 """
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from tsobs_ros.checks import Array, finite, non_negative, positive
+from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
-from tsobs_ros.simulation.sensor import RandomStream, Seeds, Source, batch_shape
+from tsobs_ros.model.trigonometry import cosine, sine
+
+ROW = 5
+"""Length of a row."""
+
+_NO_TORQUE, _SINE, _MULTISINE, _SQUARE, _CHIRP = range(5)
+_BIAS_STEP, _SINUSOID, _RAMP, _TWO_TONE, GAUSS_MARKOV, STUCK = range(6)
 
 
 class Excitation(ABC):
@@ -28,16 +37,22 @@ class Excitation(ABC):
         """Return the torque [N m] at a time [s] since the start."""
 
 
-@dataclass(frozen=True)
-class NoTorque(Excitation):
-    """The motor is not driven."""
+class _CompiledExcitation(Excitation):
+    code: ClassVar[int]
 
     def torque(self, time: float) -> float:
-        return 0.0
+        return torque_at(_row(self.code, self), float(time))
 
 
 @dataclass(frozen=True)
-class Sine(Excitation):
+class NoTorque(_CompiledExcitation):
+    """The motor is not driven."""
+
+    code: ClassVar[int] = _NO_TORQUE
+
+
+@dataclass(frozen=True)
+class Sine(_CompiledExcitation):
     """u = a sin ωt; the defaults are the method's u = sin t.
 
     Attributes:
@@ -45,18 +60,16 @@ class Sine(Excitation):
         frequency: ω [rad/s].
     """
 
+    code: ClassVar[int] = _SINE
     amplitude: float = 1.0
     frequency: float = 1.0
 
     def __post_init__(self) -> None:
         _check_signal("sine", self.amplitude, self.frequency)
 
-    def torque(self, time: float) -> float:
-        return self.amplitude * math.sin(self.frequency * time)
-
 
 @dataclass(frozen=True)
-class Multisine(Excitation):
+class Multisine(_CompiledExcitation):
     """A sum of tones, equally spaced from the lowest to the highest, with Schroeder's phases.
 
     Schroeder's phases −πi(i − 1)/n spread the tones' crests, so that the peak stays near that of
@@ -69,6 +82,7 @@ class Multisine(Excitation):
         tones: Their number.
     """
 
+    code: ClassVar[int] = _MULTISINE
     amplitude: float = 1.0
     lowest: float = 0.5
     highest: float = 6.0
@@ -84,17 +98,9 @@ class Multisine(Excitation):
         if self.tones < 1:
             raise ModelError(f"multisine tones: expected at least 1, got {self.tones!r}")
 
-    def torque(self, time: float) -> float:
-        spacing = (self.highest - self.lowest) / max(1, self.tones - 1)
-        total = sum(
-            math.sin((self.lowest + i * spacing) * time - math.pi * i * (i + 1) / self.tones)
-            for i in range(self.tones)
-        )
-        return self.amplitude / math.sqrt(self.tones) * total
-
 
 @dataclass(frozen=True)
-class Square(Excitation):
+class Square(_CompiledExcitation):
     """Alternately +a and −a, half a period each, + first.
 
     Attributes:
@@ -102,18 +108,16 @@ class Square(Excitation):
         frequency: ω [rad/s]; the period is 2π/ω.
     """
 
+    code: ClassVar[int] = _SQUARE
     amplitude: float = 1.0
     frequency: float = 1.0
 
     def __post_init__(self) -> None:
         _check_signal("square", self.amplitude, self.frequency)
 
-    def torque(self, time: float) -> float:
-        return self.amplitude if (self.frequency * time / math.tau) % 1.0 < 0.5 else -self.amplitude
-
 
 @dataclass(frozen=True)
-class Chirp(Excitation):
+class Chirp(_CompiledExcitation):
     """A tone whose frequency rises linearly from the lowest to the highest, again and again.
 
     Attributes:
@@ -123,6 +127,7 @@ class Chirp(Excitation):
         sweep: Length of a sweep [s].
     """
 
+    code: ClassVar[int] = _CHIRP
     amplitude: float = 1.0
     lowest: float = 0.5
     highest: float = 6.0
@@ -132,11 +137,6 @@ class Chirp(Excitation):
         _check_signal("chirp", self.amplitude, self.lowest)
         positive("chirp highest", self.highest)
         positive("chirp sweep", self.sweep)
-
-    def torque(self, time: float) -> float:
-        within = time % self.sweep
-        growth = (self.highest - self.lowest) / self.sweep
-        return self.amplitude * math.sin((self.lowest + 0.5 * growth * within) * within)
 
 
 def _check_signal(kind: str, amplitude: float, frequency: float) -> None:
@@ -167,8 +167,15 @@ class Component(ABC):
         """Return the addition to the measurement [rad] at a time [s], zero before the start."""
 
 
+class _CompiledComponent(Component):
+    code: ClassVar[int]
+
+    def value(self, time: float) -> float:
+        return _value_at(_row(self.code, self), float(time))
+
+
 @dataclass(frozen=True)
-class BiasStep(Component):
+class BiasStep(_CompiledComponent):
     """d = a from the start on.
 
     Attributes:
@@ -177,15 +184,13 @@ class BiasStep(Component):
     """
 
     kind: ClassVar[str] = "bias_step"
+    code: ClassVar[int] = _BIAS_STEP
     amplitude: float = 0.1
     start: float = 30.0
 
-    def value(self, time: float) -> float:
-        return self.amplitude if time >= self.start else 0.0
-
 
 @dataclass(frozen=True)
-class Sinusoid(Component):
+class Sinusoid(_CompiledComponent):
     """d = a sin ω(t − start) from the start on; the defaults are Example 2's first fault.
 
     Attributes:
@@ -195,17 +200,14 @@ class Sinusoid(Component):
     """
 
     kind: ClassVar[str] = "sinusoid"
+    code: ClassVar[int] = _SINUSOID
     amplitude: float = 0.2
     frequency: float = 3.0
     start: float = 2.0
 
-    def value(self, time: float) -> float:
-        elapsed = time - self.start
-        return self.amplitude * math.sin(self.frequency * elapsed) if elapsed >= 0.0 else 0.0
-
 
 @dataclass(frozen=True)
-class Ramp(Component):
+class Ramp(_CompiledComponent):
     """d = r (t − start) from the start on.
 
     Attributes:
@@ -214,15 +216,13 @@ class Ramp(Component):
     """
 
     kind: ClassVar[str] = "ramp"
+    code: ClassVar[int] = _RAMP
     rate: float = 0.004
     start: float = 10.0
 
-    def value(self, time: float) -> float:
-        return self.rate * max(0.0, time - self.start)
-
 
 @dataclass(frozen=True)
-class TwoTone(Component):
+class TwoTone(_CompiledComponent):
     """d = a (sin 2t + cos 3t) from the start on; the defaults are Example 2's third fault.
 
     Attributes:
@@ -231,21 +231,17 @@ class TwoTone(Component):
     """
 
     kind: ClassVar[str] = "two_tone"
+    code: ClassVar[int] = _TWO_TONE
     amplitude: float = 0.4
     start: float = 0.0
 
-    def value(self, time: float) -> float:
-        if time < self.start:
-            return 0.0
-        return self.amplitude * (math.sin(2.0 * time) + math.cos(3.0 * time))
-
 
 @dataclass(frozen=True)
-class GaussMarkov(Component):
+class GaussMarkov(_CompiledComponent):
     """A drift of bounded variance, ḋ = −d/τ + noise, which leaves zero at its start.
 
-    Its variance grows as std² (1 − e^(−2t/τ)). `value` is its mean, zero; the random part comes
-    from the exact discretisation in `DisturbanceSource`.
+    Its variance grows as std² (1 − e^(−2t/τ)). `value` is its mean, zero; the plant adds the random
+    part.
 
     Attributes:
         std: 1σ once it has become stationary [rad].
@@ -254,6 +250,7 @@ class GaussMarkov(Component):
     """
 
     kind: ClassVar[str] = "gauss_markov"
+    code: ClassVar[int] = GAUSS_MARKOV
     std: float = 0.1
     time_constant: float = 20.0
     start: float = 0.0
@@ -263,12 +260,9 @@ class GaussMarkov(Component):
         positive("gauss_markov time_constant", self.time_constant)
         super().__post_init__()
 
-    def value(self, time: float) -> float:
-        return 0.0
-
 
 @dataclass(frozen=True)
-class StuckSensor(Component):
+class StuckSensor(_CompiledComponent):
     """The measured value freezes at the start and stays for a while; it adds nothing.
 
     Attributes:
@@ -277,6 +271,7 @@ class StuckSensor(Component):
     """
 
     kind: ClassVar[str] = "stuck"
+    code: ClassVar[int] = STUCK
     start: float = 30.0
     duration: float = 1.0
 
@@ -284,13 +279,6 @@ class StuckSensor(Component):
         finite("stuck start", self.start)
         if not self.duration >= 0.0:
             raise ModelError(f"stuck duration: expected at least 0 s, got {self.duration!r}")
-
-    def value(self, time: float) -> float:
-        return 0.0
-
-    def holds(self, time: float) -> bool:
-        """Return whether the sensor is stuck at a time [s]."""
-        return self.start <= time < self.start + self.duration
 
 
 KINDS: dict[str, Component] = {
@@ -318,61 +306,89 @@ def parse_kinds(kinds: str) -> tuple[str, ...]:
     return names
 
 
-class DisturbanceSource:
-    """The sum of components, sampled once a period and in order.
+def excitation_row(excitation: Excitation) -> Array | None:
+    """Return the row of an excitation, None if its torque is not that of this module."""
+    if not isinstance(excitation, _CompiledExcitation):
+        return None
+    known = type(excitation).torque is _CompiledExcitation.torque
+    return _row(excitation.code, excitation) if known else None
+
+
+def component_row(component: Component, period: float) -> Array | None:
+    """Return the row of a component, None if its value is not that of this module.
 
     Args:
-        components: Parts of the sum; any stuck sensor that holds freezes the value.
+        component: That of a drift has the numbers of its exact discretisation.
         period: Sampling period [s].
-        seeds: One seed, or one for each run.
-        generation: Distinguishes the random streams of disturbances put in one after another.
     """
-
-    def __init__(
-        self, components: Sequence[Component], period: float, seeds: Seeds, generation: int = 0
-    ) -> None:
-        self._plain = [c for c in components if not isinstance(c, GaussMarkov | StuckSensor)]
-        self._stuck = [c for c in components if isinstance(c, StuckSensor)]
-        self._ones = np.ones((*batch_shape(seeds), 1))
-        self._drifts = [
-            _Drift(component, period, seeds, (generation, place))
-            for place, component in enumerate(components)
-            if isinstance(component, GaussMarkov)
-        ]
-
-    def sample(self, time: float) -> Array:
-        """Return the added disturbance [rad] at the next time [s], shape (1,) or (runs, 1)."""
-        value = 0.0
-        for component in self._plain:
-            value += component.value(time)
-        total = value * self._ones
-        for drift in self._drifts:
-            total = total + drift.sample(time)
-        return total
-
-    def stuck(self, time: float) -> bool:
-        """Return whether the sensor is stuck at a time [s]."""
-        return bool(self._stuck) and any(component.holds(time) for component in self._stuck)
+    if isinstance(component, GaussMarkov):
+        decay = math.exp(-period / component.time_constant)
+        step_std = component.std * math.sqrt(1.0 - decay * decay)
+        return np.array([GAUSS_MARKOV, decay, step_std, component.start, 0.0])
+    if not isinstance(component, _CompiledComponent):
+        return None
+    known = type(component).value is _CompiledComponent.value
+    return _row(component.code, component) if known else None
 
 
-class _Drift:
-    """The running value of a Gauss–Markov component."""
+def _row(code: int, signal: Any) -> Array:
+    """Return the code and the numbers of a signal, of a subclass those it inherits."""
+    row = np.zeros(ROW)
+    row[0] = code
+    for place, item in enumerate(fields(signal)[: ROW - 1], 1):
+        row[place] = getattr(signal, item.name)
+    return row
 
-    def __init__(
-        self, component: GaussMarkov, period: float, seeds: Seeds, key: tuple[int, ...]
-    ) -> None:
-        self._start = component.start
-        self._decay = math.exp(-period / component.time_constant)
-        self._step_std = component.std * math.sqrt(1.0 - self._decay**2)
-        self._stream = RandomStream(seeds, Source.DISTURBANCE, (1,), key=key)
-        self._value: Array | None = None
 
-    def sample(self, time: float) -> Array:
-        step = self._stream.draw()
-        if time < self._start:
-            return np.zeros_like(step)
-        if self._value is None:
-            self._value = np.zeros_like(step)
-        else:
-            self._value = np.asarray(self._decay * self._value + self._step_std * step)
-        return self._value
+@compiled
+def torque_at(row: Array, time: float) -> float:
+    """Return the torque [N m] of an excitation's row at a time [s]."""
+    code, a, b, c, d = int(row[0]), float(row[1]), float(row[2]), float(row[3]), float(row[4])
+    if code == _SINE:
+        return a * sine(b * time)
+    if code == _MULTISINE:
+        spacing = (c - b) / max(1.0, d - 1.0)
+        total = 0.0
+        for i in range(int(d)):
+            total += sine((b + i * spacing) * time - math.pi * i * (i + 1) / d)
+        return a / math.sqrt(d) * total
+    if code == _SQUARE:
+        return a if (b * time / math.tau) % 1.0 < 0.5 else -a
+    if code == _CHIRP:
+        within = time % d
+        return a * sine((b + 0.5 * ((c - b) / d) * within) * within)
+    return 0.0
+
+
+@compiled
+def disturbance_at(rows: Array, time: float) -> float:
+    """Return what components add at a time [s], without drifts and stuck sensors [rad]."""
+    total = 0.0
+    for place in range(rows.shape[0]):
+        total += _value_at(rows[place], time)
+    return total
+
+
+@compiled
+def _value_at(row: Array, time: float) -> float:
+    code, a, b, c = int(row[0]), float(row[1]), float(row[2]), float(row[3])
+    if code == _BIAS_STEP:
+        return a if time >= b else 0.0
+    if code == _SINUSOID:
+        return a * sine(b * (time - c)) if time - c >= 0.0 else 0.0
+    if code == _RAMP:
+        return a * max(0.0, time - b)
+    if code == _TWO_TONE:
+        return a * (sine(2.0 * time) + cosine(3.0 * time)) if time >= b else 0.0
+    return 0.0
+
+
+@compiled
+def is_stuck(rows: Array, time: float) -> bool:
+    """Return whether one of the components holds the measured value at a time [s]."""
+    for place in range(rows.shape[0]):
+        if int(rows[place, 0]) == STUCK:
+            start, duration = float(rows[place, 1]), float(rows[place, 2])
+            if start <= time < start + duration:
+                return True
+    return False

@@ -13,7 +13,8 @@ from sensor_msgs.msg import JointState
 
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
 from tsobs_ros.nodes.messages import to_stamp
-from tsobs_ros.simulation.scenarios import SCENARIOS, Trajectories, simulate
+from tsobs_ros.simulation.plant import Trajectories
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 SECONDS = 20.0
 """Length of the run; after it the arm restarts, which no observer can know."""

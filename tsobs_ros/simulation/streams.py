@@ -1,0 +1,72 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The random numbers of simulated plants.
+
+There is one independent, reproducible stream for each source of randomness and each run. The
+streams of one seed are distinguished by a key, not by the order in which they were made, so that
+switching one source on, off or to another size leaves the numbers of all others as they were.
+"""
+
+import enum
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.errors import ModelError
+
+Seeds = int | Sequence[int]
+"""One seed for a single plant, or a sequence of seeds for a batch of runs."""
+
+
+class Source(enum.IntEnum):
+    """What a stream is for; the numbers are part of every seed's meaning and never change."""
+
+    INITIAL_STATE = 0
+    PROCESS = 1
+    MEASUREMENT = 2
+    OUTLIER = 3
+    DISTURBANCE = 4
+
+
+class RandomStream:
+    """Normal numbers, or uniform ones in [0, 1), of every run, in order.
+
+    Args:
+        seeds: One for each run.
+        source: What the numbers are for.
+        key: Further integers that distinguish streams of the same source.
+        uniform: Draw uniform numbers.
+    """
+
+    def __init__(
+        self, seeds: Iterable[int], source: Source, key: tuple[int, ...] = (), uniform: bool = False
+    ) -> None:
+        generators = [
+            np.random.Generator(
+                np.random.Philox(np.random.SeedSequence(seed, spawn_key=(source, *key)))
+            )
+            for seed in seeds
+        ]
+        self._draws = [each.random if uniform else each.standard_normal for each in generators]
+
+    def fill(self, block: Array) -> None:
+        """Write the next numbers into a block of shape (runs, ...), whose rows are contiguous.
+
+        The numbers do not depend on how many are drawn at a time.
+        """
+        for draw, row in zip(self._draws, block, strict=True):
+            draw(out=row)
+
+
+def checked_seeds(seeds: Seeds) -> list[int]:
+    """Return the seeds as a list.
+
+    Raises:
+        ModelError: A seed is not an integer of at least zero, or there is none.
+    """
+    # NumPy's integers are not instances of int, but a seed may well come out of an array.
+    listed = [int(seeds)] if isinstance(seeds, int | np.integer) else [int(seed) for seed in seeds]
+    if not listed or min(listed) < 0:
+        raise ModelError(f"seeds: expected integers of at least 0, at least one, got {seeds!r}")
+    return listed
