@@ -106,6 +106,7 @@ def test_of_a_burst_the_queue_keeps_the_newest(stage: Stage) -> None:
         for stamp in range(at - NANOSECONDS, at, 200_000)
     ]
     stage.step(at, [Event(at, message) for message in burst])
+    stage.take_all(PERIOD)
     counts = stage.counts()
     assert 2000 <= counts.received - before <= 5000
     assert counts.used == counts.received

@@ -272,6 +272,7 @@ def test_ten_thousand_rejections_are_a_few_lines_of_log(stage: Stage) -> None:
     for _ in range(10):
         batch = [Event(0, bad[index % len(bad)]) for index in range(1000)]
         stage.step(stage.now + 20 * MS, batch)
+        stage.take_all(20 * MS)
     assert stage.counts().rejected.total() == 10_001
     stage.wait_until(lambda: any("zero stamp" in line for line in lines), "the last warning")
     rejections = [line for line in lines if "rejected" in line]

@@ -12,6 +12,9 @@ its own `wait_for_message` uses; no other file calls it. If a release lacks it, 
 fills a queue of the same depth: everything works as before, at an executor's cost.
 """
 
+import math
+import sys
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -20,6 +23,8 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+
+_FEW = 32
 
 
 class DrainedGroup(CallbackGroup):
@@ -103,11 +108,15 @@ class DrainedSubscription:
         """The number of publishers matched with this subscription at the moment."""
         return int(self._subscription.get_publisher_count())
 
-    def drain(self, limit: int | None = None) -> list[tuple[Any, Mapping[str, Any]]]:
+    def drain(
+        self, limit: int | None = None, until: float = math.inf
+    ) -> list[tuple[Any, Mapping[str, Any]]]:
         """Take what is in the queue, oldest first.
 
         Args:
             limit: Largest number of messages to take; None empties the queue.
+            until: On the monotonic clock [s]; then the rest stays in the queue. A few messages are
+                taken in any case.
 
         Returns:
             Each message, or its CDR bytes if the subscription is raw, and its info as rclpy gives
@@ -117,17 +126,18 @@ class DrainedSubscription:
         Raises:
             InvalidHandle: The subscription or its node has been destroyed.
         """
-        taken: list[tuple[Any, Mapping[str, Any]]] = []
-        while self._taken and (limit is None or len(taken) < limit):
-            taken.append(self._taken.popleft())
+        count = sys.maxsize if limit is None else limit
+        taken = [self._taken.popleft() for _ in range(min(count, len(self._taken)))]
         subscription = self._subscription
         handle, msg_type, raw = subscription.handle, subscription.msg_type, subscription.raw
         with handle:
-            while self.in_bulk and (limit is None or len(taken) < limit):
+            while self.in_bulk and len(taken) < count:
                 message = handle.take_message(msg_type, raw)
                 if message is None:
                     break
                 taken.append(message)
+                if len(taken) % _FEW == 0 and time.monotonic() >= until:
+                    break
         return taken
 
     def destroy(self) -> None:

@@ -127,7 +127,7 @@ def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
             tickers = [t for node in nodes if (t := getattr(node, "ticker", None)) is not None]
             if tickers and all(ticker.may_be_taken_over for ticker in tickers):
                 _tick_for_a_while(tickers, stop)
-                _run_what_is_ready(executor)
+                _run_what_is_ready(executor, stop)
             else:
                 for ticker in tickers:
                     ticker.give_back()
@@ -138,10 +138,11 @@ def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
         executor.shutdown()
 
 
-def _run_what_is_ready(executor: SingleThreadedExecutor) -> None:
+def _run_what_is_ready(executor: SingleThreadedExecutor, stop: Callable[[], bool]) -> None:
     """Run all callbacks that are ready now; `spin_once` would run one in every second call."""
+    until = time.monotonic() + _SERVE_PERIOD
     try:
-        while True:
+        while not stop() and time.monotonic() < until:
             callback, _, _ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
             callback()
             if (error := callback.exception()) is not None:

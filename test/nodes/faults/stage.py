@@ -252,6 +252,13 @@ class Stage:
         for watcher in self.watchers.values():
             watcher.read()
 
+    def take_all(self, period: int = PERIOD) -> None:
+        """Let time pass until the observers have taken all that waits, some at each tick."""
+        before = -1
+        while (received := sum(each.received for each in self.observers.values())) != before:
+            before = received
+            self.step(self.now + period)
+
     def counts(self, namespace: str = "") -> Counts:
         """Return an observer's counts, without the second's wait for its diagnostics."""
         observer = self.observers[namespace]

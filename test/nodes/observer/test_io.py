@@ -16,10 +16,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from tsobs_ros.estimation.records import Estimate, Measurement, RejectReason
+from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import to_stamp
-from tsobs_ros.nodes.observer.io import EstimatePublisher, MeasurementReader
+from tsobs_ros.nodes.observer.io import Batch, EstimatePublisher, MeasurementReader
 
 WRONG = RejectReason.WRONG_JOINT
 JOINTS = ("hip", "knee")
@@ -32,10 +32,13 @@ def message(names: list[str], position: list[float], effort: list[float], **head
     return bytes(serialize_message(state))
 
 
-def shown(read: list[Any]) -> list[Any]:
+def shown(batch: Batch) -> list[Any]:
+    """Return of each joint its sample in the only message, WRONG, or None if it has no part."""
+    (stamp,) = batch.stamps.tolist()
+    columns = [each[0].tolist() for each in batch[2:]]
     return [
-        (each.stamp, float(each.y[0]), float(each.u[0])) if isinstance(each, Measurement) else each
-        for each in read
+        (stamp, y, u) if given else WRONG if wrong else None
+        for y, u, given, wrong in zip(*columns, strict=True)
     ]
 
 
@@ -58,14 +61,14 @@ def test_each_joint_finds_its_sample(
     reader = MeasurementReader(JOINTS, assume_zero_torque=False)
     data = message(names, position, effort)
     for _ in range(2):  # the second time with what the reader remembers
-        assert shown(reader.read(data)) == expected
+        assert shown(reader.read([data])) == expected
 
 
 def test_without_effort_torques_may_be_zero_but_not_where_some_are_missing() -> None:
     reader = MeasurementReader(JOINTS, assume_zero_torque=True)
-    read = reader.read(message(["hip", "knee"], [1.0, 2.0], []))
+    read = reader.read([message(["hip", "knee"], [1.0, 2.0], [])])
     assert shown(read) == [(STAMP, 1.0, 0.0), (STAMP, 2.0, 0.0)]
-    read = reader.read(message(["hip", "knee"], [1.0, 2.0], [3.0]))
+    read = reader.read([message(["hip", "knee"], [1.0, 2.0], [3.0])])
     assert shown(read) == [(STAMP, 1.0, 3.0), WRONG]
 
 
@@ -73,8 +76,25 @@ def test_layouts_may_change_from_message_to_message_for_ever() -> None:
     reader = MeasurementReader(JOINTS, assume_zero_torque=False)
     for index in range(300):
         names = [f"x{index}"] * (index % 5) + ["knee"]
-        read = reader.read(message(names, [float(index)] * len(names), [0.5] * len(names)))
+        read = reader.read([message(names, [float(index)] * len(names), [0.5] * len(names))])
         assert shown(read) == [None, (STAMP, float(index), 0.5)]
+
+
+def test_messages_that_wait_together_come_in_the_order_of_their_stamps() -> None:
+    reader = MeasurementReader(JOINTS, assume_zero_torque=False)
+    data = [
+        message(["hip", "knee"], [float(k), 10.0 * k], [0.0, 1.0], stamp=Time(sec=k, nanosec=5))
+        for k in (3, 1, 4, 2)
+    ]
+
+    batch = reader.read([*data, b"rubbish"])
+
+    assert batch.order == [4, 1, 3, 0, 2]
+    assert batch.stamps[1:].tolist() == [k * 10**9 + 5 for k in (1, 2, 3, 4)]
+    assert batch.y[1:].tolist() == [[k, 10.0 * k] for k in (1.0, 2.0, 3.0, 4.0)]
+    assert batch.u[1:].tolist() == [[0.0, 1.0]] * 4
+    assert batch.given.tolist() == [[False] * 2] + [[True] * 2] * 4
+    assert batch.wrong.tolist() == [[True] * 2] + [[False] * 2] * 4
 
 
 GOOD, OURS = (STAMP, 1.0, 3.0), ["hip"]
@@ -111,7 +131,7 @@ MESSAGES = {
 def test_bad_messages_are_refused_in_a_short_line_or_read(kind: str) -> None:
     data, expected = MESSAGES[kind]
     reader = MeasurementReader(("hip",), assume_zero_torque=False)
-    assert shown(reader.read(data)) == [expected]
+    assert shown(reader.read([data])) == [expected]
     assert len(reader.describe(data, "hip")) < 500
 
 
@@ -125,7 +145,7 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     reader = MeasurementReader(JOINTS, assume_zero_torque=False)
     valid = message(["hip", "knee"], [1.0, 2.0], [3.0, 4.0])
     for each in (data, valid[: len(data)], valid[: len(data) // 2] + data):
-        assert len(reader.read(each)) == len(JOINTS)
+        assert reader.read([each]).y.shape == (1, len(JOINTS))
         assert reader.describe(each, "hip")
 
 

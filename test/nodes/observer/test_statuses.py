@@ -7,12 +7,13 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 from faults.arm import Arm
 from faults.stage import BEGIN, MS, PERIOD
 
 from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status
-from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
@@ -29,11 +30,15 @@ def joints_of(**parameters: Any) -> list[ObservedJoint]:
 def feed(joints: Iterable[ObservedJoint], count: int, bias: float = 0.0, first: int = 0) -> int:
     """Offer samples of the arm and make an estimate of each; return the last one's stamp [ns]."""
     for stamp in range(BEGIN + first * PERIOD, BEGIN + (first + count) * PERIOD, PERIOD):
-        sample = ARM.measurement(stamp)
         for joint in joints:
-            joint.offer(sample._replace(y=sample.y + bias), stamp)
+            offer(joint, stamp, bias)
             joint.estimate(stamp, hold=False)
     return stamp
+
+
+def offer(joint: ObservedJoint, stamp: int, bias: float = 0.0) -> None:
+    _, y, u = ARM.measurement(stamp)
+    joint.offer(np.array([stamp]), y + bias, u, stamp)
 
 
 def statuses(
@@ -102,9 +107,8 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
 def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -> None:
     joints = joints_of(joints=("hip", "knee"), joint_designs=("", ADAPTIVE))
     feed(joints, 20)
-    joints[1].offer(RejectReason.WRONG_JOINT, BEGIN)
-    joints[1].offer(ARM.measurement(BEGIN + 19 * PERIOD), BEGIN)
-    joints[0].offer(None, BEGIN)
+    joints[1].reject(1)
+    offer(joints[1], BEGIN + 19 * PERIOD)
     now = feed(joints[:1], 1200, first=20)
     found, parts = statuses(joints, now)
     assert (parts["hip"]["state"].message, parts["knee"]["state"].message) == ("TRACKING", "STALE")

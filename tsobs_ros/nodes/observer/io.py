@@ -5,10 +5,14 @@
 Building, converting and taking rclpy's message objects would cost more than the whole estimation.
 """
 
+import math
 import reprlib
+import sys
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -18,7 +22,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import MessageError
-from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason, Sample
+from tsobs_ros.estimation.records import Estimate
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
@@ -26,9 +30,34 @@ MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFO
 _RELIABLE = QoSProfile(depth=10)
 _LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_KNOWN = 256
+_ABSENT = sys.maxsize
 
-_Row = tuple[int, Sequence[float], Sequence[float]]
+_Row: TypeAlias = tuple[int, list[float], list[float], list[bool], list[bool]]
+"""A row of a `Batch`."""
+_Motion: TypeAlias = tuple[int, Sequence[float], Sequence[float]]
 """A joint's index, its positions and its velocities."""
+Stamps: TypeAlias = NDArray[np.int64]
+Flags: TypeAlias = NDArray[np.bool_]
+
+
+class Batch(NamedTuple):
+    """Messages in the order of their stamps, m of them, with samples of k joints.
+
+    Attributes:
+        order: Their places among those that were read.
+        stamps: [ns]; 0 of a message that cannot be read; shape (m,).
+        y: Measured angles, NaN if there is none [rad], shape (m, k).
+        u: Torques, NaN if there is none [N m], shape (m, k).
+        given: Whether a message has a sample of a joint, shape (m, k).
+        wrong: Whether it should have one and has none, shape (m, k).
+    """
+
+    order: Sequence[int]
+    stamps: Stamps
+    y: Array
+    u: Array
+    given: Flags
+    wrong: Flags
 
 
 class MeasurementReader:
@@ -44,32 +73,49 @@ class MeasurementReader:
         self._assume_zero_torque = assume_zero_torque
         self._decode = JointStateDecoder()
         # Places of the joints, by the names in a message, which hardly ever change.
-        self._places: dict[tuple[str, ...], list[int | None]] = {}
+        self._places: dict[tuple[str, ...], list[int]] = {}
+        nothing = [math.nan] * len(joints)
+        self._unreadable: _Row = (0, nothing, nothing, [False] * len(joints), [True] * len(joints))
+        self._complete = [True] * len(joints), [False] * len(joints)
 
-    def read(self, data: bytes) -> list[Sample]:
-        """Return each joint's sample, the reason why it has none, or None if it is not in there.
+    def read(self, messages: Sequence[bytes]) -> Batch:
+        """Return the samples in messages, in the order of the messages' stamps.
 
         Bytes that are no JointState, and messages with none of the joints, are wrong for all.
         """
-        nothing: list[Sample] = [RejectReason.WRONG_JOINT] * len(self._joints)
+        rows = [self._read(data) for data in messages]
+        order = sorted(range(len(rows)), key=[row[0] for row in rows].__getitem__)
+        stamps, y, u, given, wrong = zip(*[rows[place] for place in order], strict=True)
+        return Batch(
+            order,
+            np.array(stamps, np.int64),
+            np.array(y, np.float64),
+            np.array(u, np.float64),
+            np.array(given, np.bool_),
+            np.array(wrong, np.bool_),
+        )
+
+    def _read(self, data: bytes) -> _Row:
         try:
             stamp, names, position, _, effort, _ = self._decode(data)
         except MessageError:
-            return nothing
+            return self._unreadable
         places = self._places.get(names) or self._find(names)
-        if not any(place is not None for place in places):
-            return nothing
         if self._assume_zero_torque and not effort:
             effort = (0.0,) * len(position)
         count = min(len(position), len(effort))
-        return [
-            None
-            if place is None
-            else Measurement(stamp, np.array([position[place]]), np.array([effort[place]]))
-            if place < count
-            else RejectReason.WRONG_JOINT
-            for place in places
-        ]
+        given = [place < count for place in places]
+        if all(given):
+            y = [position[place] for place in places]
+            u = [effort[place] for place in places]
+            return stamp, y, u, *self._complete
+        named = [place != _ABSENT for place in places]
+        if not any(named):
+            return self._unreadable
+        pairs = list(zip(places, given, strict=True))
+        y = [position[place] if there else math.nan for place, there in pairs]
+        u = [effort[place] if there else math.nan for place, there in pairs]
+        return stamp, y, u, given, [a and not b for a, b in zip(named, given, strict=True)]
 
     def describe(self, data: bytes, joint: str) -> str:
         """Return what a message contains of a joint, for the log line of its rejection."""
@@ -88,12 +134,12 @@ class MeasurementReader:
             text += f", {field} {value}"
         return text
 
-    def _find(self, names: tuple[str, ...]) -> list[int | None]:
+    def _find(self, names: tuple[str, ...]) -> list[int]:
         if len(self._places) >= _MAX_KNOWN:
             self._places.clear()
         # Of a name that comes twice, the first.
         found = {name: place for place, name in reversed(list(enumerate(names)))}
-        self._places[names] = places = [found.get(joint) for joint in self._joints]
+        self._places[names] = places = [found.get(joint, _ABSENT) for joint in self._joints]
         return places
 
 
@@ -116,9 +162,14 @@ class _Output:
         self._names = names
         self._encoders: dict[tuple[int, ...], JointStateEncoder] = {}
 
-    def publish(self, stamp: int, rows: Sequence[_Row]) -> None:
+    @property
+    def is_heard(self) -> bool:
+        """Whether there may be a listener."""
+        return self._latched or bool(self._publisher.get_subscription_count())
+
+    def publish(self, stamp: int, rows: Sequence[_Motion]) -> None:
         """Send one message of all the rows' joints, if it has any and there may be a listener."""
-        if not rows or not (self._latched or self._publisher.get_subscription_count()):
+        if not rows or not self.is_heard:
             return
         joints = tuple([row[0] for row in rows])
         encode = self._encoders.get(joints)
@@ -207,16 +258,20 @@ class EstimatePublisher:
                 self._parameters_due = stamp + topics.PARAMETER_PERIOD
         return True
 
-    def publish_innovations(self, stamp: int, outcomes: Sequence[object]) -> None:
-        """Publish y − ŷ of the joints whose outcome is an innovation, stamped as measured."""
-        self._innovation.publish(
-            stamp,
-            [
-                (joint, each.value.tolist(), ())
-                for joint, each in enumerate(outcomes)
-                if isinstance(each, Innovation)
-            ],
-        )
+    def publish_innovations(self, stamps: Stamps, innovations: Array) -> None:
+        """Publish y − ŷ of messages, stamped as they are.
+
+        Args:
+            stamps: Of the messages [ns], shape (m,).
+            innovations: Of their samples [rad], NaN of those not used, shape (m, k).
+        """
+        if not self._innovation.is_heard:
+            return
+        for stamp, values in zip(stamps.tolist(), innovations.tolist(), strict=True):
+            self._innovation.publish(
+                stamp,
+                [(joint, (each,), ()) for joint, each in enumerate(values) if each == each],
+            )
 
     def publish_restart(self, stamp: int, number: int) -> None:
         """Publish that the joints have no past from now on, for those who come later too.
@@ -237,7 +292,7 @@ def _has_bound(estimate: Estimate) -> bool:
     return estimate.state_bound.size > 0
 
 
-def _motion(joint: int, state: Array) -> _Row:
+def _motion(joint: int, state: Array) -> _Motion:
     """Return [q₁, q̇₁, q₂, q̇₂] as angles and velocities."""
     q1, v1, q2, v2 = state.tolist()
     return joint, (q1, q2), (v1, v2)

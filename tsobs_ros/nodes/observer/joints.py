@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_arm_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError
@@ -18,13 +19,13 @@ from tsobs_ros.estimation.health import InnovationMonitor, Phase, phase_of
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
-    Innovation,
+    Measurement,
     RejectReason,
-    Sample,
 )
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
+from tsobs_ros.nodes.observer.io import Stamps
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
@@ -60,6 +61,32 @@ def load(path: str) -> LoadedDesign:
     except OSError as error:
         raise DesignFileError(f"{file}: {error.strerror}") from error
     return LoadedDesign(file, identity, design)
+
+
+class Outcomes(NamedTuple):
+    """What became of samples, m of them.
+
+    Attributes:
+        reasons: Why they were not used, None of those that were.
+        innovations: y − ŷ, NaN if not used [rad].
+        expected_std: 1σ expected of the innovations, NaN if not used [rad].
+    """
+
+    reasons: list[RejectReason | None]
+    innovations: list[float]
+    expected_std: list[float]
+
+
+def offer_all(tracker: Tracker[Any], stamps: Stamps, y: Array, u: Array, now: int) -> Outcomes:
+    """Offer a tracker samples in ascending order of their stamps."""
+    outcomes = Outcomes([], [], [])
+    for stamp, angle, torque in zip(stamps.tolist(), y, u, strict=True):
+        outcome: Any = tracker.offer(Measurement(stamp, np.array([angle]), np.array([torque])), now)
+        refused = isinstance(outcome, RejectReason)
+        outcomes.reasons.append(outcome if isinstance(outcome, RejectReason) else None)
+        outcomes.innovations.append(math.nan if refused else float(outcome.value[0]))
+        outcomes.expected_std.append(math.nan if refused else float(outcome.expected_std[0]))
+    return outcomes
 
 
 class ObservedJoint:
@@ -116,30 +143,31 @@ class ObservedJoint:
         """Return how fresh its measurements are."""
         return phase_of(self.age(now), self._coast_after, self._stale_after)
 
-    def offer(self, sample: Sample, now: int) -> Innovation | RejectReason | None:
-        """Use a sample.
+    def offer(self, stamps: Stamps, y: Array, u: Array, now: int) -> Outcomes:
+        """Use samples, m of them.
 
         Args:
-            sample: A measurement, or the reason why it cannot be read, which is counted.
+            stamps: In ascending order [ns], shape (m,).
+            y: Measured angles [rad], shape (m,).
+            u: Torques [N m], shape (m,).
             now: Time on the node's clock [ns].
-
-        Returns:
-            The innovation, the reason of the rejection, or None if there is no sample.
         """
-        if sample is None:
-            return None
-        self.received += 1
-        if isinstance(sample, RejectReason):
-            self.tracker.reject(sample)
-            return sample
-        outcome, y = self.tracker.offer(sample, now), float(sample.y[0])
-        if isinstance(outcome, Innovation):
-            value, expected_std = float(outcome.value[0]), float(outcome.expected_std[0])
-            self.innovations.update(outcome.stamp, value / expected_std)
-            self.faults.measured(outcome.stamp, y, value, expected_std)
-        elif outcome is RejectReason.GATED:
-            self.faults.unused(sample.stamp, y)
-        return outcome
+        self.received += len(stamps)
+        outcomes = offer_all(self.tracker, stamps, y, u, now)
+        rows = zip(stamps.tolist(), y.tolist(), *outcomes, strict=True)
+        for stamp, angle, reason, innovation, expected_std in rows:
+            if reason is None:
+                self.innovations.update(stamp, innovation / expected_std)
+                self.faults.measured(stamp, angle, innovation, expected_std)
+            elif reason is RejectReason.GATED:
+                self.faults.unused(stamp, angle)
+        return outcomes
+
+    def reject(self, count: int) -> None:
+        """Count samples that cannot be read."""
+        self.received += count
+        for _ in range(count):
+            self.tracker.reject(RejectReason.WRONG_JOINT)
 
     def estimate(self, now: int, *, hold: bool) -> Estimate | None:
         """Return the estimate to publish, None if there is none.

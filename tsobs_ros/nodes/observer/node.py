@@ -2,16 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `observer` node: its entities, its tick, its lifecycle."""
 
+import math
 import time
 from collections import deque
 from typing import Any
 
+import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.estimation.records import Innovation, RejectReason, Sample, stamp_of
+from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import WARNINGS
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -25,6 +27,11 @@ from tsobs_ros.nodes.ticker import Ticker
 
 _DIAGNOSTICS_PERIOD = 1.0
 _WARNING_PERIOD = 5.0
+# A tick takes what waits for no longer than this share of its period, and this time [s]: what is
+# left of half a period is for the estimation. The rest waits in the queue.
+_MAX_SHARE = 0.4
+_MAX_BACKLOG = 0.05
+_WRONG = RejectReason.WRONG_JOINT
 
 
 class Observer(ManagedNode[ObserverParameters]):
@@ -86,7 +93,7 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def activate(self) -> None:
         """Start to estimate from what comes from now on."""
-        self._measurements.drain()
+        self._forget_waiting()
         if self._is_new:
             self._publish_restart()
         else:
@@ -148,39 +155,45 @@ class Observer(ManagedNode[ObserverParameters]):
         return now
 
     def _take_all(self, now: int) -> bool:
-        """Take what has arrived; return whether any of it was used."""
-        used = False
-        taken = self._measurements.drain()
-        if not self._enabled:
+        """Take what has arrived, as much as there is time for; return whether any was used."""
+        taken = self._measurements.drain(until=self._until())
+        if not taken or not self._enabled:
             return False
-        arrived = [(self._reader.read(data), data, info) for data, info in taken]
-        # A late one in its place costs as many steps as there are newer ones.
-        arrived.sort(key=lambda message: stamp_of(message[0]))
-        for samples, data, info in arrived:
-            if self._take(samples, data, now):
-                self._unanswered.append(info["received_timestamp"])
-                used = True
-        return used
-
-    def _take(self, samples: list[Sample], data: bytes, now: int) -> bool:
-        """Use the joints' samples in one message, or count and report why not."""
         self._is_new = False
-        outcomes = [
-            joint.offer(sample, now) for joint, sample in zip(self._joints, samples, strict=True)
+        messages = [data for data, _ in taken]
+        batch = self._reader.read(messages)
+        innovations = np.full(batch.y.shape, math.nan)
+        for index, joint in enumerate(self._joints):
+            rows = np.flatnonzero(batch.given[:, index])
+            outcomes = joint.offer(
+                batch.stamps[rows], batch.y[rows, index], batch.u[rows, index], now
+            )
+            innovations[rows, index] = outcomes.innovations
+            wrong = np.flatnonzero(batch.wrong[:, index])
+            joint.reject(len(wrong))
+            reasons = zip([*rows, *wrong], [*outcomes.reasons, *[_WRONG] * len(wrong)], strict=True)
+            for row, reason in reasons:
+                if reason is not None and self._may_warn(reason):
+                    self._warn(joint, reason, messages[batch.order[row]], now)
+        used = np.flatnonzero((innovations == innovations).any(axis=1))
+        self._publisher.publish_innovations(batch.stamps[used], innovations[used])
+        self._unanswered += [
+            taken[batch.order[row]][1]["received_timestamp"] for row in used.tolist()
         ]
-        stamp = None
-        for joint, outcome in zip(self._joints, outcomes, strict=True):
-            if isinstance(outcome, Innovation):
-                stamp = outcome.stamp
-            elif isinstance(outcome, RejectReason) and self._may_warn(outcome):
-                self.get_logger().warning(
-                    f"measurement of {joint.name} rejected: {outcome.value} "
-                    f"({self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f})"
-                )
-        if stamp is None:
-            return False
-        self._publisher.publish_innovations(stamp, outcomes)
-        return True
+        return len(used) > 0
+
+    def _forget_waiting(self) -> None:
+        self._measurements.drain(MEASUREMENT_QOS.depth)
+
+    def _until(self) -> float:
+        """Return when a tick that begins now has to stop working on what waits."""
+        return time.monotonic() + min(_MAX_SHARE / self.parameters.rate, _MAX_BACKLOG)
+
+    def _warn(self, joint: ObservedJoint, reason: RejectReason, data: bytes, now: int) -> None:
+        self.get_logger().warning(
+            f"measurement of {joint.name} rejected: {reason.value} "
+            f"({self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f})"
+        )
 
     def _publish(self, now: int) -> bool:
         """Publish the estimates for the present; return whether there were any."""
@@ -222,13 +235,13 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _on_reset(self) -> tuple[bool, str]:
         # What was received before the reset must not be used after it.
-        self._measurements.drain()
+        self._forget_waiting()
         self._restart("reset service")
         return True, "restarted"
 
     def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         if request.data and not self._enabled:
-            self._measurements.drain()
+            self._forget_waiting()
             self._restart("enabled")
         self._enabled = request.data
         response.success = True
