@@ -100,14 +100,6 @@ def test_example_3_is_the_arm_and_undamped() -> None:
     )
 
 
-def test_uncertainty_adds_to_the_motion_in_proportion() -> None:
-    example = example_1()
-    x, u, z = np.array([0.3, -0.2, 0.5]), np.array([0.7]), np.array([0.5])
-    still = example.derivative(x, u, z, 0.0)
-    expected = 0.4 * (0.75 * example.delta_A[0] + 0.25 * example.delta_A[1]) @ x
-    np.testing.assert_allclose(example.derivative(x, u, z, 0.4) - still, expected, atol=1e-15)
-
-
 def test_disturbances_follow_their_formulas() -> None:
     times = np.array([1.9, 2.0 + np.pi / 6, 2.99, 3.0])
     first = example_1().disturbance(times)

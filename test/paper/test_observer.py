@@ -2,7 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The method's observer: its equations, and what its structure makes of them."""
 
-from collections.abc import Callable
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import example_1
-from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState, clipped, projected_rate
+from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState
 from tsobs_ros.paper.systems import TSSystem
 
 Array = NDArray[np.float64]
@@ -27,6 +30,8 @@ M = np.linalg.solve(P, AUG.C_bar.T)
 H1 = np.stack([3.0 * AUG.E_L_inverse[:, 3:], 4.0 * AUG.E_L_inverse[:, 3:]])
 GAMMA = np.stack([np.diag([5.0, 1.0, 2.0]), np.array([[2.0, 0.5, 0], [0.5, 1, 0], [0, 0, 1]])])
 START = np.array([0.1, -0.2, 0.3, 0.05, 0.0, -0.1])
+BOUNDED = AugmentedObserver(AUG, H1, M, GAMMA, xi=[0.05, 0.05])
+STARTS, INPUTS = RANDOM.normal(size=(2, 4, 6)), RANDOM.normal(size=(6, 1))
 # Fits the first sample, [0, 0.3, 0], so that the innovation is zero.
 FITTING = np.concatenate([START[:3], np.array([0.0, 0.3, 0.0]) - AUG.C @ START[:3]])
 
@@ -47,14 +52,17 @@ def run(
     observer: AugmentedObserver,
     end: float,
     step: float,
-    samples: Callable[[float], Array] = y_of,
     start: Array = START,
+    samples: Array | None = None,
+    premises: Array | None = None,
 ) -> AugmentedState:
-    state = observer.initial(samples(0.0), start, z=y_of(0.0)[:1])
-    for t in np.arange(round(end / step)) * step:
-        after = t + step
-        state = observer.advance(state, u_of(t), u_of(after), samples(after), step, y_of(after)[:1])
-    return state
+    """Return the state at the end."""
+    times = np.arange(round(end / step) + 1) * step
+    y = np.stack([y_of(t) for t in times])
+    z = y[:, :1] if premises is None else premises
+    u = np.sin(times)[:, np.newaxis]
+    states = observer.follow(y if samples is None else samples, u, step, z, start)
+    return AugmentedState(*(each[-1] for each in states))
 
 
 def test_realisation_equals_the_observer_with_the_derivative_of_y() -> None:
@@ -94,15 +102,12 @@ def test_estimate_is_the_same_from_noise() -> None:
     noise = np.random.default_rng(3).normal(size=(101, 3))
     noise[0] = y_of(0.0)
     honest = run(observer, 2.0, 0.02)
-    fooled = run(observer, 2.0, 0.02, lambda t: noise[round(t / 0.02)])
+    fooled = run(observer, 2.0, 0.02, samples=noise)
     np.testing.assert_allclose(fooled.x, honest.x, atol=1e-13)
     np.testing.assert_allclose(observer.innovation(fooled), observer.innovation(honest), atol=1e-13)
     # It does depend on the premise.
-    z = np.array([0.9])
-    state = observer.initial(y_of(0.0), START, z=z)
-    for t in np.arange(100) * 0.02:
-        state = observer.advance(state, u_of(t), u_of(t + 0.02), y_of(t + 0.02), 0.02, z)
-    assert np.abs(state.x - honest.x).max() > 0.05
+    other = run(observer, 2.0, 0.02, premises=np.full((101, 1), 0.9))
+    assert np.abs(other.x - honest.x).max() > 0.05
 
 
 def test_innovation_decays_by_its_own_equation() -> None:
@@ -145,18 +150,34 @@ def test_held_and_linear_agree_where_nothing_changes() -> None:
     np.testing.assert_allclose(innovation, y - AUG.C_bar @ observer.augmented_estimate(steps))
 
 
-def test_a_batch_moves_as_its_single_runs() -> None:
-    observer = AugmentedObserver(AUG, H1, M, GAMMA, xi=[0.05, 0.05])
-    random = np.random.default_rng(8)
-    y, after, starts = (random.normal(size=(2, 4, k)) for k in (3, 3, 6))
-    u = random.normal(size=(2, 4, 1))
-    batch = observer.advance(observer.initial(y, starts), u, -u, after, 0.05)
+def batch_of() -> AugmentedState:
+    """Return the states of a batch that is kept on its bounds."""
+    y = np.random.default_rng(8).normal(size=(6, 2, 4, 3))
+    return BOUNDED.follow(y, INPUTS, 0.05, None, STARTS)
+
+
+def test_a_batch_moves_as_its_single_runs_to_the_bit() -> None:
+    batch = batch_of()
     for index in np.ndindex(2, 4):
-        single = observer.initial(y[index], starts[index])
-        single = observer.advance(single, u[index], -u[index], after[index], 0.05)
-        np.testing.assert_allclose(batch.xi[index], single.xi, atol=1e-13)
-        np.testing.assert_allclose(batch.Xi[index], single.Xi, atol=1e-13)
-    assert observer.estimate(batch).omega.shape == (2, 4, 3)
+        place = (slice(None), *index)
+        single = BOUNDED.follow(batch.y[place], INPUTS, 0.05, None, STARTS[index])
+        assert single.xi.tobytes() == batch.xi[place].tobytes()
+        assert single.Xi.tobytes() == batch.Xi[place].tobytes()
+    np.testing.assert_allclose(np.linalg.norm(batch.Xi[-1], 2, axis=(-2, -1)), 0.05, rtol=1e-8)
+    assert BOUNDED.estimate(batch).omega.shape == (6, 2, 4, 3)
+
+
+def test_interpreted_it_is_the_same_bits() -> None:
+    script = (
+        "import sys, test_observer; sys.stdout.buffer.write(test_observer.batch_of().Xi.tobytes())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent), "NUMBA_DISABLE_JIT": "1"},
+        stdout=subprocess.PIPE,
+        check=True,
+    )
+    assert done.stdout == batch_of().Xi.tobytes()
 
 
 def test_projection_holds_its_bounds_and_only_when_asked() -> None:
@@ -167,28 +188,6 @@ def test_projection_holds_its_bounds_and_only_when_asked() -> None:
     assert (np.linalg.norm(kept.Xi, 2, axis=(1, 2)) <= limits * (1 + 1e-12)).all()
     loose = run(AugmentedObserver(AUG, H1, M, GAMMA, xi=[9.0, 9.0]), 3.0, 0.02)
     np.testing.assert_allclose(loose.Xi, free.Xi, atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_projection_never_raises_the_lyapunov_function(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    root = random.normal(size=(3, 3))
-    gamma = root @ root.T + 0.1 * np.eye(3)
-    limit = np.array(0.7)
-    value = random.normal(size=(3, 6))
-    value *= limit / np.linalg.norm(value, 2)
-    gradient = random.normal(size=(3, 6))
-    correction = projected_rate(value, gradient, gamma, limit) - gamma @ gradient
-    for _ in range(50):
-        other = random.normal(size=(3, 6))
-        other *= limit * random.uniform() / np.linalg.norm(other, 2)
-        assert np.sum((value - other) * np.linalg.solve(gamma, correction)) <= 1e-12
-    moved = value + 1e-6 * (gamma @ gradient + correction)
-    assert np.linalg.norm(moved, 2) <= 0.7 + 1e-9
-    np.testing.assert_allclose(clipped(value, limit), value, atol=1e-14)
-    assert np.linalg.norm(clipped(3.0 * value, limit), 2) == pytest.approx(0.7)
-    inside = projected_rate(0.5 * value, gradient, gamma, limit)
-    np.testing.assert_array_equal(inside, gamma @ gradient)
 
 
 UNSYMMETRIC = GAMMA + np.eye(3, k=2)
@@ -208,9 +207,17 @@ def test_wrong_matrices_are_named(changes, message) -> None:
         AugmentedObserver(**({"augmentation": AUG, "H1": H1, "M": M, "Gamma": GAMMA} | changes))
 
 
-def test_wrong_samples_are_named() -> None:
-    observer = AugmentedObserver(AUG, H1, M)
-    with pytest.raises(ModelError, match=r"y: expected shape \(..., 3\), got \(2,\)"):
-        observer.initial(np.zeros(2))
-    with pytest.raises(ModelError, match=r"z: expected shape \(..., 1\), got \(2,\)"):
-        observer.correct(observer.initial(np.zeros(3)), np.zeros(3), z=np.zeros(2))
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"y": np.zeros((2, 2))}, r"y: expected shape \(..., 3\), got \(2, 2\)"),
+        ({"z": np.zeros((2, 2))}, r"z: expected shape \(..., 1\), got \(2, 2\)"),
+        ({"u": np.zeros((2, 2))}, r"u: expected shape \(2, 1\), got \(2, 2\)"),
+        ({"u": np.zeros((3, 1))}, r"u: expected shape \(2, 1\), got \(3, 1\)"),
+        ({"period": 0.0}, "period: expected a finite number above 0, got 0.0"),
+    ],
+)
+def test_wrong_samples_are_named(changes, message) -> None:
+    given = {"y": np.zeros((2, 3)), "u": np.zeros((2, 1)), "period": 0.1}
+    with pytest.raises(ModelError, match=message):
+        BOUNDED.follow(**(given | changes))

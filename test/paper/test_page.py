@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
 from tsobs_ros.cli.main import main
 from tsobs_ros.errors import ModelError
@@ -23,6 +25,7 @@ from tsobs_ros.paper.examples import example_1
 from tsobs_ros.paper.page import html_page, make_paper_report, markdown
 from tsobs_ros.paper.runs import ExampleRun, run_example
 
+Array = NDArray[np.float64]
 ROOT = Path(__file__).resolve().parents[2]
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -93,6 +96,28 @@ def test_estimates_do_not_depend_on_the_measurement(run: ExampleRun) -> None:
     assert np.abs(fed.disturbance - fixed.disturbance).max() > 1.0
     assert max(run.difference(each, 5.0) for each in ("model_only", "consistent")) < 1e-2
     assert run.estimates["consistent"].adaptation.max() < 1e-12
+
+
+@pytest.mark.parametrize("uncertainty", [0, 1])
+def test_plants_move_by_their_equations(run: ExampleRun, uncertainty: int) -> None:
+    example, plant, some = run.example, run.plant, slice(None, None, 50)
+    A = example.system.A + uncertainty * example.delta_A
+
+    def blended(first: Array, second: Array, z: float) -> Array:
+        return first + min(z * z, 1.0) * (second - first)
+
+    def rate(t: float, x: Array) -> Array:
+        z = x[0] + example.disturbance(np.array(t))[0]
+        return blended(*A, z) @ x + blended(*example.system.B, z) @ [np.sin(t)]
+
+    exact = solve_ivp(
+        rate, (0.0, 6.0), example.initial_state, "DOP853", plant.times[some], rtol=1e-10, atol=1e-12
+    )
+    np.testing.assert_allclose(plant.states[some, uncertainty], exact.y.T, atol=1e-7)
+    for k, x in zip(range(0, len(plant.times), 50), exact.y.T, strict=True):
+        z = x[0] + plant.disturbance[k, 0]
+        expected = blended(*example.system.C, z) @ x + plant.disturbance[k]
+        np.testing.assert_allclose(plant.outputs[k, uncertainty], expected, atol=1e-7)
 
 
 def test_step_is_short_enough(run: ExampleRun) -> None:

@@ -25,14 +25,16 @@ not depend on them; see `tsobs_ros.paper.augmentation.check_conditions`.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix
+from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.paper.systems import TSSystem, arm_system, blend
+from tsobs_ros.paper.systems import TSSystem, arm_system
 
 Signal = Callable[[Array], Array]
 """A signal of time: t of shape (...) to values of shape (..., channels)."""
@@ -86,22 +88,14 @@ class PaperExample:
                     f"rule {rule}, got {bound:.6g}"
                 )
 
-    def derivative(self, x: Array, u: Array, z: Array, uncertainty: Array | float = 1.0) -> Array:
-        """Return ẋ of the uncertain system.
 
-        Args:
-            x: State, shape (..., n).
-            u: Input, shape (..., m).
-            z: Premise variables, shape (..., q).
-            uncertainty: λ, which scales ΔAᵢ, shape (..., 1) or a number.
-        """
-        drift = blend(self.delta_A, self.system.rule_base.weights(z), x)
-        return np.asarray(self.system.derivative(x, u, z) + uncertainty * drift)
-
-
-def _second_weight(y1: Array) -> Array:
+def _second_weight(y1: Any) -> Any:
     # h₂ = y₁² as printed, and 1 for |y₁| > 1, which the paper's y₁ never reaches.
-    return np.minimum(y1**2, 1.0)
+    return np.minimum(y1 * y1, 1.0)
+
+
+second_weight = compiled(_second_weight)
+"""The weight of the second rule of Examples 1 and 2 at y₁, for compiled loops."""
 
 
 def _system(A1: list[list[float]], A2: list[list[float]]) -> TSSystem:

@@ -7,31 +7,26 @@ Its (9), (30) and (17), (32), divided by E_L, with e_y = y − C̄x̂̄:
     x̂̄' = Σ hᵢ(z) [ A₁ᵢ x̂̄ + E_L⁻¹B̄ᵢ u + H₁ᵢ e_y + M Ξ̂ᵢ x̂̄ ] + E_L⁻¹N y + E_L⁻¹L ẏ
     Ξ̂ᵢ' = hᵢ(z) Γᵢ e_y x̂̄ᵀ ,   projected on ‖Ξ̂ᵢ‖ ≤ ξᵢ if bounds are given
 
-The observer's own state is ξ = x̂̄ − E_L⁻¹L y, whose derivative has no ẏ. Between two samples a
-classical Runge–Kutta step is taken with y, z and u linear in time (`advance`, if the next sample
-is known) or held (`predict`, if it is not).
-
-The projection keeps ‖Ξ‖ ≤ ξ without hurting the Lyapunov argument. For Ξ' = Γ Y with
-V = tr(Ξ̃ᵀΓ⁻¹Ξ̃) the projected rate is Γ Y − Γ g ⟨g, ΓY⟩/⟨g, Γg⟩ if Ξ is on the bound and moves out;
-g = u₁v₁ᵀ is the subgradient of the spectral norm. Because the ball is convex, ⟨g, Ξ̂ − Ξ⟩ ≥ 0 for
-every Ξ in it, so the projection adds a term ≤ 0 to V'.
+The observer's own state is ξ = x̂̄ − E_L⁻¹L y, whose derivative has no ẏ. Between two samples
+classical Runge–Kutta steps are taken with y, z and u linear in time.
 
 The observer's limits are the subject of docs/method.md; it is here to be compared.
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix
+from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import ComparisonObserver
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import EXAMPLE_3_H, EXAMPLE_3_P, example_3
+from tsobs_ros.paper.projection import clip, project
 
 PAPER_WARNING = (
     "method paper: on this undamped arm the method's conditions are infeasible (modes ±4.776j and "
@@ -41,7 +36,6 @@ PAPER_WARNING = (
 """Warning for users of the paper's observer, given once."""
 
 _MAX_STEP = 1e-2  # s
-_EDGE = 1e-9
 _ASYMMETRY = 1e-12
 
 
@@ -141,64 +135,78 @@ class AugmentedObserver:
 
     def predict(self, state: AugmentedState, u: ArrayLike, duration: float) -> AugmentedState:
         """Predict over `duration` [s] with the last sample, its premises and u (..., m) held."""
-        return self.advance(state, u, u, state.y, duration, state.z)
+        if duration == 0.0:
+            return state
+        y, z, torque = (np.stack([each, each]) for each in (state.y, state.z, np.asarray(u)))
+        states = self._follow(state, y, z, torque, duration)
+        return AugmentedState(*(each[1] for each in states))
 
-    def advance(
+    def follow(
         self,
-        state: AugmentedState,
+        y: ArrayLike,
         u: ArrayLike,
-        u_next: ArrayLike,
-        y_next: ArrayLike,
-        duration: float,
-        z_next: ArrayLike | None = None,
+        period: float,
+        z: ArrayLike | None = None,
+        estimate: ArrayLike | None = None,
     ) -> AugmentedState:
-        """Predict to the next sample, everything between the two taken as linear in time.
+        """Return the states at every sample; between two, y, z and u are linear in time.
 
         Args:
-            state: At the last sample.
-            u: Input at the last sample, shape (..., m).
-            u_next: Input at the next one.
-            y_next: The next sample, shape (..., p).
-            duration: Time between them [s], at least 0.
-            z_next: Premise variables there, shape (..., q); the first q outputs by default.
+            y: Samples, shape (samples, ..., p); the axes between are the batch.
+            u: Inputs at the samples, shape (samples, m), the same for all of the batch.
+            period: Time between two samples [s].
+            z: Premise variables at the samples, shape (samples, ..., q); the first q outputs by
+                default.
+            estimate: x̂̄(0), shape (..., n + p); zero if not given.
+
+        Raises:
+            ModelError: A shape is wrong, the period is not above zero, or no rule fires at some z.
         """
-        sample = self._checked("y", y_next, self.augmentation.output_count)
-        start = (np.asarray(u, dtype=np.float64), state.y, state.z)
-        end = (np.asarray(u_next, dtype=np.float64), sample, self._premises(sample, z_next))
-        slopes = [b - a for a, b in zip(start, end, strict=True)]
-        steps = max(1, math.ceil(duration / _MAX_STEP - 1e-9))
-        weights = self.augmentation.system.rule_base.weights
+        samples = self._checked("y", y, self.augmentation.output_count)
+        premises = self._premises(samples, z)
+        start = self.initial(samples[0], estimate, premises[0])
+        inputs = as_matrix("u", u, (len(samples), self.augmentation.B1.shape[-1]))
+        return self._follow(start, samples, premises, inputs, positive("period", period))
 
-        def signals(share: float) -> tuple[Array, Array, Array]:
-            u, y, z = (a + share * slope for a, slope in zip(start, slopes, strict=True))
-            return u, y, weights(z)
-
-        xi, Xi, h = state.xi, state.Xi, duration / steps
-        at = signals(0.0)
-        for index in range(steps):
-            middle, after = signals((index + 0.5) / steps), signals((index + 1.0) / steps)
-            xi, Xi = self._runge_kutta(xi, Xi, (at, middle, after), h)
-            at = after
-        return AugmentedState(xi, Xi, end[1], end[2])
-
-    def _derivative(
-        self, xi: Array, Xi: Array, u: Array, y: Array, weights: Array
-    ) -> tuple[Array, Array]:
+    def _follow(
+        self, start: AugmentedState, y: Array, z: Array, u: Array, period: float
+    ) -> AugmentedState:
         aug = self.augmentation
-        x_bar = xi + y @ aug.L1.T
-        innovation = y - x_bar @ aug.C_bar.T
-        # Every rule's contribution in one product each, then the blend.
-        rules = _each_rule(aug.A1, x_bar) + _each_rule(aug.B1, u) + _each_rule(self.H1, innovation)
-        if self.Gamma is None:
-            return _blend(weights, rules) + y @ aug.N1.T, np.zeros_like(Xi)
-        rules = rules + (Xi @ x_bar[..., np.newaxis, :, np.newaxis])[..., 0] @ self.M.T
-        gradient = np.einsum("...i,...p,...n->...ipn", weights, innovation, x_bar)
-        if self.xi is None:
-            return _blend(weights, rules) + y @ aug.N1.T, self.Gamma @ gradient
-        return (
-            _blend(weights, rules) + y @ aug.N1.T,
-            projected_rate(Xi, gradient, self.Gamma, self.xi),
+        r, p, size, batch = aug.rule_count, aug.output_count, aug.size, y.shape[1:-1]
+        steps = max(1, math.ceil(period / _MAX_STEP - 1e-9))
+        weights = aug.system.rule_base.weights(_at_nodes(z, steps))
+        runs, m = math.prod(batch), aug.B1.shape[-1]
+        inputs = np.broadcast_to(u.reshape(len(y), -1, m), (len(y), runs, m))
+        states = np.empty((len(y), runs, 1 + r * p, size))
+        states[0, :, 0] = start.xi.reshape(runs, size)
+        states[0, :, 1:] = start.Xi.reshape(runs, r * p, size)
+        _integrate(
+            self._equations(),
+            _at_nodes(inputs, steps),
+            _at_nodes(y, steps).reshape(-1, runs, p),
+            weights.reshape(-1, runs, r),
+            period / steps,
+            steps,
+            states,
         )
+        states = states.reshape(len(y), *batch, 1 + r * p, size)
+        Xi = states[..., 1:, :].reshape(len(y), *batch, r, p, size)
+        return AugmentedState(states[..., 0, :], Xi, y, z)
+
+    def _equations(self) -> "_Equations":
+        aug, p = self.augmentation, self.augmentation.output_count
+        given = _Equations(
+            aug.A1,
+            aug.B1,
+            self.H1,
+            aug.N1,
+            aug.L1,
+            aug.C_bar,
+            self.M,
+            np.zeros((aug.rule_count, p, p)) if self.Gamma is None else self.Gamma,
+            np.full(aug.rule_count, math.inf) if self.xi is None else self.xi,
+        )
+        return _Equations(*(np.array(each, order="C") for each in given))
 
     def augmented_estimate(self, state: AugmentedState) -> Array:
         """Return x̂̄ = [x̂; ω̂₀] = ξ + E_L⁻¹L y, shape (..., n + p)."""
@@ -215,19 +223,6 @@ class AugmentedObserver:
         """Return e_y = y − C̄x̂̄, shape (..., p)."""
         return np.asarray(state.y - self.augmented_estimate(state) @ self.augmentation.C_bar.T)
 
-    def _runge_kutta(
-        self, xi: Array, Xi: Array, signals: Sequence[tuple[Array, Array, Array]], h: float
-    ) -> tuple[Array, Array]:
-        start, middle, end = signals
-        a1, b1 = self._derivative(xi, Xi, *start)
-        a2, b2 = self._derivative(xi + 0.5 * h * a1, Xi + 0.5 * h * b1, *middle)
-        a3, b3 = self._derivative(xi + 0.5 * h * a2, Xi + 0.5 * h * b2, *middle)
-        a4, b4 = self._derivative(xi + h * a3, Xi + h * b3, *end)
-        moved = Xi + (h / 6.0) * (b1 + 2.0 * (b2 + b3) + b4)
-        if self.Gamma is not None and self.xi is not None:
-            moved = clipped(moved, self.xi)
-        return xi + (h / 6.0) * (a1 + 2.0 * (a2 + a3) + a4), moved
-
     def _premises(self, y: Array, z: ArrayLike | None) -> Array:
         count = self.augmentation.system.rule_base.premise_count
         return self._checked("z", y[..., :count] if z is None else z, count)
@@ -240,48 +235,146 @@ class AugmentedObserver:
         return array
 
 
-def _each_rule(matrices: Array, vector: Array) -> Array:
-    """Return Mᵢ v for every rule: (r, a, b) and (..., b) to (..., r, a)."""
-    return np.asarray((matrices @ vector[..., np.newaxis, :, np.newaxis])[..., 0])
-
-
-def _blend(weights: Array, rules: Array) -> Array:
-    """Return Σ hᵢ vᵢ: (..., r) and (..., r, a) to (..., a)."""
-    return np.asarray((weights[..., np.newaxis, :] @ rules)[..., 0, :])
-
-
-def projected_rate(value: Array, gradient: Array, Gamma: Array, limit: Array) -> Array:
-    """Return Γ Y, without its part that leads out of ‖Ξ‖ ≤ ξ if Ξ is on that bound.
+def _at_nodes(signal: Array, steps: int) -> Array:
+    """Return a signal at both ends and in the middle of every step, linear between its samples.
 
     Args:
-        value: Ξ, shape (..., p, q).
-        gradient: Y, shape (..., p, q).
-        Gamma: Γ ≻ 0, shape (..., p, p).
-        limit: ξ ≥ 0, shape (...).
+        signal: Shape (samples, ...).
+        steps: Number of steps between two samples.
     """
-    rate = Gamma @ gradient
-    left, singular, right = np.linalg.svd(value, full_matrices=False)
-    normal = left[..., :, :1] @ right[..., :1, :]
-    outward = np.sum(normal * rate, axis=(-1, -2))
-    steep = Gamma @ normal
-    blocked = (singular[..., 0] >= limit * (1.0 - _EDGE)) & (outward > 0.0)
-    # ⟨g, Γg⟩ is at least the smallest eigenvalue of Γ, since g has unit norm.
-    excess = np.where(blocked, outward / np.sum(normal * steep, axis=(-1, -2)), 0.0)
-    return np.asarray(rate - excess[..., np.newaxis, np.newaxis] * steep)
+    shares = np.arange(2 * steps).reshape(-1, *[1] * (signal.ndim - 1)) / (2 * steps)
+    between = signal[:-1, np.newaxis] + shares * np.diff(signal, axis=0)[:, np.newaxis]
+    return np.concatenate([between.reshape(-1, *signal.shape[1:]), signal[-1:]])
 
 
-def clipped(value: Array, limit: Array) -> Array:
-    """Return the nearest matrix with ‖Ξ‖ ≤ ξ: singular values cut at ξ.
+class _Equations(NamedTuple):
+    """The matrices of the observer's equations; Γ = 0 for no adaptation, ξ = ∞ for no bound."""
 
-    It removes what a step of finite length overshoots by.
+    A1: Array
+    B1: Array
+    H1: Array
+    N1: Array
+    L1: Array
+    C_bar: Array
+    M: Array
+    Gamma: Array
+    limits: Array
+
+
+@compiled_nogil
+def _integrate(
+    equations: _Equations,
+    u: Array,
+    y: Array,
+    weights: Array,
+    h: float,
+    steps: int,
+    states: Array,
+) -> None:
+    """Fill the states of all runs after the first sample.
 
     Args:
-        value: Ξ, shape (..., p, q).
-        limit: ξ ≥ 0, shape (...).
+        equations: Of the observer.
+        u: Inputs at the ends and in the middle of each step, shape (nodes, runs, m).
+        y: Outputs there, shape (nodes, runs, p).
+        weights: Rule weights there, shape (nodes, runs, r).
+        h: Length of a step [s].
+        steps: Number of steps between two samples.
+        states: ξ and the rows of Ξ̂ᵢ of each run, shape (samples, runs, 1 + r p, n + p); those at
+            the first sample are given.
     """
-    left, singular, right = np.linalg.svd(value, full_matrices=False)
-    cut = np.minimum(singular, np.asarray(limit)[..., np.newaxis])
-    return np.asarray((left * cut[..., np.newaxis, :]) @ right)
+    samples, runs, rows, size = states.shape
+    p = equations.C_bar.shape[0]
+    slopes, at = np.empty((4, rows, size)), np.empty((rows, size))
+    x_bar, innovation, squares = np.empty(size), np.empty(p), np.empty((2, p, p))
+    for k in range(1, samples):
+        for run in range(runs):
+            now = states[k, run]
+            for i in range(rows):
+                for j in range(size):
+                    now[i, j] = states[k - 1, run, i, j]
+            for step in range(steps):
+                for stage in range(4):
+                    reach = h if stage == 3 else 0.5 * h
+                    for i in range(rows):
+                        for j in range(size):
+                            at[i, j] = now[i, j]
+                            if stage > 0:
+                                at[i, j] += reach * slopes[stage - 1, i, j]
+                    node = 2 * ((k - 1) * steps + step) + (stage + 1) // 2
+                    _derivative(
+                        equations,
+                        at,
+                        u[node, run],
+                        y[node, run],
+                        weights[node, run],
+                        slopes[stage],
+                        x_bar,
+                        innovation,
+                        squares,
+                    )
+                for i in range(rows):
+                    for j in range(size):
+                        middle = 2.0 * (slopes[1, i, j] + slopes[2, i, j])
+                        now[i, j] += (h / 6.0) * (slopes[0, i, j] + middle + slopes[3, i, j])
+                for rule in range(weights.shape[2]):
+                    first = 1 + rule * p
+                    limit = equations.limits[rule]
+                    clip(now[first : first + p], limit, squares[0], squares[1])
+
+
+@compiled
+def _derivative(
+    equations: _Equations,
+    state: Array,
+    u: Array,
+    y: Array,
+    weights: Array,
+    rates: Array,
+    x_bar: Array,
+    innovation: Array,
+    squares: Array,
+) -> None:
+    """Write the derivative of a state; x̂̄ (n + p,), e_y (p,) and squares (2, p, p) are scratch."""
+    p, size = equations.C_bar.shape
+    for i in range(size):
+        x_bar[i] = state[0, i]
+        rates[0, i] = 0.0
+        for a in range(p):
+            x_bar[i] += equations.L1[i, a] * y[a]
+            rates[0, i] += equations.N1[i, a] * y[a]
+    for a in range(p):
+        innovation[a] = y[a]
+        for j in range(size):
+            innovation[a] -= equations.C_bar[a, j] * x_bar[j]
+    for rule in range(weights.shape[0]):
+        weight, first = weights[rule], 1 + rule * p
+        for i in range(size):
+            total = 0.0
+            for j in range(size):
+                total += equations.A1[rule, i, j] * x_bar[j]
+            for j in range(u.shape[0]):
+                total += equations.B1[rule, i, j] * u[j]
+            rates[0, i] += weight * total
+        for a in range(p):
+            change = turned = 0.0
+            for j in range(size):
+                change += state[first + a, j] * x_bar[j]
+            for i in range(size):
+                effect = equations.H1[rule, i, a] * innovation[a] + equations.M[i, a] * change
+                rates[0, i] += weight * effect
+            for b in range(p):
+                turned += equations.Gamma[rule, a, b] * innovation[b]
+            for j in range(size):
+                rates[first + a, j] = weight * turned * x_bar[j]
+        project(
+            state[first : first + p],
+            rates[first : first + p],
+            equations.Gamma[rule],
+            equations.limits[rule],
+            squares[0],
+            squares[1],
+        )
 
 
 def checked_gamma(Gamma: ArrayLike, rules: int, outputs: int) -> Array:

@@ -14,17 +14,17 @@ from typing import NamedTuple, Protocol, TypeVar
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm
 from tsobs_ros.estimation.baselines import (
     ExtendedKalmanFilter,
     HighGainObserver,
     ProportionalIntegralObserver,
-    integrate,
 )
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
-from tsobs_ros.paper.examples import PaperExample
-from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState, printed_observer
+from tsobs_ros.paper.examples import PaperExample, second_weight
+from tsobs_ros.paper.observer import AugmentedObserver, printed_observer
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -197,29 +197,57 @@ def run_example(
 
 
 def _simulate(example: PaperExample, period: float, duration: float) -> PlantRecord:
-    samples = round(duration / period) + 1
-    times = np.asarray(np.arange(samples) * period, dtype=np.float64)
-    uncertainty = np.array(UNCERTAINTIES)[:, np.newaxis]
-    states = np.empty((samples, len(UNCERTAINTIES), example.system.state_count))
-    x = np.repeat(example.initial_state[np.newaxis], len(UNCERTAINTIES), axis=0)
-    clock: Array = np.zeros((len(UNCERTAINTIES), 1))
-
-    def derivative(joined: Array) -> Array:
-        # Time is carried as one more state, so that the signals are exact within a step.
-        state, time = joined[..., :-1], joined[..., -1]
-        z = state[..., :1] + example.disturbance(time)[..., :1]
-        rate = example.derivative(state, example.torque(time), z, uncertainty)
-        return np.concatenate([rate, np.ones_like(joined[..., -1:])], axis=-1)
-
-    for index, time in enumerate(times):
-        states[index] = x
-        joined: Array = np.hstack([x, clock + time])
-        x = integrate(derivative, joined, period, period)[..., :-1]
+    system, samples = example.system, round(duration / period) + 1
+    # The ends and the middle of each step, so that the signals are exact within it.
+    times = np.asarray(np.arange(2 * samples - 1) * (0.5 * period), dtype=np.float64)
     disturbance = np.asarray(example.disturbance(times))
-    premises: Array = states[..., :1] + disturbance[:, np.newaxis, :1]
-    outputs = example.system.output(states, premises) + disturbance[:, np.newaxis]
-    weights = example.system.rule_base.weights(premises)
-    return PlantRecord(times, states, disturbance, outputs, premises, weights)
+    scaled = np.array(UNCERTAINTIES)[:, np.newaxis, np.newaxis, np.newaxis] * example.delta_A
+    states = np.empty((samples, len(UNCERTAINTIES), system.state_count))
+    states[0] = example.initial_state
+    torque, offset = example.torque(times), np.ascontiguousarray(disturbance[:, 0])
+    _move_plants(system.A + scaled, np.array(system.B), torque, offset, period, states)
+    premises: Array = states[..., :1] + disturbance[::2, np.newaxis, :1]
+    outputs = system.output(states, premises) + disturbance[::2, np.newaxis]
+    weights = system.rule_base.weights(premises)
+    return PlantRecord(times[::2], states, disturbance[::2], outputs, premises, weights)
+
+
+@compiled_nogil
+def _move_plants(A: Array, B: Array, u: Array, offset: Array, h: float, states: Array) -> None:
+    """Fill the states of plants with the rules of Examples 1 and 2 after the first sample.
+
+    Args:
+        A: Shape (plants, 2, n, n).
+        B: Shape (2, n, m).
+        u: Inputs at the ends and in the middle of each step, shape (nodes, m).
+        offset: Disturbance of the first output there, shape (nodes,); the premise is z = x₁ + it.
+        h: Length of a step, and time between two samples [s].
+        states: Shape (samples, plants, n); the first is given.
+    """
+    samples, plants, n = states.shape
+    slopes, at = np.zeros((4, n)), np.empty(n)
+    for k in range(1, samples):
+        for plant in range(plants):
+            now = states[k - 1, plant]
+            for stage in range(4):
+                reach = h if stage == 3 else 0.5 * h
+                for i in range(n):
+                    at[i] = now[i] if stage == 0 else now[i] + reach * slopes[stage - 1, i]
+                when = 2 * (k - 1) + (stage + 1) // 2
+                second = second_weight(at[0] + offset[when])
+                for i in range(n):
+                    first_rate = second_rate = 0.0
+                    for j in range(n):
+                        first_rate += A[plant, 0, i, j] * at[j]
+                        second_rate += A[plant, 1, i, j] * at[j]
+                    for j in range(u.shape[1]):
+                        first_rate += B[0, i, j] * u[when, j]
+                        second_rate += B[1, i, j] * u[when, j]
+                    slopes[stage, i] = (1.0 - second) * first_rate + second * second_rate
+            for i in range(n):
+                middle = 2.0 * (slopes[1, i] + slopes[2, i])
+                change = (h / 6.0) * (slopes[0, i] + middle + slopes[3, i])
+                states[k, plant, i] = now[i] + change
 
 
 def _observe(
@@ -238,18 +266,12 @@ def _observe(
         outputs: Measurements of each record, shape (samples, records, 2, p).
         starts: x̂̄(0), shape (records, 2, n + p).
     """
-    torques = example.torque(plant.times)
     fed: Array = outputs.copy()
     # ξ(0) = x̂̄(0) − E_L⁻¹L y(0): with a first sample of noise the observer would start elsewhere.
     fed[0] = plant.outputs[0]
     premises: Array = np.broadcast_to(plant.premises[:, np.newaxis], (*fed.shape[:-1], 1))
-    state = observer.initial(fed[0], starts, z=premises[0])
-    states = [state]
-    for index, duration in enumerate(np.diff(plant.times), 1):
-        u, u_next = torques[index - 1], torques[index]
-        state = observer.advance(state, u, u_next, fed[index], duration, premises[index])
-        states.append(state)
-    whole = AugmentedState(*(np.stack(each) for each in zip(*states, strict=True)))
+    period = float(plant.times[1] - plant.times[0])
+    whole = observer.follow(fed, example.torque(plant.times), period, premises, starts)
     estimate, innovation = observer.estimate(whole), observer.innovation(whole)
     norms = np.linalg.norm(whole.Xi, 2, axis=(-2, -1)).max(axis=-1)
     energy = np.zeros_like(norms)
