@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, shown
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.fuzzy import RuleBase, SineLower, SineUpper
+from tsobs_ros.model.trigonometry import sine
 
 
 @dataclass(frozen=True)
@@ -114,18 +115,11 @@ def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSSystem:
     """
     if not 0.0 < x_max < math.pi:
         raise ModelError(f"x_max: expected 0 < x_max < π, got {x_max!r}")
-    bottom = math.sin(x_max) / x_max
-
-    def near_zero(angle: Array) -> Array:
-        # np.sinc(t) is sin(πt)/(πt), with the limit 1 at 0.
-        return np.clip((np.sinc(angle / np.pi) - bottom) / (1.0 - bottom), 0.0, 1.0)
-
-    rule_base = RuleBase(((near_zero,), (lambda angle: 1.0 - near_zero(angle),)))
     return TSSystem.from_rules(
-        A=[arm.slope_matrix(1.0), arm.slope_matrix(bottom)],
+        A=[arm.slope_matrix(1.0), arm.slope_matrix(sine(x_max) / x_max)],
         B=[arm.input_matrix],
         C=[arm.output_matrix],
-        rule_base=rule_base,
+        rule_base=RuleBase(((SineUpper(x_max),), (SineLower(x_max),))),
         premise=lambda x: x[..., LINK_ANGLE, np.newaxis],
     )
 
