@@ -49,6 +49,11 @@ def compiled_nogil(function: Function) -> Function:
     return _compile(function, nogil=True)
 
 
+def compilations() -> int:
+    """Return how many functions this process has compiled, or is compiling, instead of loading."""
+    return _Compiled.compilations
+
+
 def _compile(function: Function, nogil: bool) -> Function:
     if numba.config.DISABLE_JIT:
         return function
@@ -62,19 +67,24 @@ _OPTIONS = {"nopython": True, "error_model": "numpy"}
 class _Compiled(CPUDispatcher):
     """A function that numba compiles, from the cache where that can be read."""
 
+    compilations = 0
+
     def compile(self, sig: Any) -> Any:
         """Return the function's entry point for a signature."""
-        if self.overloads.get(sig) is None and (root := _root()) is not None:
-            folder = root / _name_of(self, repr(sig))
-            try:
-                self._cache_in(folder)
-                return super().compile(sig)
-            except NumbaError:
-                raise
-            except Exception:  # unpickling what is damaged raises anything
-                shutil.rmtree(folder, ignore_errors=True)
-                return self._compile_without_cache(sig)
-        return super().compile(sig)
+        if sig in self.overloads:
+            return super().compile(sig)
+        folder = None if (root := _root()) is None else root / _name_of(self, repr(sig))
+        _Compiled.compilations += folder is None or not any(folder.rglob("*.nbi"))
+        if folder is None:
+            return super().compile(sig)
+        try:
+            self._cache_in(folder)
+            return super().compile(sig)
+        except NumbaError:
+            raise
+        except Exception:  # unpickling what is damaged raises anything
+            shutil.rmtree(folder, ignore_errors=True)
+            return self._compile_without_cache(sig)
 
     def _cache_in(self, folder: Path) -> None:
         if not folder.exists():

@@ -76,6 +76,10 @@ class NodeError(TsobsError, RuntimeError):
     """A node cannot start or go on, for a reason its user can act on."""
 
 
+class InterruptionError(NodeError):
+    """A signal came before a node had started; the process ends cleanly."""
+
+
 def printable(text: str) -> str:
     """Return a text with everything escaped that a terminal would obey instead of showing it.
 

@@ -28,11 +28,21 @@ def end_at_once() -> None:
         signal.signal(number, lambda _number, _frame: os._exit(0))
 
 
+def signal_came() -> bool:
+    """Say whether a signal came to a flag that has caught them."""
+    return StopFlag.last is not None and StopFlag.last()
+
+
 class StopFlag:
     """Callable that is true once a signal came; a context manager in the main thread.
 
     Further signals change nothing, so an impatient second Ctrl-C cannot interrupt the teardown.
+
+    Attributes:
+        last: The flag that catches the signals, None before there is one.
     """
+
+    last: StopFlag | None = None
 
     def __init__(self) -> None:
         """Make a lowered flag; no handler is installed yet."""
@@ -45,6 +55,7 @@ class StopFlag:
 
     def install(self) -> None:
         """Catch the signals from here on, for good."""
+        StopFlag.last = self
         for number in _SIGNALS:
             self._previous[number] = signal.signal(number, self._raise)
 

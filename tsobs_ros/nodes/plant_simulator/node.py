@@ -17,6 +17,7 @@ from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 
 from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.nodes.compiling import compile_ahead
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.topics import SamplePublisher, TorqueCommands
@@ -58,6 +59,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def configure(self) -> None:
         """Make the arm at t = 0 with its topics and services."""
         self._settings = parameters = self.parameters
+        compile_ahead(self, lambda: Plant(parameters.scenario(), parameters.seed))
         self._publish_sample = SamplePublisher(self, parameters)
         self._commands = TorqueCommands(self, parameters)
         self.offer_triggers({"reset": self._reset})
