@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from numpy.typing import NDArray
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
@@ -40,7 +40,8 @@ ESTIMATES = (
     "/observer/disturbance_bound",
 )
 INNOVATION = "/observer/innovation"
-TOPICS = (MEASUREMENTS, *TRUTH, *ESTIMATES, INNOVATION)
+RESTARTS = "/observer/restarts"
+TOPICS = (MEASUREMENTS, *TRUTH, *ESTIMATES, INNOVATION, RESTARTS)
 SAMPLES = 701
 
 
@@ -65,11 +66,11 @@ def recording(ros: Any, tmp_path: Path) -> Recording:
     node = ros.node("listener")
     qos = QoSProfile(depth=5000, reliability=ReliabilityPolicy.RELIABLE)
     best_effort = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+    latched = QoSProfile(depth=5000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    profiles = dict.fromkeys(TOPICS, qos) | {MEASUREMENTS: best_effort, RESTARTS: latched}
     listening = {
-        topic: DrainedSubscription(
-            node, JointState, topic, best_effort if topic == MEASUREMENTS else qos, raw=True
-        )
-        for topic in TOPICS
+        topic: DrainedSubscription(node, JointState, topic, profile, raw=True)
+        for topic, profile in profiles.items()
     }
     received: dict[str, list[bytes]] = {topic: [] for topic in TOPICS}
 
