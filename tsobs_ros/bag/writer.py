@@ -3,13 +3,14 @@
 """Writing bags: a folder of MCAP files with a metadata.yaml, as `ros2 bag record -s mcap` does."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 from mcap.exceptions import UnsupportedCompressionError
 from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, Writer
@@ -36,6 +37,9 @@ COMPRESSIONS: Mapping[str, CompressionType] = {
     "zstd": CompressionType.ZSTD,
 }
 _TIME_LIMIT_NS = EMPTY_START_NS
+
+Message: TypeAlias = tuple[str, str, bytes, int, int]
+"""A `BagMessage` as a plain tuple, whose class would cost more than the rest of it."""
 
 
 class _BagFile:
@@ -99,6 +103,20 @@ class _BagFile:
             self._start_ns = log_time_ns
         if log_time_ns > self._end_ns:
             self._end_ns = log_time_ns
+
+    def write_all(self, messages: Sequence[Message]) -> None:
+        """Write some messages, at least one, at a fraction of the cost of `write`."""
+        add, channels, count = self._writer.add_message, self._channels, 0
+        with self._writing():
+            try:
+                for topic, _, data, log_time_ns, publish_time_ns in messages:
+                    add(channels[topic], log_time_ns, data, publish_time_ns)
+                    count += 1
+            finally:
+                self.message_count += count
+                times = [message[3] for message in messages[:count]]
+                self._start_ns = min([self._start_ns, *times])
+                self._end_ns = max([self._end_ns, *times])
 
     def duration_with(self, log_time_ns: int) -> int:
         """Return the file's duration, ns, if a message of this log time were in it too."""
@@ -297,6 +315,32 @@ class BagWriter:
             self._start_file(log_time_ns)
         self._file.write(topic, data, log_time_ns, publish_time_ns)
         self._counts[topic] += 1
+
+    def write_all(self, messages: Sequence[Message]) -> None:
+        """Append messages, each as `write` does, faster if files have no limits.
+
+        Args:
+            messages: Topic, type, data, log time and publish time of each, as of a `BagMessage`.
+
+        Raises:
+            BagWriteError: As for `write`.
+        """
+        counts = Counter([message[0] for message in messages])
+        times = [time for message in messages for time in message[3:]]
+        if (
+            self._closed
+            or self._is_limited
+            or self._on_split is not None
+            or not counts
+            or counts.keys() - self._topics.keys()
+            or not 0 <= min(times) <= max(times) < _TIME_LIMIT_NS
+        ):
+            for topic, _, data, log_time_ns, publish_time_ns in messages:
+                self.write(topic, data, log_time_ns, publish_time_ns)
+            return
+        self._file.write_all(messages)
+        for topic, count in counts.items():
+            self._counts[topic] += count
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system: it survives a kill.

@@ -6,51 +6,39 @@ The messages are those of the observer node, byte for byte; made a block at a ti
 of what they cost one by one.
 """
 
-import heapq
-from collections import deque
+import math
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain, repeat
 from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.definitions import find_definition
-from tsobs_ros.bag.joint_series import JointSeries, Times
+from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.metadata import QosProfile
-from tsobs_ros.bag.writer import BagWriter
+from tsobs_ros.bag.writer import BagWriter, Message
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.tracker import JointTrackers
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.replay.replay import (
-    Estimated,
-    Estimates,
-    Replay,
-    Reset,
-    Schedule,
-    Used,
-    as_recorded,
-    at_rate,
-    at_samples,
-)
-from tsobs_ros.replay.source import BagSource, Live, Source
+from tsobs_ros.replay.replay import Replay
+from tsobs_ros.replay.schedule import Schedule, as_recorded, at_rate, at_samples
+from tsobs_ros.replay.source import BagSource, Live, Samples, Source
 from tsobs_ros.replay.table import Agreement, EstimateTable, Recorded
-
-Record: TypeAlias = tuple[str, str, bytes, int, int]
-"""A `BagMessage` as a plain tuple, whose class would cost more than the rest of it."""
 
 LOGS = (".csv", ".tsv", ".txt")
 """Suffixes of logs."""
 
-_BLOCK = 1024
+_BLOCK = 4096
 _ANGLES, _RATES = [0, 2], [1, 3]
 _log_time = itemgetter(3)
 
@@ -116,94 +104,95 @@ class Run:
             make_tracker(design, observer.settings, estimators[id(design)])
             for design in observer.designs
         ]
-        stale_after = observer.settings.stale_after
-        self.replay = Replay(JointTrackers(trackers), source.samples, schedule, stale_after)
         names = map(observer.settings.learnt, observer.designs)
         learnt = dict(zip(source.joints, names, strict=True))
         most = max(map(len, learnt.values()), default=0)
         self.table = EstimateTable(schedule.count, source.samples.count, len(learnt), most)
         self._recorded = None if live is None else Recorded(live, schedule, source.samples)
+        self.replay = Replay(
+            JointTrackers(trackers),
+            source.samples,
+            schedule,
+            self.table,
+            self._recorded,
+            observer.settings.stale_after,
+        )
         self._publisher = _Publisher(f"{source.namespace}/{observer.name}/", learnt)
         self.topics = self._publisher.topics
-        self._joint_count = len(learnt)
         self._restarts = None if live is None else live.others.get(topics.RESTARTS)
+        self._parameters_at = -topics.PARAMETER_PERIOD
 
-    def records(self, progress: Callable[[int], None]) -> Iterator[Record]:
-        """Run the observer, and yield its messages in order of log time.
+    def restarts(self) -> list[Message]:
+        """Return the messages of the start and of the restarts, those recorded if there are any."""
+        if self._restarts is not None:
+            at, numbers = _Times.of(self._restarts), self._restarts.values[..., :1]
+        else:
+            ticks = np.flatnonzero(self.schedule.reset_after >= 0)
+            at = _Times.of(self.schedule).take(np.union1d(ticks, [0])[: self.schedule.count])
+            shape = (len(at.stamps), len(self.observer.designs), 1)
+            numbers = np.broadcast_to(np.arange(float(shape[0])).reshape(-1, 1, 1), shape)
+        return self._publisher.messages(topics.RESTARTS, at, numbers)
+
+    def blocks(self, progress: Callable[[int], None]) -> Iterator[list[Message]]:
+        """Run the observer block by block of ticks, and yield the messages of each.
 
         Args:
             progress: Called with the number of measurements taken since its last call.
         """
-        yield from heapq.merge(self._restart_records(), self._run(progress), key=_log_time)
+        for begin in range(0, max(1, self.schedule.count), _BLOCK):
+            ticks = slice(begin, min(begin + _BLOCK, self.schedule.count))
+            taken = self.replay.advance(ticks.stop)
+            progress(taken.stop - taken.start)
+            yield self._published(ticks, taken)
 
-    def _restart_records(self) -> Iterator[Record]:
-        """Return the messages of the start and of the restarts, those recorded if there are any."""
-        schedule = self.schedule
-        if self._restarts is not None:
-            at = _Times.of(self._restarts)
-            return self._publisher.messages(topics.RESTARTS, at, self._restarts.values[..., :1])
-        begins = schedule.reset_after >= 0
-        begins[:1] = True
-        ticks = np.flatnonzero(begins)
-        numbers = np.repeat(np.arange(float(len(ticks))), self._joint_count)
-        numbers = numbers.reshape(len(ticks), -1, 1)
-        return self._publisher.messages(topics.RESTARTS, _Times.of(schedule).take(ticks), numbers)
-
-    def _run(self, progress: Callable[[int], None]) -> Iterator[Record]:
-        block = _Block()
-        for event in self.replay.run(self._recorded):
-            match event:
-                case Used(tick, message, outcomes):
-                    self.table.add_innovations(message, outcomes)
-                    block.messages.append(message)
-                    block.ticks_of_use.append(tick)
-                    if len(block.messages) >= _BLOCK:
-                        progress(len(block.messages))
-                        yield from self._published(block)
-                        block = _Block()
-                case Estimated(tick, estimates):
-                    block.ticks.append(tick)
-                    block.estimates.append(estimates)
-                case Reset():
-                    yield from self._published(block)
-                    block = _Block()
-                    self._publisher.reset()
-        progress(len(block.messages))
-        yield from self._published(block)
-
-    def _published(self, block: "_Block") -> list[Record]:
-        """Return the messages of a block of events, which is also entered into the table."""
-        table, schedule, publish = self.table, self.schedule, self._publisher.messages
-        ticks = np.array(block.ticks, np.intp)
-        table.add(block.ticks, block.estimates)
-        at = _Times.of(schedule).take(ticks)
-        records = list(publish(topics.INNOVATION, *self._innovations(block)))
+    def _published(self, ticks: slice, taken: slice) -> list[Message]:
+        """Return the messages of some ticks, and of the innovations of the samples taken there."""
+        table, publish = self.table, self._publisher.messages
+        at = _Times.of(self.schedule).take(ticks)
+        messages = publish(
+            topics.INNOVATION, self._times_of_use(taken), table.innovations[taken, :, None]
+        )
         for topic, values in (
             (topics.STATES, table.states[ticks]),
             (topics.STATE_BOUNDS, table.state_bounds[ticks]),
         ):
-            records += publish(topic, at, values[..., _ANGLES], values[..., _RATES])
+            messages += publish(topic, at, values[..., _ANGLES], values[..., _RATES])
         disturbances = table.disturbances[ticks]
-        records += publish(topics.DISTURBANCE, at, disturbances[..., :1], disturbances[..., 1:])
-        records += publish(topics.DISTURBANCE_BOUND, at, table.disturbance_bounds[ticks])
-        records += self._publisher.parameters(at, block.estimates)
-        records.sort(key=_log_time)
-        return records
+        messages += publish(topics.DISTURBANCE, at, disturbances[..., :1], disturbances[..., 1:])
+        messages += publish(topics.DISTURBANCE_BOUND, at, table.disturbance_bounds[ticks])
+        valid = table.flags[ticks, :, 1]
+        due = self._parameters_due(at.stamps, valid)
+        for topic, values in (
+            (topics.PARAMETERS, table.parameters[ticks]),
+            (topics.PARAMETER_BOUNDS, table.parameter_bounds[ticks]),
+        ):
+            if len(due):
+                known = np.where(valid[due, :, None], values[due], np.nan)
+                messages += publish(topic, at.take(due), known)
+        return messages
 
-    def _innovations(self, block: "_Block") -> tuple["_Times", Array]:
-        """Return the innovations of a block, published at the tick at which they were used."""
-        messages, ticks = np.array(block.messages, np.intp), np.array(block.ticks_of_use, np.intp)
-        samples, schedule = self._samples, self.schedule
-        log_times, publish_times = samples.log_times[messages], samples.publish_times[messages]
-        there = ticks < schedule.count
-        log_times[there] = schedule.log_times[ticks[there]]
-        publish_times[there] = schedule.publish_times[ticks[there]]
-        at = _Times(samples.stamps[messages], log_times, publish_times)
-        return at, self.table.innovations[messages][..., np.newaxis]
+    def _times_of_use(self, taken: slice) -> "_Times":
+        """Return the times of innovations, which are published at the tick that uses the sample."""
+        at, schedule = _Times.of(self._samples).take(taken), _Times.of(self.schedule)
+        ticks = self.table.ticks_of_use[taken]
+        there = ticks < self.schedule.count
+        for own, theirs in zip(at[1:], schedule[1:], strict=True):
+            own[there] = theirs[ticks[there]]
+        return at
+
+    def _parameters_due(self, stamps: Times, valid: Flags) -> NDArray[np.intp]:
+        """Return the places of the ticks at which learnt parameters are published."""
+        due = []
+        for place in np.flatnonzero(valid.any(axis=1)).tolist():
+            stamp = int(stamps[place])
+            if not 0 <= stamp - self._parameters_at < topics.PARAMETER_PERIOD:
+                due.append(place)
+                self._parameters_at = stamp
+        return np.array(due, np.intp)
 
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if the run was made by them."""
-        return None if self._recorded is None else self._recorded.compare(self.table, self.replay)
+        return None if self._recorded is None else self._recorded.compare(self.table)
 
 
 def open_source(
@@ -279,10 +268,9 @@ def run_all(
         BagWriteError: The folder exists, the definition of JointStates is not to be found, or the
             bag cannot be written.
     """
-    streams: list[Iterator[Record]] = [run.records(progress) for run in runs]
     if output is None:
-        for stream in streams:
-            deque(stream, maxlen=0)
+        for _ in _blocks(runs, progress):
+            pass
         return
     own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
     definition = next(own, None) or find_definition(JOINT_STATE)
@@ -291,20 +279,32 @@ def run_all(
             writer.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition)
         for name in chain.from_iterable(run.topics for run in runs):
             writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
-        if not estimates_only:
-            streams.insert(0, source.messages())
-        for topic, _, data, log_time, publish_time in heapq.merge(*streams, key=_log_time):
-            writer.write(topic, data, log_time, publish_time)
+        recorded = iter(()) if estimates_only else source.messages()
+        waiting = list(chain.from_iterable(run.restarts() for run in runs))
+        for horizon, messages in _blocks(runs, progress):
+            for message in recorded:
+                waiting.append(message)
+                if message[3] >= horizon:
+                    break
+            waiting += messages
+            waiting.sort(key=_log_time)
+            end = bisect_left(waiting, horizon, key=_log_time)
+            writer.write_all(waiting[:end])
+            del waiting[:end]
 
 
-@dataclass(frozen=True)
-class _Block:
-    """Events whose messages are made at once: messages taken, and ticks estimated."""
+def _blocks(
+    runs: Sequence[Run], progress: Callable[[int], None]
+) -> Iterator[tuple[float, list[Message]]]:
+    """Yield the messages of all runs, which have the same schedule, block by block.
 
-    messages: list[int] = field(default_factory=list)
-    ticks_of_use: list[int] = field(default_factory=list)
-    ticks: list[int] = field(default_factory=list)
-    estimates: list[Estimates] = field(default_factory=list)
+    Each comes with the log time that the messages of later blocks have at least [ns].
+    """
+    times = runs[0].schedule.log_times
+    for number, blocks in enumerate(zip(*[run.blocks(progress) for run in runs], strict=True), 1):
+        following = times[number * _BLOCK :]
+        horizon = float(following[0]) if len(following) else math.inf
+        yield horizon, list(chain.from_iterable(blocks))
 
 
 class _Times(NamedTuple):
@@ -315,10 +315,10 @@ class _Times(NamedTuple):
     publish_times: Times
 
     @classmethod
-    def of(cls, one: Schedule | JointSeries) -> "_Times":
+    def of(cls, one: Schedule | Samples | JointSeries) -> "_Times":
         return cls(one.stamps, one.log_times, one.publish_times)
 
-    def take(self, places: NDArray[np.intp]) -> "_Times":
+    def take(self, places: NDArray[np.intp] | slice) -> "_Times":
         return _Times(*(array[places] for array in self))
 
 
@@ -345,21 +345,16 @@ class _Publisher:
             **dict.fromkeys(topics.PARAMETER_TOPICS, parameters),
         }
         self._encoders: dict[tuple[str, tuple[int, ...]], JointStateEncoder] = {}
-        self.reset()
 
     @property
     def topics(self) -> tuple[str, ...]:
         names = topics.TOPICS + (topics.PARAMETER_TOPICS if self._learns else ())
         return tuple(self._prefix + name for name in names)
 
-    def reset(self) -> None:
-        """Publish parameters at the next chance, as stamps may have gone back."""
-        self._parameters_due = 0
-
     def messages(
         self, topic: str, at: _Times, values: Array, rates: Array | None = None
-    ) -> Iterator[Record]:
-        """Yield messages of the joints that have a number in each.
+    ) -> list[Message]:
+        """Return messages of the joints that have a number in each.
 
         Args:
             topic: Of `_names`.
@@ -367,35 +362,26 @@ class _Publisher:
             values: Positions, NaN for none, shape (m, J, k).
             rates: Velocities, shape (m, J, k); all NaN if the disturbance model has none.
         """
+        messages: list[Message] = []
         for joints, rows in _alike(np.isfinite(values[..., 0])):
-            position = values[rows][:, joints].reshape(len(rows), -1)
-            velocity = position[:, :0]
-            if rates is not None:
-                chosen = rates[rows][:, joints].reshape(len(rows), -1)
-                velocity = velocity if np.isnan(chosen).all() else chosen
-            yield from self._records(topic, joints, at.take(rows), position, velocity)
+            own = [self._names[topic][joint] for joint in joints]
+            position, velocity = (
+                np.hstack(
+                    [
+                        array[rows, joint, : len(names)]
+                        for joint, names in zip(joints, own, strict=True)
+                    ]
+                )
+                for array in (values, values if rates is None else rates)
+            )
+            if rates is None or np.isnan(velocity).all():
+                velocity = position[:, :0]
+            messages += self._encoded(topic, joints, at.take(rows), position, velocity)
+        return messages
 
-    def parameters(self, at: _Times, estimates: list[Estimates]) -> Iterator[Record]:
-        """Yield the learnt parameters, as often as they are published."""
-        if not self._learns:
-            return
-        for place, (stamp, each) in enumerate(zip(at.stamps.tolist(), estimates, strict=True)):
-            valid = [(joint, one) for joint, one in enumerate(each) if one and one.parameters_valid]
-            if stamp < self._parameters_due or not valid:
-                continue
-            self._parameters_due = stamp + topics.PARAMETER_PERIOD
-            joints, known = zip(*valid, strict=True)
-            own = at.take(np.array([place]))
-            for topic, arrays in (
-                (topics.PARAMETERS, [one.parameters for one in known]),
-                (topics.PARAMETER_BOUNDS, [one.parameter_bound for one in known]),
-            ):
-                values = np.concatenate(arrays)[np.newaxis]
-                yield from self._records(topic, list(joints), own, values, values[:, :0])
-
-    def _records(
+    def _encoded(
         self, topic: str, joints: list[int], at: _Times, position: Array, velocity: Array
-    ) -> Iterator[Record]:
+    ) -> Iterator[Message]:
         encode = self._encoders.get((topic, tuple(joints)))
         if encode is None:
             names = [name for joint in joints for name in self._names[topic][joint]]

@@ -11,7 +11,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import Flags, JointSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.records import Estimate, Innovation
-from tsobs_ros.replay.replay import Replay, Schedule
+from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Live, Samples, match, places_of_innovations
 
 _COLUMNS = {
@@ -36,6 +36,12 @@ class EstimateTable:
     Attributes:
         done: Whether there is an estimate of any joint, shape (m,).
         innovations: y − ŷ of the measurements that were used, else NaN [rad], shape (n, J).
+        ticks_of_use: Tick at which a message was used; the number of ticks for those after the
+            last, -1 for those not used, shape (n,).
+        left_out: Whether a message was not used as the recorded observer had not received it,
+            shape (n,).
+        began_anew: Whether the first recorded innovation is that of an observer without a past;
+            None without any.
         states: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), NaN without an estimate, shape (m, J, 4).
         state_bounds: 1σ bound of each, NaN without one, shape (m, J, 4).
         disturbances: Disturbance and its rate (rad, rad/s), NaN without, shape (m, J, 2).
@@ -57,6 +63,9 @@ class EstimateTable:
         self.flags = np.zeros((ticks, joints, 3), np.bool_)
         self.done = np.zeros(ticks, np.bool_)
         self.innovations = np.full((messages, joints), np.nan)
+        self.ticks_of_use = np.full(messages, -1)
+        self.left_out = np.zeros(messages, np.bool_)
+        self.began_anew: bool | None = None
 
     def add(self, ticks: Sequence[int], estimates: Sequence[Sequence[Estimate | None]]) -> None:
         """Enter the estimates of some ticks."""
@@ -80,8 +89,9 @@ class EstimateTable:
                 self.parameters[rows, joint, :count] = [one.parameters for one in own]
                 self.parameter_bounds[rows, joint, :count] = [one.parameter_bound for one in own]
 
-    def add_innovations(self, message: int, outcomes: Sequence[object]) -> None:
+    def add_innovations(self, tick: int, message: int, outcomes: Sequence[object]) -> None:
         """Enter the innovations of a message."""
+        self.ticks_of_use[message] = tick
         for joint, one in enumerate(outcomes):
             if isinstance(one, Innovation):
                 self.innovations[message, joint] = one.value[0]
@@ -184,7 +194,7 @@ class Recorded:
             for row, one in zip(self._rows[tick], estimates, strict=True)
         )
 
-    def compare(self, table: EstimateTable, replay: Replay) -> Agreement:
+    def compare(self, table: EstimateTable) -> Agreement:
         """Compare a whole replay."""
         same = _same(table.states, self._states)
         for topic, values in (
@@ -202,7 +212,7 @@ class Recorded:
         received = np.asarray(np.isfinite(self.innovations).any(axis=1))
         begin, end = int(received.argmax()), len(received) - int(received[::-1].argmax())
         used_here = ~np.isnan(table.innovations).all(axis=1) & ~received & received.any()
-        left_out = replay.left_out
+        left_out = table.left_out
         return Agreement(
             recorded=len(same),
             reproduced=int(same.sum()),
@@ -213,7 +223,7 @@ class Recorded:
             before_first=int(left_out[:begin].sum()),
             in_between=int(left_out[begin:end].sum()),
             after_last=int(left_out[end:].sum()),
-            ran_before=None if replay.began_anew is None else not replay.began_anew,
+            ran_before=None if table.began_anew is None else not table.began_anew,
         )
 
 

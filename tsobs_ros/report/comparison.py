@@ -22,7 +22,8 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.observer import GainMode
 from tsobs_ros.estimation.tracker import JointTrackers, Tracker, TrackerOptions
 from tsobs_ros.replay.estimate import Run
-from tsobs_ros.replay.replay import Estimated, Evidence, Replay, Schedule, Used
+from tsobs_ros.replay.replay import Replay
+from tsobs_ros.replay.schedule import Evidence, Schedule
 from tsobs_ros.replay.source import Samples, Source, Truth, passes
 from tsobs_ros.replay.table import EstimateTable
 from tsobs_ros.report.metrics import (
@@ -153,12 +154,7 @@ def rerun(run: RecordedRun, observer: Estimator[Any], x_max: float) -> RecordedR
         evidence=np.full(samples.count, Evidence.CERTAIN, np.int8),
     )
     table = EstimateTable(len(run.stamps), samples.count, 1)
-    for event in Replay(trackers, samples, schedule, stale_after=math.inf).run():
-        match event:
-            case Estimated(tick, estimates):
-                table.add([tick], [estimates])
-            case Used(_, message, outcomes):
-                table.add_innovations(message, outcomes)
+    Replay(trackers, samples, schedule, table, stale_after=math.inf).advance(schedule.count)
     return replace(run, **_estimates_of(table, stamps))
 
 
