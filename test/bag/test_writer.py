@@ -52,8 +52,11 @@ def write_bag(path: Path, written: list[Entry], **options: object) -> Path:
     with BagWriter(path, **options) as writer:
         for topic, msgtype in TOPICS.items():
             writer.add_topic(topic, msgtype, [QosProfile()])
-        for entry in written:
+        # Some one by one, and the others together.
+        for entry in written[:3]:
             writer.write(*entry)
+        others = written[3:]
+        writer.write_all([(one.topic, TOPICS[one.topic], *one[1:]) for one in others])
     return path
 
 
@@ -253,6 +256,8 @@ def test_a_time_that_cannot_be_stored_is_refused(
 ) -> None:
     with pytest.raises(BagWriteError, match="/a: times must be at least 0 and fit 63 bits"):
         writer.write("/a", b"bad", *times)
+    with pytest.raises(BagWriteError, match="/a: times must be at least 0 and fit 63 bits"):
+        writer.write_all([("/a", STRING, b"bad", *times)])
     writer.write("/a", b"good", 1, 1)
     writer.close()
     assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"good"]
@@ -261,6 +266,8 @@ def test_a_time_that_cannot_be_stored_is_refused(
 def test_a_topic_is_registered_once_with_a_type_that_there_is(writer: BagWriter) -> None:
     with pytest.raises(BagWriteError, match="bag: topic /b has not been added"):
         writer.write("/b", b"", 1, 1)
+    with pytest.raises(BagWriteError, match="bag: topic /b has not been added"):
+        writer.write_all([("/b", STRING, b"", 1, 1)])
     with pytest.raises(BagWriteError, match="/a is std_msgs/msg/String already"):
         writer.add_topic("/a", "std_msgs/msg/Empty")
     with pytest.raises(BagWriteError, match="no_msgs/msg/None is not installed"):
