@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Sine and cosine: as near to the true values as the system's, and the same everywhere."""
+"""Sine, cosine, exponential: as near to the true values as the system's, the same everywhere."""
 
 import hashlib
 import math
@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tsobs_ros.model.trigonometry import cosine, sine
+from tsobs_ros.model.trigonometry import cosine, exponential, sine
 
-DIGEST = "8e095d71c2d379ad"
+DIGEST = "a3f4288d51aed99f"
 """Of the values at ten thousand angles; independent of machine, interpreter and C library."""
 
 
@@ -25,6 +25,13 @@ def test_within_two_units_in_the_last_place(reach: float) -> None:
     for angle in [*quarters.tolist(), *drawn.tolist()]:
         for ours, system in ((sine(angle), math.sin(angle)), (cosine(angle), math.cos(angle))):
             assert abs(ours - system) <= 2.0 * math.ulp(system)
+
+
+def test_the_exponential_is_within_two_units_in_the_last_place() -> None:
+    for x in [0.0, *(-np.geomspace(1e-17, 745.0, 20_000)).tolist()]:
+        assert abs(exponential(x) - math.exp(x)) <= 2.0 * math.ulp(math.exp(x))
+    assert exponential(-800.0) == exponential(-math.inf) == 0.0
+    assert math.isnan(exponential(math.nan))
 
 
 def test_of_huge_angles_as_exact_as_the_angle_and_of_infinite_ones_nan() -> None:
@@ -60,5 +67,5 @@ def test_the_same_bits_everywhere(setting: dict[str, str]) -> None:
 
 if __name__ == "__main__":
     angles = [math.ldexp(n * (n % 7 + 1), -10) for n in range(-5_000, 5_000)]
-    values = np.array([[sine(angle), cosine(angle)] for angle in angles])
+    values = np.array([[sine(x), cosine(x), exponential(-abs(x))] for x in angles])
     print(hashlib.sha256(values.tobytes()).hexdigest()[:16])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled
-from tsobs_ros.model.trigonometry import cosine, sine
+from tsobs_ros.model.trigonometry import cosine, exponential, sine
 
 Codes = NDArray[np.int64]
 
@@ -55,28 +55,12 @@ def grade_and_slope(
         return (1.0 if b <= z < c else 0.0), 0.0
     if shape == GAUSSIAN:
         distance = (z - a) / b
-        grade = _exponential(-0.5 * distance * distance)
+        grade = exponential(-0.5 * distance * distance)
         return grade, -distance / b * grade if grade > 0.0 else 0.0
     upper, slope = _share_of_sine(z, a, b)
     if shape == SINE_UPPER:
         return upper, slope
     return 1.0 - upper, -slope
-
-
-@compiled
-def _exponential(x: float) -> float:
-    """Return exp x, x ≤ 0, with the same bits on every CPU (the polynomial of Sun's fdlibm)."""
-    if x < -745.2:
-        return 0.0
-    whole = math.floor(x * 1.44269504088896338700e00 + 0.5)
-    high, low = x - whole * 6.93147180369123816490e-01, whole * 1.90821492927058770002e-10
-    r = high - low
-    t = r * r
-    c = 6.61375632143793436117e-05 + t * (
-        -1.65339022054652515390e-06 + t * 4.13813679705723846039e-08
-    )
-    c = r - t * (1.66666666666666019037e-01 + t * (-2.77777777770155933842e-03 + t * c))
-    return math.ldexp(1.0 - ((low - r * c / (2.0 - c)) - high), int(whole))
 
 
 @compiled

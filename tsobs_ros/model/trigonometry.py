@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Sine and cosine with the same bits on every CPU.
+"""Sine, cosine and the falling exponential with the same bits on every CPU.
 
 The system's differ: glibc has variants with and without fused multiplication and addition, which
 disagree in the last bit of one sine in 1,300. These are products and sums in a fixed order (the
-polynomials of Sun's fdlibm), within two units in the last place of the true value up to 10⁶ rad.
+polynomials of Sun's fdlibm), within two units in the last place of the true value, up to 10⁶ rad.
 Of an angle that is not finite they are NaN, and raise nothing.
 """
 
@@ -58,3 +58,19 @@ def _turned(angle: float, quarters: int) -> float:
         r = -1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * r)
         value = angle + angle * z * r
     return -value if quarters & 2 else value
+
+
+@compiled
+def exponential(x: float) -> float:
+    """Return exp x for x ≤ 0; NaN of NaN."""
+    if not x >= -745.2:
+        return x if math.isnan(x) else 0.0
+    whole = math.floor(x * 1.44269504088896338700e00 + 0.5)
+    high, low = x - whole * 6.93147180369123816490e-01, whole * 1.90821492927058770002e-10
+    r = high - low
+    t = r * r
+    c = 6.61375632143793436117e-05 + t * (
+        -1.65339022054652515390e-06 + t * 4.13813679705723846039e-08
+    )
+    c = r - t * (1.66666666666666019037e-01 + t * (-2.77777777770155933842e-03 + t * c))
+    return math.ldexp(1.0 - ((low - r * c / (2.0 - c)) - high), int(whole))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, non_negative, positive
-from tsobs_ros.compiled import compiled, compiled_nogil
+from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
@@ -30,6 +30,7 @@ from tsobs_ros.simulation.signals import (
     Sine,
     component_row,
     disturbance_at,
+    drifted,
     excitation_row,
     is_stuck,
     torque_at,
@@ -209,8 +210,7 @@ class Plant:
         self._seeds = checked_seeds(seeds)
         self._is_batch = not isinstance(seeds, int | np.integer)
         self.scenario = scenario
-        self._period = 1.0 / scenario.rate
-        self._integrator = ArmIntegrator(scenario.true_arm, self._period)
+        self._integrator = ArmIntegrator(scenario.true_arm, 1.0 / scenario.rate)
         self.reset()
 
     def reset(self) -> None:
@@ -264,7 +264,7 @@ class Plant:
         self._generation += 1
         self._plant[0].injected = self._index
         self._runs["stuck"] = False
-        rows = [component_row(each, self._period) for each in components]
+        rows = [component_row(each) for each in components]
         known = [row for row in rows if row is not None]
         self._components = np.array(known).reshape(len(known), ROW)
         self._others = [each for each, row in zip(components, rows, strict=True) if row is None]
@@ -459,10 +459,11 @@ def _simulate(
             drift = 0
             for row in range(components.shape[0]):
                 if int(components[row, 0]) == GAUSS_MARKOV:
-                    number = float(drift_noise[drift, run, draw])
-                    value = _drifted(
-                        components[row], float(drifts[run, drift]), number, since, rate
-                    )
+                    value = 0.0
+                    if since > 0 and (since - 1) / rate >= float(components[row, 3]):
+                        number = float(drift_noise[drift, run, draw])
+                        before = float(drifts[run, drift])
+                        value = drifted(components[row], before, number, 1.0 / rate)
                     drifts[run, drift] = value
                     disturbance += value
                     drift += 1
@@ -493,12 +494,3 @@ def _simulate(
                 float(numbers.link_kick),
                 float(numbers.motor_kick),
             )
-
-
-@compiled
-def _drifted(row: Array, value: float, number: float, since: int, rate: float) -> float:
-    """Return a drift at the sample `since` after it was put in, by its value at the one before."""
-    start = float(row[3])
-    if since == 0 or (since - 1) / rate < start:
-        return 0.0
-    return float(row[1]) * value + float(row[2]) * number

@@ -20,7 +20,7 @@ import numpy as np
 from tsobs_ros.checks import Array, finite, non_negative, positive
 from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.trigonometry import cosine, sine
+from tsobs_ros.model.trigonometry import cosine, exponential, sine
 
 ROW = 5
 """Length of a row."""
@@ -314,17 +314,8 @@ def excitation_row(excitation: Excitation) -> Array | None:
     return _row(excitation.code, excitation) if known else None
 
 
-def component_row(component: Component, period: float) -> Array | None:
-    """Return the row of a component, None if its value is not that of this module.
-
-    Args:
-        component: That of a drift has the numbers of its exact discretisation.
-        period: Sampling period [s].
-    """
-    if isinstance(component, GaussMarkov):
-        decay = math.exp(-period / component.time_constant)
-        step_std = component.std * math.sqrt(1.0 - decay * decay)
-        return np.array([GAUSS_MARKOV, decay, step_std, component.start, 0.0])
+def component_row(component: Component) -> Array | None:
+    """Return the row of a component, None if its value is not that of this module."""
     if not isinstance(component, _CompiledComponent):
         return None
     known = type(component).value is _CompiledComponent.value
@@ -392,3 +383,17 @@ def is_stuck(rows: Array, time: float) -> bool:
             if start <= time < start + duration:
                 return True
     return False
+
+
+@compiled
+def drifted(row: Array, value: float, number: float, period: float) -> float:
+    """Return a drift one period after it had a value, by the exact discretisation.
+
+    Args:
+        row: Of a `GaussMarkov`.
+        value: Before [rad].
+        number: Normal number.
+        period: [s].
+    """
+    decay = exponential(-period / float(row[2]))
+    return decay * value + float(row[1]) * math.sqrt(1.0 - decay * decay) * number
