@@ -23,7 +23,7 @@ SIGMAS = 3.0
 """Errors count as inside their bound up to this many of its 1σ."""
 
 
-_SAME_JUMP = 0.1
+SAME_JUMP = 0.1
 
 
 class Quantity(NamedTuple):
@@ -268,7 +268,7 @@ def _find_jumps(run: RecordedRun, threshold: float) -> tuple[Jump, ...]:
     for place in np.flatnonzero(np.abs(steps) > threshold):
         time = float(times[place + 1])
         # A fault that chatters is one event, which begins with its first jump.
-        if run.times[0] < time <= run.times[-1] and time - last > _SAME_JUMP:
+        if run.times[0] < time <= run.times[-1] and time - last > SAME_JUMP:
             found.append(Jump(time, float(steps[place])))
         last = time
     return tuple(found)

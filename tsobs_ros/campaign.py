@@ -1,0 +1,134 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Monte Carlo campaigns: many runs simulated, observed and scored, on all cores."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.compiled import compiled_nogil
+from tsobs_ros.report.metrics import SAME_JUMP, SIGMAS, MetricsOptions
+from tsobs_ros.simulation.plant import Trajectories
+
+
+class Observed(NamedTuple):
+    """Estimates of a batch of runs, at each sample from the samples up to it; NaN if there is none.
+
+    Attributes:
+        states: Estimated [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
+        state_bounds: 1σ bound of each, shape (runs, samples, 4).
+        disturbances: Estimated disturbance of the sensor [rad], shape (runs, samples, 1).
+        disturbance_bounds: 1σ bound of it [rad], shape (runs, samples, 1).
+    """
+
+    states: Array
+    state_bounds: Array
+    disturbances: Array
+    disturbance_bounds: Array
+
+
+class Scores(NamedTuple):
+    """Errors of estimates over the settled parts of each run, by the measures of a report.
+
+    The quantities are those of `report.metrics.QUANTITIES`. NaN stands for what is not known.
+
+    Attributes:
+        rmse: Root mean square errors, shape (runs, 5).
+        bound: Root mean squares of the 1σ bounds, shape (runs, 5).
+        inside: Shares of the errors inside `SIGMAS` times their bound, shape (runs, 5).
+        normalised_rmse: Root mean square over the four states of RMSE / scale, shape (runs,).
+    """
+
+    rmse: Array
+    bound: Array
+    inside: Array
+    normalised_rmse: Array
+
+
+def score(runs: Trajectories, observed: Observed, options: MetricsOptions | None = None) -> Scores:
+    """Score estimates of a batch of runs.
+
+    Args:
+        runs: What is true.
+        observed: Estimates at the same samples.
+        options: Which parts of a run are settled, and the scale; the defaults if None.
+    """
+    options = options or MetricsOptions()
+    kept = np.array(
+        [
+            options.start_settle_time,
+            options.jump_settle_time,
+            options.jump_threshold,
+            SAME_JUMP,
+            SIGMAS,
+        ]
+    )
+    sums = np.zeros((len(runs.states), 5, 5))
+    _add_up(
+        kept,
+        runs.times,
+        runs.physical,
+        runs.disturbances,
+        runs.measurements,
+        np.ascontiguousarray(observed.states),
+        np.ascontiguousarray(observed.state_bounds),
+        np.ascontiguousarray(observed.disturbances),
+        np.ascontiguousarray(observed.disturbance_bounds),
+        sums,
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rmse = np.sqrt(sums[..., 0] / sums[..., 1])
+        bound = np.sqrt(sums[..., 2] / sums[..., 3])
+        inside = sums[..., 4] / sums[..., 3]
+    relative = rmse[:, :4] / np.array(options.scale)
+    return Scores(rmse, bound, inside, np.sqrt((relative * relative).sum(axis=1) / 4.0))
+
+
+@compiled_nogil
+def _add_up(
+    kept: Array,
+    times: Array,
+    true_states: Array,
+    true_disturbances: Array,
+    measurements: Array,
+    states: Array,
+    state_bounds: Array,
+    disturbances: Array,
+    disturbance_bounds: Array,
+    sums: Array,
+) -> None:
+    """Add up, for each run and quantity: error², errors, bound², bounds, errors inside."""
+    after_start, after_jump, threshold, same_jump, sigmas = kept
+    for run in range(sums.shape[0]):
+        # The run ends with its last measurement, which does not count.
+        last = times.shape[0] - 1
+        while last > 0 and math.isnan(measurements[run, last, 0]):
+            last -= 1
+        settled, jumped = times[0] + after_start, -math.inf
+        for sample in range(last):
+            time, truth = times[sample], true_disturbances[run, sample, 0]
+            if sample > 0 and abs(truth - true_disturbances[run, sample - 1, 0]) > threshold:
+                # A fault that chatters is one event, which begins with its first jump.
+                if time - jumped > same_jump:
+                    settled = max(settled, time + after_jump)
+                jumped = time
+            if time < settled:
+                continue
+            for place in range(5):
+                if place < 4:
+                    error = states[run, sample, place] - true_states[run, sample, place]
+                    bound = state_bounds[run, sample, place]
+                else:
+                    error = disturbances[run, sample, 0] - truth
+                    bound = disturbance_bounds[run, sample, 0]
+                if math.isfinite(error):
+                    total = sums[run, place]
+                    total[0] += error * error
+                    total[1] += 1.0
+                    if math.isfinite(bound):
+                        total[2] += bound * bound
+                        total[3] += 1.0
+                        if abs(error) <= sigmas * bound:
+                            total[4] += 1.0
