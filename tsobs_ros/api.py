@@ -410,7 +410,7 @@ def _torques(torque: Any, times: Array) -> Array:
     return _columns("torque", torque, len(times), 1)
 
 
-def _tracker(design: Design, settings: ObserverSettings) -> Tracker[Any]:
+def _tracker(design: Design, settings: ObserverSettings) -> Tracker:
     if isinstance(design.request, ArmRequest):
         return make_tracker(design, settings)
     learns = settings.adapt and design.request.uncertainty_model.count

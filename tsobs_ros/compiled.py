@@ -54,6 +54,18 @@ def compilations() -> int:
     return _Compiled.compilations
 
 
+def inlined(function: Function) -> Function:
+    """Return a function that is compiled as a part of each compiled function that calls it.
+
+    For what is called in one place: a compiled function is optimised again in all that call it.
+    """
+    if numba.config.DISABLE_JIT:
+        return function
+    njit: Any = numba.njit
+    result: Function = njit(inline="always", error_model="numpy")(function)
+    return result
+
+
 def _compile(function: Function, nogil: bool) -> Function:
     if numba.config.DISABLE_JIT:
         return function
@@ -152,7 +164,7 @@ def _gather(value: Any, found: set[str], seen: set[int]) -> None:
     if id(value) in seen:
         return
     seen.add(id(value))
-    if isinstance(value, _Compiled):
+    if isinstance(value, CPUDispatcher):
         python: FunctionType = value.py_func
         found.add(_text_of(python.__code__.co_filename))
         for name in _names_in(python.__code__):

@@ -12,8 +12,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
-from tsobs_ros.estimation.supervised import SupervisionOptions
+from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.paper.observer import PAPER_WARNING, paper_observer
 from tsobs_ros.yaml_files import read_yaml
@@ -147,7 +146,7 @@ def _converted(name: str, value: Any, before: Any) -> Any:
         ) from error
 
 
-def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]:
+def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     """Return the observer that the settings name, for the arm of a design.
 
     Raises:
@@ -157,11 +156,13 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]
     common = (request.period, request.measurement_std)
     match settings.method:
         case "certified":
-            supervised = design.supervised(
-                settings.settle_time, settings.gain_mode, settings.adapt, settings.torque_rate
+            return design.supervised(
+                settings.settle_time,
+                settings.gain_mode,
+                settings.adapt,
+                settings.torque_rate,
+                settings.supervision,
             )
-            supervised.options = settings.supervision
-            return supervised
         case "ekf":
             return design.observer(gain_mode=GainMode.RICCATI, torque_rate=settings.torque_rate)
         case "high_gain":
@@ -175,8 +176,8 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator[Any]
 def make_tracker(
     design: Design,
     settings: ObserverSettings | None = None,
-    estimator: Estimator[Any] | None = None,
-) -> Tracker[Any]:
+    estimator: Estimator | None = None,
+) -> Tracker:
     """Return a tracker: stamped measurements in any order in, estimates at any stamp out.
 
     Args:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from tsobs_ros.checks import Array
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.prediction import PredictionModel
+from tsobs_ros.model.prediction import Flow
 from tsobs_ros.model.uncertainty import Uncertainty
 
 
@@ -51,7 +51,7 @@ class DesignProblem(ABC):
 
     @property
     @abstractmethod
-    def flow(self) -> PredictionModel:
+    def flow(self) -> Flow:
         """The prediction model."""
 
     @property

@@ -12,9 +12,16 @@ from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.adaptive import AdaptationOptions, AdaptiveObserver
-from tsobs_ros.estimation.observer import TORQUE_RATE, CertifiedGain, GainMode, TSObserver
-from tsobs_ros.estimation.supervised import SupervisedObserver
+from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.options import (
+    TORQUE_RATE,
+    AdaptationOptions,
+    CertifiedGain,
+    GainMode,
+    SupervisionOptions,
+)
+from tsobs_ros.model.matrices import inverse
+from tsobs_ros.model.uncertainty import Uncertainty
 
 
 @dataclass(frozen=True)
@@ -95,12 +102,11 @@ class Design:
         """
         try:
             np.linalg.cholesky(self.P)
-            bound = np.linalg.inv(self.P)
         except np.linalg.LinAlgError as error:
             raise ModelError(
                 f"P: expected a positive definite matrix, got {self.P.tolist()}"
             ) from error
-        return as_matrix("X", (bound + bound.T) / 2, self.P.shape)
+        return as_matrix("X", inverse(self.P), self.P.shape)
 
     @property
     def bound_std(self) -> Array:
@@ -114,7 +120,7 @@ class Design:
         settle_time: float = 5.0,
         gain_mode: GainMode = GainMode.CERTIFIED,
         torque_rate: float | None = None,
-    ) -> TSObserver:
+    ) -> Estimator:
         """Return the observer this design is for.
 
         Args:
@@ -123,17 +129,7 @@ class Design:
             torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s]; by
                 default `TORQUE_RATE`, and 0 for a T–S system, which has no other.
         """
-        if torque_rate is None:
-            torque_rate = TORQUE_RATE if isinstance(self.request, ArmRequest) else 0.0
-        return TSObserver(
-            flow=self.request.flow,
-            measurement_covariance=self.request.measurement_covariance,
-            initial_covariance=self.request.initial_covariance,
-            certified=CertifiedGain(self.K, self.covariance_bound),
-            settle_time=settle_time,
-            gain_mode=gain_mode,
-            torque_rate=torque_rate,
-        )
+        return self._estimator(settle_time, gain_mode, torque_rate, None, None)
 
     def adaptive(
         self,
@@ -141,7 +137,7 @@ class Design:
         gain_mode: GainMode = GainMode.CERTIFIED,
         torque_rate: float | None = None,
         options: AdaptationOptions | None = None,
-    ) -> AdaptiveObserver:
+    ) -> Estimator:
         """Return the observer that learns what the request calls uncertain.
 
         Args:
@@ -156,8 +152,7 @@ class Design:
         uncertainty = self.request.uncertainty_model
         if not uncertainty.count:
             raise ModelError("uncertainty: expected at least one parameter to learn, got none")
-        observer = self.observer(settle_time, gain_mode, torque_rate)
-        return AdaptiveObserver(observer, uncertainty, options, self.request.certify_uncertainty)
+        return self._estimator(settle_time, gain_mode, torque_rate, uncertainty, options)
 
     def supervised(
         self,
@@ -165,7 +160,8 @@ class Design:
         gain_mode: GainMode = GainMode.CERTIFIED,
         adapt: bool = True,
         torque_rate: float | None = None,
-    ) -> SupervisedObserver:
+        options: SupervisionOptions | None = None,
+    ) -> Estimator:
         """Return the observer for a real system of one output: supervised, and learning.
 
         Args:
@@ -173,17 +169,39 @@ class Design:
             gain_mode: As for `observer`.
             adapt: Whether to learn the parameters that the request calls uncertain.
             torque_rate: As for `observer`.
+            options: When to react, and how strongly.
 
         Raises:
             ModelError: The system has several outputs.
         """
-        if self.K.shape[1] != 1:
-            raise ModelError(
-                f"supervised observer: expected a system of one output, got {self.K.shape[1]}"
-            )
         learns = adapt and self.request.uncertainty_model.count
         make = self.adaptive if learns else self.observer
-        return SupervisedObserver(make(settle_time, gain_mode, torque_rate))
+        estimator = make(settle_time, gain_mode, torque_rate)
+        estimator.supervise(options or SupervisionOptions())
+        return estimator
+
+    def _estimator(
+        self,
+        settle_time: float,
+        gain_mode: GainMode,
+        torque_rate: float | None,
+        uncertainty: Uncertainty | None,
+        options: AdaptationOptions | None,
+    ) -> Estimator:
+        if torque_rate is None:
+            torque_rate = TORQUE_RATE if isinstance(self.request, ArmRequest) else 0.0
+        return certified_estimator(
+            self.request.flow,
+            self.request.measurement_covariance,
+            self.request.initial_covariance,
+            CertifiedGain(self.K, self.covariance_bound),
+            settle_time=settle_time,
+            gain_mode=gain_mode,
+            torque_rate=torque_rate,
+            uncertainty=uncertainty,
+            adaptation=options,
+            covered=self.request.certify_uncertainty,
+        )
 
     def summary(self) -> dict[str, Any]:
         """Return certificate, gain and bounds as plain data."""

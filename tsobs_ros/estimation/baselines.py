@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Observers of the arm to compare with: proportional, proportional-integral, and a plain EKF.
+"""Observers of the arm to compare with: proportional and proportional-integral.
 
 The proportional high-gain observer (PO),
 
@@ -12,23 +12,26 @@ International Journal of Control 74 (2001), measures the integral x₀' = y in p
 
     x̂₀' = C x̂ + K₀ (x₀ − x̂₀) ,     x̂' = f(x̂, u) + K (x₀ − x̂₀)
 
-with the poles of the error at −θ (1, 1.1, 1.2, 1.3, 1.4). Both take a disturbance of y for motion.
-None of the observers here has a certificate, gates or health logic. One instance can hold a whole
-grid of θ, or of runs, as a batch axis.
-"""
+with the poles of the error at −θ (1, 1.1, 1.2, 1.3, 1.4). Its state is x̂ and then the error
+e₀ = ∫y − x̂₀ [rad s], as x₀ itself grows without bound if y has a mean. Both take a disturbance of y
+for motion. None of the observers here has a certificate, gates or health logic.
 
-import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+Between two samples the last one is held, and the observer is integrated. The plain EKF to compare
+with is the certified estimator with Riccati gains.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import Correction, Readout
-from tsobs_ros.model.arm import LINK_ANGLE, ElasticJointArm
-from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.state import Shape, new_model
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.fuzzy import Always, RuleBase
+from tsobs_ros.model.matrices import product
+from tsobs_ros.model.prediction import fill_matrix
+from tsobs_ros.model.stepping import INTEGRATED, Room
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
 """Poles as multiples of −θ; distinct, so that a small change of a gain moves them little."""
@@ -36,92 +39,112 @@ _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
 _STEP_LIMIT = 0.1
 """Largest step times |pole|: Runge–Kutta's own error is then about 1e-6 of the estimate a step."""
 
-_NONE = np.zeros(0)
 
+def high_gain(
+    arm: ElasticJointArm, theta: float, period: float, measurement_std: float
+) -> Estimator:
+    """Return the proportional high-gain observer (PO).
 
-class HighGainState(NamedTuple):
-    """The running estimate.
-
-    Attributes:
-        x: Estimate in design coordinates, shape (..., 4).
-        y: The sample in use [rad], shape (..., 1).
-        integral_error: Of a PIO e₀ = ∫y − x̂₀ [rad s], shape (..., 1). Only it matters: x₀ itself
-            grows without bound if y has a mean.
-    """
-
-    x: Array
-    y: Array
-    integral_error: Array = _NONE
-
-
-class HighGainObserver:
-    """The PO of one arm, or of a batch.
-
-    Attributes:
+    Args:
         arm: The physical model.
-        theta: θ [1/s], a number or an array of shape (...), which then is part of the batch.
-        K: Gains, shape (..., 4); of a PIO those of [x₀, x], shape (..., 5).
+        theta: θ [rad/s].
+        period: Nominal sampling period [s].
+        measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
 
     Raises:
-        ModelError: A θ is not a finite number above zero.
+        ModelError: A number is not finite and above zero.
     """
-
-    def __init__(self, arm: ElasticJointArm, theta: ArrayLike) -> None:
-        self.arm = arm
-        self.theta = np.asarray(theta, dtype=np.float64)
-        for each in self.theta.ravel():
-            positive("theta", float(each))
-        A, C = self._error_system()
-        ratios = np.array(_POLE_RATIOS[: len(A)])
-        gains = [place_single_output(A, C, -each * ratios) for each in self.theta.ravel()]
-        self.K = np.stack(gains).reshape(*self.theta.shape, len(A))
-        self._longest_step = _STEP_LIMIT / float(self.theta.max() * ratios[-1])
-
-    def _error_system(self) -> tuple[Array, Array]:
-        return self.arm.slope_matrix(1.0), self.arm.output_matrix
-
-    def initial(self, batch: tuple[int, ...] = ()) -> HighGainState:
-        """Return the state before any measurement: zero; `batch` must fit θ's shape."""
-        zero = np.zeros((*batch, 1))
-        return HighGainState(np.zeros((*batch, 4)), zero, zero)
-
-    def correct(self, state: HighGainState, y: Array) -> tuple[HighGainState, Array]:
-        """Take a sample [rad], shape (..., 1); return the state and the innovation y − x̂₁."""
-        return state._replace(y=y), y - state.x[..., :1]
-
-    def predict(self, state: HighGainState, u: Array, duration: float) -> HighGainState:
-        """Integrate for `duration` [s] with the last sample and u (..., 1) held."""
-
-        def derivative(x: Array) -> Array:
-            error = state.y - x[..., LINK_ANGLE, np.newaxis]
-            return np.asarray(self.arm.derivative(x, u) + self.K * error)
-
-        x = integrate(derivative, state.x, duration, self._longest_step)
-        return state._replace(x=x)
+    K = high_gain_matrix(arm, theta)
+    C = arm.output_matrix
+    return _of_arm(
+        arm, arm.spring_matrix - product(K, C), K, arm.input_matrix, theta, period, measurement_std
+    )
 
 
-class ProportionalIntegralObserver(HighGainObserver):
-    """The PIO of one arm, or of a batch."""
+def proportional_integral(
+    arm: ElasticJointArm, theta: float, period: float, measurement_std: float
+) -> Estimator:
+    """Return the proportional-integral observer (PIO); see `high_gain`."""
+    K = proportional_integral_matrix(arm, theta)
+    F, Y = np.zeros((5, 5)), np.zeros((5, 1))
+    F[:4, :4], F[:4, 4:] = arm.spring_matrix, K[1:]
+    F[4:, :4], F[4:, 4:], Y[4] = -arm.output_matrix, -K[:1], 1.0
+    U = np.vstack([arm.input_matrix, [[0.0]]])
+    return _of_arm(arm, F, Y, U, theta, period, measurement_std)
 
-    def _error_system(self) -> tuple[Array, Array]:
-        A = np.zeros((5, 5))
-        A[:1, 1:] = self.arm.output_matrix
-        A[1:, 1:] = self.arm.slope_matrix(1.0)
-        return A, np.eye(1, 5)
 
-    def predict(self, state: HighGainState, u: Array, duration: float) -> HighGainState:
-        """Integrate for `duration` [s] with the last sample and u (..., 1) held."""
+def high_gain_matrix(arm: ElasticJointArm, theta: float) -> Array:
+    """Return the gain K of a PO, shape (4, 1)."""
+    poles = -positive("theta", theta) * np.array(_POLE_RATIOS[:4])
+    return place_single_output(arm.slope_matrix(1.0), arm.output_matrix, poles)[:, np.newaxis]
 
-        def derivative(joined: Array) -> Array:
-            error, x = joined[..., :1], joined[..., 1:]
-            error_rate = state.y - x[..., LINK_ANGLE, np.newaxis] - self.K[..., :1] * error
-            return np.concatenate(
-                [error_rate, self.arm.derivative(x, u) + self.K[..., 1:] * error], axis=-1
-            )
 
-        start = np.concatenate([state.integral_error, state.x], axis=-1)
-        end = integrate(derivative, start, duration, self._longest_step)
-        return HighGainState(end[..., 1:], state.y, end[..., :1])
+def proportional_integral_matrix(arm: ElasticJointArm, theta: float) -> Array:
+    """Return the gains of a PIO, K₀ and then K, shape (5, 1)."""
+    A = np.zeros((5, 5))
+    A[:1, 1:], A[1:, 1:] = arm.output_matrix, arm.slope_matrix(1.0)
+    poles = -positive("theta", theta) * np.array(_POLE_RATIOS)
+    return place_single_output(A, np.eye(1, 5), poles)[:, np.newaxis]
+
+
+def integrated_estimator(
+    F: Array,
+    Y: Array,
+    U: Array,
+    C: Array,
+    *,
+    period: float,
+    max_step: float,
+    scale: Array,
+    measurement_covariance: Array,
+    rule_base: RuleBase | None = None,
+    gravity_gain: float = 0.0,
+    D: Array | None = None,
+    disturbance: tuple[Array, Array] | None = None,
+) -> Estimator:
+    """Return the estimator x̂' = Σ hᵢ(y)(Fᵢ x̂ + Yᵢ y + Uᵢ u) − g sin x̂₁ in the row of x̂₂.
+
+    Args:
+        F: One matrix a rule, shape (r, n, n).
+        Y: Of the sample, which is held until the next one, shape (r, n, p).
+        U: Of the inputs, shape (r, n, m).
+        C: State to expected measurement, shape (p, n).
+        period: Nominal sampling period [s].
+        max_step: Upper limit of a Runge–Kutta step [s].
+        scale: Physical units of the plant's states, the first of x̂, shape (plant,).
+        measurement_covariance: Of one sample, shape (p, p).
+        rule_base: Memberships of the first measurements; one rule that always fires if None.
+        gravity_gain: g [1/s²].
+        D: Sample to expected measurement, shape (p, p); zero if None.
+        disturbance: State and sample to estimated disturbance, shapes (p, n) and (p, p); None if
+            it is not estimated.
+    """
+    rules, n, p = Y.shape
+    shape = Shape(n, len(scale), p, U.shape[2])
+    base = rule_base or RuleBase(((Always(),),))
+    room = Room.fitting(n, p, shape.m, 0, rules, base.premise_count)
+    model = new_model(room, shape, positive("period", period))
+    one, flow = model[0], model[0]["flow"]
+    sizes = {"n": n, "p": p, "m": shape.m, "plant": shape.plant, "rules": rules}
+    for name, size in {**sizes, "kind": INTEGRATED, "premises": base.premise_count}.items():
+        flow[name] = size
+    flow["period"], flow["max_step"], flow["gravity_gain"] = period, max_step, gravity_gain
+    shapes, parameters = base.coded
+    for name, values in (
+        ("F", F),
+        ("Y", Y),
+        ("U", U),
+        ("shapes", shapes),
+        ("parameters", parameters),
+    ):
+        fill_matrix(flow[name], values)
+    direct = np.zeros((p, p)) if D is None else D
+    for name, values in (("C", C), ("D", direct), ("R", measurement_covariance), ("scale", scale)):
+        fill_matrix(one[name], values)
+    if disturbance is not None:
+        fill_matrix(one["disturbance_map"], disturbance[0])
+        fill_matrix(one["disturbance_direct"], disturbance[1])
+    return Estimator(shape, room, model, bounded=False, disturbed=disturbance is not None)
 
 
 def place_single_output(A: Array, C: Array, poles: ArrayLike) -> Array:
@@ -130,167 +153,59 @@ def place_single_output(A: Array, C: Array, poles: ArrayLike) -> Array:
     Args:
         A: State matrix, shape (n, n).
         C: Output matrix of one output, shape (1, n).
-        poles: n poles [1/s], closed under conjugation.
+        poles: n real poles [1/s].
 
     Raises:
         ModelError: The output does not see every mode of A.
     """
     n = A.shape[0]
-    rows = [C[0]]
+    rows = [np.array(C, np.float64)]
     for _ in range(n - 1):
-        rows.append(rows[-1] @ A)
-    observability = np.array(rows)
+        rows.append(product(rows[-1], A))
+    observability = np.vstack(rows)
     if np.linalg.matrix_rank(observability) < n:
         raise ModelError(f"C: expected an output that sees all {n} modes of A, got {C.tolist()}")
-    polynomial = np.zeros((n, n))
-    for coefficient in np.real(np.poly(np.asarray(poles))):
-        polynomial = polynomial @ A + coefficient * np.eye(n)
-    last = np.zeros(n)
-    last[-1] = 1.0
-    return np.asarray(polynomial @ np.linalg.solve(observability, last))
+    polynomial = np.eye(n)
+    for pole in np.asarray(poles).tolist():
+        polynomial = product(polynomial, A - pole * np.eye(n))
+    return np.asarray(product(polynomial, _solution(observability))[:, 0])
 
 
-def integrate(
-    derivative: Callable[[Array], Array], x: Array, duration: float, longest_step: float
-) -> Array:
-    """Return the state after `duration` [s] by equal Runge–Kutta steps of order four.
-
-    Args:
-        derivative: ẋ = f(x), x and ẋ of shape (..., n).
-        x: State, shape (..., n).
-        duration: [s].
-        longest_step: Upper limit of a step [s].
-    """
-    steps = max(1, math.ceil(duration / longest_step - 1e-9))
-    h = duration / steps
-    for _ in range(steps):
-        k1 = derivative(x)
-        k2 = derivative(x + 0.5 * h * k1)
-        k3 = derivative(x + 0.5 * h * k2)
-        k4 = derivative(x + h * k3)
-        x = x + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
-    return x
+def _solution(matrix: Array) -> Array:
+    """Return the last column of a matrix's inverse, by Gauss elimination in fixed order."""
+    n = len(matrix)
+    rows = [[*row, 1.0 if i == n - 1 else 0.0] for i, row in enumerate(matrix.tolist())]
+    for column in range(n):
+        best = max(range(column, n), key=lambda row: abs(rows[row][column]))
+        rows[column], rows[best] = rows[best], rows[column]
+        pivot = rows[column][column]
+        for row in range(n):
+            if row != column:
+                share = rows[row][column] / pivot
+                rows[row] = [a - share * b for a, b in zip(rows[row], rows[column], strict=True)]
+    return np.array([[rows[i][n] / rows[i][i]] for i in range(n)])
 
 
-class KalmanState(NamedTuple):
-    """The estimate, shape (..., n), and its error covariance, shape (..., n, n)."""
-
-    x: Array
-    covariance: Array
-
-
-class ExtendedKalmanFilter:
-    """The EKF with an arm's prediction model and its disturbance states.
-
-    Attributes:
-        flow: Prediction model with its process noise.
-
-    Raises:
-        ModelError: A covariance has the wrong shape.
-    """
-
-    def __init__(
-        self, flow: ArmFlow, measurement_covariance: Array, initial_covariance: Array
-    ) -> None:
-        n, p = flow.state_count, flow.output_matrix.shape[0]
-        self.flow = flow
-        self._R = as_matrix("R", measurement_covariance, (p, p))
-        self._initial = as_matrix("initial covariance", initial_covariance, (n, n))
-        self._C = flow.output_matrix
-
-    def initial(self, batch: tuple[int, ...] = ()) -> KalmanState:
-        """Return the state before any measurement: zero estimate, wide covariance."""
-        n = self.flow.state_count
-        covariance = np.broadcast_to(self._initial, (*batch, n, n)).copy()
-        return KalmanState(np.zeros((*batch, n)), covariance)
-
-    def correct(self, state: KalmanState, y: Array) -> tuple[KalmanState, Array]:
-        """Use a sample [rad], shape (..., p); return the state and the innovation y − C̄x̂."""
-        innovation = y - state.x @ self._C.T
-        cross = state.covariance @ self._C.T
-        S = self._C @ cross + self._R
-        gain = np.swapaxes(np.linalg.solve(S, np.swapaxes(cross, -1, -2)), -1, -2)
-        covariance = state.covariance - gain @ S @ np.swapaxes(gain, -1, -2)
-        covariance = 0.5 * (covariance + np.swapaxes(covariance, -1, -2))
-        x = state.x + (gain @ innovation[..., np.newaxis])[..., 0]
-        return KalmanState(x, covariance), innovation
-
-    def predict(self, state: KalmanState, u: Array, duration: float) -> KalmanState:
-        """Predict over `duration` [s] with the torque u (..., 1) held [N m]."""
-        return KalmanState(
-            *self.flow.predict_with_covariance(state.x, state.covariance, u, duration)
-        )
-
-
-class ComparisonObserver:
-    """An observer without bounds as an `Estimator` of one joint; bounds it lacks have length zero.
-
-    Args:
-        observer: Has `correct(state, y) -> (state, innovation)` and `predict`, and states whose
-            `x` begins with the four of the arm in design coordinates.
-        initial: Its state before any measurement.
-        arm: The nominal arm, for physical units.
-        period: Nominal sampling period [s].
-        measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
-        disturbance: Reads the disturbance [rad] off a state, if the observer has one.
-
-    Attributes:
-        period: Nominal sampling period [s].
-    """
-
-    def __init__(
-        self,
-        observer: Any,
-        initial: Any,
-        arm: ElasticJointArm,
-        period: float,
-        measurement_std: float,
-        disturbance: Callable[[Any], Array] | None = None,
-    ) -> None:
-        self.period = positive("period", period)
-        self._observer = observer
-        self._initial = initial
-        self._arm = arm
-        self._covariance = np.array([[positive("measurement_std", measurement_std) ** 2]])
-        self._disturbance = disturbance
-
-    def initial(self) -> Any:
-        """Return the state before any measurement."""
-        return self._initial
-
-    def correct(self, state: Any, y: Array) -> tuple[Any, Correction]:
-        """Use one measurement y [rad], shape (1,)."""
-        corrected, innovation = self._observer.correct(state, y)
-        return corrected, Correction(innovation, self._covariance, _NONE)
-
-    def predict(self, state: Any, u: Array, duration: float) -> Any:
-        """Predict over `duration` [s] with the torque u [N m], shape (1,), held."""
-        return self._observer.predict(state, u, duration)
-
-    extrapolate = predict
-
-    def readout(self, state: Any) -> Readout:
-        """Return the estimate in physical units."""
-        disturbance = _NONE if self._disturbance is None else self._disturbance(state)
-        physical = self._arm.to_physical(state.x[..., :4])
-        return Readout(physical, _NONE, disturbance, _NONE, _NONE, certified=False)
-
-    def events(self, state: Any) -> dict[str, int]:
-        """Return no counts: these observers are not supervised."""
-        return {}
-
-
-def high_gain(
-    arm: ElasticJointArm, theta: float, period: float, measurement_std: float
-) -> ComparisonObserver:
-    """Return the proportional high-gain observer (PO) with poles at −θ·(1, 1.1, 1.2, 1.3)."""
-    inner = HighGainObserver(arm, theta)
-    return ComparisonObserver(inner, inner.initial(), arm, period, measurement_std)
-
-
-def proportional_integral(
-    arm: ElasticJointArm, theta: float, period: float, measurement_std: float
-) -> ComparisonObserver:
-    """Return the proportional-integral observer (PIO) with poles at −θ·(1, …, 1.4)."""
-    inner = ProportionalIntegralObserver(arm, theta)
-    return ComparisonObserver(inner, inner.initial(), arm, period, measurement_std)
+def _of_arm(
+    arm: ElasticJointArm,
+    F: Array,
+    Y: Array,
+    U: Array,
+    theta: float,
+    period: float,
+    measurement_std: float,
+) -> Estimator:
+    n, fastest = len(F), theta * _POLE_RATIOS[len(F) - 1]
+    return integrated_estimator(
+        F[np.newaxis],
+        Y[np.newaxis],
+        U[np.newaxis],
+        np.eye(1, n),
+        period=period,
+        max_step=_STEP_LIMIT / fastest,
+        scale=arm.to_physical(np.ones(4)),
+        measurement_covariance=as_matrix(
+            "R", [[positive("measurement_std", measurement_std) ** 2]], (1, 1)
+        ),
+        gravity_gain=arm.gravity_gain,
+    )

@@ -1,46 +1,109 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The interface that all estimators of one joint share, so that one tracker and node run them."""
+"""The step-by-step estimator: pure functions of states, over the compiled steps."""
 
-from typing import Any, NamedTuple, Protocol, TypeVar
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, as_matrix, non_negative
+from tsobs_ros.compiled import compiled, compiled_nogil
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation import state as records
+from tsobs_ros.estimation import steps
+from tsobs_ros.estimation.options import (
+    AdaptationOptions,
+    CertifiedGain,
+    GainMode,
+    SupervisionOptions,
+)
+from tsobs_ros.estimation.state import Shape
+from tsobs_ros.model.flow import ArmFlow, GapFlow
+from tsobs_ros.model.prediction import Flow, Record, fill_matrix
+from tsobs_ros.model.stepping import Room
+from tsobs_ros.model.uncertainty import Uncertainty
 
-S = TypeVar("S")
+PERIOD_TOLERANCE = 0.1
+"""Steps within this fraction of the design's period count as regular samples.
+
+For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes the bound 2 % small.
+"""
+
+
+class State:
+    """All that an estimator remembers, or a batch of such states; it is not changed by a step.
+
+    The fields of `estimation.state.state_type` are attributes, of a batch with the batch's axis in
+    front. Two states are equal if their bytes are.
+
+    Attributes:
+        records: The records, shape (1,) for a single state.
+        batch: Shape of the batch, () for a single state.
+    """
+
+    __slots__ = ("batch", "records", "shape")
+
+    def __init__(self, state_records: Record, shape: Shape, batch: tuple[int, ...] = ()) -> None:
+        self.records = state_records
+        self.shape = shape
+        self.batch = batch
+
+    def __getattr__(self, name: str) -> Any:
+        if self.records.dtype.names is None or name not in self.records.dtype.names:
+            raise AttributeError(f"a state has no {name!r}; it has {self.records.dtype.names}")
+        return _shaped(self.records, name, self.shape, self.batch)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, State):
+            return NotImplemented
+        return self.batch == other.batch and self.records.tobytes() == other.records.tobytes()
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def copy(self) -> "State":
+        """Return the same state with records of its own."""
+        return State(copy_records(self.records), self.shape, self.batch)
+
+    def changed(self, **values: ArrayLike) -> "State":
+        """Return the state with some fields replaced."""
+        copy = self.copy()
+        for name, value in values.items():
+            getattr(copy, name)  # names a field that is not there
+            target = self.shape.trim(name, copy.records[name])
+            target[...] = np.reshape(value, target.shape) if self.batch else value
+        return copy
 
 
 class Correction(NamedTuple):
-    """The effect of one measurement.
+    """The effect of one measurement; a batch has its axis in front.
 
     Attributes:
         innovation: y − ŷ before the correction, shape (..., p).
-        innovation_covariance: Expected covariance of the innovation, shape (..., p, p) or (p, p).
-        gain: The gain that was used, shape (..., n, p) or (n, p).
+        innovation_covariance: Expected covariance of the innovation, shape (..., p, p).
+        gain: The gain for the estimate, shape (..., n, p).
         weight: The share of the correction that was applied; 0 if the measurement was not used.
-        regression: Of an adaptive observer, the share of the parameters' uncertainty.
     """
 
     innovation: Array
     innovation_covariance: Array
     gain: Array
-    weight: float = 1.0
-    regression: Any = None
+    weight: Any
 
 
 class Readout(NamedTuple):
-    """An estimator's state in physical units.
+    """An estimator's state in physical units; a batch has its axis in front.
 
     Attributes:
-        state: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (..., 4).
-        state_bound: 1σ bound of each, shape (..., 4) or (4,).
-        disturbance: Output disturbance [rad], shape (..., p).
-        disturbance_rate: Its modelled rate [rad/s], shape (..., p).
-        disturbance_bound: 1σ bound of the disturbance [rad], shape (..., p) or (p,).
+        state: The plant's states, of an arm [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (..., 4).
+        state_bound: 1σ bound of each, shape (..., 4); of length zero if there is none.
+        disturbance: Output disturbance [rad], shape (..., p); of length zero if there is none.
+        disturbance_rate: Its modelled rate [rad/s], likewise.
+        disturbance_bound: 1σ bound of the disturbance [rad], likewise.
         certified: Whether the bounds are the certificate's.
-        parameters: Estimated changes θ of the model's parameters, shape (k,).
-        parameter_bound: 1σ of each, shape (k,).
+        parameters: Learnt changes θ of the model's parameters, shape (..., k).
+        parameter_bound: 1σ of each, shape (..., k).
         parameters_valid: Whether the motion was rich enough for them to count.
     """
 
@@ -49,40 +112,379 @@ class Readout(NamedTuple):
     disturbance: Array
     disturbance_rate: Array
     disturbance_bound: Array
-    certified: bool
-    parameters: Array = np.zeros(0)
-    parameter_bound: Array = np.zeros(0)
-    parameters_valid: bool = False
+    certified: Any
+    parameters: Array
+    parameter_bound: Array
+    parameters_valid: Any
 
 
-class Estimator(Protocol[S]):
-    """Pure steps of an estimator; the state S is all of its memory and is never changed."""
+class Estimator:
+    """The estimator of one system, or of a batch of equal ones.
+
+    `Design.observer` and `Design.supervised` make it for a design; `estimation.baselines` makes
+    those to compare with.
+
+    Args:
+        shape: Sizes in use.
+        room: Sizes that the records have room for.
+        model: Model record, shape (1,).
+        bounded: Whether estimates have bounds.
+        disturbed: Whether a disturbance is estimated.
+
+    Attributes:
+        shape: Sizes in use.
+        room: Sizes that the records have room for.
+        model: Model record, shape (1,).
+        bounded: Whether estimates have bounds.
+        disturbed: Whether a disturbance is estimated.
+        row_parts: Places of a readout's numbers in a row of `steps.write_row`.
+        row_width: Length of a row.
+    """
+
+    def __init__(
+        self, shape: Shape, room: Room, model: Record, *, bounded: bool, disturbed: bool
+    ) -> None:
+        self.shape, self.room, self.model = shape, room, model
+        self.bounded, self.disturbed = bounded, disturbed
+        self._work = self.new_work()
+        self.row_parts, self.row_width = self._rows_layout()
 
     @property
     def period(self) -> float:
         """Nominal sampling period [s]."""
-        ...
+        return float(self.model["period"][0])
 
-    def initial(self) -> S:
-        """Return the state before any measurement."""
-        ...
+    @property
+    def supervised(self) -> bool:
+        """Whether outliers, jumps and losses are looked for."""
+        return bool(self.model["supervised"][0])
 
-    def correct(self, state: S, y: Array) -> tuple[S, Correction]:
-        """Use one measurement y [rad], shape (1,)."""
-        ...
+    def supervise(self, options: SupervisionOptions) -> None:
+        """Supervise from now on, or by other options than before.
 
-    def predict(self, state: S, u: Array, duration: float) -> S:
-        """Predict over `duration` [s] with the torque u [N m], shape (1,), held."""
-        ...
+        Raises:
+            ModelError: The system has several outputs.
+        """
+        if self.shape.p != 1:
+            raise ModelError(
+                f"supervised observer: expected a system of one output, got {self.shape.p}"
+            )
+        records.enter_supervision(self.model[0], options)
 
-    def extrapolate(self, state: S, u: Array, duration: float) -> S:
-        """Predict to a time between samples; the result is only read."""
-        ...
+    def new_work(self) -> Record:
+        """Return a scratch record, for a thread of its own."""
+        return np.zeros(1, records.work_type(self.room))
 
-    def readout(self, state: S) -> Readout:
-        """Return the estimate in physical units."""
-        ...
+    def new_corrections(self, count: int = 1) -> Record:
+        """Return records for the effects of samples."""
+        return np.zeros(count, records.correction_type(self.room))
 
-    def events(self, state: S) -> dict[str, int]:
-        """Return counts of outliers, jumps and the like, by name, for diagnostics."""
-        ...
+    def new_readouts(self, count: int = 1) -> Record:
+        """Return records for estimates."""
+        return np.zeros(count, records.readout_type(self.room))
+
+    def new_states(self, count: int) -> Record:
+        """Return records of states before any measurement."""
+        states = np.empty(count, self.model.dtype["initial"])
+        states[:] = self.model["initial"][0]
+        return states
+
+    def initial(self, batch: tuple[int, ...] = ()) -> State:
+        """Return the state before any measurement: zero estimate, wide covariance."""
+        return State(self.new_states(int(np.prod(batch, dtype=int))), self.shape, batch)
+
+    def correct(self, state: State, y: ArrayLike) -> tuple[State, Correction]:
+        """Use one measurement.
+
+        Args:
+            state: The state predicted to the measurement's stamp.
+            y: Measurement, shape (..., p).
+
+        Returns:
+            The corrected state, and the innovation with its gain.
+        """
+        after, samples = state.copy(), self._rows(y, state.batch, self.shape.p)
+        corrections = self.new_corrections(len(after.records))
+        correct_each(self.model, after.records, samples, corrections)
+        fields = ("innovation", "innovation_covariance", "gain", "weight")
+        return after, Correction(
+            *(_shaped(corrections, name, self.shape, state.batch) for name in fields)
+        )
+
+    def predict(self, state: State, u: ArrayLike, duration: float) -> State:
+        """Predict to the next stamp.
+
+        Args:
+            state: Corrected, or not if the measurement is missing.
+            u: Inputs held over the step, shape (..., m).
+            duration: Time to the next stamp [s], at least 0.
+
+        Raises:
+            ModelError: The duration is negative or not finite.
+        """
+        return self._predicted(state, u, duration, between_samples=False)
+
+    def extrapolate(self, state: State, u: ArrayLike, duration: float) -> State:
+        """Predict to a time between samples; the result is read and not stepped on.
+
+        As `predict`, except that the certified bound serves the whole interval to the next
+        regular sample.
+        """
+        return self._predicted(state, u, duration, between_samples=True)
+
+    def _predicted(
+        self, state: State, u: ArrayLike, duration: float, *, between_samples: bool
+    ) -> State:
+        non_negative("duration", duration)
+        after, inputs = state.copy(), self._rows(u, state.batch, self.shape.m)
+        predict_each(
+            self.model, after.records, inputs, float(duration), between_samples, self._work
+        )
+        return after
+
+    def readout(self, state: State) -> Readout:
+        """Return the estimate and its bounds in physical units."""
+        readouts = self.new_readouts(len(state.records))
+        read_each(self.model, state.records, readouts, self._work)
+        values = {
+            name: _shaped(readouts, name, self.shape, state.batch) for name in Readout._fields
+        }
+        for name in self.lacking:
+            values[name] = np.zeros((*state.batch, 0))
+        for name in ("certified", "parameters_valid"):
+            values[name] = values[name].astype(bool) if state.batch else bool(values[name])
+        return Readout(**values)
+
+    def observe(self, y: ArrayLike, u: ArrayLike, period: float | None = None) -> Readout:
+        """Return the estimates after each sample of some runs, without holding Python's lock.
+
+        Args:
+            y: Measurements, NaN if lost, shape (runs, samples, p).
+            u: Inputs from each sample to the next, shape (runs, samples, m).
+            period: Time between samples [s]; the nominal one if None.
+
+        Raises:
+            ModelError: The arrays have other shapes, or the period is negative.
+        """
+        samples = np.array(y, np.float64, order="C")
+        if samples.ndim != 3 or samples.shape[2] != self.shape.p:
+            raise ModelError(
+                f"y: expected shape (runs, samples, {self.shape.p}), got {samples.shape}"
+            )
+        inputs = np.array(
+            np.broadcast_to(np.asarray(u, np.float64), (*samples.shape[:2], self.shape.m))
+        )
+        rows = np.empty((*samples.shape[:2], self.row_width))
+        length = self.period if period is None else non_negative("period", period)
+        observe_each(
+            self.model,
+            self.new_states(len(samples)),
+            samples,
+            inputs,
+            length,
+            self.new_corrections(),
+            self.new_readouts(),
+            self.new_work(),
+            rows,
+        )
+        state, state_bound, disturbance, rate, disturbance_bound, parameters, parameter_bound = [
+            rows[..., part] for part in self.row_parts.values()
+        ]
+        return Readout(
+            state,
+            state_bound,
+            disturbance,
+            rate,
+            disturbance_bound,
+            rows[..., -2] != 0.0,
+            parameters,
+            parameter_bound,
+            rows[..., -1] != 0.0,
+        )
+
+    def _rows_layout(self) -> tuple[dict[str, slice], int]:
+        """Return where the numbers of a readout are in a row of `steps.write_row`, and its width.
+
+        What the estimator has nothing for is empty.
+        """
+        shape, at = self.shape, 0
+        parts: dict[str, slice] = {}
+        for name, size in (
+            ("state", shape.plant),
+            ("state_bound", shape.plant),
+            ("disturbance", shape.p),
+            ("disturbance_rate", shape.p),
+            ("disturbance_bound", shape.p),
+            ("parameters", shape.k),
+            ("parameter_bound", shape.k),
+        ):
+            parts[name] = slice(at, at if name in self.lacking else at + size)
+            at += size
+        return parts, at + 2
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """The fields of a readout that this estimator has nothing for."""
+        bounds = () if self.bounded else ("state_bound", "disturbance_bound", "disturbance_rate")
+        return bounds if self.disturbed else (*bounds, "disturbance")
+
+    def events(self, state: State) -> dict[str, int]:
+        """Return the numbers of outliers, jumps, losses and restarts of the adaptation so far."""
+        if not self.supervised:
+            return {}
+        return {
+            "outliers downweighted": int(state.outliers),
+            "sensor jumps": int(state.jumps),
+            "losses of track": int(state.losses),
+            "learning restarts": int(state.adaptation_resets),
+        }
+
+    def frozen(self, state: State) -> bool:
+        """Return whether learning was given up: the model differs in other ways than θ."""
+        resets = int(state.adaptation_resets)
+        return self.shape.k > 0 and self.supervised and resets > self.model["relearn_budget"][0]
+
+    @staticmethod
+    def _rows(values: ArrayLike, batch: tuple[int, ...], width: int) -> Array:
+        """Return a batch's numbers as rows."""
+        array = np.broadcast_to(np.asarray(values, np.float64), (*batch, width))
+        return np.array(array, order="C").reshape(-1, width)
+
+
+def certified_estimator(
+    flow: Flow,
+    measurement_covariance: Array,
+    initial_covariance: Array,
+    certified: CertifiedGain,
+    *,
+    settle_time: float = 5.0,
+    gain_mode: GainMode = GainMode.CERTIFIED,
+    torque_rate: float = 0.0,
+    uncertainty: Uncertainty | None = None,
+    adaptation: AdaptationOptions | None = None,
+    covered: bool = False,
+) -> Estimator:
+    """Return the estimator with a certified gain.
+
+    Args:
+        flow: Prediction model.
+        measurement_covariance: R of one sample, shape (p, p).
+        initial_covariance: Error covariance of the zero estimate before any sample, shape (n, n).
+        certified: The constant gain and its bound.
+        settle_time: Least duration of the Riccati phase [s].
+        gain_mode: Whether the certified gain ever takes over.
+        torque_rate: 1σ of the rate at which the torque may move in a gap, which is a step longer
+            than a regular one [N m/s]; 0: it is held.
+        uncertainty: Parameters to learn; none if None.
+        adaptation: How fast.
+        covered: Whether the certificate holds for every θ within the bounds; if not, no bound
+            that depends on θ is called certified.
+
+    Raises:
+        ModelError: A matrix has the wrong shape, a number is negative, there is a torque rate for
+            a system that is no arm, or the uncertainty is of another model.
+    """
+    n, p = flow.state_count, flow.output_matrix.shape[0]
+    k = 0 if uncertainty is None else uncertainty.count
+    gap_flow = None
+    if non_negative("torque_rate", torque_rate):
+        if not isinstance(flow, ArmFlow):
+            raise ModelError(
+                f"torque_rate: expected 0 for any system but an arm, got {torque_rate!r}"
+            )
+        gap_flow = GapFlow(flow, torque_rate)
+    scale = flow.to_physical(np.ones(n))
+    wide = 0 if gap_flow is None else gap_flow.state_count
+    shape = Shape(n, len(scale), p, flow.input_count, k, wide)
+    room = Room.fitting(max(n, wide), p, shape.m, k, *flow.rule_counts)
+    model = records.new_model(room, shape, flow.period)
+    one, q = model[0], flow.disturbance.state_count
+    flow.fill(one["flow"], uncertainty)
+    if gap_flow is not None:
+        gap_flow.fill(one["gap"], uncertainty)
+        one["rate_variance"] = gap_flow.rate_variance
+    one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period
+    one["longest"] = (1.0 + PERIOD_TOLERANCE) * flow.period
+    one["disturbed"] = int(flow.disturbance.H.any())
+    for name, matrix in (
+        ("C", flow.output_matrix),
+        ("scale", scale),
+        ("disturbance_map", np.hstack([np.zeros((p, n - q)), flow.disturbance.H])),
+        ("rate_map", np.hstack([np.zeros((p, n - q)), flow.disturbance.rate_map])),
+    ):
+        fill_matrix(one[name], matrix)
+    initial = as_matrix("initial covariance", initial_covariance, (n, n))
+    fill_matrix(one["initial"]["covariance"], initial)
+    one["initial"]["settling"] = non_negative("settle_time", settle_time)
+    gain = CertifiedGain(as_matrix("K", certified.K, (n, p)), as_matrix("X", certified.X, (n, n)))
+    R = as_matrix("R", measurement_covariance, (p, p))
+    records.enter_gain(one, gain, R, gain_mode)
+    if uncertainty is not None and k:
+        options = adaptation or AdaptationOptions()
+        records.enter_adaptation(one, uncertainty.limits, options, covered)
+    return Estimator(shape, room, model, bounded=True, disturbed=True)
+
+
+def copy_records(source: Record) -> Record:
+    """Return a copy of some records, faster than NumPy, which copies field by field."""
+    target = np.empty(len(source), source.dtype)
+    _copy_each(source, target)
+    return target
+
+
+@compiled
+def _copy_each(source: Any, target: Any) -> None:
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@compiled
+def correct_each(models: Any, states: Any, y: Array, corrections: Any) -> None:
+    """Use one measurement for each state, shape (states, p), in place."""
+    for i in range(len(states)):
+        steps.correct(models[0], states[i], y[i], corrections[i])
+
+
+@compiled
+def predict_each(
+    models: Any, states: Any, u: Array, duration: float, between_samples: bool, work: Any
+) -> None:
+    """Predict each state over a time [s] with its inputs, shape (states, m), in place."""
+    for i in range(len(states)):
+        steps.predict(models[0], states[i], u[i], duration, between_samples, work[0])
+
+
+@compiled
+def read_each(models: Any, states: Any, readouts: Any, work: Any) -> None:
+    """Write the estimate of each state."""
+    for i in range(len(states)):
+        steps.read(models[0], states[i], readouts[i], work[0])
+
+
+@compiled_nogil
+def observe_each(
+    models: Any,
+    states: Any,
+    y: Array,
+    u: Array,
+    duration: float,
+    corrections: Any,
+    readouts: Any,
+    work: Any,
+    rows: Array,
+) -> None:
+    """Step each state through its samples and write a row after each; see `Estimator.observe`."""
+    model = models[0]
+    for run in range(len(states)):
+        for sample in range(y.shape[1]):
+            if sample > 0:
+                steps.predict(model, states[run], u[run, sample - 1], duration, False, work[0])
+            if not math.isnan(y[run, sample, 0]):
+                steps.correct(model, states[run], y[run, sample], corrections[0])
+            steps.read(model, states[run], readouts[0], work[0])
+            steps.write_row(model, readouts[0], rows[run, sample])
+
+
+def _shaped(array: Record, name: str, shape: Shape, batch: tuple[int, ...]) -> Any:
+    values = shape.trim(name, array[name])
+    return values.reshape(*batch, *values.shape[1:]) if batch else values[0]

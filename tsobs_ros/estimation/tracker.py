@@ -1,24 +1,23 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The tracker: from a stream of stamped measurements to estimates at any stamp.
+"""The tracker of one joint: measurements in the order of their stamps, estimates at any stamp.
 
-Everything here is a function of stamps and measurements: the wall clock takes part only as the
-`now` that a caller passes to have measurements from the future refused. A late measurement is
-put in its place by rewinding to the state before it, so the estimate equals, bit for bit, the
-one that arrival in order would have given.
+Live, measurements are late, doubled, out of order, from the future or missing. What cannot be used
+is refused with a reason and counted. What is late is put in its place; see `history`.
 """
 
-import math
-from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, non_negative, positive
-from tsobs_ros.estimation.estimator import Correction, Estimator, Readout, S
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.estimator import Estimator, State, copy_records
+from tsobs_ros.estimation.history import EXTRA, REASONS, SPARE, estimate_at, memory_type, offer
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -26,9 +25,7 @@ from tsobs_ros.estimation.records import (
     Measurement,
     RejectReason,
 )
-
-_NUMERICAL_FAILURES = (ArithmeticError, np.linalg.LinAlgError)
-"""What may be raised when numbers overflow, besides those that come out NaN."""
+from tsobs_ros.model.prediction import Record
 
 
 @dataclass(frozen=True)
@@ -58,80 +55,121 @@ class TrackerOptions:
         positive("max_steps", self.max_steps)
 
 
-class Tracker(Generic[S]):
+class Outcomes(NamedTuple):
+    """The outcomes of N measurements.
+
+    Attributes:
+        codes: 0 of those used, else the place of the reason in `history.REASONS`, shape (N,).
+        innovations: y − ŷ of those used [rad], shape (N, p).
+        expected_std: 1σ expected of each [rad], shape (N, p).
+    """
+
+    codes: NDArray[np.int64]
+    innovations: Array
+    expected_std: Array
+
+
+class Checkpoint(NamedTuple):
+    """All that a tracker remembers; a tracker restored from it goes on with the same bits."""
+
+    memory: Record
+    ring: Record
+
+
+class Tracker:
     """Runs an estimator over measurements in the order of their stamps.
 
     Attributes:
         estimator: The step functions.
         options: Limits.
-        rewinds: Number of late measurements put in their place.
-        forgotten: Number of measurements that left the history early because it was full: those
-            that are older yet are then too old.
+        memory: Record of `history.memory_type`, shape (1,).
+        ring: States after the last measurements.
     """
 
-    def __init__(self, estimator: Estimator[S], options: TrackerOptions) -> None:
+    def __init__(self, estimator: Estimator, options: TrackerOptions) -> None:
         self.estimator = estimator
         self.options = options
-        self._span = round(options.history * NANOSECONDS)
-        self._future = round(options.future_tolerance * NANOSECONDS)
-        self._restart_after = round(options.restart_after * NANOSECONDS)
+        self.memory: Record = np.zeros(1, memory_type(estimator.room))
+        self.ring: Record = np.zeros(
+            options.max_steps + 2 + SPARE, estimator.model.dtype["initial"]
+        )
         self.reset()
 
     def reset(self) -> None:
         """Forget everything; afterwards the tracker is as a new one."""
-        self.rewinds = 0
-        self.forgotten = 0
-        self._accepted = 0
-        self._refused: Counter[RejectReason] = Counter()
-        self._bad_outputs = 0
-        self._history = _History(self._span, self.options.max_steps)
-        self._coasted: tuple[_Step, int, S] | None = None
-
-    def copy(self) -> "Tracker[S]":
-        """Return a tracker that goes on from here by itself."""
-        other = Tracker(self.estimator, self.options)
-        other.__dict__.update(self.__dict__)
-        other._refused, other._history = self._refused.copy(), self._history.copy()
-        return other
+        self.memory[:] = np.zeros(1, self.memory.dtype)
+        options, memory = self.options, self.memory[0]
+        for name, seconds in (
+            ("span", options.history),
+            ("future", options.future_tolerance),
+            ("restart_after", options.restart_after),
+        ):
+            memory[name] = round(seconds * NANOSECONDS)
+        memory["max_steps"], memory["x_max"] = options.max_steps, options.x_max
 
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
-        last = self._history.last
-        return last.measurement.stamp if last is not None else None
+        last = self._last
+        return None if last is None else int(last["stamp"])
+
+    @property
+    def state(self) -> State | None:
+        """The state after the newest measurement, None before the first."""
+        last = self._last
+        if last is None:
+            return None
+        place = self._place_of_last
+        return State(copy_records(self.ring[place : place + 1]), self.estimator.shape)
 
     @property
     def used(self) -> int:
         """Number of measurements that corrected the estimate."""
-        return self._accepted - self._gated
+        return int(self.memory["accepted"][0]) - self._gated
 
     @property
     def rejected(self) -> Counter[RejectReason]:
         """Number of measurements not used, by reason."""
-        gated = {RejectReason.GATED: self._gated} if self._gated else {}
-        return self._refused + Counter(gated)
+        refused = self.memory["refused"][0].tolist()
+        counts = {r: n for r, n in zip(REASONS, refused, strict=True) if r is not None and n}
+        if self._gated:
+            counts[RejectReason.GATED] = self._gated
+        return Counter(counts)
+
+    @property
+    def rewinds(self) -> int:
+        """Number of late measurements put in their place."""
+        return int(self.memory["rewinds"][0])
+
+    @property
+    def forgotten(self) -> int:
+        """Number of measurements that left the history early because it was full.
+
+        Those that are older yet are then too old.
+        """
+        return int(self.memory["forgotten"][0])
 
     @property
     def restarts(self) -> int:
         """Number of restarts after a gap or a numerical failure."""
-        return self._history.last.restarts if self._history.last else 0
+        return 0 if self._last is None else int(self._last["restarts"])
 
     @property
     def failures(self) -> int:
         """Number of numerical failures: states or outputs that were not finite."""
-        return self._bad_outputs + (self._history.last.failures if self._history.last else 0)
+        inner = 0 if self._last is None else int(self._last["failures"])
+        return int(self.memory["bad_outputs"][0]) + inner
 
     @property
     def events(self) -> dict[str, int]:
         """The estimator's counts up to the newest measurement, by name."""
-        last = self._history.last
-        return self.estimator.events(last.state) if last is not None else {}
+        state = self.state
+        return {} if state is None else self.estimator.events(state)
 
     def reject(self, reason: RejectReason) -> None:
         """Count a measurement that the caller could not even read."""
-        self._refused[reason] += 1
+        self.memory["refused"][0, REASONS.index(reason)] += 1
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def offer(self, measurement: Measurement, now: int) -> Innovation | RejectReason:
         """Use a measurement, or refuse it.
 
@@ -142,25 +180,37 @@ class Tracker(Generic[S]):
         Returns:
             Its innovation, or the reason of its rejection, which has been counted.
         """
-        reason = self._refusal(measurement, now)
-        if reason is not None:
-            self._refused[reason] += 1
-            return reason
-        newest = self.newest
-        late = newest is not None and measurement.stamp < newest
-        later = self._history.rewind(measurement.stamp) if late else []
-        correction = self._advance(measurement)
-        for waiting in later:
-            self._advance(waiting)
-        self.rewinds += late
-        self._accepted += 1
-        self.forgotten += self._history.trim()
-        if correction.weight == 0.0:
-            return RejectReason.GATED
-        expected_std = np.sqrt(correction.innovation_covariance.diagonal())
-        return Innovation(measurement.stamp, correction.innovation, expected_std)
+        stamp, y, u = measurement
+        codes, innovations, expected_std = self.offer_many([stamp], [y], [u], now)
+        reason = REASONS[codes.item()]
+        return reason or Innovation(stamp, innovations[0], expected_std[0])
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
+        """Use measurements, or refuse them; late ones that come together cost one rewind.
+
+        Args:
+            stamps: Of N measurements, best in ascending order [ns], shape (N,).
+            y: Measured outputs, shape (N, p).
+            u: Inputs from each measurement until the next one, shape (N, m).
+            now: Time on the clock of the stamps [ns].
+
+        Raises:
+            ModelError: The arrays have other shapes.
+        """
+        shape, times = self.estimator.shape, np.array(stamps, np.int64)
+        count = len(times)
+        samples, inputs = np.array(y, np.float64), np.array(u, np.float64)
+        if samples.shape != (count, shape.p) or inputs.shape != (count, shape.m):
+            raise ModelError(
+                f"measurements: expected y of shape {(count, shape.p)} and u of shape "
+                f"{(count, shape.m)}, got {samples.shape} and {inputs.shape}"
+            )
+        outcomes = Outcomes(
+            np.zeros(count, np.int64), np.empty((count, shape.p)), np.empty((count, shape.p))
+        )
+        offer(self.estimator.model, self.memory, self.ring, times, samples, inputs, now, *outcomes)
+        return outcomes
+
     def estimate(self, stamp: int) -> Estimate | None:
         """Return the estimate at a stamp [ns].
 
@@ -168,100 +218,68 @@ class Tracker(Generic[S]):
             None before the first measurement, too long after the last, or if the estimate is not
             finite, which is counted.
         """
-        step = self._history.until(stamp)
-        if step is None or stamp - step.measurement.stamp > self._restart_after:
+        row = np.empty(self.estimator.row_width + EXTRA)
+        if not estimate_at(self.estimator.model, self.memory, self.ring, stamp, row):
             return None
-        try:
-            readout = self._read(step, stamp)
-        except _NUMERICAL_FAILURES:
-            readout = None
-        if readout is None or not _is_finite(*readout[:5], *readout[6:8]):
-            self._bad_outputs += 1
-            return None
-        in_domain = abs(float(readout.state[0])) <= self.options.x_max
-        age = (stamp - step.measurement.stamp) / NANOSECONDS
-        return Estimate(stamp, *readout, in_domain, age)
+        certified, parameters_valid, in_domain, age = row[-2 - EXTRA :].tolist()
+        state, state_bound, disturbance, rate, disturbance_bound, parameters, parameter_bound = [
+            row[part] for part in self.estimator.row_parts.values()
+        ]
+        return Estimate(
+            stamp,
+            state,
+            state_bound,
+            disturbance,
+            rate,
+            disturbance_bound,
+            certified != 0.0,
+            parameters,
+            parameter_bound,
+            parameters_valid != 0.0,
+            in_domain != 0.0,
+            age,
+        )
+
+    def checkpoint(self) -> Checkpoint:
+        """Return a copy of all that the tracker remembers."""
+        return Checkpoint(self.memory.copy(), copy_records(self.ring))
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Go on from a checkpoint of a tracker with the same estimator and options.
+
+        Raises:
+            ModelError: Its records are of other sizes.
+        """
+        for name, mine, other in (
+            ("memory", self.memory, checkpoint.memory),
+            ("ring", self.ring, checkpoint.ring),
+        ):
+            if (mine.dtype, mine.shape) != (other.dtype, other.shape):
+                raise ModelError(
+                    f"checkpoint: expected a {name} of {mine.shape[0]} records of "
+                    f"{mine.dtype.itemsize} bytes, got {other.shape[0]} of {other.dtype.itemsize}"
+                )
+        self.memory[:] = checkpoint.memory
+        self.ring[:] = checkpoint.ring
+
+    def copy(self) -> "Tracker":
+        """Return a tracker that goes on from here by itself."""
+        other = Tracker(self.estimator, self.options)
+        other.restore(self.checkpoint())
+        return other
+
+    @property
+    def _place_of_last(self) -> int:
+        memory = self.memory[0]
+        return int((memory["first"] + memory["size"] - 1) % (len(self.ring) - SPARE))
+
+    @property
+    def _last(self) -> "np.void | None":
+        return self.ring[self._place_of_last] if self.memory["size"][0] else None
 
     @property
     def _gated(self) -> int:
-        return self._history.last.gated if self._history.last else 0
-
-    def _refusal(self, measurement: Measurement, now: int) -> RejectReason | None:
-        stamp = measurement.stamp
-        if not all(map(math.isfinite, (*measurement.y.tolist(), *measurement.u.tolist()))):
-            return RejectReason.NON_FINITE
-        if stamp <= 0:
-            return RejectReason.ZERO_STAMP
-        if stamp > now + self._future:
-            return RejectReason.FROM_FUTURE
-        newest = self.newest
-        if newest is None or stamp > newest:
-            return None
-        if not self._history.reaches(stamp):
-            return RejectReason.TOO_OLD
-        return RejectReason.DUPLICATE if self._history.holds(stamp) else None
-
-    def _advance(self, measurement: Measurement) -> Correction:
-        """Predict to the measurement from the step before it, correct, and remember."""
-        last = self._history.last
-        gap = 0 if last is None else measurement.stamp - last.measurement.stamp
-        gated, restarts, failures = (0, 0, 0) if last is None else last[2:]
-        restart = last is not None and gap > self._restart_after
-        try:
-            if last is None or restart:
-                predicted = self.estimator.initial()
-            else:
-                predicted = self.estimator.predict(
-                    last.state, last.measurement.u, gap / NANOSECONDS
-                )
-            state, correction = self.estimator.correct(predicted, measurement.y)
-            failed = not _is_finite(correction.innovation, correction.innovation_covariance.ravel())
-        except _NUMERICAL_FAILURES:
-            failed = True
-        if failed:
-            state, correction = self._restart(measurement)
-        self._history.append(
-            _Step(
-                measurement,
-                state,
-                gated + (correction.weight == 0.0),
-                restarts + restart + failed,
-                failures + failed,
-            )
-        )
-        return correction
-
-    def _restart(self, measurement: Measurement) -> tuple[S, Correction]:
-        """Return the initial state, corrected unless the measurement itself is to blame."""
-        initial = self.estimator.initial()
-        try:
-            return self.estimator.correct(initial, measurement.y)
-        except _NUMERICAL_FAILURES:
-            nothing = np.zeros(0)
-            return initial, Correction(nothing, nothing, nothing, weight=0.0)
-
-    def _read(self, step: "_Step", stamp: int) -> Readout:
-        """Return the estimate at a stamp after a step.
-
-        Whole periods of a gap are remembered from one call to the next; without that every tick
-        of a long gap would predict through the whole gap again.
-        """
-        period, u, state = self.estimator.period, step.measurement.u, step.state
-        remaining = (stamp - step.measurement.stamp) / NANOSECONDS
-        if remaining > 2.0 * period:
-            whole, taken = int(remaining // period), 0
-            if self._coasted is not None and self._coasted[0] is step and self._coasted[1] <= whole:
-                _, taken, state = self._coasted
-            if taken == 0:
-                # Two at once, so that it is no regular step for the estimator.
-                taken, state = 2, self.estimator.predict(state, u, 2.0 * period)
-            for _ in range(whole - taken):
-                state = self.estimator.predict(state, u, period)
-            self._coasted = (step, whole, state)
-            remaining -= whole * period
-        if remaining > 0.0:
-            state = self.estimator.extrapolate(state, u, remaining)
-        return self.estimator.readout(state)
+        return 0 if self._last is None else int(self._last["gated"])
 
 
 class JointTrackers:
@@ -271,7 +289,7 @@ class JointTrackers:
         trackers: One a joint, with its counts and events.
     """
 
-    def __init__(self, trackers: Sequence[Tracker[Any]]) -> None:
+    def __init__(self, trackers: Sequence[Tracker]) -> None:
         self.trackers = tuple(trackers)
 
     def reset(self) -> None:
@@ -303,96 +321,3 @@ class JointTrackers:
         asked = [True] * len(self.trackers) if wanted is None else wanted
         pairs = zip(self.trackers, asked, strict=True)
         return [tracker.estimate(stamp) if one else None for tracker, one in pairs]
-
-
-class _Step(NamedTuple):
-    """A measurement, the state after it, and counts up to it since the last reset.
-
-    The counts are kept with the steps, so that a rewind takes them back too.
-    """
-
-    measurement: Measurement
-    state: Any
-    gated: int
-    restarts: int
-    failures: int
-
-
-class _History:
-    """Steps in the order of their stamps, and the one before them to begin a rewind from.
-
-    Args:
-        span: How far it reaches back from its newest step [ns].
-        max_steps: Largest number of steps; a burst of stamps must not take memory without bound,
-            nor a rewind time.
-
-    Attributes:
-        last: The newest step, None before the first.
-    """
-
-    def __init__(self, span: int, max_steps: int) -> None:
-        self._span, self._max_steps = span, max_steps
-        self.last: _Step | None = None
-        self._base: _Step | None = None
-        self._steps: list[_Step] = []
-        self._stamps: list[int] = []
-
-    def copy(self) -> "_History":
-        """Return a history that goes on from here by itself."""
-        other = _History(self._span, self._max_steps)
-        other.last, other._base = self.last, self._base
-        other._steps, other._stamps = self._steps.copy(), self._stamps.copy()
-        return other
-
-    def append(self, step: _Step) -> None:
-        """Add a step that is newer than all others."""
-        self.last = step
-        self._steps.append(step)
-        self._stamps.append(step.measurement.stamp)
-
-    def until(self, stamp: int) -> _Step | None:
-        """Return the newest step at a stamp [ns] or before it."""
-        last = self.last
-        if last is None or last.measurement.stamp <= stamp:
-            return last
-        place = bisect_right(self._stamps, stamp) - 1
-        if place >= 0:
-            return self._steps[place]
-        base = self._base
-        return base if base is not None and base.measurement.stamp <= stamp else None
-
-    def reaches(self, stamp: int) -> bool:
-        """Return whether a measurement with a stamp [ns] can still be put in its place."""
-        if self._base is not None and stamp <= self._base.measurement.stamp:
-            return False
-        return self.last is None or stamp >= self.last.measurement.stamp - self._span
-
-    def holds(self, stamp: int) -> bool:
-        """Return whether there is a step with exactly this stamp [ns]."""
-        place = bisect_left(self._stamps, stamp)
-        return place < len(self._stamps) and self._stamps[place] == stamp
-
-    def rewind(self, stamp: int) -> list[Measurement]:
-        """Take out the steps after a stamp [ns]; return their measurements."""
-        place = bisect_left(self._stamps, stamp)
-        later = [step.measurement for step in self._steps[place:]]
-        del self._stamps[place:], self._steps[place:]
-        self.last = self._steps[-1] if self._steps else self._base
-        return later
-
-    def trim(self) -> int:
-        """Forget what is out of reach; return how many were it for their number alone."""
-        oldest = self._stamps[-1] - self._span
-        if self._stamps[0] >= oldest and len(self._steps) <= self._max_steps:
-            return 0
-        expired = bisect_left(self._stamps, oldest)
-        forgotten = max(0, len(self._steps) - expired - self._max_steps)
-        keep_from = expired + forgotten
-        self._base = self._steps[keep_from - 1]
-        del self._stamps[:keep_from], self._steps[:keep_from]
-        return forgotten
-
-
-def _is_finite(*arrays: Array) -> bool:
-    """Return whether all numbers of some vectors are finite, by one sum that any other spoils."""
-    return math.isfinite(sum([sum(array.tolist()) for array in arrays]))

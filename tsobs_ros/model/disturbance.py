@@ -18,6 +18,7 @@ from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.matrices import product
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,12 @@ class DisturbanceModel:
     @cached_property
     def rate_map(self) -> Array:
         """Exosystem states to the disturbance's modelled rate dω/dt, shape (p, q)."""
-        return np.asarray(self.H @ self.S)
+        return product(self.H, self.S)
+
+    @cached_property
+    def noise_density(self) -> Array:
+        """G Gᵀ, density of the noise on the exosystem's derivative, shape (q, q)."""
+        return product(self.G, self.G.T)
 
     def __add__(self, other: "DisturbanceModel") -> "DisturbanceModel":
         """Return the model of the sum of two independent disturbances on the same channels."""
@@ -91,7 +97,7 @@ class DisturbanceModel:
         if np.linalg.matrix_rank(mixing) < self.channel_count:
             raise ModelError(f"D_s: expected full column rank, got {mixing.tolist()}")
         return DisturbanceModel(
-            self.label, self.S, mixing @ self.H, self.G, self.initial_std, self.arbitrary
+            self.label, self.S, product(mixing, self.H), self.G, self.initial_std, self.arbitrary
         )
 
 

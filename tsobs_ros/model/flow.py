@@ -16,7 +16,7 @@ the estimate that serves as premise.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,8 +26,10 @@ from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps, matvec
-from tsobs_ros.model.uncertainty import Uncertainty
+from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.prediction import Flow, fill_common, fill_matrix, require_directions
+from tsobs_ros.model.stepping import ARM
+from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
 from tsobs_ros.model.vertices import (
     KickCorner,
     VertexSystem,
@@ -35,9 +37,6 @@ from tsobs_ros.model.vertices import (
     kick_corners,
     linear_directions,
 )
-
-_REMEMBERED = 16
-"""Transitions to keep: stamps from a grid repeat the same few durations."""
 
 UNKNOWN_TORQUE = 2
 """Number of states that a `GapFlow` has behind the others: δ [N m] and its rate [N m/s]."""
@@ -82,7 +81,7 @@ class ProcessNoise:
             object.__setattr__(self, name, density)
 
 
-class ArmFlow:
+class ArmFlow(Flow):
     """Predicts the augmented state of one arm (or of a batch of equal arms).
 
     Attributes:
@@ -112,7 +111,6 @@ class ArmFlow:
         torque = np.zeros((self.state_count, 1))
         torque[:4] = arm.input_matrix
         self.linear = LinearFlow(self.drift, torque, self._noise_density(), self.period)
-        self._transitions: dict[float, Transition] = {}
         self.nominal = self.transition(self.period)
 
     @property
@@ -135,70 +133,32 @@ class ArmFlow:
         """Return the continuous augmented matrix with gravity slope c, shape (n, n)."""
         return np.asarray(block_diag(self.arm.slope_matrix(slope), self.disturbance.S))
 
+    @property
+    def input_count(self) -> int:
+        """The torque alone."""
+        return 1
+
     def transition(self, duration: float) -> Transition:
         """Return the linear flow over `duration` [s]."""
-        known = self._transitions.get(duration)
-        if known is None:
-            phi, gamma, noise = self.linear.over(duration)
-            half_kick = 0.5 * duration * self.arm.gravity_gain
-            known = Transition(duration, phi, gamma, noise, half_kick)
-            if len(self._transitions) >= _REMEMBERED:
-                self._transitions.clear()
-            self._transitions[duration] = known
-        return known
+        half_kick = 0.5 * duration * self.arm.gravity_gain
+        return Transition(duration, *self.linear.over(duration), half_kick)
 
-    def steps(self, duration: float) -> list[Transition]:
-        """Cut `duration` [s] into nominal steps and a last one, in the order to take them.
+    def fill(self, record: Any, uncertainty: Uncertainty | None = None) -> None:
+        """Enter the model's numbers into one record; see `Flow`."""
+        fill_common(record, self, self.linear, self.period, uncertainty)
+        record["kind"], record["plant"] = ARM, 4
+        record["gravity_gain"] = self.arm.gravity_gain
+        record["unknown_torque"] = self._unknown_torque
+        if uncertainty is not None and uncertainty.count:
+            require_directions(uncertainty, (1, 4, TORQUE + 1), type(self).__name__)
+            rows = uncertainty.directions[:, 0, [LINK_VELOCITY, MOTOR_VELOCITY]]
+            parts = (rows[..., :4].reshape(-1, 8), rows[..., SINE], rows[..., TORQUE])
+            fill_matrix(record["effects"], np.hstack(parts))
 
-        Raises:
-            ModelError: The duration is negative or not finite.
-        """
-        return cut_into_steps(duration, self.period, self.nominal, self.transition)
-
-    def predict(self, x: Array, u: Array, duration: float) -> Array:
-        """Return the augmented state a time `duration` later.
-
-        Args:
-            x: Augmented state, shape (..., n).
-            u: Torque held over the step [N m], shape (..., 1).
-            duration: [s], at least 0.
-
-        Raises:
-            ModelError: The duration is negative or not finite.
-        """
-        for step in self.steps(duration):
-            x = _advance(x, u, step)
-        return x
-
-    def predict_with_covariance(
-        self, x: Array, covariance: Array, u: Array, duration: float
-    ) -> tuple[Array, Array]:
-        """Return the state and the error covariance a time `duration` later.
-
-        The covariance follows the step's Jacobian at the estimate, noise included in the same
-        order as in the step itself: K(c₂)(Φ K(c₁) Σ K(c₁)ᵀ Φᵀ + Q) K(c₂)ᵀ, c = cos x̂₁.
-
-        Args:
-            x: Augmented state, shape (..., n).
-            covariance: Its error covariance Σ, shape (..., n, n), or (n, n) for all of a batch.
-            u: Torque held over the step [N m], shape (..., 1).
-            duration: [s], at least 0.
-
-        Returns:
-            State and covariance, shapes (..., n) and (..., n, n).
-
-        Raises:
-            ModelError: The duration is negative or not finite.
-        """
-        if covariance.ndim <= x.ndim:
-            covariance = np.broadcast_to(covariance, (*x.shape, x.shape[-1]))
-        for step in self.steps(duration):
-            covariance = _shear(covariance, step.half_kick * np.cos(x.T[LINK_ANGLE].T))
-            covariance = step.phi @ covariance @ step.phi.T + step.noise
-            x = _advance(x, u, step)
-            # The second half kick has left the angle as it was.
-            covariance = _shear(covariance, step.half_kick * np.cos(x.T[LINK_ANGLE].T))
-        return x, covariance
+    @property
+    def _unknown_torque(self) -> int:
+        """Place of the unknown torque among the states, 0 for none."""
+        return 0
 
     def vertices(
         self,
@@ -248,8 +208,7 @@ class ArmFlow:
         arm[LINK_VELOCITY, LINK_VELOCITY] = self.process_noise.link
         scale = self.arm.stiffness / self.arm.link_inertia
         arm[MOTOR_VELOCITY, MOTOR_VELOCITY] = self.process_noise.motor * scale**2
-        exosystem = self.disturbance.G @ self.disturbance.G.T
-        return np.asarray(block_diag(arm, exosystem))
+        return np.asarray(block_diag(arm, self.disturbance.noise_density))
 
     def to_physical(self, x: ArrayLike) -> Array:
         """Return [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) of augmented states of shape (..., n)."""
@@ -295,49 +254,16 @@ class GapFlow(ArmFlow):
         own = np.diag([0.0, 2.0 * self._torque_rate**2 / GAP_MEMORY])
         return np.asarray(block_diag(super()._noise_density(), own))
 
-    def begin(self, covariance: Array) -> Array:
-        """Return the covariance at a sample, shape (..., n, n), given that of x and w alone."""
-        n = self.state_count
-        wide = np.zeros((*covariance.shape[:-2], n, n))
-        wide[..., :-UNKNOWN_TORQUE, :-UNKNOWN_TORQUE] = covariance
-        wide[..., -1, -1] = self._torque_rate**2
-        return wide
+    @property
+    def rate_variance(self) -> float:
+        """Variance of the torque's rate at the start of a gap [N²m²/s²]."""
+        return self._torque_rate * self._torque_rate
 
-    @staticmethod
-    def widen(x: Array) -> Array:
-        """Return [x; w; δ; δ'] of x̄ = [x; w] with the expected torque, the last known one."""
-        return np.concatenate([x, np.zeros((*x.shape[:-1], UNKNOWN_TORQUE))], axis=-1)
-
-    @staticmethod
-    def narrow(covariance: Array) -> Array:
-        """Return the covariance of the arm and its disturbance, shape (..., n − 2, n − 2)."""
-        return covariance[..., :-UNKNOWN_TORQUE, :-UNKNOWN_TORQUE]
+    @property
+    def _unknown_torque(self) -> int:
+        return self.state_count - UNKNOWN_TORQUE
 
 
 def slope_range(x_max: float) -> tuple[float, float]:
     """Return the smallest and largest cosine on |q₁| ≤ x_max [rad], x_max at most π."""
     return math.cos(min(x_max, math.pi)), 1.0
-
-
-def _advance(x: Array, u: Array, step: Transition) -> Array:
-    """Return the state, shape (..., n), after kick, drift and kick."""
-    kicked = x.copy()
-    _kick(kicked, step.half_kick)
-    moved = matvec(step.phi, kicked) + u * step.gamma[:, 0]
-    _kick(moved, step.half_kick)
-    return moved
-
-
-def _kick(x: Array, half_kick: float) -> None:
-    """Kick the velocities in place; the transpose has the states first, whatever the batch."""
-    states = x.T
-    states[LINK_VELOCITY] -= half_kick * np.sin(states[LINK_ANGLE])
-
-
-def _shear(covariance: Array, gain: Array) -> Array:
-    """Return K Σ Kᵀ for the kick matrix K of `gain`, by one row and one column operation."""
-    sheared = covariance.copy()
-    gain = np.asarray(gain)[..., np.newaxis]
-    sheared[..., LINK_VELOCITY, :] -= gain * sheared[..., LINK_ANGLE, :]
-    sheared[..., :, LINK_VELOCITY] -= gain * sheared[..., :, LINK_ANGLE]
-    return sheared

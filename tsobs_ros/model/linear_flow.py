@@ -3,32 +3,29 @@
 """The exact flow of a linear system with a held input and white noise, over a step of any length.
 
 Φ' = AΦ, Γ' = AΓ + B, Q' = AQ + QAᵀ + W, by their Taylor series with precomputed coefficients: a
-step then costs one product, which matters because real stamps jitter. Where a step is long for
-the fastest mode, the series serves a fraction 2⁻ˢ of it and is doubled s times; a sum of positive
-semidefinite terms, so the noise stays a covariance.
+step then costs one evaluation of polynomials, which matters because real stamps jitter. Where a
+step is long for the fastest mode, the series serves a fraction 2⁻ˢ of it and is doubled s times; a
+sum of positive semidefinite terms, so the noise stays a covariance.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import matrix_balance
 
 from tsobs_ros.checks import Array
+from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.matrices import congruence, copy, multiply
 
-Step = TypeVar("Step")
+MAX_TERMS = 60
+"""Rows of a series; those behind `LinearFlow.terms` are zero."""
+
+STRETCH = 1.25
+"""A step may be longer than nominal by so much: real stamps jitter about the period."""
 
 _ROUNDING = float(np.finfo(np.float64).eps)
-_MOST_TERMS = 60
-_TERMS_STEP = 8
 _LARGEST_TURN = 2.0**16
 """Most a mode may turn or decay in one step [rad]; doubling loses a digit for every factor 10."""
-
-_STRETCH = 1.25
-"""A step may be longer than nominal by so much: real stamps jitter about the period."""
 
 
 class LinearFlow:
@@ -39,6 +36,11 @@ class LinearFlow:
         B: Input matrix, shape (n, m).
         W: Density of the white noise, shape (n, n).
         period: The step that is taken most [s].
+
+    Attributes:
+        series: Taylor coefficients of Φ, Γ and Q side by side, shape (MAX_TERMS, n (2n + m)).
+        terms: Number of rows that are not negligible.
+        reach: Longest step that the series serves without doubling [s].
 
     Raises:
         ModelError: An entry or the flow over the period is not finite, or a step is too long
@@ -54,15 +56,11 @@ class LinearFlow:
                 f"higher rate or a softer, heavier or less damped arm is needed"
             )
         # The series converges fast for |A|t up to 1; the common step needs no doubling.
-        self._reach = _STRETCH * period / max(1.0, _STRETCH * turn)
+        self.reach = STRETCH * period / max(1.0, STRETCH * turn)
         self._n, self._m = B.shape
-        rows, columns = np.indices((self._n, self._n))
-        # Where Q is in a row of the series: its upper triangle twice, so that it is symmetric.
-        entries = np.minimum(rows, columns) * self._n + np.maximum(rows, columns)
-        self._noise_entries = self._n * (self._n + self._m) + entries
+        self.series = np.zeros((MAX_TERMS, self._n * (2 * self._n + self._m)))
         with np.errstate(over="ignore", invalid="ignore"):
-            self._series = self._coefficients(A, B, W)
-            self._orders = np.arange(len(self._series), dtype=np.float64)
+            self.terms = self._fill(*(np.array(each, np.float64, order="C") for each in (A, B, W)))
             over_period = self.over(period)
         if not all(np.isfinite(part).all() for part in over_period):
             raise ModelError(
@@ -72,97 +70,146 @@ class LinearFlow:
 
     def over(self, duration: float) -> tuple[Array, Array, Array]:
         """Return Φ, Γ and Q over `duration` [s] ≥ 0, shapes (n, n), (n, m) and (n, n)."""
-        if duration <= self._reach:
-            return self._evaluate(duration)
-        doublings = math.ceil(math.log2(duration / self._reach))
-        phi, gamma, noise = self._evaluate(math.ldexp(duration, -doublings))
-        for _ in range(doublings):
-            gamma = phi @ gamma + gamma
-            noise = phi @ noise @ phi.T + noise
-            noise = 0.5 * (noise + noise.T)
-            phi = phi @ phi
+        n, m = self._n, self._m
+        phi, gamma, noise = np.empty((n, n)), np.empty((n, m)), np.empty((n, n))
+        flow_over(
+            self.series,
+            self.terms,
+            self.reach,
+            duration,
+            phi,
+            gamma,
+            noise,
+            np.empty((2, n, n)),
+            np.empty((n, m)),
+            n,
+            m,
+        )
         return phi, gamma, noise
 
-    def _evaluate(self, duration: float) -> tuple[Array, Array, Array]:
-        n, m, square = self._n, self._m, self._n * self._n
-        flat = (duration**self._orders).dot(self._series)
-        return (
-            flat[:square].reshape(n, n),
-            flat[square : square + n * m].reshape(n, m),
-            flat.take(self._noise_entries),
-        )
-
-    def _coefficients(self, A: Array, B: Array, W: Array) -> Array:
-        """Return Taylor coefficients of Φ, Γ and Q side by side, (order + 1, n (2n + m))."""
-        n = self._n
-        phi, gamma, noise = np.eye(n), np.zeros((n, self._m)), np.zeros((n, n))
-        rows: list[Array] = []
-        largest = np.zeros(n * (2 * n + self._m))
-        for order in range(1, _MOST_TERMS):
-            row = np.hstack([phi.ravel(), gamma.ravel(), noise.ravel()])
-            rows.append(row)
-            size = np.abs(row) * self._reach ** (order - 1)
+    def _fill(self, A: Array, B: Array, W: Array) -> int:
+        """Write the Taylor coefficients and return their number."""
+        n, m = self._n, self._m
+        phi, gamma, noise = np.eye(n), np.zeros((n, m)), np.zeros((n, n))
+        product, forced, turned = np.empty((n, n)), np.empty((n, m)), np.empty((n, n))
+        largest = np.zeros(self.series.shape[1])
+        power = 1.0
+        for order in range(1, MAX_TERMS):
+            row = self.series[order - 1]
+            row[:] = np.hstack([phi.ravel(), gamma.ravel(), noise.ravel()])
+            size = np.abs(row) * power
             largest = np.maximum(largest, size)
             # Judged entry by entry: entries differ by ten orders of magnitude.
             if order > 2 * n and (size <= 1e-3 * _ROUNDING * largest).all():
-                break
-            phi, gamma, noise = (
-                A @ phi / order,
-                (A @ gamma + (B if order == 1 else 0.0)) / order,
-                (A @ noise + noise @ A.T + (W if order == 1 else 0.0)) / order,
-            )
-        # Alike arms are to have equally many terms, so that they can be stacked.
-        rows += [np.zeros_like(row)] * (-len(rows) % _TERMS_STEP)
-        return np.array(rows)
+                return order
+            power *= self.reach
+            multiply(A, phi, product, n, n, n)
+            multiply(A, gamma, forced, n, n, m)
+            multiply(A, noise, turned, n, n, n)
+            # Symmetric to the last bit, as a sum does not depend on the order of two terms.
+            noise = np.ascontiguousarray(turned + turned.T + (W if order == 1 else 0.0)) / order
+            gamma = (forced + (B if order == 1 else 0.0)) / order
+            phi = product / order
+        return MAX_TERMS - 1
+
+
+@compiled
+def flow_over(
+    series: Array,
+    terms: int,
+    reach: float,
+    duration: float,
+    phi: Array,
+    gamma: Array,
+    noise: Array,
+    squares: Array,
+    forced: Array,
+    n: int,
+    m: int,
+) -> None:
+    """Write Φ, Γ and Q over `duration` [s] from a series.
+
+    Args:
+        series: Of a `LinearFlow`.
+        terms: Of the same.
+        reach: Of the same [s].
+        duration: At least 0 [s].
+        phi: Φ, shape (n, n).
+        gamma: Γ, shape (n, m).
+        noise: Q, shape (n, n).
+        squares: Scratch, shape (2, n, n).
+        forced: Scratch, shape (n, m).
+        n: Number of states.
+        m: Number of inputs.
+    """
+    doublings, step = 0, duration
+    while step > reach:
+        doublings += 1
+        step *= 0.5
+    for i in range(n):
+        for j in range(n):
+            phi[i, j] = _at(series, terms, step, n * i + j)
+        for j in range(m):
+            gamma[i, j] = _at(series, terms, step, n * n + m * i + j)
+        for j in range(i, n):
+            noise[i, j] = _at(series, terms, step, n * (n + m) + n * i + j)
+            noise[j, i] = noise[i, j]
+    first, second = squares[0], squares[1]
+    for _ in range(doublings):
+        multiply(phi, gamma, forced, n, n, m)
+        for i in range(n):
+            for j in range(m):
+                gamma[i, j] += forced[i, j]
+        congruence(phi, noise, noise, first, second, n, n)
+        copy(second, noise, n, n)
+        multiply(phi, phi, first, n, n, n)
+        copy(first, phi, n, n)
+
+
+@compiled
+def _at(series: Array, terms: int, time: float, column: int) -> float:
+    """Return a polynomial's value by Horner's rule."""
+    value = 0.0
+    for back in range(terms):
+        value = value * time + series[terms - 1 - back, column]
+    return value
+
+
+@compiled
+def cut_into_steps(duration: float, period: float) -> tuple[int, float]:
+    """Return the number of nominal steps in `duration` [s] and the length of a last one [s].
+
+    The last one is 0 or up to 1.25 periods long.
+    """
+    whole = math.floor(duration / period)
+    rest = duration - whole * period
+    if rest < 0.0:
+        whole, rest = whole - 1, rest + period
+    if whole > 0 and 0.0 < rest <= (STRETCH - 1.0) * period:
+        whole, rest = whole - 1, rest + period
+    return whole, rest
 
 
 def _norm(A: Array) -> float:
-    """Return a norm of A [1/s] in coordinates where it is close to its fastest eigenvalue."""
+    """Return a norm of A [1/s] in coordinates where it is close to its fastest eigenvalue.
+
+    The states' units differ, so rows and columns are balanced by powers of two, which changes no
+    flow.
+    """
     if not np.isfinite(A).all():
         raise ModelError(f"state matrix: every entry must be finite, got {A.tolist()}")
-    # The states' units differ; scaling them changes no flow, and the series is none the wiser.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return float(np.linalg.norm(matrix_balance(A, permute=False)[0], 1))
-
-
-def cut_into_steps(
-    duration: float, period: float, nominal: Step, last: Callable[[float], Step]
-) -> list[Step]:
-    """Cut a time into nominal steps and a last one, up to 1.25 periods long, in their order.
-
-    Args:
-        duration: The time [s].
-        period: Length of a nominal step [s].
-        nominal: The step of that length.
-        last: Makes a step from its length [s].
-
-    Raises:
-        ModelError: The duration is negative or not finite.
-    """
-    if duration == period:
-        return [nominal]
-    if not 0.0 <= duration < math.inf:
-        raise ModelError(f"duration: expected a finite number of at least 0, got {duration!r} s")
-    whole = int(duration // period)
-    rest = duration - whole * period
-    if whole and 0.0 < rest <= (_STRETCH - 1.0) * period:
-        whole, rest = whole - 1, rest + period
-    return [nominal] * whole + ([last(rest)] if rest > 0.0 else [])
-
-
-def matvec(matrix: Array, x: Array) -> Array:
-    """Return M x, shape (..., m), for x of shape (..., n) and M of shape (m, n) or (..., m, n)."""
-    if matrix.shape[-1] == 1:
-        # Exact, also in the sign of a zero, which a library is free to choose.
-        return matrix[..., 0] * x
-    if x.ndim == 1:
-        # The method takes a third of the operator's time.
-        return np.asarray(matrix.dot(x))
-    if matrix.ndim == 2:
-        return np.asarray(x @ matrix.T)
-    return np.asarray((matrix @ x[..., np.newaxis])[..., 0])
-
-
-def transposed(matrix: NDArray[np.floating[Any]]) -> Array:
-    """Return Mᵀ of each matrix, shape (..., n, m)."""
-    return np.asarray(matrix.T if matrix.ndim == 2 else matrix.swapaxes(-1, -2))
+    balanced = np.abs(A)
+    for _ in range(100):
+        settled = True
+        for i in range(len(balanced)):
+            column, row = (sum(line.tolist()) - line[i] for line in (balanced[:, i], balanced[i]))
+            if not (0.0 < column < math.inf and 0.0 < row < math.inf):
+                continue
+            shift = round((math.log2(row) - math.log2(column)) / 2.0)
+            if shift:
+                balanced[:, i] = np.ldexp(balanced[:, i], shift)
+                balanced[i] = np.ldexp(balanced[i], -shift)
+                settled = False
+        if settled:
+            break
+    return float(max((sum(column.tolist()) for column in balanced.T), default=0.0))

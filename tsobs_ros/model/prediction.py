@@ -1,244 +1,187 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction models as observers and designs use them, also with uncertain parameters θ.
-
-Υ = ∂x̂/∂θ moves with the step's own Jacobian and gathers the effect of θ on the state's derivative.
-"""
+"""Prediction models as observers and designs use them: a step of the augmented state x̄ = [x; w]."""
 
 import math
-from typing import Any, Protocol
+from abc import ABC, abstractmethod
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array
+from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.flow import UNKNOWN_TORQUE, ArmFlow, GapFlow
-from tsobs_ros.model.ts_flow import TSFlow
-from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
+from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.stepping import Room, advance, flow_type, work_type
+from tsobs_ros.model.uncertainty import Uncertainty
 
-_VELOCITIES = slice(LINK_VELOCITY, MOTOR_VELOCITY + 1, MOTOR_VELOCITY - LINK_VELOCITY)
-"""The rows that θ acts on, as a slice: indexing by a list costs several times as much."""
+Record = np.ndarray[Any, np.dtype[Any]]
+"""An array of records."""
 
 
-class PredictionModel(Protocol):
-    """One step of the augmented state x̄ = [x; w] and of its error covariance.
+class Flow(ABC):
+    """One step of the augmented state and of its error covariance.
 
     Attributes:
         disturbance: The exosystem, whose states w are the last ones of x̄.
-        period: Nominal step [s].
+        period: Nominal step [s]; longer ones are taken in nominal steps and a last one.
     """
 
     disturbance: DisturbanceModel
     period: float
 
     @property
+    @abstractmethod
     def state_count(self) -> int:
         """Length n of the augmented state."""
-        ...
 
     @property
+    @abstractmethod
     def output_matrix(self) -> Array:
         """Augmented state to measurement C̄ = [C H], shape (p, n)."""
-        ...
+
+    @property
+    @abstractmethod
+    def input_count(self) -> int:
+        """Number m of inputs and scheduled signals."""
+
+    @abstractmethod
+    def to_physical(self, x: ArrayLike) -> Array:
+        """Return the plant's states in physical units for augmented states, shape (..., n)."""
+
+    @property
+    def rule_counts(self) -> tuple[int, int]:
+        """Numbers of rules and of premise variables."""
+        return 0, 0
+
+    @abstractmethod
+    def fill(self, record: Any, uncertainty: Uncertainty | None = None) -> None:
+        """Enter the model's numbers into one record of `flow_type`.
+
+        Args:
+            record: With room for the model.
+            uncertainty: Parameters θ that the step takes in.
+
+        Raises:
+            ModelError: The uncertainty is of another model.
+        """
 
     def predict(self, x: Array, u: Array, duration: float) -> Array:
-        """Return x̄, shape (..., n), a time `duration` [s] later, u of shape (..., m) held."""
-        ...
+        """Return the augmented state a time `duration` later.
+
+        Args:
+            x: Augmented state, shape (..., n).
+            u: Inputs held over the step, shape (..., m).
+            duration: [s], at least 0.
+
+        Raises:
+            ModelError: The duration is negative or not finite.
+        """
+        return self._advanced(x, None, u, duration)[0]
 
     def predict_with_covariance(
         self, x: Array, covariance: Array, u: Array, duration: float
     ) -> tuple[Array, Array]:
-        """Return x̄ and its error covariance, shape (..., n, n), a time `duration` [s] later."""
-        ...
+        """Return the state and the error covariance a time `duration` later.
 
-    def to_physical(self, x: ArrayLike) -> Array:
-        """Return the plant's states in physical units for augmented states, shape (..., n)."""
-        ...
-
-
-def sensitivity(flow: Any, uncertainty: Uncertainty) -> "ArmSensitivity | TSSensitivity":
-    """Return the prediction of a flow with uncertain parameters.
-
-    Raises:
-        ModelError: The uncertainty is of another model.
-    """
-    kind: type[ArmSensitivity | TSSensitivity] = TSSensitivity
-    if isinstance(flow, ArmFlow):
-        kind, signals = ArmSensitivity, (1, 4, TORQUE + 1)
-    else:
-        signals = flow.deviations.shape
-    if uncertainty.directions.shape[1:] != signals:
-        raise ModelError(
-            f"uncertainty: expected directions of shape {signals} for {type(flow).__name__}, "
-            f"got {uncertainty.directions.shape[1:]}"
-        )
-    return kind(flow, uncertainty)
-
-
-class ArmSensitivity:
-    """The arm's step with θ in its two kicks.
-
-    The kicks touch two rows of few columns, where Python's numbers cost less than NumPy's calls.
-    """
-
-    def __init__(self, flow: ArmFlow, uncertainty: Uncertainty) -> None:
-        self._flow = flow
-        self._identity = np.eye(flow.state_count)
-        self._unknown_torque = (
-            flow.state_count - UNKNOWN_TORQUE if isinstance(flow, GapFlow) else None
-        )
-        # What θ = 1 adds to both accelerations, by x, by sin x₁ and by u: one row a parameter.
-        rows = uncertainty.directions[:, 0, _VELOCITIES]
-        parts = (rows[..., :4].reshape(-1, 8), rows[..., SINE], rows[..., TORQUE])
-        self._effects = np.hstack(parts)
-        self._nominal = 0.5 * flow.period * self._effects
-        self._nominal_rows: list[list[float]] = self._nominal.tolist()
-
-    def carry(
-        self,
-        x: Array,
-        upsilon: Array,
-        covariance: Array | None,
-        theta: Array,
-        u: Array,
-        duration: float,
-    ) -> tuple[Array, Array, Array | None]:
-        """Return x̄, Υ and the error covariance a time `duration` later.
+        The covariance follows the step's Jacobian along the estimate, noise included in the same
+        order as in the step itself.
 
         Args:
-            x: Augmented state, shape (n,).
-            upsilon: Υ, shape (n, k).
-            covariance: Shape (n, n); None if it is not needed.
-            theta: θ̂, shape (k,).
-            u: Inputs held over the step, shape (m,).
+            x: Augmented state, shape (..., n).
+            covariance: Its error covariance Σ, shape (..., n, n), or (n, n) for all of a batch.
+            u: Inputs held over the step, shape (..., m).
             duration: [s], at least 0.
+
+        Returns:
+            State and covariance, shapes (..., n) and (..., n, n).
+
+        Raises:
+            ModelError: The duration is negative or not finite.
         """
-        torque = float(u[0])
-        columns = [x.tolist(), *upsilon.T.tolist()]
-        for step in self._flow.steps(duration):
-            kicks, rows = self._nominal, self._nominal_rows
-            if step is not self._flow.nominal:
-                kicks = 0.5 * step.duration * self._effects
-                rows = kicks.tolist()
-            total = theta.dot(kicks).tolist()
-            half_kick = float(step.half_kick)
-            slopes = _kick(columns, total, rows, torque, half_kick)
-            if covariance is not None:
-                onward = step.phi @ self._jacobian(slopes, total)
-                covariance = onward @ covariance @ onward.T + step.noise
-            moved = np.array(columns).dot(step.phi.T)
-            moved[0] += step.gamma[:, 0] * torque
-            columns = moved.tolist()
-            slopes = _kick(columns, total, rows, torque, half_kick)
-            if covariance is not None:
-                after = self._jacobian(slopes, total)
-                covariance = after @ covariance @ after.T
-        joined = np.array(columns)
-        return joined[0], joined[1:].T, covariance
+        return self._advanced(x, covariance, u, duration)
 
-    def _jacobian(
-        self, slopes: tuple[tuple[float, ...], tuple[float, ...]], total: list[float]
-    ) -> Array:
-        jacobian = self._identity.copy()
-        jacobian[_VELOCITIES, :4] += slopes
-        if self._unknown_torque is not None:
-            # What θ̂ does to the torque, it does to its unknown part.
-            jacobian[_VELOCITIES, self._unknown_torque] = total[-2:]
-        return jacobian
+    def _advanced(
+        self, x: Array, covariance: Array | None, u: Array, duration: float
+    ) -> tuple[Array, Array]:
+        if not 0.0 <= duration < math.inf:
+            raise ModelError(
+                f"duration: expected a finite number of at least 0, got {duration!r} s"
+            )
+        n, m, p = self.state_count, self.input_count, self.output_matrix.shape[0]
+        batch = np.broadcast_shapes(np.shape(x)[:-1], np.shape(u)[:-1])
+        states = np.array(np.broadcast_to(x, (*batch, n)), np.float64).reshape(-1, n)
+        inputs = np.array(np.broadcast_to(u, (*batch, m)), np.float64).reshape(-1, m)
+        sigma = np.zeros((n, n)) if covariance is None else covariance
+        spread = np.array(np.broadcast_to(sigma, (*batch, n, n)), np.float64).reshape(-1, n, n)
+        room = Room.fitting(n, p, m, 0, *self.rule_counts)
+        flow, work = np.zeros(1, flow_type(room)), np.zeros(1, work_type(room))
+        self.fill(flow[0])
+        _advance_all(flow, states, spread, covariance is not None, inputs, duration, work)
+        return states.reshape(*batch, n), spread.reshape(*batch, n, n)
 
 
-def _kick(
-    columns: list[list[float]],
-    total: list[float],
-    rows: list[list[float]],
-    torque: float,
-    half_kick: float,
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Kick x̄, the first column, and those of Υ in place; return what the kick adds to dx.
+@compiled
+def _advance_all(
+    flow: Any,
+    x: Array,
+    covariance: Array,
+    with_covariance: bool,
+    u: Array,
+    duration: float,
+    work: Any,
+) -> None:
+    none, no_parameters, no_sample = np.zeros((0, x.shape[1])), np.zeros(0), np.zeros(0)
+    for i in range(x.shape[0]):
+        advance(
+            flow[0],
+            x[i],
+            none,
+            covariance[i],
+            with_covariance,
+            no_parameters,
+            no_sample,
+            u[i],
+            duration,
+            work[0],
+        )
+
+
+def fill_common(
+    record: Any, model: Flow, linear: LinearFlow, nominal: float, uncertainty: Uncertainty | None
+) -> None:
+    """Enter sizes and the linear flow into a model's record.
 
     Args:
-        columns: Of length n each.
-        total: Effects of θ̂ in half a step.
-        rows: Effects of each θ = 1 in half a step.
-        torque: [N m].
-        half_kick: That of gravity [1/s].
+        record: One record of `flow_type`.
+        model: The model.
+        linear: Its linear flow.
+        nominal: Time of the linear flow within a nominal step [s].
+        uncertainty: Parameters θ that the step takes in.
     """
-    x = columns[0]
-    x0, x1, x2, x3 = x[:4]
-    try:
-        sine, cosine = math.sin(x0), math.cos(x0)
-    except ValueError as error:
-        raise FloatingPointError(f"angle: expected a finite number, got {x0}") from error
-    a0, a1, a2, a3, b0, b1, b2, b3, a_sine, b_sine, a_u, b_u = total
-    a_sine -= half_kick
-    x[LINK_VELOCITY] += a0 * x0 + a1 * x1 + a2 * x2 + a3 * x3 + a_sine * sine + a_u * torque
-    x[MOTOR_VELOCITY] += b0 * x0 + b1 * x1 + b2 * x2 + b3 * x3 + b_sine * sine + b_u * torque
-    a0 += a_sine * cosine
-    b0 += b_sine * cosine
-    for column, row in zip(columns[1:], rows, strict=True):
-        p0, p1, p2, p3, q0, q1, q2, q3, p_sine, q_sine, p_u, q_u = row
-        v0, v1, v2, v3 = column[:4]
-        added = p0 * x0 + p1 * x1 + p2 * x2 + p3 * x3 + p_sine * sine + p_u * torque
-        column[LINK_VELOCITY] += a0 * v0 + a1 * v1 + a2 * v2 + a3 * v3 + added
-        added = q0 * x0 + q1 * x1 + q2 * x2 + q3 * x3 + q_sine * sine + q_u * torque
-        column[MOTOR_VELOCITY] += b0 * v0 + b1 * v1 + b2 * v2 + b3 * v3 + added
-    return (a0, a1, a2, a3), (b0, b1, b2, b3)
+    record["n"], record["p"] = model.state_count, model.output_matrix.shape[0]
+    record["m"], record["k"] = model.input_count, 0 if uncertainty is None else uncertainty.count
+    record["rules"], record["premises"] = model.rule_counts
+    record["period"], record["terms"], record["reach"] = model.period, linear.terms, linear.reach
+    record["series"][:, : linear.series.shape[1]] = linear.series
+    phi, gamma, noise = linear.over(nominal)
+    record["inputs"] = gamma.shape[1]
+    for name, matrix in (("phi", phi), ("gamma", gamma), ("noise", noise)):
+        fill_matrix(record[name], matrix)
 
 
-class TSSensitivity:
-    """The exponential midpoint step of a T–S system with θ in what enters at its middle."""
+def fill_matrix(target: Array, matrix: ArrayLike) -> None:
+    """Enter a matrix into the first rows and columns of a larger array."""
+    values = np.asarray(matrix)
+    target[tuple(slice(length) for length in values.shape)] = values
 
-    def __init__(self, flow: TSFlow, uncertainty: Uncertainty) -> None:
-        self._flow = flow
-        self._directions = uncertainty.directions
-        self._plant = flow.model.state_count
-        # All directions of a rule above each other, shape (r, k n, n + m).
-        turned = np.moveaxis(self._directions, 0, 1)
-        self._stacked = turned.reshape(turned.shape[0], -1, turned.shape[-1])
-        self._zeros = np.zeros((flow.state_count, flow.state_count))
 
-    def carry(
-        self,
-        x: Array,
-        upsilon: Array,
-        covariance: Array | None,
-        theta: Array,
-        u: Array,
-        duration: float,
-    ) -> tuple[Array, Array, Array | None]:
-        """Return x̄, Υ and the covariance later; see `ArmSensitivity.carry`."""
-        flow = self._flow
-        inputs = u[: flow.model.input_count]
-        for step in flow.steps(duration):
-            T, phi = step.duration, step.phi
-            forced = step.gamma @ inputs
-            rate, turning, first = self._enter(x, upsilon, theta, u)
-            coasted, carried = phi @ x + forced, phi @ upsilon
-            middle = coasted + 0.5 * T * (phi @ rate)
-            half_way = carried + 0.5 * T * (phi @ turning)
-            rate, turning, second = self._enter(middle, half_way, theta, u)
-            if covariance is not None:
-                transition, noise = flow.error_map(first, second, step)
-                covariance = transition @ covariance @ transition.T + noise
-            x = phi @ (coasted + T * rate) + forced
-            upsilon = phi @ (carried + T * turning)
-        return x, upsilon, covariance
-
-    def _enter(
-        self, x: Array, upsilon: Array, theta: Array, u: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return what enters x and Υ besides the linear flow, and its Jacobian in x."""
-        n, model = self._plant, self._flow.model
-        plant = x[:n]
-        local = model.weights_and_turning(plant, u)
-        weights = local[0]
-        total = self._flow.deviations + np.tensordot(theta, self._directions, 1)
-        rate, regressor, jacobian = np.zeros(x.shape), np.zeros(upsilon.shape), self._zeros.copy()
-        rate[:n] = model.blended(total, plant, u, weights)
-        each = model.blended(self._stacked, plant, u, weights)
-        regressor[:n] = each.reshape(len(self._directions), -1).T
-        jacobian[:n, :n] = model.blended_jacobian(total, plant, u, local)
-        return rate, jacobian @ upsilon + regressor, jacobian
+def require_directions(uncertainty: Uncertainty, shape: tuple[int, ...], model: str) -> None:
+    """Raise `ModelError` unless the uncertainty is of a model with directions of a shape."""
+    if uncertainty.directions.shape[1:] != shape:
+        raise ModelError(
+            f"uncertainty: expected directions of shape {shape} for {model}, "
+            f"got {uncertainty.directions.shape[1:]}"
+        )

@@ -22,7 +22,8 @@ So the ordered pairs of such matrices are vertices of all error systems of a ste
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,8 +32,11 @@ from scipy.linalg import block_diag
 from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import DisturbanceModel
-from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps
+from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.prediction import Flow, fill_common, fill_matrix, require_directions
+from tsobs_ros.model.stepping import SYSTEM
 from tsobs_ros.model.ts_model import TSModel
+from tsobs_ros.model.uncertainty import Uncertainty
 
 
 class TSStep(NamedTuple):
@@ -65,7 +69,7 @@ class PairVertex(NamedTuple):
     where: str
 
 
-class TSFlow:
+class TSFlow(Flow):
     """Predicts the augmented state x̄ = [x; w] of a T–S system (or of a batch of equal ones).
 
     Attributes:
@@ -102,20 +106,32 @@ class TSFlow:
             raise ModelError(
                 f"process_noise: expected densities of at least 0, got {[*self.process_noise]}"
             )
-        self.state_count = n + disturbance.state_count
-        self.output_matrix = as_matrix(
-            "C̄", np.hstack([model.C, disturbance.H]), (outputs, self.state_count)
-        )
-        mean = model.rates.mean(axis=0)
+        mean = sum(model.rates[1:], start=model.rates[0]) / model.rule_count
         self._mean = mean[:, :n]
         self.deviations = model.rates - mean
-        density = block_diag(np.diag(self.process_noise), disturbance.G @ disturbance.G.T)
+        density = block_diag(np.diag(self.process_noise), disturbance.noise_density)
         inputs = np.vstack([mean[:, n:], np.zeros((disturbance.state_count, model.input_count))])
         self._linear = LinearFlow(
             self.augmented(self._mean), inputs, np.asarray(density), 0.5 * self.period
         )
         self._identity = np.eye(self.state_count)
         self.nominal = self.step(self.period)
+
+    @property
+    def state_count(self) -> int:
+        """Length n of the augmented state."""
+        return self.model.state_count + self.disturbance.state_count
+
+    @cached_property
+    def output_matrix(self) -> Array:
+        """Augmented state to measurement C̄ = [C H], shape (p, n)."""
+        joined = np.hstack([self.model.C, self.disturbance.H])
+        return as_matrix("C̄", joined, (self.model.C.shape[0], self.state_count))
+
+    @property
+    def input_count(self) -> int:
+        """Number of inputs and scheduled signals."""
+        return self.model.input_count + int(self.model.schedule.shape[1])
 
     def augmented(self, A: Array) -> Array:
         """Return diag(A, S), shape (n, n), for a state matrix of the plant."""
@@ -125,72 +141,28 @@ class TSFlow:
         """Return the linear flow over half of `duration` [s]."""
         return TSStep(duration, *self._linear.over(0.5 * duration))
 
-    def steps(self, duration: float) -> list[TSStep]:
-        """Cut `duration` [s] into nominal steps and a remainder, in the order to take them.
+    @property
+    def rule_counts(self) -> tuple[int, int]:
+        """Numbers of rules and of premise variables."""
+        return self.model.rule_count, self.model.premise.shape[0]
 
-        Raises:
-            ModelError: The duration is negative or not finite.
-        """
-        return cut_into_steps(duration, self.period, self.nominal, self.step)
-
-    def predict(self, x: Array, u: Array, duration: float) -> Array:
-        """Return the augmented state a time `duration` later.
-
-        Args:
-            x: Augmented state, shape (..., n).
-            u: Inputs and scheduled signals held over the step, shape (..., m + s).
-            duration: [s], at least 0.
-
-        Raises:
-            ModelError: The duration is negative or not finite.
-        """
-        for step in self.steps(duration):
-            _, x = self._advance(x, u, step)
-        return x
-
-    def predict_with_covariance(
-        self, x: Array, covariance: Array, u: Array, duration: float
-    ) -> tuple[Array, Array]:
-        """Return the state and the error covariance a time `duration` later.
-
-        The covariance follows the step's Jacobian along the estimate.
-
-        Args:
-            x: Augmented state, shape (..., n).
-            covariance: Its error covariance Σ, shape (..., n, n), or (n, n) for all of a batch.
-            u: Inputs and scheduled signals held over the step, shape (..., m + s).
-            duration: [s], at least 0.
-
-        Returns:
-            State and covariance, shapes (..., n) and (..., n, n).
-
-        Raises:
-            ModelError: The duration is negative or not finite.
-        """
-        if covariance.ndim <= x.ndim:
-            covariance = np.broadcast_to(covariance, (*x.shape, x.shape[-1]))
-        for step in self.steps(duration):
-            middle, after = self._advance(x, u, step)
-            transition, noise = self.error_map(
-                self.deviation_jacobian(x, u), self.deviation_jacobian(middle, u), step
-            )
-            covariance = transition @ covariance @ np.swapaxes(transition, -1, -2) + noise
-            x = after
-        return x, covariance
-
-    def deviation(self, x: Array, u: Array) -> Array:
-        """Return g(x, u), what the rules differ by from their mean, shape (..., n)."""
-        n = self.model.state_count
-        rate = np.zeros(x.shape)
-        rate[..., :n] = self.model.blended(self.deviations, x[..., :n], u)
-        return rate
-
-    def deviation_jacobian(self, x: Array, u: Array) -> Array:
-        """Return dg/dx̄, shape (..., n, n)."""
-        n = self.model.state_count
-        jacobian = np.zeros((*x.shape, x.shape[-1]))
-        jacobian[..., :n, :n] = self.model.blended_jacobian(self.deviations, x[..., :n], u)
-        return jacobian
+    def fill(self, record: Any, uncertainty: Uncertainty | None = None) -> None:
+        """Enter the model's numbers into one record; see `Flow`."""
+        model = self.model
+        fill_common(record, self, self._linear, 0.5 * self.period, uncertainty)
+        record["kind"], record["plant"] = SYSTEM, model.state_count
+        shapes, parameters = model.rule_base.coded
+        for name, values in (
+            ("deviations", self.deviations),
+            ("premise", model.premise),
+            ("schedule", model.schedule),
+            ("shapes", shapes),
+            ("parameters", parameters),
+        ):
+            fill_matrix(record[name], values)
+        if uncertainty is not None:
+            require_directions(uncertainty, self.deviations.shape, type(self).__name__)
+            fill_matrix(record["directions"], uncertainty.directions)
 
     def error_map(self, first: Array, second: Array, step: TSStep) -> tuple[Array, Array]:
         """Return the transition of the error and the covariance of its noise over a step.
@@ -227,11 +199,3 @@ class TSFlow:
     def to_physical(self, x: ArrayLike) -> Array:
         """Return the plant's part of augmented states of shape (..., n), in the model's units."""
         return np.asarray(x, dtype=np.float64)[..., : self.model.state_count]
-
-    def _advance(self, x: Array, u: Array, step: TSStep) -> tuple[Array, Array]:
-        """Return the state in the middle of a step and after it."""
-        forced = u[..., : self.model.input_count] @ step.gamma.T
-        coasted = x @ step.phi.T + forced
-        middle = coasted + 0.5 * step.duration * (self.deviation(x, u) @ step.phi.T)
-        after = (coasted + step.duration * self.deviation(middle, u)) @ step.phi.T + forced
-        return middle, after

@@ -22,8 +22,10 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.baselines import ComparisonObserver
+from tsobs_ros.estimation.baselines import integrated_estimator
+from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.matrices import product
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import EXAMPLE_3_H, EXAMPLE_3_P, example_3
 from tsobs_ros.paper.projection import clip, project
@@ -411,10 +413,13 @@ def printed_observer() -> AugmentedObserver:
     return AugmentedObserver(augmentation, augmentation.E_L_inverse @ EXAMPLE_3_H, M)
 
 
-def paper_observer(
-    arm: ElasticJointArm, period: float, measurement_std: float
-) -> ComparisonObserver:
-    """Return the method's observer for the arm of its Example 3.
+def paper_observer(arm: ElasticJointArm, period: float, measurement_std: float) -> Estimator:
+    """Return the method's observer for the arm of its Example 3, with the gains that it prints.
+
+    Args:
+        arm: The arm.
+        period: Nominal sampling period [s].
+        measurement_std: 1σ of a sample [rad], the only known part of an innovation's size.
 
     Raises:
         ModelError: The arm is another one; the method prints gains for this one only.
@@ -424,8 +429,21 @@ def paper_observer(
             "method paper: expected the arm of the method's Example 3, for which it prints gains, "
             f"got {arm}"
         )
-    inner = printed_observer()
-    start = inner.initial(np.zeros(1))
-    return ComparisonObserver(
-        inner, start, arm, period, measurement_std, lambda state: inner.estimate(state).omega
+    observer = printed_observer()
+    aug = observer.augmentation
+    n = aug.state_count
+    F = np.array([A - product(H, aug.C_bar) for A, H in zip(aug.A1, observer.H1, strict=True)])
+    Y = np.array([product(f, aug.L1) + H + aug.N1 for f, H in zip(F, observer.H1, strict=True)])
+    return integrated_estimator(
+        F,
+        Y,
+        np.asarray(aug.B1),
+        aug.C_bar,
+        period=positive("period", period),
+        max_step=_MAX_STEP,
+        scale=arm.to_physical(np.ones(n)),
+        measurement_covariance=np.array([[positive("measurement_std", measurement_std) ** 2]]),
+        rule_base=aug.system.rule_base,
+        D=product(aug.C_bar, aug.L1),
+        disturbance=(np.eye(1, aug.size, n), aug.L1[n:]),
     )

@@ -8,23 +8,22 @@ largest angle, in one run a seed; PO and PIO have the best θ of a grid, the pap
 printed gains.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import DisturbanceTerm
-from tsobs_ros.estimation.baselines import (
-    ExtendedKalmanFilter,
-    HighGainObserver,
-    ProportionalIntegralObserver,
-)
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
+from tsobs_ros.estimation.baselines import high_gain, proportional_integral
+from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
 from tsobs_ros.paper.examples import PaperExample, second_weight
-from tsobs_ros.paper.observer import AugmentedObserver, printed_observer
+from tsobs_ros.paper.observer import AugmentedObserver, paper_observer
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -50,8 +49,6 @@ WINDOW_START = 20.0
 
 _SCALE = (0.226, 0.60, 3.55, 4.64)  # RMS of the states themselves, in design coordinates
 _FIRST_SEED = 9000
-
-State = TypeVar("State")
 
 
 @dataclass(frozen=True)
@@ -284,14 +281,6 @@ def _observe(
     ]
 
 
-class SampledObserver(Protocol[State]):
-    """An observer that runs sample by sample; its state's `x` begins with the arm's four states."""
-
-    def correct(self, state: State, y: Array) -> tuple[State, object]: ...
-
-    def predict(self, state: State, u: Array, duration: float) -> State: ...
-
-
 class ObserverErrors(NamedTuple):
     """Errors of one observer, one row a run.
 
@@ -345,36 +334,41 @@ def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -
         duration: Of a run [s], above `WINDOW_START`.
     """
     runs = simulate(SCENARIOS["noise"], range(_FIRST_SEED, _FIRST_SEED + seeds), duration)
-    arm, grid = ElasticJointArm(), np.array(THETAS)[:, np.newaxis]
-    batch = (len(THETAS), seeds)
-    high_gain, integral = HighGainObserver(arm, grid), ProportionalIntegralObserver(arm, grid)
-    paper, ours = printed_observer(), design.observer()
-    observers = [
-        _best("PO", runs, _run(high_gain, high_gain.initial(batch), runs)),
-        _best("PIO", runs, _run(integral, integral.initial(batch), runs)),
-        _errors("paper", runs, _run(paper, paper.initial(runs.measurements[:, 0]), runs)),
-        _errors("ours", runs, _run(ours, ours.initial((seeds,)), runs)),
-    ]
-    asked = design.arm_request
-    without = replace(asked, disturbance=(DisturbanceTerm("clean"),))
-    for name, request in (("EKF", asked), ("EKF clean", without)):
-        ekf = ExtendedKalmanFilter(
-            request.flow, request.measurement_covariance, request.initial_covariance
-        )
-        observers.append(_errors(name, runs, _run(ekf, ekf.initial((seeds,)), runs)))
-    return ArmComparison(runs, tuple(observers))
-
-
-def _run(observer: SampledObserver[State], state: State, runs: Trajectories) -> Array:
-    """Return x̂ after each sample, shape (..., runs, samples, 4), from a start state."""
+    arm, asked = ElasticJointArm(), design.arm_request
     period = float(runs.times[1] - runs.times[0])
-    estimates = []
-    for index in range(len(runs.times)):
-        state, _ = observer.correct(state, runs.measurements[:, index])
-        x: Array = state.x  # type: ignore[attr-defined]
-        estimates.append(x[..., :4])
-        state = observer.predict(state, runs.torques[:, index], period)
-    return np.stack(estimates, axis=-2)
+    known = (period, asked.measurement_std)
+    without = replace(asked, disturbance=(DisturbanceTerm("clean"),))
+    return ArmComparison(
+        runs,
+        (
+            _best("PO", runs, [high_gain(arm, theta, *known) for theta in THETAS]),
+            _best("PIO", runs, [proportional_integral(arm, theta, *known) for theta in THETAS]),
+            _errors("paper", runs, _run(paper_observer(arm, *known), runs)),
+            _errors("ours", runs, _run(design.observer(), runs)),
+            _errors("EKF", runs, _run(_ekf(asked), runs)),
+            _errors("EKF clean", runs, _run(_ekf(without), runs)),
+        ),
+    )
+
+
+def _ekf(request: ArmRequest) -> Estimator:
+    n, p = request.flow.state_count, 1
+    # No gain ever takes over; the bound only has to be there.
+    unused = CertifiedGain(np.zeros((n, p)), np.eye(n))
+    return certified_estimator(
+        request.flow,
+        request.measurement_covariance,
+        request.initial_covariance,
+        unused,
+        gain_mode=GainMode.RICCATI,
+    )
+
+
+def _run(observer: Estimator, runs: Trajectories) -> Array:
+    """Return x̂ after each sample in design coordinates, shape (runs, samples, 4)."""
+    period = float(runs.times[1] - runs.times[0])
+    physical = observer.observe(runs.measurements, runs.torques, period).state
+    return ElasticJointArm().from_physical(physical)
 
 
 def _errors(
@@ -383,11 +377,13 @@ def _errors(
     return ObserverErrors(name, _rmse(runs, estimates), theta, estimates[0])
 
 
-def _best(name: str, runs: Trajectories, estimates: Array) -> ObserverErrors:
+def _best(name: str, runs: Trajectories, observers: Sequence[Estimator]) -> ObserverErrors:
     """Return the errors at the θ with the smallest mean RMSE of x₃."""
-    errors = _rmse(runs, estimates)
-    best = int(np.argmin(errors[..., MOTOR_ANGLE].mean(axis=-1)))
-    return _errors(name, runs, estimates[best], THETAS[best])
+    found = [
+        _errors(name, runs, _run(observer, runs), theta)
+        for observer, theta in zip(observers, THETAS, strict=True)
+    ]
+    return min(found, key=lambda errors: float(errors.motor_angle.mean()))
 
 
 def _rmse(runs: Trajectories, estimates: Array) -> Array:

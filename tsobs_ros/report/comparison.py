@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tsobs_ros.bag.joint_series import JointSeries
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.observer import GainMode
+from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.tracker import JointTrackers, Tracker, TrackerOptions
 from tsobs_ros.replay.estimate import Run
 from tsobs_ros.replay.replay import Replay
@@ -124,7 +124,7 @@ def compare_with_ekf(
     return EkfComparison(measure(run, options), measure(ekf, options))
 
 
-def rerun(run: RecordedRun, observer: Estimator[Any], x_max: float) -> RecordedRun:
+def rerun(run: RecordedRun, observer: Estimator, x_max: float) -> RecordedRun:
     """Return the run with the estimates that another observer makes of its measurements.
 
     The measurements are offered in their order of arrival and the estimates asked for at the

@@ -22,7 +22,6 @@ from tsobs_ros.estimation.records import (
     Measurement,
     RejectReason,
 )
-from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.io import Stamps
@@ -77,7 +76,7 @@ class Outcomes(NamedTuple):
     expected_std: list[float]
 
 
-def offer_all(tracker: Tracker[Any], stamps: Stamps, y: Array, u: Array, now: int) -> Outcomes:
+def offer_all(tracker: Tracker, stamps: Stamps, y: Array, u: Array, now: int) -> Outcomes:
     """Offer a tracker samples in ascending order of their stamps."""
     outcomes = Outcomes([], [], [])
     for stamp, angle, torque in zip(stamps.tolist(), y, u, strict=True):
@@ -107,14 +106,14 @@ class ObservedJoint:
         self,
         name: str,
         loaded: LoadedDesign,
-        estimator: Estimator[Any],
+        estimator: Estimator,
         parameters: ObserverParameters,
     ) -> None:
         self.name = name
         self.loaded = loaded
         settings = parameters.settings
         self.learnt = settings.learnt(loaded.design)
-        self.tracker: Tracker[Any] = make_tracker(loaded.design, settings, estimator)
+        self.tracker: Tracker = make_tracker(loaded.design, settings, estimator)
         self._limits = parameters.fault
         self._coast_after, self._stale_after = parameters.coast_after, parameters.stale_after
         self.reset()
@@ -131,8 +130,8 @@ class ObservedJoint:
         """Take over parameters that were changed while the node runs."""
         self._coast_after = parameters.coast_after
         self._limits = self.faults.limits = parameters.fault
-        if isinstance(self.tracker.estimator, SupervisedObserver):
-            self.tracker.estimator.options = parameters.supervision
+        if self.tracker.estimator.supervised:
+            self.tracker.estimator.supervise(parameters.supervision)
 
     def age(self, now: int) -> float | None:
         """Return the age of the newest measurement in use [s], None before the first."""

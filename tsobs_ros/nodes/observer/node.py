@@ -116,7 +116,7 @@ class Observer(ManagedNode[ObserverParameters]):
         return tuple(self._joints)
 
     @property
-    def tracker(self) -> Tracker[Any]:
+    def tracker(self) -> Tracker:
         """The tracker of the first joint, with its counts."""
         return self._joints[0].tracker
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.health import DisturbanceLimits
-from tsobs_ros.estimation.observer import TORQUE_RATE, GainMode
-from tsobs_ros.estimation.supervised import SupervisionOptions
+from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import fixed_parameter, parameter, parameter_group

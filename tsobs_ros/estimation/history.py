@@ -1,0 +1,333 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The history of an estimator in compiled code: a ring of states, one after each measurement.
+
+A late measurement is put in its place by rewinding to the state before it, so the estimate equals,
+bit for bit, the one that arrival in order would have given. However many are late, one rewind
+serves all that come together: the cost is one pass over the history.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.compiled import compiled
+from tsobs_ros.estimation.records import RejectReason
+from tsobs_ros.estimation.state import correction_type, readout_type, work_type
+from tsobs_ros.estimation.steps import correct, predict, read, write_row
+from tsobs_ros.model.stepping import Room, record_type
+
+REASONS = (None, *RejectReason)
+"""Reasons of rejection by their codes; 0 is a measurement that was used."""
+
+USED = 0
+NON_FINITE, DUPLICATE, TOO_OLD, FROM_FUTURE, GATED, ZERO_STAMP = (
+    REASONS.index(reason)
+    for reason in (
+        RejectReason.NON_FINITE,
+        RejectReason.DUPLICATE,
+        RejectReason.TOO_OLD,
+        RejectReason.FROM_FUTURE,
+        RejectReason.GATED,
+        RejectReason.ZERO_STAMP,
+    )
+)
+
+SPARE = 2
+"""States at the end of a ring: one in a gap, and one that is read."""
+
+EXTRA = 2
+"""Numbers of `estimate_at` behind those of `write_row`: in the domain or not, and the age [s]."""
+
+
+def memory_type(room: Room) -> np.dtype[Any]:
+    """Return the type of what a history needs besides its ring.
+
+    first, size: of the states in the ring. has_base: whether the first of them is only kept to
+    rewind to. generation: count of changes. coasted_periods: whole periods of a gap, after the
+    newest measurement at `coasted_generation`, for which there is a state. accepted to refused:
+    counts, the last by the codes of `REASONS`. span: how far back a late measurement may reach
+    [ns]. future: how far ahead of the clock a stamp may lie [ns]. restart_after: the longest gap
+    [ns]. max_steps: the largest number of measurements. x_max: half width of the certificate's
+    domain. The rest is scratch.
+    """
+    count = np.int64
+    return record_type(
+        [
+            ("first", count),
+            ("size", count),
+            ("has_base", count),
+            ("generation", count),
+            ("coasted_generation", count),
+            ("coasted_periods", count),
+            ("accepted", count),
+            ("rewinds", count),
+            ("forgotten", count),
+            ("bad_outputs", count),
+            ("refused", count, (len(REASONS),)),
+            ("span", count),
+            ("future", count),
+            ("restart_after", count),
+            ("max_steps", count),
+            ("x_max", np.float64),
+            ("correction", correction_type(room)),
+            ("readout", readout_type(room)),
+            ("work", work_type(room)),
+        ]
+    )
+
+
+@compiled
+def offer(
+    models: Any,
+    memories: Any,
+    ring: Any,
+    stamps: Any,
+    y: Array,
+    u: Array,
+    now: int,
+    outcomes: Any,
+    innovations: Array,
+    expected_std: Array,
+) -> None:
+    """Use measurements, or refuse them.
+
+    They may be in any order; in ascending order of stamps, late ones cost one rewind in all.
+
+    Args:
+        models: Model record, shape (1,).
+        memories: Record of `memory_type`, shape (1,).
+        ring: State records, `max_steps` + 2 + `SPARE` or more.
+        stamps: Of N measurements [ns], shape (N,).
+        y: Shape (N, p).
+        u: Inputs from each measurement until the next one, shape (N, m).
+        now: Time on the clock of the stamps [ns].
+        outcomes: Codes of `REASONS`, written, shape (N,).
+        innovations: y − ŷ of those that are used, written, shape (N, p).
+        expected_std: 1σ expected of each, written, shape (N, p).
+    """
+    model, memory = models[0], memories[0]
+    count, i = len(stamps), 0
+    # In a rewind: the measurements after the late one, to be used again.
+    late, again = 0, 0
+    later_stamps = np.empty(0, np.int64)
+    later_y, later_u = np.empty((0, 1)), np.empty((0, 1))
+    while i < count or again < late:
+        newest = _newest(memory, ring)
+        if again < late:
+            following = later_stamps[again]
+            # One that is older than its predecessor waits until the rewind is over.
+            if i >= count or stamps[i] > following or stamps[i] < newest:
+                _advance(model, memory, ring, following, later_y[again], later_u[again])
+                again += 1
+                continue
+        code = _refusal(model, memory, ring, stamps[i], y[i], u[i], now, newest)
+        if code == USED and again < late and stamps[i] == later_stamps[again]:
+            code = DUPLICATE
+        if code != USED:
+            memory.refused[code] += 1
+            outcomes[i] = code
+            i += 1
+            continue
+        if again >= late and memory.size > 0 and stamps[i] < newest:
+            place = _count_before(memory, ring, stamps[i])
+            late, again = memory.size - place, 0
+            later_stamps = np.empty(late, np.int64)
+            later_y, later_u = np.empty((late, model.p)), np.empty((late, model.m))
+            for j in range(late):
+                step = ring[_slot(memory, ring, place + j)]
+                later_stamps[j] = step.stamp
+                for c in range(model.p):
+                    later_y[j, c] = step.y[c]
+                for c in range(model.m):
+                    later_u[j, c] = step.u[c]
+            memory.size = place
+        if again < late:
+            memory.rewinds += 1
+        memory.accepted += 1
+        gated = _advance(model, memory, ring, stamps[i], y[i], u[i])
+        outcomes[i] = GATED if gated else USED
+        for j in range(model.p):
+            innovations[i, j] = memory.correction.innovation[j]
+            variance = memory.correction.innovation_covariance[j, j]
+            expected_std[i, j] = math.sqrt(variance) if variance >= 0.0 else math.nan
+        i += 1
+
+
+@compiled
+def estimate_at(models: Any, memories: Any, ring: Any, stamp: int, row: Array) -> bool:
+    """Write the estimate at a stamp; return whether there is one.
+
+    There is none before the first measurement, too long after the last, or if it is not finite,
+    which is counted.
+
+    Args:
+        models: Model record, shape (1,).
+        memories: Record of `memory_type`, shape (1,).
+        ring: State records.
+        stamp: [ns].
+        row: As of `write_row`, and behind that whether the state is in the certificate's domain,
+            and the time since the newest measurement before it [s].
+    """
+    model, memory = models[0], memories[0]
+    place = memory.size - 1
+    if memory.size > 0 and stamp < _newest(memory, ring):
+        place = _count_before(memory, ring, stamp + 1) - 1
+    if place < 0:
+        return False
+    scratch, coasted = len(ring) - 1, len(ring) - 2
+    step = ring[_slot(memory, ring, place)]
+    elapsed = stamp - step.stamp
+    if elapsed > memory.restart_after:
+        return False
+    ring[scratch] = step
+    remaining, period = elapsed / 1e9, model.period
+    # Whole periods of a gap are remembered from one call to the next; without that every call in a
+    # long gap would predict through the whole gap again.
+    whole = math.floor(remaining / period) if remaining > 2.0 * period else 0
+    taken, memorable = 0, place == memory.size - 1
+    known = memorable and memory.coasted_generation == memory.generation
+    if known and 0 < memory.coasted_periods <= whole:
+        ring[scratch] = ring[coasted]
+        taken = memory.coasted_periods
+    while True:
+        length = period
+        if taken >= whole:
+            length = remaining - whole * period
+            if whole > 0 and memorable:
+                ring[coasted] = ring[scratch]
+                memory.coasted_periods = whole
+                memory.coasted_generation = memory.generation
+        elif taken == 0:
+            # Two at once, so that it is no regular step for the estimator.
+            length = 2.0 * period
+        if length > 0.0:
+            predict(model, ring[scratch], step.u[:], length, taken >= whole, memory.work)
+        if taken >= whole:
+            break
+        taken += 2 if taken == 0 else 1
+    read(model, ring[scratch], memory.readout, memory.work)
+    if memory.readout.finite == 0:
+        memory.bad_outputs += 1
+        return False
+    end = write_row(model, memory.readout, row)
+    row[end] = 1.0 if abs(memory.readout.state[0]) <= memory.x_max else 0.0
+    row[end + 1] = remaining
+    return True
+
+
+@compiled
+def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array) -> bool:
+    """Predict to a measurement from the newest state, correct, and remember.
+
+    Returns:
+        Whether the measurement was gated.
+    """
+    place = _slot(memory, ring, memory.size)
+    gated, restarts, failures = 0, 0, 0
+    restart = memory.size == 0
+    if memory.size > 0:
+        last = ring[_slot(memory, ring, memory.size - 1)]
+        gated, restarts, failures = last.gated, last.restarts, last.failures
+        if stamp - last.stamp > memory.restart_after:
+            restart = True
+            restarts += 1
+        else:
+            ring[place] = last
+            predict(model, ring[place], last.u[:], (stamp - last.stamp) / 1e9, False, memory.work)
+    state, correction = ring[place], memory.correction
+    for attempt in range(2):
+        if restart:
+            ring[place] = model.initial
+        correct(model, state, y, correction)
+        total = 0.0
+        for i in range(model.p):
+            total += correction.innovation[i]
+            for j in range(model.p):
+                total += correction.innovation_covariance[i, j]
+        if attempt > 0 or math.isfinite(total):
+            break
+        # Start over, from this measurement.
+        restart = True
+        restarts += 1
+        failures += 1
+    is_gated: bool = correction.weight == 0.0
+    state.stamp = stamp
+    for i in range(model.m):
+        state.u[i] = u[i]
+    state.gated = gated + 1 if is_gated else gated
+    state.restarts, state.failures = restarts, failures
+    memory.size += 1
+    memory.generation += 1
+    # Forget what is out of reach, and what is too much.
+    while True:
+        steps = memory.size - memory.has_base
+        oldest = ring[_slot(memory, ring, memory.has_base)].stamp
+        expired = oldest < stamp - memory.span
+        if not expired and steps <= memory.max_steps:
+            break
+        if not expired:
+            memory.forgotten += 1
+        if memory.has_base != 0:
+            memory.first = _slot(memory, ring, 1)
+            memory.size -= 1
+        memory.has_base = 1
+    return is_gated
+
+
+@compiled
+def _slot(memory: Any, ring: Any, place: int) -> int:
+    """Return where a state is, given its place from the oldest on."""
+    slot: int = (memory.first + place) % (len(ring) - SPARE)
+    return slot
+
+
+@compiled
+def _newest(memory: Any, ring: Any) -> int:
+    """Return the newest stamp [ns], 0 if there is none."""
+    if memory.size == 0:
+        return 0
+    stamp: int = ring[_slot(memory, ring, memory.size - 1)].stamp
+    return stamp
+
+
+@compiled
+def _count_before(memory: Any, ring: Any, stamp: int) -> int:
+    """Return the number of states in the ring before a stamp [ns]."""
+    low, high = 0, memory.size
+    while low < high:
+        middle = (low + high) // 2
+        if ring[_slot(memory, ring, middle)].stamp < stamp:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@compiled
+def _refusal(
+    model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array, now: int, newest: int
+) -> int:
+    """Return the code of the reason why a measurement cannot be used, or `USED`."""
+    total = 0.0
+    for i in range(model.p):
+        total += 0.0 * y[i]
+    for i in range(model.m):
+        total += 0.0 * u[i]
+    if total != 0.0:  # which it is for NaN
+        return NON_FINITE
+    if stamp <= 0:
+        return ZERO_STAMP
+    if stamp > now + memory.future:
+        return FROM_FUTURE
+    if memory.size == 0 or stamp > newest:
+        return USED
+    base = ring[memory.first]
+    if stamp < newest - memory.span or (memory.has_base != 0 and stamp <= base.stamp):
+        return TOO_OLD
+    place = _count_before(memory, ring, stamp)
+    if place < memory.size and ring[_slot(memory, ring, place)].stamp == stamp:
+        return DUPLICATE
+    return USED

@@ -1,0 +1,115 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Options of an estimator: its gain, how it learns, how it is supervised."""
+
+import enum
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from tsobs_ros.checks import Array, non_negative, positive
+from tsobs_ros.errors import ModelError
+
+TORQUE_RATE = 1.0
+"""Default 1σ of an arm's torque rate in a gap [N m/s]."""
+
+MAX_JUMP_BUDGET = 32
+"""Jumps that a state has room for."""
+
+
+class GainMode(enum.Enum):
+    """Which gain corrects the estimate once it has settled."""
+
+    CERTIFIED = "certified"
+    RICCATI = "riccati"
+
+
+class CertifiedGain(NamedTuple):
+    """The constant gain and the bound that is proved for it.
+
+    Attributes:
+        K: Filter gain, shape (n, p).
+        X: Bound on the error covariance before each sample, shape (n, n).
+    """
+
+    K: Array
+    X: Array
+
+
+@dataclass(frozen=True)
+class AdaptationOptions:
+    """How fast parameters are learnt, and when they count as known.
+
+    Attributes:
+        initial_std: 1σ of each θ before any measurement; caps the gain ever after.
+        random_walk_density: Growth of each θ's variance, which keeps the gain alive [1/s].
+        start: Adaptation begins so long after a (re)start [s], when the innovations are not
+            one-sided any more.
+        memory: Time constant of the measure of excitation [s].
+        excitation: Smallest eigenvalue of the excitation from which θ counts as valid.
+    """
+
+    initial_std: float = 0.1
+    random_walk_density: float = 1e-6
+    start: float = 2.0
+    memory: float = 10.0
+    excitation: float = 400.0
+
+    def __post_init__(self) -> None:
+        positive("adaptation initial_std", self.initial_std)
+        non_negative("adaptation random_walk_density", self.random_walk_density)
+        non_negative("adaptation start", self.start)
+        positive("adaptation memory", self.memory)
+        non_negative("adaptation excitation", self.excitation)
+
+
+@dataclass(frozen=True)
+class SupervisionOptions:
+    """When to react, and how strongly; the defaults are for 200 Hz.
+
+    Attributes:
+        gate: Innovations beyond so many σ are downweighted to it.
+        reject: Innovations beyond so many σ are not used at all.
+        jump_std: 1σ by which the disturbance's uncertainty grows after a jump [rad]; 0 switches
+            jumps off.
+        jump_duration: Riccati gains are used for at least so long after a jump [s].
+        jump_quiet: No jump is looked for so soon after a start [s], when innovations are one-sided.
+        jump_budget: Largest number of jumps in `jump_budget_window`: under a wrong model every
+            innovation leans, and unbudgeted reactions make the error worse.
+        jump_budget_window: [s].
+        lost: Half-second average of |r| beyond which the estimate is given up.
+        stuck_samples: From so many repetitions of the very same value on, samples of the sensor
+            are not used; 0 for a sensor whose steps are larger than its noise.
+        disturbance_limit: The estimated disturbance is kept within so much [rad]; beyond π the arm
+            and its sensor turned together look the same.
+        strain: `nis` above 2, or a parameter at its limit, for so long resets the adaptation [s].
+        relearn_budget: After so many times the parameters are frozen at their nominal values.
+    """
+
+    gate: float = 5.0
+    reject: float = 50.0
+    jump_std: float = 0.15
+    jump_duration: float = 1.5
+    jump_quiet: float = 8.0
+    jump_budget: int = 3
+    jump_budget_window: float = 20.0
+    lost: float = 6.0
+    stuck_samples: int = 10
+    disturbance_limit: float = math.pi
+    strain: float = 1.0
+    relearn_budget: int = 4
+
+    def __post_init__(self) -> None:
+        for name in ("gate", "lost", "disturbance_limit", "strain"):
+            positive(name, getattr(self, name))
+        jumps = ("jump_std", "jump_duration", "jump_quiet", "jump_budget", "jump_budget_window")
+        for name in (*jumps, "stuck_samples", "relearn_budget"):
+            non_negative(name, getattr(self, name))
+        if self.jump_budget > MAX_JUMP_BUDGET:
+            raise ModelError(
+                f"jump_budget: expected at most {MAX_JUMP_BUDGET}, got {self.jump_budget!r}"
+            )
+        if not self.reject >= self.gate:
+            raise ModelError(
+                f"reject: expected at least the gate {self.gate!r}, got {self.reject!r}"
+            )

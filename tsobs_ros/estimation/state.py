@@ -1,0 +1,309 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Records of an estimator: its state, its model, and what it says.
+
+A state is all that an estimator remembers. Copying it is copying a record, two are equal if their
+bytes are, an array of them is a batch, a history or a checkpoint. The shapes of its fields depend
+on the numbers of states n, outputs p, inputs m and parameters k. Flags are integers, 0 or 1.
+"""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.estimation.options import (
+    MAX_JUMP_BUDGET,
+    AdaptationOptions,
+    CertifiedGain,
+    GainMode,
+    SupervisionOptions,
+)
+from tsobs_ros.model import stepping
+from tsobs_ros.model.matrices import congruent, inverse, joseph
+from tsobs_ros.model.trigonometry import exponential
+from tsobs_ros.model.prediction import Record, fill_matrix
+from tsobs_ros.model.stepping import Room, flow_type, record_type
+
+Fields = list[tuple[Any, ...]]
+
+WINDOW = 8
+"""Innovations that are looked at together for a jump."""
+
+OPEN, RICCATI, CERTIFIED = 0, 1, 2
+"""Gains of a sample: none, as it is held while the observer is integrated, or one of these."""
+
+
+class Shape(NamedTuple):
+    """Sizes of an estimator that are in use.
+
+    Attributes:
+        n: Number of augmented states.
+        plant: Number of the plant's states, the first of them.
+        p: Number of outputs.
+        m: Number of inputs and scheduled signals.
+        k: Number of learnt parameters.
+        gap: Number of augmented states in a gap, 0 if the torque is held there.
+    """
+
+    n: int
+    plant: int
+    p: int
+    m: int
+    k: int = 0
+    gap: int = 0
+
+    def trim(self, name: str, values: Any) -> Any:
+        """Return a field's numbers, shape (records, ...), without the room that is not in use."""
+        sizes = tuple(getattr(self, size) for size in _SIZES.get(name, ()))
+        return values[(slice(None), *map(slice, sizes))]
+
+
+_SIZES: dict[str, tuple[str, ...]] = {
+    "x": ("n",),
+    "covariance": ("n", "n"),
+    "gap": ("gap", "gap"),
+    "theta": ("k",),
+    "gamma": ("k", "k"),
+    "upsilon": ("k", "n"),
+    "gram": ("k", "k"),
+    "gain": ("n", "p"),
+    "innovation_covariance": ("p", "p"),
+    "state": ("plant",),
+    "state_bound": ("plant",),
+    "parameters": ("k",),
+    "parameter_bound": ("k",),
+    "u": ("m",),
+    **dict.fromkeys(
+        ("y", "innovation", "disturbance", "disturbance_rate", "disturbance_bound"), ("p",)
+    ),
+}
+
+
+def state_type(room: Room) -> np.dtype[Any]:
+    """Return the type of a state.
+
+    stamp, y, u: of the newest sample [ns]. x: estimate in design coordinates. covariance: of its
+    error; the certificate's bound while `certified`. gap: the same with the unknown torque's, while
+    `in_gap`. settling: least time with Riccati gains left [s]. corrected: whether a sample was used
+    since the last prediction. theta, gamma, upsilon (by rows), gram, age: of the adaptation. recent
+    to jump_count: the supervision's memory of the innovations, the newest last. pause: time for
+    which the adaptation rests [s]. pinned: time for which a parameter has been at its limit [s].
+    repeats: samples with the very same value. The others are counts.
+    """
+    n, p, m, k = room[:4]
+    number, count = np.float64, np.int64
+    return record_type(
+        [
+            ("stamp", count),
+            ("y", number, (p,)),
+            ("u", number, (m,)),
+            ("x", number, (n,)),
+            ("covariance", number, (n, n)),
+            ("gap", number, (n, n)),
+            ("settling", number),
+            ("certified", count),
+            ("corrected", count),
+            ("in_gap", count),
+            ("theta", number, (k,)),
+            ("gamma", number, (k, k)),
+            ("upsilon", number, (k, n)),
+            ("gram", number, (k, k)),
+            ("age", number),
+            ("recent", number, (WINDOW,)),
+            ("calm_nis", number, (WINDOW,)),
+            ("watched", count),
+            ("nis", number),
+            ("magnitude", number),
+            ("strained", number),
+            ("watch_age", number),
+            ("jump_ages", number, (MAX_JUMP_BUDGET,)),
+            ("jump_count", count),
+            ("pause", number),
+            ("pinned", number),
+            ("seen", count),
+            ("repeats", count),
+            ("outliers", count),
+            ("jumps", count),
+            ("losses", count),
+            ("adaptation_resets", count),
+            ("gated", count),
+            ("restarts", count),
+            ("failures", count),
+        ]
+    )
+
+
+def correction_type(room: Room) -> np.dtype[Any]:
+    """Return the type of a sample's effect, with scratch numbers of the same step."""
+    n, p, _, k = room[:4]
+    number = np.float64
+    return record_type(
+        [
+            ("innovation", number, (p,)),
+            ("innovation_covariance", number, (p, p)),
+            ("gain", number, (n, p)),
+            ("weight", number),
+            ("known", number, (p, p)),
+            ("explained", number, (p, p)),
+            ("omega", number, (p, k)),
+            ("cross", number, (p, k)),
+            ("factor", number, (p, p)),
+            ("crossed", number, (p, n)),
+            ("turned", number, (p, k)),
+            ("nothing", number, (n, n)),
+            ("squares", number, (3, n, n)),
+        ]
+    )
+
+
+def readout_type(room: Room) -> np.dtype[Any]:
+    """Return the type of an estimate in physical units; see `Estimate` for the fields."""
+    number, count = np.float64, np.int64
+    n, p, _, k = room[:4]
+    return record_type(
+        [
+            ("stamp", count),
+            ("state", number, (n,)),
+            ("state_bound", number, (n,)),
+            ("disturbance", number, (p,)),
+            ("disturbance_rate", number, (p,)),
+            ("disturbance_bound", number, (p,)),
+            ("parameters", number, (k,)),
+            ("parameter_bound", number, (k,)),
+            ("age", number),
+            ("certified", count),
+            ("parameters_valid", count),
+            ("in_domain", count),
+            ("finite", count),
+        ]
+    )
+
+
+def work_type(room: Room) -> np.dtype[Any]:
+    """Return the type of a prediction's scratch numbers."""
+    n, k = room.n, room.k
+    return record_type(
+        [
+            ("flow", stepping.work_type(room)),
+            ("x", np.float64, (n,)),
+            ("upsilon", np.float64, (k, n)),
+            ("square", np.float64, (n, n)),
+            ("small", np.float64, (k, k)),
+        ]
+    )
+
+
+def model_type(room: Room) -> np.dtype[Any]:
+    """Return the type of a model: flows, output, gains, bounds, options and the initial state."""
+    n, p, _, k = room[:4]
+    number, count = np.float64, np.int64
+    return record_type(
+        [
+            ("flow", flow_type(room)),
+            ("gap", flow_type(room)),
+            ("initial", state_type(room)),
+            ("n", count),
+            ("plant", count),
+            ("p", count),
+            ("m", count),
+            ("k", count),
+            ("n_gap", count),
+            ("period", number),
+            ("shortest", number),
+            ("longest", number),
+            ("rate_variance", number),
+            ("gain_mode", count),
+            ("C", number, (p, n)),
+            ("D", number, (p, p)),
+            ("R", number, (p, p)),
+            ("K", number, (n, p)),
+            ("X", number, (n, n)),
+            ("P", number, (n, n)),
+            ("posterior", number, (n, n)),
+            ("innovation_covariance", number, (p, p)),
+            ("scale", number, (n,)),
+            ("disturbance_map", number, (p, n)),
+            ("disturbance_direct", number, (p, p)),
+            ("rate_map", number, (p, n)),
+            ("disturbed", count),
+            ("state_std", number, (n,)),
+            ("disturbance_std", number, (p,)),
+            ("limits", number, (k,)),
+            ("theta_variance", number),
+            ("random_walk", number),
+            ("adaptation_start", number),
+            ("memory", number),
+            ("excitation", number),
+            ("covered", count),
+            ("supervised", count),
+            ("gate", number),
+            ("reject", number),
+            ("jump_std", number),
+            ("jump_duration", number),
+            ("jump_quiet", number),
+            ("jump_budget", count),
+            ("jump_budget_window", number),
+            ("lost", number),
+            ("stuck_samples", count),
+            ("disturbance_limit", number),
+            ("strain", number),
+            ("relearn_budget", count),
+            ("nis_share", number),
+            ("magnitude_share", number),
+        ]
+    )
+
+
+def new_model(room: Room, shape: Shape, period: float) -> Record:
+    """Return a model record with sizes and a period, whose other numbers are zero, shape (1,)."""
+    model = np.zeros(1, model_type(room))
+    for name, size in zip(("n", "plant", "p", "m", "k", "n_gap"), shape, strict=True):
+        model[name] = size
+    model["period"] = period
+    model["initial"]["nis"] = model["initial"]["magnitude"] = 1.0
+    return model
+
+
+def enter_gain(
+    model: Any, certified: CertifiedGain, measurement_covariance: Array, gain_mode: GainMode
+) -> None:
+    """Enter gains and bounds into one model record, whose C and maps are there already."""
+    n, p = certified.K.shape
+    X, K, R = certified.X, certified.K, measurement_covariance
+    C, H = model["C"][:p, :n], model["disturbance_map"][:p, :n]
+    model["gain_mode"] = CERTIFIED if gain_mode is GainMode.CERTIFIED else RICCATI
+    for name, matrix in (
+        ("X", X),
+        ("K", K),
+        ("R", R),
+        ("P", inverse(X)),
+        ("posterior", joseph(C, R, X, K)),
+        ("innovation_covariance", congruent(C, X, R)),
+        ("state_std", np.sqrt(X.diagonal())),
+        ("disturbance_std", np.sqrt(np.maximum(congruent(H, X).diagonal(), 0.0))),
+    ):
+        fill_matrix(model[name], matrix)
+
+
+def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, covered: bool) -> None:
+    """Enter what is learnt, and how fast, into one model record."""
+    fill_matrix(model["limits"], limits)
+    model["covered"] = covered
+    model["theta_variance"] = options.initial_std * options.initial_std
+    model["random_walk"] = options.random_walk_density
+    model["adaptation_start"], model["memory"] = options.start, options.memory
+    model["excitation"] = options.excitation
+    fill_matrix(model["initial"]["gamma"], np.eye(len(limits)) * model["theta_variance"])
+
+
+def enter_supervision(model: Any, options: SupervisionOptions) -> None:
+    """Enter when to react, and how strongly, into one model record."""
+    for name, value in vars(replace(options)).items():
+        model[name] = value
+    model["supervised"] = 1
+    # Shares of a sample in the averages over one second, and over half a second.
+    period = float(model["period"])
+    model["nis_share"] = 1.0 - exponential(-period)
+    model["magnitude_share"] = 1.0 - exponential(-2.0 * period)

@@ -1,0 +1,592 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of an estimator, compiled, each in place on one state record.
+
+    correct:  x̂ ← x̂ + K (y − C̄ x̂)        predict:  x̂ ← flow(x̂, u, T)
+
+The premise variable is the estimate x̂₁ itself; the flow's closed form of the T–S blend is exact
+on the domain. One rule chooses the gain: the constant certified gain while the certificate's
+bound X covers the error covariance, the Riccati (Kalman) gain along the estimate while it does
+not: after a start, a reset or a missed sample. The hand-over rests on that covariance, which
+trusts the initial one and is linearised along the estimate.
+
+Parameters are learnt by a filtered-regressor (two-stage) adaptive observer after Q. Zhang (2002):
+Υ = ∂x̂/∂θ is filtered through the observer's own error dynamics, so that the innovation is explained
+as e = Ω θ̃ + noise with Ω = C̄Υ, whatever the relative degree of the sensor. θ follows by recursive
+least squares with a bounded gain, projected on its known bounds. The regressor is taken at the
+estimate. While that is far less certain than it will be, innovations count for less in θ, by as
+much as the covariance exceeds the certified bound: otherwise errors of the start-up are learnt as
+parameters, and with great confidence.
+
+Supervision works on one output. A lone innovation that is far too large is an outlier and is
+downweighted. Eight in a row that lean to one side are a jump of the sensor. A long average that is
+far too large is an estimate that has lost the arm. Everything is decided on the normalised
+innovation r = e/√s and on durations between stamps.
+"""
+
+import math
+from typing import Any
+
+from tsobs_ros.checks import Array
+from tsobs_ros.compiled import compiled, inlined
+from tsobs_ros.estimation.options import MAX_JUMP_BUDGET
+from tsobs_ros.estimation.state import CERTIFIED, OPEN, WINDOW
+from tsobs_ros.model.matrices import (
+    congruence,
+    copy,
+    dot,
+    is_below,
+    is_nonnegative,
+    joseph_form,
+    quadratic,
+    solve,
+)
+from tsobs_ros.model.trigonometry import exponential
+from tsobs_ros.model.stepping import advance
+
+_WINDOW_CLIP = 5.0
+_SAME_SIGN = 7
+_LEAN = 6.0 * math.sqrt(WINDOW)
+_LOST_CLIP = 4.0
+_CALM = 2.0
+
+
+@compiled
+def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
+    """Use one measurement.
+
+    Args:
+        model: Model record.
+        state: Predicted to the measurement's stamp; corrected in place.
+        y: Measurement, shape (p,).
+        correction: Record of `correction_type`, written.
+    """
+    _expect(model, state, y, correction)
+    used, adapt, jumped, strained = model.gain_mode != OPEN, True, False, False
+    if model.supervised != 0:
+        used, jumped, strained = _judge(model, state, y, correction)
+        adapt = state.pause <= 0.0 and not is_frozen(model, state)
+    if used:
+        _apply(model, state, correction, adapt)
+        if jumped and model.disturbed != 0:
+            _inflate(model, state, model.jump_std, model.jump_duration)
+            state.jumps += 1
+            state.pause = model.jump_duration
+        if model.supervised != 0:
+            _limit_disturbance(model, state)
+            _guard(model, state, strained)
+    sample = state.y[:]
+    for i in range(model.p):
+        sample[i] = y[i]
+    state.seen = 1
+
+
+@inlined
+def _expect(model: Any, state: Any, y: Array, correction: Any) -> None:
+    """Write the innovation of a measurement, its covariance and the gain for it."""
+    n, p, k = model.n, model.p, model.k
+    S, gain, C, R = correction.innovation_covariance[:], correction.gain[:], model.C[:], model.R[:]
+    crossed, factor, omega = correction.crossed[:], correction.factor[:], correction.omega[:]
+    innovation, D, x = correction.innovation[:], model.D[:], state.x[:]
+    for i in range(p):
+        innovation[i] = y[i] - (dot(C[i], x, n) + dot(D[i], y, p))
+    correction.weight = 1.0
+    if model.gain_mode == OPEN:
+        copy(R, S, p, p)
+    elif state.certified != 0:
+        copy(model.innovation_covariance[:], S, p, p)
+        copy(model.K[:], gain, n, p)
+    else:
+        congruence(C, state.covariance[:], R, crossed, S, p, n)
+        solve(S, crossed, factor, crossed, p, n)
+        for i in range(n):
+            for j in range(p):
+                gain[i, j] = crossed[j, i]
+    if k > 0:
+        upsilon, explained, known = state.upsilon[:], correction.explained[:], correction.known[:]
+        for i in range(p):
+            for j in range(k):
+                omega[i, j] = dot(C[i], upsilon[j], n)
+        nothing, cross = correction.nothing[:], correction.cross[:]
+        congruence(omega, state.gamma[:], nothing, cross, explained, p, k)
+        copy(S, known, p, p)
+        for i in range(p):
+            for j in range(p):
+                S[i, j] += explained[i, j]
+
+
+@inlined
+def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
+    """Correct estimate and parameters by an innovation.
+
+    The covariance shrinks as for all of it, since only outliers are downweighted.
+    """
+    n, p, k = model.n, model.p, model.k
+    gain, weight, x = correction.gain[:], correction.weight, state.x[:]
+    innovation = correction.innovation[:]
+    adapt = adapt and weight >= 1.0 and state.age >= model.adaptation_start
+    inflation = 1.0
+    if adapt and k > 0 and state.certified == 0:
+        # κ ≥ 1, the mean of the error covariance relative to the certified bound, tr(PΣ)/n.
+        total, P, covariance = 0.0, model.P[:], state.covariance[:]
+        for i in range(n):
+            total += dot(P[i], covariance[i], n)
+        inflation = larger(total / n, 1.0)
+    for i in range(n):
+        for j in range(p):
+            x[i] += gain[i, j] * (weight * innovation[j])
+    state.corrected = 1
+    state.in_gap = 0
+    if state.certified != 0:
+        state.settling = 0.0
+    else:
+        joseph_form(
+            model.C[:],
+            model.R[:],
+            state.covariance[:],
+            gain,
+            correction.squares[:],
+            correction.nothing[:],
+            state.covariance[:],
+            n,
+            p,
+        )
+    if k > 0:
+        _learn(model, state, correction, adapt, inflation)
+
+
+@inlined
+def _learn(model: Any, state: Any, correction: Any, adapt: bool, inflation: float) -> None:
+    """Correct the regressor and, if wanted, the parameters and with them the estimate."""
+    n, p, k = model.n, model.p, model.k
+    omega, known, explained = correction.omega[:], correction.known[:], correction.explained[:]
+    turned, cross, gain = correction.turned[:], correction.cross[:], correction.gain[:]
+    upsilon, gram, gamma, theta = state.upsilon[:], state.gram[:], state.gamma[:], state.theta[:]
+    limits, x, innovation = model.limits[:], state.x[:], correction.innovation[:]
+    factor = correction.factor[:]
+    for a in range(p):
+        for i in range(k):
+            for j in range(n):
+                upsilon[i, j] -= omega[a, i] * gain[j, a]
+    solve(known, omega, factor, turned, p, k)
+    _add_square(gram, omega, turned, 1.0, p, k)
+    if adapt:
+        for a in range(p):
+            for b in range(p):
+                known[a, b] = known[a, b] * inflation + explained[a, b]
+        solve(known, cross, factor, turned, p, k)  # the transposed gain of θ
+        _add_square(gamma, cross, turned, -1.0, p, k)
+        for i in range(k):
+            moved = theta[i]
+            for a in range(p):
+                moved += turned[a, i] * innovation[a]
+            if moved > limits[i]:
+                moved = limits[i]
+            elif moved < -limits[i]:
+                moved = -limits[i]
+            for j in range(n):
+                x[j] += upsilon[i, j] * (moved - theta[i])
+            theta[i] = moved
+
+
+@compiled
+def _add_square(s: Array, a: Array, b: Array, sign: float, p: int, k: int) -> None:
+    """Add ± aᵀ b, which is symmetric, to a symmetric matrix."""
+    for i in range(k):
+        for j in range(i, k):
+            total = 0.0
+            for c in range(p):
+                total += a[c, i] * b[c, j]
+            s[i, j] += sign * total
+            s[j, i] = s[i, j]
+
+
+@inlined
+def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, bool, bool]:
+    """Weigh a measurement of one output by its innovation, which the supervision remembers.
+
+    Returns:
+        Whether it is used, whether the sensor jumped, and whether the model is strained.
+    """
+    state.repeats = state.repeats + 1 if state.seen != 0 and y[0] == state.y[0] else 0
+    if 0 < model.stuck_samples <= state.repeats:
+        state.in_gap = 0
+        correction.weight = 0.0
+        return False, False, False
+    variance = correction.innovation_covariance[0, 0]
+    r = correction.innovation[0] / math.sqrt(variance) if variance >= 0.0 else math.nan
+    size = abs(r)
+    recent, calm_nis, jump_ages = state.recent[:], state.calm_nis[:], state.jump_ages[:]
+    limit = model.gate * math.sqrt(state.nis) if state.nis > 1.0 else model.gate
+    if size > limit:
+        correction.weight = limit / size
+    if size > model.reject:
+        correction.weight = 0.0
+    clipped = r if size < _WINDOW_CLIP else math.copysign(_WINDOW_CLIP, r)
+    if state.watched == WINDOW:
+        for i in range(WINDOW - 1):
+            recent[i], calm_nis[i] = recent[i + 1], calm_nis[i + 1]
+    else:
+        state.watched += 1
+    recent[state.watched - 1] = clipped
+    calm_nis[state.watched - 1] = state.nis
+    nis = state.nis + model.nis_share * (clipped * clipped - state.nis)
+    # A lone value of any size must not give the estimate up.
+    bounded = _LOST_CLIP * model.lost
+    if size < bounded:
+        bounded = size
+    magnitude = state.magnitude + model.magnitude_share * (bounded - state.magnitude)
+    if magnitude > model.lost:
+        # This sample is not used: it may be the worst of those that gave the estimate up. The
+        # disturbance is wide open, as the sensor is lost more often than the arm.
+        restart(model, state)
+        _inflate(model, state, model.disturbance_limit, 0.0)
+        _forget(state)
+        state.watch_age, state.jump_count, state.losses = 0.0, 0, state.losses + 1
+        for i in range(MAX_JUMP_BUDGET):
+            jump_ages[i] = 0.0
+        correction.weight = 0.0
+        return False, False, False
+    if correction.weight < 1.0:
+        state.outliers += 1
+    used = correction.weight > 0.0
+    if not used:
+        state.in_gap = 0
+    if _leans(state) and calm_nis[0] < _CALM and _may_jump(model, state):
+        # The averages start over: they belong to the time before the jump.
+        _forget(state)
+        while state.jump_count >= model.jump_budget:
+            state.jump_count -= 1
+            for i in range(state.jump_count):
+                jump_ages[i] = jump_ages[i + 1]
+        jump_ages[state.jump_count] = state.watch_age
+        state.jump_count += 1
+        return used, True, False
+    state.nis, state.magnitude = nis, magnitude
+    state.strained = state.strained + model.period if nis > _CALM else 0.0
+    strained = state.strained >= model.strain
+    if strained:
+        state.strained = 0.0
+    return used, False, strained
+
+
+@compiled
+def _forget(state: Any) -> None:
+    """Start the averages and the window of the innovations over."""
+    state.nis, state.magnitude, state.strained, state.watched = 1.0, 1.0, 0.0, 0
+    recent, calm_nis = state.recent[:], state.calm_nis[:]
+    for i in range(WINDOW):
+        recent[i], calm_nis[i] = 0.0, 0.0
+
+
+@inlined
+def _leans(state: Any) -> bool:
+    if state.watched < WINDOW:
+        return False
+    total, positives, recent = 0.0, 0, state.recent[:]
+    for i in range(WINDOW):
+        total += recent[i]
+        positives += 1 if recent[i] > 0.0 else 0
+    return abs(total) > _LEAN and max(positives, WINDOW - positives) >= _SAME_SIGN
+
+
+@inlined
+def _may_jump(model: Any, state: Any) -> bool:
+    if model.jump_std == 0.0 or model.jump_budget == 0 or state.watch_age < model.jump_quiet:
+        return False
+    count = state.jump_count
+    if count > 0 and state.watch_age - state.jump_ages[count - 1] < model.jump_duration:
+        return False
+    full = count >= model.jump_budget
+    return not full or state.watch_age - state.jump_ages[0] > model.jump_budget_window
+
+
+@inlined
+def _limit_disturbance(model: Any, state: Any) -> None:
+    """Keep the disturbance ω = h w within its limit, by the smallest change of w that does it."""
+    n, h, x = model.n, model.disturbance_map[0], state.x[:]
+    omega, square = dot(h, x, n), dot(h, h, n)
+    if abs(omega) <= model.disturbance_limit or not square > 0.0:
+        return
+    excess = omega - math.copysign(model.disturbance_limit, omega)
+    for j in range(n):
+        x[j] -= excess * (h[j] / square)
+
+
+@inlined
+def _guard(model: Any, state: Any, strained: bool) -> None:
+    """Reset the adaptation if it goes astray."""
+    k = model.k
+    if k == 0 or is_frozen(model, state):
+        return
+    at_limit, theta, limits = False, state.theta[:], model.limits[:]
+    for i in range(k):
+        at_limit = at_limit or abs(theta[i]) >= limits[i]
+    state.pinned = state.pinned + model.period if at_limit else 0.0
+    if not strained and state.pinned < model.strain:
+        return
+    state.pinned = 0.0
+    state.adaptation_resets += 1
+    copy(model.initial.gamma[:], state.gamma[:], k, k)
+    copy(model.initial.upsilon[:], state.upsilon[:], k, model.n)
+    if is_frozen(model, state):
+        for i in range(k):
+            theta[i] = 0.0
+        copy(model.initial.gram[:], state.gram[:], k, k)
+
+
+@compiled
+def is_frozen(model: Any, state: Any) -> bool:
+    """Return whether learning was given up: the model differs in other ways than θ."""
+    given_up: bool = state.adaptation_resets > model.relearn_budget
+    return model.supervised != 0 and model.k > 0 and given_up
+
+
+@compiled
+def restart(model: Any, state: Any) -> None:
+    """Set the estimate and the adaptation to those before any measurement; the rest stays."""
+    initial = model.initial
+    state.settling, state.age = initial.settling, 0.0
+    state.certified, state.corrected, state.in_gap = 0, 0, 0
+    n, k, x, theta = model.n, model.k, state.x[:], state.theta[:]
+    for i in range(n):
+        x[i] = 0.0
+    for i in range(k):
+        theta[i] = 0.0
+    copy(initial.covariance[:], state.covariance[:], n, n)
+    copy(initial.gap[:], state.gap[:], model.n_gap, model.n_gap)
+    copy(initial.gamma[:], state.gamma[:], k, k)
+    copy(initial.upsilon[:], state.upsilon[:], k, n)
+    copy(initial.gram[:], state.gram[:], k, k)
+
+
+@compiled
+def _inflate(model: Any, state: Any, std: float, duration: float) -> None:
+    """Add uncertainty to the disturbance's states, for a change that the model does not foresee.
+
+    Args:
+        model: Model record.
+        state: After a correction.
+        std: 1σ of what is added to each state that the disturbance is read from.
+        duration: Least time with Riccati gains [s].
+    """
+    _leave_certified(model, state)
+    h, covariance = model.disturbance_map[0], state.covariance[:]
+    for i in range(model.n):
+        if h[i] != 0.0:
+            covariance[i, i] += std * std
+    state.settling = max(duration, state.settling)
+    state.corrected = 1
+    state.in_gap = 0
+
+
+@compiled
+def _leave_certified(model: Any, state: Any) -> None:
+    if state.certified != 0:
+        bound = model.posterior[:] if state.corrected != 0 else model.X[:]
+        copy(bound, state.covariance[:], model.n, model.n)
+        state.certified = 0
+
+
+@compiled
+def predict(
+    model: Any, state: Any, u: Array, duration: float, between_samples: bool, work: Any
+) -> None:
+    """Predict over a time.
+
+    Args:
+        model: Model record.
+        state: Corrected, or not if the measurement is missing; moved in place.
+        u: Inputs held over the time, shape (m,).
+        duration: [s], at least 0.
+        between_samples: Whether the time ends before the next sample and the result is only read.
+            The certified bound serves the whole interval to the next regular sample.
+        work: Scratch record of the flow, and of the flow in a gap.
+    """
+    shortest = 0.0 if between_samples else model.shortest
+    regular = shortest <= duration and duration <= model.longest
+    simple = model.gain_mode == OPEN or (state.certified != 0 and state.corrected != 0 and regular)
+    if not simple:
+        _leave_certified(model, state)
+    n, k = model.n, model.k
+    x, upsilon, covariance = state.x[:], state.upsilon[:], state.covariance[:]
+    in_gap = not simple and model.n_gap > 0 and (state.in_gap != 0 or duration > model.longest)
+    if in_gap:
+        _enter_gap(model, state, work)
+        x, upsilon, covariance = work.x[:], work.upsilon[:], state.gap[:]
+    advance(
+        model.gap if in_gap else model.flow,
+        x,
+        upsilon,
+        covariance,
+        not simple,
+        state.theta[:],
+        state.y[:],
+        u,
+        duration,
+        work.flow,
+    )
+    if in_gap:
+        copy(covariance, state.covariance[:], n, n)
+        copy(upsilon, state.upsilon[:], k, n)
+        for j in range(n):
+            state.x[j] = x[j]
+    state.in_gap = 1 if in_gap else 0
+    state.corrected = 0
+    if not simple:
+        state.settling = max(0.0, state.settling - duration)
+        if (
+            not between_samples
+            and model.gain_mode == CERTIFIED
+            and state.settling <= 0.0
+            and is_below(state.covariance[:], model.X[:], work.square[:], n)
+        ):
+            state.certified = 1
+            copy(model.X[:], state.covariance[:], n, n)
+    if not between_samples:
+        state.pause = max(0.0, state.pause - duration)
+        state.watch_age += duration
+        if k > 0:
+            _forget_slowly(model, state, duration)
+
+
+@inlined
+def _enter_gap(model: Any, state: Any, work: Any) -> None:
+    """Write the estimate with the unknown torque and its rate as two more states."""
+    n, k, wide = model.n, model.k, model.n_gap
+    gap, x, rows = state.gap[:], work.x[:], work.upsilon[:]
+    if state.in_gap == 0:
+        for i in range(wide):
+            for j in range(wide):
+                gap[i, j] = 0.0
+        copy(state.covariance[:], gap, n, n)
+        gap[wide - 1, wide - 1] = model.rate_variance
+    for j in range(wide):
+        x[j] = state.x[j] if j < n else 0.0
+        for i in range(k):
+            rows[i, j] = state.upsilon[i, j] if j < n else 0.0
+
+
+@inlined
+def _forget_slowly(model: Any, state: Any, duration: float) -> None:
+    """Let the excitation fade and Γ grow, but no variance beyond the initial one."""
+    k, gamma, gram = model.k, state.gamma[:], state.gram[:]
+    fade = exponential(-duration / model.memory)
+    for i in range(k):
+        gamma[i, i] += model.random_walk * duration
+        for j in range(k):
+            gram[i, j] *= fade
+    for i in range(k):
+        variance = gamma[i, i]
+        if variance > model.theta_variance:
+            shrink = math.sqrt(model.theta_variance / variance)
+            for j in range(k):
+                gamma[i, j] *= shrink
+                gamma[j, i] *= shrink
+    state.age += duration
+
+
+@compiled
+def read(model: Any, state: Any, readout: Any, work: Any) -> None:
+    """Write the estimate and its bounds in physical units into a record of `readout_type`.
+
+    The bounds include the uncertainty of the parameters, for x − x̂ is the observer's own error plus
+    Υ(θ − θ̂), of covariance ΥΓΥᵀ.
+    """
+    n, p, k, plant = model.n, model.p, model.k, model.plant
+    states, bounds, scale, std = (
+        readout.state[:],
+        readout.state_bound[:],
+        model.scale[:],
+        model.state_std[:],
+    )
+    x, y, covariance = state.x[:], state.y[:], state.covariance[:]
+    upsilon, gamma, theta = state.upsilon[:], state.gamma[:], state.theta[:]
+    share = work.small[0]
+    uncertain = model.gain_mode != OPEN and state.certified == 0
+    total = 0.0
+    for i in range(plant):
+        bound = std[i]
+        if uncertain:
+            bound = larger(_root(covariance[i, i]), bound)
+        for a in range(k):
+            share[a] = upsilon[a, i]
+        added = larger(quadratic(gamma, share, k), 0.0)
+        states[i] = scale[i] * x[i]
+        bounds[i] = scale[i] * _root(bound * bound + added)
+        total += states[i] + bounds[i]
+    omegas, rates, std = (
+        readout.disturbance[:],
+        readout.disturbance_rate[:],
+        model.disturbance_std[:],
+    )
+    bounds = readout.disturbance_bound[:]
+    for i in range(p):
+        h = model.disturbance_map[i]
+        bound = std[i]
+        if uncertain:
+            bound = larger(_root(quadratic(covariance, h, n)), bound)
+        for a in range(k):
+            share[a] = dot(h, upsilon[a], n)
+        added = larger(quadratic(gamma, share, k), 0.0)
+        omegas[i] = dot(h, x, n) + dot(model.disturbance_direct[i], y, p)
+        rates[i] = dot(model.rate_map[i], x, n)
+        bounds[i] = _root(bound * bound + added)
+        total += omegas[i] + rates[i] + bounds[i]
+    for i in range(k):
+        readout.parameters[i] = theta[i]
+        readout.parameter_bound[i] = _root(gamma[i, i])
+        total += readout.parameters[i] + readout.parameter_bound[i]
+    readout.certified = state.certified
+    if k > 0 and model.covered == 0:
+        readout.certified = 0
+    readout.parameters_valid = 0
+    if k > 0 and not is_frozen(model, state) and _is_excited(model, state, work):
+        readout.parameters_valid = 1
+    readout.finite = 1 if math.isfinite(total) else 0
+
+
+@compiled
+def larger(value: float, least: float) -> float:
+    """Return the value, but at least so much; NaN stays."""
+    return least if value < least else value
+
+
+@compiled
+def _root(variance: float) -> float:
+    return math.sqrt(variance) if variance >= 0.0 else math.nan
+
+
+@inlined
+def _is_excited(model: Any, state: Any, work: Any) -> bool:
+    """Return whether the motion has been rich enough for θ̂ to count."""
+    gram = work.small[:]
+    copy(state.gram[:], gram, model.k, model.k)
+    for i in range(model.k):
+        gram[i, i] -= model.excitation
+    return is_nonnegative(gram, model.k)
+
+
+@compiled
+def write_row(model: Any, readout: Any, row: Array) -> int:
+    """Write the numbers of a readout one after the other; return how many they are.
+
+    State, its bound, disturbance, its rate, its bound, parameters, their bounds; then whether the
+    bounds are certified, and whether the parameters are valid.
+    """
+    plant, p, k = model.plant, model.p, model.k
+    states, bounds = readout.state[:], readout.state_bound[:]
+    for i in range(plant):
+        row[i], row[plant + i] = states[i], bounds[i]
+    at = 2 * plant
+    for i in range(p):
+        row[at + i] = readout.disturbance[i]
+        row[at + p + i] = readout.disturbance_rate[i]
+        row[at + 2 * p + i] = readout.disturbance_bound[i]
+    at += 3 * p
+    for i in range(k):
+        row[at + i], row[at + k + i] = readout.parameters[i], readout.parameter_bound[i]
+    at += 2 * k
+    row[at], row[at + 1] = readout.certified, readout.parameters_valid
+    end: int = at + 2
+    return end

@@ -1,0 +1,483 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One step of a prediction model in compiled code: estimate, regressor and error covariance.
+
+A model's numbers are a record, the same kind for an arm, a T–S system and an observer that is
+integrated. Its arrays have room for a class of sizes, so that few kinds of records are compiled
+for; the sizes in use are among its numbers. Υ = ∂x̂/∂θ moves with the step's own Jacobian and
+gathers the effect of θ on the state's derivative; it is kept by rows, one a parameter.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.compiled import compiled, inlined
+from tsobs_ros.model.linear_flow import MAX_TERMS, cut_into_steps, flow_over
+from tsobs_ros.model.matrices import apply, congruence, dot, multiply
+from tsobs_ros.model.memberships import rule_weights, rule_weights_and_slopes
+from tsobs_ros.model.trigonometry import cosine, sine
+
+EFFECTS = 12
+"""What θ = 1 adds to both accelerations of an arm: by x (4 each), by sin x₁ and by u."""
+
+_LINK_SINE, _MOTOR_SINE, _LINK_TORQUE, _MOTOR_TORQUE = 8, 9, 10, 11
+
+ARM, SYSTEM, INTEGRATED = 0, 1, 2
+"""Kinds of models."""
+
+
+class Room(NamedTuple):
+    """Sizes that the arrays of records have room for.
+
+    Attributes:
+        n: Augmented states, those of a gap included.
+        p: Outputs.
+        m: Inputs and scheduled signals.
+        k: Parameters.
+        rules: Rules.
+        premises: Premise variables.
+    """
+
+    n: int
+    p: int = 1
+    m: int = 1
+    k: int = 0
+    rules: int = 0
+    premises: int = 0
+
+    @classmethod
+    def fitting(cls, *sizes: int) -> "Room":
+        """Return the smallest class of sizes that some sizes fit into: powers of two."""
+        least = (8, 2, 4, 4, 4, 2)
+        return cls(*(_power_of_two(max(pair)) for pair in zip(sizes, least, strict=True)))
+
+
+def _power_of_two(size: int) -> int:
+    return 1 << (size - 1).bit_length()
+
+
+def record_type(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
+    """Return the type of a record whose fields are attributes too, in compiled code and out."""
+    return np.dtype((np.record, np.dtype(fields, align=True)))
+
+
+def flow_type(room: Room) -> np.dtype[Any]:
+    """Return the type of a model's numbers.
+
+    kind: ARM, SYSTEM or INTEGRATED. n, m, inputs, p, k, plant, rules, premises: sizes in use; the
+    m signals are the inputs and then the scheduled ones. period to noise: a `LinearFlow` with its
+    nominal step. gravity_gain, effects, unknown_torque: of an arm. deviations to parameters: of a
+    T–S system. The rest is of an integrated observer.
+    """
+    n, p, m, k, rules, premises = room
+    number, count = np.float64, np.int64
+    return record_type(
+        [
+            ("kind", count),
+            ("n", count),
+            ("m", count),
+            ("inputs", count),
+            ("p", count),
+            ("k", count),
+            ("plant", count),
+            ("rules", count),
+            ("premises", count),
+            ("period", number),
+            ("terms", count),
+            ("reach", number),
+            ("series", number, (MAX_TERMS, n * (2 * n + m))),
+            ("phi", number, (n, n)),
+            ("gamma", number, (n, m)),
+            ("noise", number, (n, n)),
+            ("gravity_gain", number),
+            ("effects", number, (k, EFFECTS)),
+            ("unknown_torque", count),
+            ("deviations", number, (rules, n, n + m)),
+            ("directions", number, (k, rules, n, n + m)),
+            ("premise", number, (premises, n)),
+            ("schedule", number, (premises, m)),
+            ("shapes", count, (rules, premises)),
+            ("parameters", number, (rules, premises, 4)),
+            ("max_step", number),
+            ("F", number, (rules, n, n)),
+            ("Y", number, (rules, n, p)),
+            ("U", number, (rules, n, m)),
+        ]
+    )
+
+
+def work_type(room: Room) -> np.dtype[Any]:
+    """Return the type of a step's scratch numbers."""
+    n, _, m, k, rules, premises = room
+    number = np.float64
+    return record_type(
+        [
+            ("phi", number, (n, n)),
+            ("gamma", number, (n, m)),
+            ("noise", number, (n, n)),
+            ("squares", number, (4, n, n)),
+            ("forced", number, (n, m)),
+            ("vectors", number, (6, n)),
+            ("rows", number, (4, k, n)),
+            ("effects", number, (EFFECTS,)),
+            ("rates", number, (rules, n)),
+            ("weights", number, (rules,)),
+            ("slopes", number, (rules, premises)),
+            ("premises", number, (premises,)),
+            ("signals", number, (n + m,)),
+        ]
+    )
+
+
+@compiled
+def advance(
+    flow: Any,
+    x: Array,
+    upsilon: Array,
+    covariance: Array,
+    with_covariance: bool,
+    theta: Array,
+    y: Array,
+    u: Array,
+    duration: float,
+    work: Any,
+) -> None:
+    """Move x̄, Υ and the error covariance over a time, in place.
+
+    Args:
+        flow: Record of `flow_type`.
+        x: Augmented state.
+        upsilon: Υᵀ, one row a parameter.
+        covariance: Error covariance.
+        with_covariance: Whether the covariance is moved too.
+        theta: θ̂.
+        y: Sample in use, for observers that are integrated.
+        u: Inputs and scheduled signals held over the time.
+        duration: [s], at least 0.
+        work: Scratch record of `work_type`.
+    """
+    if flow.kind == INTEGRATED:
+        _integrate(flow, x, y, u, duration, work)
+        return
+    whole, rest = cut_into_steps(duration, flow.period)
+    phi, gamma, noise = flow.phi[:], flow.gamma[:], flow.noise[:]
+    for step in range(whole + 1):
+        length = flow.period if step < whole else rest
+        if step == whole:
+            if not rest > 0.0:
+                return
+            phi, gamma, noise = work.phi[:], work.gamma[:], work.noise[:]
+            # A step of a T–S system has two equal halves.
+            flow_over(
+                flow.series[:],
+                flow.terms,
+                flow.reach,
+                0.5 * rest if flow.kind == SYSTEM else rest,
+                phi,
+                gamma,
+                noise,
+                work.squares[:],
+                work.forced[:],
+                flow.n,
+                flow.inputs,
+            )
+        if flow.kind == ARM:
+            _step_arm(
+                flow,
+                phi,
+                gamma,
+                noise,
+                length,
+                x,
+                upsilon,
+                covariance,
+                with_covariance,
+                theta,
+                u[0],
+                work,
+            )
+        else:
+            _step_system(
+                flow,
+                phi,
+                gamma,
+                noise,
+                length,
+                x,
+                upsilon,
+                covariance,
+                with_covariance,
+                theta,
+                u,
+                work,
+            )
+
+
+@inlined
+def _step_arm(
+    flow: Any,
+    phi: Array,
+    gamma: Array,
+    noise: Array,
+    duration: float,
+    x: Array,
+    upsilon: Array,
+    covariance: Array,
+    with_covariance: bool,
+    theta: Array,
+    torque: float,
+    work: Any,
+) -> None:
+    """Kick both velocities by gravity and by θ̂, take the linear flow, and kick again."""
+    n, k, half, unknown = flow.n, flow.k, 0.5 * duration, flow.unknown_torque
+    total, effects, vectors = work.effects[:], flow.effects[:], work.vectors[:]
+    moved, link, motor = vectors[0], vectors[1], vectors[2]
+    for place in range(EFFECTS):
+        total[place] = 0.0
+        for i in range(k):
+            total[place] += half * (theta[i] * effects[i, place])
+    total[_LINK_SINE] -= half * flow.gravity_gain
+    for part in range(2):
+        if part == 1:
+            if with_covariance:
+                congruence(phi, covariance, noise, work.squares[0], covariance, n, n)
+            for i in range(k):
+                apply(phi, upsilon[i], moved, n, n)
+                for j in range(n):
+                    upsilon[i, j] = moved[j]
+            apply(phi, x, moved, n, n)
+            for j in range(n):
+                x[j] = moved[j] + gamma[j, 0] * torque
+        sin, cos = sine(x[0]), cosine(x[0])
+        # What a kick adds to both accelerations, by the state.
+        for j in range(n):
+            link[j] = total[j] if j < 4 else 0.0
+            motor[j] = total[4 + j] if j < 4 else 0.0
+        before = moved
+        for j in range(n):
+            before[j] = x[j]
+        x[1] += dot(link, before, 4) + total[_LINK_SINE] * sin + total[_LINK_TORQUE] * torque
+        x[3] += dot(motor, before, 4) + total[_MOTOR_SINE] * sin + total[_MOTOR_TORQUE] * torque
+        link[0] += total[_LINK_SINE] * cos
+        motor[0] += total[_MOTOR_SINE] * cos
+        if unknown > 0:
+            # What θ̂ does to the torque, it does to its unknown part.
+            link[unknown], motor[unknown] = total[_LINK_TORQUE], total[_MOTOR_TORQUE]
+        for i in range(k):
+            effect = effects[i]
+            on_link = dot(link, upsilon[i], n)
+            on_motor = dot(motor, upsilon[i], n)
+            upsilon[i, 1] += on_link + half * (
+                dot(effect, before, 4) + effect[_LINK_SINE] * sin + effect[_LINK_TORQUE] * torque
+            )
+            upsilon[i, 3] += on_motor + half * (
+                dot(effect[4:], before, 4)
+                + effect[_MOTOR_SINE] * sin
+                + effect[_MOTOR_TORQUE] * torque
+            )
+        if with_covariance:
+            _shear(covariance, link, motor, n)
+
+
+@compiled
+def _shear(covariance: Array, link: Array, motor: Array, n: int) -> None:
+    """Write J Σ Jᵀ into Σ for J = I + the rows `link` of x₂ and `motor` of x₄."""
+    c = covariance
+    for j in range(n):
+        first, second = 0.0, 0.0
+        for i in range(n):
+            first += link[i] * c[i, j]
+            second += motor[i] * c[i, j]
+        c[1, j] += first
+        c[3, j] += second
+    for j in range(n):
+        row = c[j]
+        first, second = dot(link, row, n), dot(motor, row, n)
+        row[1] += first
+        row[3] += second
+    for j in range(n):
+        c[j, 3] = c[3, j]
+    for j in range(n):
+        c[j, 1] = c[1, j]
+
+
+@inlined
+def _step_system(
+    flow: Any,
+    phi: Array,
+    gamma: Array,
+    noise: Array,
+    duration: float,
+    x: Array,
+    upsilon: Array,
+    covariance: Array,
+    with_covariance: bool,
+    theta: Array,
+    u: Array,
+    work: Any,
+) -> None:
+    """Take the exponential midpoint step; see `ts_flow`."""
+    n, k = flow.n, flow.k
+    vectors, rows, squares = work.vectors[:], work.rows[:], work.squares[:]
+    forced, coasted, middle, turned = vectors[0], vectors[1], vectors[3], vectors[4]
+    carried, half_way, entering = rows[0], rows[1], rows[2]
+    first, second, inner, outer = squares[0], squares[1], squares[2], squares[3]
+    apply(gamma, u, forced, n, flow.inputs)
+    apply(phi, x, coasted, n, n)
+    for p in range(k):
+        apply(phi, upsilon[p], carried[p], n, n)
+    for j in range(n):
+        coasted[j] += forced[j]
+        middle[j] = x[j]
+        for p in range(k):
+            half_way[p, j] = upsilon[p, j]
+    for part in range(2):
+        # First at the start, for half a step, then in the middle, for the whole.
+        jacobian = first if part == 0 else second
+        _enter(flow, middle, half_way, theta, u, entering, jacobian, work)
+        rate = vectors[2]
+        if part == 0:
+            apply(phi, rate, turned, n, n)
+            for j in range(n):
+                middle[j] = coasted[j] + 0.5 * duration * turned[j]
+            for p in range(k):
+                apply(phi, entering[p], turned, n, n)
+                for j in range(n):
+                    half_way[p, j] = carried[p, j] + 0.5 * duration * turned[j]
+        else:
+            for j in range(n):
+                middle[j] = coasted[j] + duration * rate[j]
+            apply(phi, middle, x, n, n)
+            for p in range(k):
+                for j in range(n):
+                    carried[p, j] += duration * entering[p, j]
+                apply(phi, carried[p], upsilon[p], n, n)
+    for j in range(n):
+        x[j] += forced[j]
+    if with_covariance:
+        # e⁺ = Φ [Φ + T N₂ Φ (I + (T/2) N₁)] e + Φ (I + T N₂) n₁ + n₂
+        for i in range(n):
+            for j in range(n):
+                first[i, j] *= 0.5 * duration
+                second[i, j] *= duration
+            first[i, i] += 1.0
+        multiply(phi, first, inner, n, n, n)
+        multiply(second, inner, outer, n, n, n)
+        for i in range(n):
+            for j in range(n):
+                outer[i, j] += phi[i, j]
+            second[i, i] += 1.0
+        multiply(phi, outer, inner, n, n, n)
+        multiply(phi, second, outer, n, n, n)
+        congruence(outer, noise, noise, first, second, n, n)
+        congruence(inner, covariance, second, first, covariance, n, n)
+
+
+@inlined
+def _enter(
+    flow: Any,
+    x: Array,
+    upsilon: Array,
+    theta: Array,
+    u: Array,
+    entering: Array,
+    jacobian: Array,
+    work: Any,
+) -> None:
+    """Write what enters x and Υ besides the linear flow, and its Jacobian in x."""
+    n, k, rules, plant, inputs = flow.n, flow.k, flow.rules, flow.plant, flow.inputs
+    signals, premises = plant + inputs, flow.premises
+    z, weights, slopes, each = work.premises[:], work.weights[:], work.slopes[:], work.rates[:]
+    rate, signal, turning = work.vectors[2], work.signals[:], work.vectors[5]
+    premise, schedule = flow.premise[:], flow.schedule[:]
+    deviations, directions = flow.deviations[:], flow.directions[:]
+    for j in range(signals):
+        signal[j] = x[j] if j < plant else u[j - plant]
+    for j in range(premises):
+        z[j] = dot(premise[j], x, plant) + dot(schedule[j], u[inputs:], flow.m - inputs)
+    rule_weights_and_slopes(
+        flow.shapes[:rules, :premises],
+        flow.parameters[:rules, :premises],
+        z[:premises],
+        weights[:rules],
+        slopes[:rules, :premises],
+    )
+    for i in range(n):
+        rate[i] = 0.0
+        for j in range(n):
+            jacobian[i, j] = 0.0
+    for rule in range(rules):
+        for i in range(plant):
+            total = 0.0
+            for j in range(signals):
+                entry = deviations[rule, i, j]
+                for p in range(k):
+                    entry += theta[p] * directions[p, rule, i, j]
+                total += entry * signal[j]
+                if j < plant:
+                    jacobian[i, j] += weights[rule] * entry
+            each[rule, i] = total
+            rate[i] += weights[rule] * total
+    for rule in range(rules):
+        for j in range(plant):
+            turning[j] = 0.0
+            for q in range(premises):
+                turning[j] += slopes[rule, q] * premise[q, j]
+        for i in range(plant):
+            for j in range(plant):
+                jacobian[i, j] += each[rule, i] * turning[j]
+    for p in range(k):
+        apply(jacobian, upsilon[p], entering[p], n, n)
+        for rule in range(rules):
+            for i in range(plant):
+                entering[p, i] += weights[rule] * dot(directions[p, rule, i], signal, signals)
+
+
+@inlined
+def _integrate(flow: Any, x: Array, y: Array, u: Array, duration: float, work: Any) -> None:
+    """Integrate x' = Σ hᵢ(y)(Fᵢ x + Yᵢ y + Uᵢ u) − g sin x₁ in the row of x₂, by Runge–Kutta."""
+    n, rules, premises = flow.n, flow.rules, flow.premises
+    matrix, vectors, weights = work.squares[0], work.vectors[:], work.weights[:]
+    F, Y, U = flow.F[:], flow.Y[:], flow.U[:]
+    constant, at, start, sum_of_slopes, slope = (
+        vectors[0],
+        vectors[1],
+        vectors[2],
+        vectors[3],
+        vectors[4],
+    )
+    rule_weights(
+        flow.shapes[:rules, :premises],
+        flow.parameters[:rules, :premises],
+        y[:premises],
+        weights[:rules],
+    )
+    for i in range(n):
+        constant[i] = 0.0
+        for j in range(n):
+            matrix[i, j] = 0.0
+        for rule in range(rules):
+            total = dot(Y[rule, i], y, flow.p) + dot(U[rule, i], u, flow.m)
+            constant[i] += weights[rule] * total
+            for j in range(n):
+                matrix[i, j] += weights[rule] * F[rule, i, j]
+    steps = max(1, math.ceil(duration / flow.max_step - 1e-9))
+    h = duration / steps
+    for _ in range(steps):
+        for i in range(n):
+            start[i], at[i], sum_of_slopes[i] = x[i], x[i], 0.0
+        for stage in range(4):
+            apply(matrix, at, slope, n, n)
+            if flow.gravity_gain != 0.0:
+                slope[1] -= flow.gravity_gain * sine(at[0])
+            share = 0.5 * h if stage < 2 else h
+            weight = 2.0 if 0 < stage < 3 else 1.0
+            for i in range(n):
+                slope[i] += constant[i]
+                sum_of_slopes[i] += weight * slope[i]
+                at[i] = start[i] + share * slope[i]
+        for i in range(n):
+            x[i] = start[i] + (h / 6.0) * sum_of_slopes[i]
