@@ -22,9 +22,9 @@ from tsobs_ros.estimation.options import (
 )
 from tsobs_ros.model import stepping
 from tsobs_ros.model.matrices import congruent, inverse, joseph
-from tsobs_ros.model.trigonometry import exponential
 from tsobs_ros.model.prediction import Record, fill_matrix
 from tsobs_ros.model.stepping import Room, flow_type, record_type
+from tsobs_ros.model.trigonometry import exponential
 
 Fields = list[tuple[Any, ...]]
 

@@ -41,8 +41,8 @@ from tsobs_ros.model.matrices import (
     quadratic,
     solve,
 )
-from tsobs_ros.model.trigonometry import exponential
 from tsobs_ros.model.stepping import advance
+from tsobs_ros.model.trigonometry import exponential
 
 _WINDOW_CLIP = 5.0
 _SAME_SIGN = 7
