@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.fault_shapes import shape_of
-from tsobs_ros.estimation.faults import Fault, FaultKind, FaultMonitor, Repeats, Whiteness
+from tsobs_ros.estimation.faults import (
+    Fault,
+    FaultKind,
+    FaultMonitor,
+    add_samples,
+    new_watches,
+)
 from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level
 from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.resources import config_path
@@ -288,6 +294,11 @@ def test_on_a_simulated_arm_a_disturbed_sensor_and_a_wrong_arm_are_told_apart() 
     assert observed(scenario, 15.0).kind is FaultKind.NONE
 
 
+def innovate(monitor: FaultMonitor, stamp: int, normalised: float) -> None:
+    """Let an innovation have a size in multiples of what is expected."""
+    monitor.measured(stamp, stamp * 1e-9, normalised * STD, STD)
+
+
 @pytest.mark.parametrize(
     ("spread", "period", "samples", "stuck"),
     [
@@ -301,10 +312,11 @@ def test_on_a_simulated_arm_a_disturbed_sensor_and_a_wrong_arm_are_told_apart() 
 def test_samples_that_repeat_long_and_often_enough_are_stuck(
     spread: float, period: int, samples: int, stuck: int
 ) -> None:
-    repeats, seen = Repeats(1e-3), []
+    watches, seen = new_watches([0.05]), []
     for k in range(samples):
-        repeats.update(SECOND + k * period * SECOND // 1000, spread * (k // 20))
-        seen.append(repeats.stuck)
+        y, stamp = np.array([[spread * (k // 20)]]), SECOND + k * period * SECOND // 1000
+        add_samples(watches, np.array([stamp]), y, 0.0 * y, 1.0 + y, y < 0.0)
+        seen.append(bool(watches[0].stuck))
     assert seen == [False] * (samples - stuck) + [True] * stuck
 
 
@@ -318,16 +330,60 @@ def test_samples_that_repeat_long_and_often_enough_are_stuck(
 def test_innovations_are_judged_by_size_and_colour(
     values: list[float], large: bool, white: bool | None
 ) -> None:
-    whiteness = Whiteness()
+    monitor = FaultMonitor(STD)
     for k, value in enumerate(values):
-        whiteness.update(SECOND + k * PERIOD, value)
-    assert whiteness.large == large
+        innovate(monitor, SECOND + k * PERIOD, value)
+    assert monitor.large == large
     if white is not None:
-        assert whiteness.white == white
-        assert whiteness.widening == 1.0
-    square = whiteness.square
-    whiteness.update(SECOND, 5.0)  # late: no weight
-    assert whiteness.square == square
+        assert monitor.white == white
+        assert monitor.widening == 1.0
+
+
+@pytest.mark.parametrize("rate", [10, 200, 1000])
+def test_the_average_does_not_depend_on_the_rate(rate: int) -> None:
+    monitor = FaultMonitor(STD)
+    for k in range(2 * rate + 1):
+        innovate(monitor, SECOND + k * SECOND // rate, 2.0)
+    assert monitor.square == pytest.approx(4.0 - 3.0 * math.exp(-2.0), rel=1e-9)
+
+
+def test_a_lone_outlier_is_clipped_and_white_noise_is_consistent() -> None:
+    monitor = FaultMonitor(STD)
+    stamp = SECOND
+    for value in np.random.default_rng(1).standard_normal(4000):
+        stamp += PERIOD
+        innovate(monitor, stamp, float(value))
+        assert monitor.innovation_status().level is Level.OK
+    before = monitor.square
+    innovate(monitor, stamp + PERIOD, 1e200)
+    assert monitor.square - before == pytest.approx((25.0 - before) * PERIOD / SECOND, rel=0.01)
+    assert monitor.innovation_status().level is Level.OK
+
+
+def test_consistency_is_lost_at_twice_the_expected_variance_and_comes_back() -> None:
+    monitor, levels = FaultMonitor(STD), []
+    for k in range(1600):
+        innovate(monitor, SECOND + k * PERIOD, 2.0 if k < 800 else 1.0)
+        levels.append(monitor.innovation_status().level)
+        assert (levels[-1] is Level.OK) == (monitor.square <= 2.0)
+    assert levels[0] is levels[-1] is Level.OK
+    assert levels[799] is Level.WARN
+
+
+def test_innovations_are_averaged_over_a_second_of_stamps() -> None:
+    monitor = FaultMonitor(STD)
+    assert monitor.innovation_status().level is Level.OK
+    innovate(monitor, 7 * SECOND, 3.0)
+    assert monitor.square == 1.0  # a first one has no time to count for
+    innovate(monitor, 8 * SECOND, -3.0)
+    assert monitor.square == pytest.approx(9.0 - 8.0 * math.exp(-1.0))
+    assert monitor.innovation_status().level is Level.WARN
+    assert monitor.innovation_status().values == {
+        "normalised innovation squared": f"{monitor.square:.3g}"
+    }
+    before = monitor.square
+    innovate(monitor, 7 * SECOND, 50.0)  # late: no weight
+    assert monitor.square == before
 
 
 STEP = np.arange(150)

@@ -5,7 +5,6 @@
 import math
 from collections.abc import Callable
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,7 +13,6 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.health import (
     Debounce,
     DisturbanceLimits,
-    InnovationMonitor,
     Level,
     Phase,
     phase_of,
@@ -40,37 +38,6 @@ LIMITS = DisturbanceLimits(warn=0.2, error=0.5, hold=0.5)
 )
 def test_the_phase_is_the_age_against_its_limits(age: float | None, phase: Phase) -> None:
     assert phase_of(age, 0.1, 5.0) is phase
-
-
-@pytest.mark.parametrize("rate", [10, 200, 1000])
-def test_the_average_does_not_depend_on_the_rate(rate: int) -> None:
-    monitor = InnovationMonitor()
-    for k in range(2 * rate + 1):
-        monitor.update(SECOND + k * SECOND // rate, 2.0)
-    assert monitor.nis == pytest.approx(4.0 - 3.0 * math.exp(-2.0), rel=1e-9)
-
-
-def test_a_lone_outlier_is_clipped_and_white_noise_is_consistent() -> None:
-    monitor = InnovationMonitor()
-    stamp = SECOND
-    for value in np.random.default_rng(1).standard_normal(4000):
-        stamp += PERIOD
-        monitor.update(stamp, float(value))
-        assert monitor.status().level is Level.OK
-    before = monitor.nis
-    monitor.update(stamp + PERIOD, 1e200)
-    assert monitor.nis - before == pytest.approx((25.0 - before) * PERIOD / SECOND, rel=0.01)
-    assert monitor.status().level is Level.OK
-
-
-def test_consistency_is_lost_at_twice_the_expected_variance_and_comes_back() -> None:
-    monitor, levels = InnovationMonitor(), []
-    for k in range(1600):
-        monitor.update(SECOND + k * PERIOD, 2.0 if k < 800 else 1.0)
-        levels.append(monitor.status().level)
-        assert (levels[-1] is Level.OK) == (monitor.nis <= 2.0)
-    assert levels[0] is levels[-1] is Level.OK
-    assert levels[799] is Level.WARN
 
 
 def levels_of(values: list[float], limits: DisturbanceLimits = LIMITS) -> list[Level]:
@@ -117,27 +84,12 @@ def test_a_level_is_only_ever_left_for_one_that_lasted(values: list[float]) -> N
             assert raw[k - 5 : k + 1] == [levels[k]] * 6
 
 
-def test_innovations_are_averaged_over_a_second_of_stamps() -> None:
-    monitor = InnovationMonitor()
-    assert monitor.status().level is Level.OK
-    monitor.update(7 * SECOND, 3.0)
-    assert monitor.nis == 1.0  # a first one has no time to count for
-    monitor.update(8 * SECOND, -3.0)
-    assert monitor.nis == pytest.approx(9.0 - 8.0 * math.exp(-1.0))
-    assert monitor.status().level is Level.WARN
-    assert monitor.status().values == {"normalised innovation squared": f"{monitor.nis:.3g}"}
-    before = monitor.nis
-    monitor.update(7 * SECOND, 50.0)  # late: no weight
-    assert monitor.nis == before
-
-
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
         (lambda: DisturbanceLimits(warn=0.0), "warn"),
         (lambda: DisturbanceLimits(warn=0.4, error=0.3), "error level"),
         (lambda: DisturbanceLimits(error=math.nan), "error level"),
-        (lambda: InnovationMonitor(0.0), "time_constant"),
     ],
 )
 def test_senseless_limits_are_refused(make: Callable[[], object], reason: str) -> None:

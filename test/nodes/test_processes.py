@@ -213,9 +213,11 @@ def test_a_signal_during_the_start_ends_cleanly(
         assert BagReader(bag).message_count == 0
 
 
-@pytest.mark.parametrize("name", ["plant_simulator"])
+@pytest.mark.parametrize(
+    ("name", "ready"), [("plant_simulator", "started"), ("observer", "certificate holds")]
+)
 def test_a_signal_while_compiling_ends_cleanly_and_the_next_start_compiles_the_rest(
-    ros_process: Process, tmp_path: Path, name: str
+    ros_process: Process, tmp_path: Path, name: str, ready: str
 ) -> None:
     environment = {"NUMBA_CACHE_DIR": str(tmp_path)}
     process = ros_process(name, environment=environment)
@@ -230,7 +232,7 @@ def test_a_signal_while_compiling_ends_cleanly_and_the_next_start_compiles_the_r
     end({process: signal.SIGTERM})
 
     process = ros_process(name, environment=environment)
-    process.wait_for_line("started", TIMEOUT)
+    process.wait_for_line(ready, TIMEOUT)
     end({process: signal.SIGTERM})
     assert "compil" not in process.output
 

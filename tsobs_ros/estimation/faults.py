@@ -6,22 +6,26 @@ There are three signs of a fault. Raw samples repeat although they are noisy: th
 Innovations are too large: it is noise if they are white; if not, the model does not fit and the
 disturbance has no bound. The last seconds of the estimated disturbance have a shape, see
 `fault_shapes`. A level is about size, a kind about shape; both must last to be reported.
+
+What is added up at each sample and estimate is a record in an array of them, one a sensor, for
+compiled code; the rest is done ten times a second.
 """
 
 import math
-from collections import deque
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tsobs_ros.checks import positive
+from tsobs_ros.checks import Array, positive
+from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.fault_shapes import FaultKind, Shape, shape_of
 from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level, Status
 
-__all__ = ["Fault", "FaultKind", "FaultMonitor"]
+__all__ = ["Fault", "FaultKind", "FaultMonitor", "add_estimates", "add_samples", "new_watches"]
 
 _SAME_SIGMAS = 0.02
-_STUCK_TIME = 0.1
+_STUCK_TIME = 100_000_000
 _STUCK_SAMPLES = 10
 
 _MEMORY = 1.0
@@ -34,7 +38,7 @@ _BLOCKS = 150
 _LEAST_BLOCKS = 10
 _RECOVERY_BLOCKS = 100
 _EVERY = 3
-_LONGEST_GAP = 1.0
+_LONGEST_GAP = 1_000_000_000
 _OPEN = 3.0
 
 
@@ -62,12 +66,183 @@ class Fault(NamedTuple):
     frequency: float | None = None
 
 
+_WATCH = np.dtype(
+    (
+        np.record,
+        [
+            ("tolerance", np.float64),
+            ("anchor", np.float64),
+            ("since", np.int64),
+            ("repeats", np.int64),
+            ("stuck", np.int64),
+            ("stamp", np.int64),
+            ("normalised", np.float64),
+            ("square", np.float64),
+            ("product", np.float64),
+            ("period", np.float64),
+            ("predicted", np.float64),
+            ("estimated", np.int64),
+            ("begun", np.int64),
+            ("block", np.int64),
+            ("in_block", np.int64),
+            ("sums", np.float64, (3,)),
+            ("blocks", np.float64, (_BLOCKS, 4)),
+            ("count", np.int64),
+            ("least", np.int64),
+            ("renewed", np.int64),
+            ("complete", np.int64),
+        ],
+    )
+)
+"""What is remembered of a sensor.
+
+tolerance: raw samples that differ by no more are the same [rad]. anchor, since, repeats: first of
+the same samples, its stamp [ns] and their number. stuck: whether the samples of the last tenth of a
+second, at least ten, are the same. stamp: of the latest innovation in order [ns], 0 before it.
+normalised: that one in σ, clipped at 5σ. square, product: averages over a second of its square, 1
+if the model fits, and of its product with the one before. period: between the last two [s].
+predicted: latest predicted output [rad]. estimated: stamp of the latest estimate [ns], 0 before it.
+begun: stamp of the history's first estimate [ns], 0 before it. block, in_block, sums: the tenth of
+a second since then, its estimates' number and sums of disturbance, motion and bound. blocks, count:
+the last quarter of a minute, a row a tenth of a second: its end [s] and the means. least: number of
+rows to judge by. renewed: whether the history was forgotten, after a gap 1, after a stuck sensor 2.
+complete: whether the latest estimate ended a tenth of a second.
+"""
+
+
+def new_watches(measurement_std: list[float]) -> Any:
+    """Return records for sensors whose samples have these 1σ of noise [rad]."""
+    watches = np.zeros(len(measurement_std), _WATCH)
+    watches["tolerance"] = [_SAME_SIGMAS * std for std in measurement_std]
+    watches["anchor"], watches["square"], watches["least"] = math.nan, 1.0, _LEAST_BLOCKS
+    return watches
+
+
+@compiled
+def add_samples(
+    watches: Any,
+    stamps: NDArray[np.int64],
+    y: Array,
+    innovations: Array,
+    expected_std: Array,
+    gated: NDArray[np.bool_],
+) -> None:
+    """Take in m samples of each of k sensors, in the order of their stamps.
+
+    Args:
+        watches: Records of the sensors, shape (k,).
+        stamps: [ns], shape (m,).
+        y: Raw angles [rad], shape (m, k).
+        innovations: y − ŷ, NaN of a sample that was not used [rad], shape (m, k).
+        expected_std: 1σ expected of the innovations [rad], shape (m, k).
+        gated: Whether a sample was not used for its value, shape (m, k).
+    """
+    for row in range(stamps.shape[0]):
+        for place in range(watches.shape[0]):
+            innovation = innovations[row, place]
+            used = innovation == innovation
+            if used or gated[row, place]:
+                _compare(watches[place], stamps[row], y[row, place])
+            if used:
+                normalised = innovation / expected_std[row, place]
+                _average(watches[place], stamps[row], normalised)
+                watches[place].predicted = y[row, place] - innovation
+
+
+@compiled
+def _compare(watch: Any, stamp: int, y: float) -> None:
+    """Look whether a raw sample repeats those before it."""
+    before = watch.stuck
+    if abs(y - watch.anchor) <= watch.tolerance:
+        watch.repeats += 1
+        lasted = stamp - watch.since >= _STUCK_TIME
+        watch.stuck = 1 if lasted and watch.repeats >= _STUCK_SAMPLES else 0
+    else:
+        watch.anchor, watch.since, watch.repeats, watch.stuck = y, stamp, 1, 0
+    if before and not watch.stuck:
+        # The past is no guide to the future, and the estimate was led astray.
+        _renew(watch, 2, _RECOVERY_BLOCKS)
+
+
+@compiled
+def _average(watch: Any, stamp: int, normalised: float) -> None:
+    """Take in an innovation divided by its expected 1σ; late ones pass by."""
+    value = max(-_CLIP, min(_CLIP, normalised))
+    if watch.stamp != 0:
+        if stamp <= watch.stamp:
+            return
+        watch.period = (stamp - watch.stamp) * 1e-9
+        weight = -math.expm1(-watch.period / _MEMORY)
+        watch.square += weight * (value * value - watch.square)
+        watch.product += weight * (value * watch.normalised - watch.product)
+    watch.stamp, watch.normalised = stamp, value
+
+
+@compiled
+def _renew(watch: Any, reason: int, least: int) -> None:
+    """Forget the history."""
+    watch.begun, watch.block, watch.in_block, watch.count = 0, 0, 0, 0
+    watch.sums[:] = 0.0
+    watch.renewed, watch.least = reason, least
+
+
+@compiled
+def add_estimates(watches: Any, stamp: int, disturbances: Array, bounds: Array) -> bool:
+    """Take in an estimate of each of k sensors.
+
+    Args:
+        watches: Records of the sensors, shape (k,).
+        stamp: Of the estimates [ns]; one that does not rise is passed over.
+        disturbances: Estimated disturbances, NaN if there is none [rad], shape (k,).
+        bounds: Their 1σ bounds [rad], shape (k,).
+
+    Returns:
+        Whether there is something to judge.
+    """
+    ready = False
+    for place in range(watches.shape[0]):
+        watch, disturbance = watches[place], disturbances[place]
+        watch.complete = 0
+        if disturbance != disturbance or (watch.estimated != 0 and stamp <= watch.estimated):
+            continue
+        if watch.begun != 0 and stamp - watch.estimated > _LONGEST_GAP:
+            _renew(watch, 1, _LEAST_BLOCKS)
+        watch.estimated = stamp
+        if watch.begun == 0:
+            watch.begun = stamp
+        watch.sums[0] += disturbance
+        watch.sums[1] += watch.predicted - disturbance
+        watch.sums[2] += bounds[place]
+        watch.in_block += 1
+        if stamp - watch.begun >= (watch.block + 1) * _BLOCK:
+            _end_block(watch, stamp - watch.begun)
+        ready = ready or watch.complete != 0 or watch.stuck != 0
+    return ready
+
+
+@compiled
+def _end_block(watch: Any, elapsed: int) -> None:
+    """Add a row of means to the blocks."""
+    if watch.count == _BLOCKS:
+        watch.count -= 1
+        for row in range(watch.count):
+            for column in range(4):
+                watch.blocks[row, column] = watch.blocks[row + 1, column]
+    watch.blocks[watch.count, 0] = elapsed * 1e-9
+    for column in range(3):
+        watch.blocks[watch.count, column + 1] = watch.sums[column] / watch.in_block
+        watch.sums[column] = 0.0
+    watch.count += 1
+    watch.block, watch.in_block, watch.complete = elapsed // _BLOCK, 0, 1
+
+
 class FaultMonitor:
     """Finds the fault of one sensor from the input and output of its estimator.
 
     Args:
         measurement_std: 1σ of the noise of one sample that the design expects [rad].
         limits: When a disturbance is bad, and how long that, and a kind, must last.
+        watch: One of the records of several sensors, as an array of one; its own if None.
 
     Attributes:
         limits: May be changed at any time.
@@ -77,18 +252,20 @@ class FaultMonitor:
         ModelError: The standard deviation is not a finite number above zero.
     """
 
-    def __init__(self, measurement_std: float, limits: DisturbanceLimits | None = None) -> None:
+    def __init__(
+        self,
+        measurement_std: float,
+        limits: DisturbanceLimits | None = None,
+        watch: Any = None,
+    ) -> None:
         self.limits = limits or DisturbanceLimits()
         self.fault = Fault()
         self._std = positive("measurement_std", measurement_std)
-        self._repeats = Repeats(_SAME_SIGMAS * self._std)
-        self._innovations = Whiteness()
-        self._history = History()
+        self._watches = new_watches([self._std]) if watch is None else watch
+        self._shape = Shape(FaultKind.NONE, 0.0)
         self._kind, self._level = Debounce(FaultKind.NONE), Debounce(Level.OK)
         self._wrong = Debounce(False)
         self._candidates: dict[FaultKind, Fault] = {}
-        self._predicted = 0.0
-        self._stamp: int | None = None
 
     def measured(self, stamp: int, y: float, innovation: float, expected_std: float) -> None:
         """Take in a measurement that was used.
@@ -99,17 +276,9 @@ class FaultMonitor:
             innovation: y − ŷ [rad].
             expected_std: 1σ expected of the innovation [rad].
         """
-        self.unused(stamp, y)
-        self._innovations.update(stamp, innovation / expected_std)
-        self._predicted = y - innovation
-
-    def unused(self, stamp: int, y: float) -> None:
-        """Take in a measurement that the estimator did not use, with what `measured` is given."""
-        was_stuck = self._repeats.stuck
-        self._repeats.update(stamp, y)
-        if was_stuck and not self._repeats.stuck:
-            # The past is no guide to the future, and the estimate was led astray.
-            self._history = History(after_fault=True)
+        angles, innovations, deviations = np.array([y, innovation, expected_std]).reshape(3, 1, 1)
+        not_gated = np.array([[False]])
+        add_samples(self._watches, np.array([stamp]), angles, innovations, deviations, not_gated)
 
     def estimated(self, stamp: int, disturbance: float, bound: float) -> Fault:
         """Take in an estimate and return the fault, which is judged ten times a second.
@@ -119,17 +288,29 @@ class FaultMonitor:
             disturbance: Estimated disturbance [rad].
             bound: Its 1σ bound [rad].
         """
-        if self._stamp is not None and stamp <= self._stamp:
-            return self.fault
-        self._stamp = stamp
-        if self._history.broken_at(stamp):
-            self._history = History()
-        motion, widening = self._predicted - disturbance, self._innovations.widening
-        if self._history.add(stamp, disturbance, motion, bound, widening) or (
-            self._repeats.stuck and self.fault.kind is not FaultKind.STUCK
-        ):
-            self.fault = self._judge(stamp, disturbance, bound)
+        if add_estimates(self._watches, stamp, np.array([disturbance]), np.array([bound])):
+            self.judge(disturbance, bound)
         return self.fault
+
+    def judge(self, disturbance: float, bound: float) -> None:
+        """Find the present fault, if the latest estimate gives occasion to.
+
+        Args:
+            disturbance: Of the latest estimate [rad].
+            bound: Its 1σ bound [rad].
+        """
+        watch = self._watches[0]
+        if watch.renewed:
+            unknown = watch.renewed == 2
+            self._shape = Shape(FaultKind.UNKNOWN if unknown else FaultKind.NONE, 0.0)
+            watch.renewed = 0
+        if watch.complete:
+            if watch.count >= watch.least and watch.block % _EVERY == 0:
+                self._look()
+        elif not watch.stuck or self.fault.kind is FaultKind.STUCK:
+            return
+        watch.complete = 0
+        self.fault = self._judge(int(watch.estimated), disturbance, bound)
 
     def status(self) -> Status:
         """Return the fault for diagnostics."""
@@ -138,7 +319,7 @@ class FaultMonitor:
             "kind": fault.kind.value,
             "magnitude [rad]": f"{fault.magnitude:.4g}",
             "bound [rad]": f"{fault.bound:.4g}",
-            "normalised innovation squared": f"{self._innovations.square:.3g}",
+            "normalised innovation squared": f"{self.square:.3g}",
         }
         if fault.since is not None:
             values["since [s]"] = f"{fault.since * 1e-9:.3f}"
@@ -147,6 +328,40 @@ class FaultMonitor:
         if fault.frequency is not None:
             values["frequency [rad/s]"] = f"{fault.frequency:.4g}"
         return Status("sensor fault", fault.level, fault.kind.value, values)
+
+    def innovation_status(self) -> Status:
+        """Return whether the innovations are as large as the design expects, for diagnostics."""
+        return Status(
+            "innovation",
+            Level.WARN if self.large else Level.OK,
+            "larger than the design expects: noise, model or disturbance differ"
+            if self.large
+            else "consistent with the design",
+            {"normalised innovation squared": f"{self.square:.3g}"},
+        )
+
+    @property
+    def square(self) -> float:
+        """Average over a second of the normalised innovation squared, 1 if the model fits.
+
+        Each innovation is clipped at 5σ, so that a lone outlier cannot hide in it.
+        """
+        return float(self._watches[0].square)
+
+    @property
+    def large(self) -> bool:
+        """Whether the innovations are too large."""
+        return self.square > _LARGE
+
+    @property
+    def white(self) -> bool:
+        """Whether successive innovations are nearly uncorrelated."""
+        return bool(abs(self._watches[0].product) <= _COLOURED * self.square)
+
+    @property
+    def widening(self) -> float:
+        """By how much the sensor's noise widens a bound: √square if white, else unknown, so 1."""
+        return math.sqrt(max(1.0, self.square)) if self.white else 1.0
 
     def _judge(self, stamp: int, disturbance: float, bound: float) -> Fault:
         now = self._candidate(disturbance, bound)
@@ -163,166 +378,34 @@ class FaultMonitor:
 
     def _candidate(self, disturbance: float, bound: float) -> Fault:
         """Return the fault as it looks at the moment."""
-        innovations, shape = self._innovations, self._history.shape
-        if self._repeats.stuck:
+        watch, shape = self._watches[0], self._shape
+        if watch.stuck:
             return Fault(FaultKind.STUCK, Level.ERROR, abs(disturbance))
-        fits = innovations.white or not innovations.large
-        certain = bound * innovations.widening if fits else math.inf
+        fits = self.white or not self.large
+        certain = bound * self.widening if fits else math.inf
         level = self.limits.level_of(shape.magnitude)
         if shape.kind not in (FaultKind.NONE, FaultKind.UNKNOWN):
             return Fault(
                 shape.kind, level, shape.magnitude, certain, None, shape.rate, shape.frequency
             )
-        if innovations.large and innovations.white:
-            std = math.sqrt(innovations.square) * self._std
-            return Fault(FaultKind.NOISE, Level.WARN, std, std * innovations.relative_error)
-        if innovations.large or shape.kind is FaultKind.UNKNOWN:
+        if self.large and self.white:
+            std = math.sqrt(self.square) * self._std
+            # 2·`_MEMORY` of samples are in the average.
+            relative_error = math.sqrt(0.25 * watch.period / _MEMORY)
+            return Fault(FaultKind.NOISE, Level.WARN, std, std * relative_error)
+        if self.large or shape.kind is FaultKind.UNKNOWN:
             magnitude = max(shape.magnitude, abs(disturbance))
             level = self.limits.level_of(magnitude)
-            least = Level.WARN if innovations.large else Level.OK
+            least = Level.WARN if self.large else Level.OK
             return Fault(FaultKind.UNKNOWN, max(level, least), magnitude)
         return Fault(FaultKind.NONE, Level.OK, shape.magnitude, certain)
 
-
-class Repeats:
-    """Detects raw samples that repeat although noisy ones would not.
-
-    Args:
-        tolerance: Samples that differ by no more than this count as the same [rad].
-
-    Attributes:
-        stuck: Whether the samples of the last tenth of a second, at least ten, are the same.
-    """
-
-    def __init__(self, tolerance: float) -> None:
-        self._tolerance = tolerance
-        self._anchor, self._since, self._count = math.nan, 0, 0
-        self.stuck = False
-
-    def update(self, stamp: int, y: float) -> None:
-        """Take in a raw sample [rad] at a stamp [ns]."""
-        if abs(y - self._anchor) <= self._tolerance:
-            self._count += 1
-            lasted = stamp - self._since >= _STUCK_TIME * 1e9
-            self.stuck = lasted and self._count >= _STUCK_SAMPLES
-        else:
-            self._anchor, self._since, self._count, self.stuck = y, stamp, 1, False
-
-
-class Whiteness:
-    """One-second averages of the normalised innovation: its square, and times the one before.
-
-    Attributes:
-        square: 1 when the model fits; each sample is clipped at 5σ.
-        period: Time between the last two samples [s].
-    """
-
-    def __init__(self) -> None:
-        self._stamp: int | None = None
-        self._last = 0.0
-        self.square, self._product = 1.0, 0.0
-        self.period = 0.0
-
-    def update(self, stamp: int, normalised: float) -> None:
-        """Take in an innovation divided by its expected 1σ, at a stamp [ns]; late ones pass by."""
-        value = max(-_CLIP, min(_CLIP, normalised))
-        if self._stamp is not None:
-            if stamp <= self._stamp:
-                return
-            self.period = (stamp - self._stamp) * 1e-9
-            weight = -math.expm1(-self.period / _MEMORY)
-            self.square += weight * (value * value - self.square)
-            self._product += weight * (value * self._last - self._product)
-        self._stamp, self._last = stamp, value
-
-    @property
-    def large(self) -> bool:
-        """Whether the innovations are too large."""
-        return self.square > _LARGE
-
-    @property
-    def white(self) -> bool:
-        """Whether successive innovations are nearly uncorrelated."""
-        return abs(self._product) <= _COLOURED * self.square
-
-    @property
-    def widening(self) -> float:
-        """By how much the sensor's noise widens a bound: √square if white, else unknown, so 1."""
-        return math.sqrt(max(1.0, self.square)) if self.white else 1.0
-
-    @property
-    def relative_error(self) -> float:
-        """1σ of √square relative to itself: 2·`_MEMORY` of samples are in the average."""
-        return math.sqrt(0.25 * self.period / _MEMORY)
-
-
-class _Block(NamedTuple):
-    time: float
-    disturbance: float
-    motion: float
-    bound: float
-
-
-class History:
-    """Means over tenths of a second of the last quarter of a minute, and their shape.
-
-    Args:
-        after_fault: Whether the estimate has to recover first: then the shape is unknown for 10 s.
-
-    Attributes:
-        shape: As of the last look at it, three times a second.
-    """
-
-    def __init__(self, after_fault: bool = False) -> None:
-        self._least = _RECOVERY_BLOCKS if after_fault else _LEAST_BLOCKS
-        self._blocks: deque[_Block] = deque(maxlen=_BLOCKS)
-        self._begun: int | None = None
-        self._stamp = 0
-        self._block = self._count = 0
-        self._sums = (0.0, 0.0, 0.0)
-        self.shape = Shape(FaultKind.UNKNOWN if after_fault else FaultKind.NONE, 0.0)
-
-    def broken_at(self, stamp: int) -> bool:
-        """Return whether an estimate at a stamp [ns] comes after a gap."""
-        return self._begun is not None and stamp - self._stamp > _LONGEST_GAP * 1e9
-
-    def add(
-        self, stamp: int, disturbance: float, motion: float, bound: float, widening: float
-    ) -> bool:
-        """Take in an estimate.
-
-        Args:
-            stamp: Of the estimate, later than the one before [ns].
-            disturbance: [rad].
-            motion: Estimated angle of the arm [rad].
-            bound: 1σ of the disturbance [rad].
-            widening: Factor of the bound.
-
-        Returns:
-            Whether a block is complete.
-        """
-        if self._begun is None:
-            self._begun = stamp
-        self._stamp = stamp
-        a, b, c = self._sums
-        self._sums = a + disturbance, b + motion, c + bound
-        self._count += 1
-        elapsed = stamp - self._begun
-        if elapsed < (self._block + 1) * _BLOCK:
-            return False
-        means = (total / self._count for total in self._sums)
-        self._blocks.append(_Block(elapsed * 1e-9, *means))
-        self._sums, self._count = (0.0, 0.0, 0.0), 0
-        self._block = elapsed // _BLOCK
-        if len(self._blocks) >= self._least and self._block % _EVERY == 0:
-            self._look(widening)
-        return True
-
-    def _look(self, widening: float) -> None:
+    def _look(self) -> None:
         """See the shape since the bound was last wide open, if that is long enough ago."""
-        blocks = np.array(self._blocks)
+        watch = self._watches[0]
+        blocks = watch.blocks[: watch.count]
         bound = float(blocks[-1, 3])
         opened = np.flatnonzero(blocks[:, 3] > _OPEN * bound)
         times, values, motion, _ = (blocks[opened[-1] + 1 :] if len(opened) else blocks).T
         if len(times) >= _LEAST_BLOCKS:
-            self.shape = shape_of(times, values, motion, bound * widening)
+            self._shape = shape_of(times, values, motion, bound * self.widening)

@@ -3,7 +3,6 @@
 """Health of an estimator as data, which nodes and reports only show."""
 
 import enum
-import math
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
@@ -11,9 +10,6 @@ from tsobs_ros.checks import positive
 from tsobs_ros.errors import ModelError
 
 T = TypeVar("T")
-
-_CLIP = 25.0
-_INCONSISTENT = 2.0
 
 
 class Level(enum.IntEnum):
@@ -50,38 +46,6 @@ def phase_of(age: float | None, coast_after: float, stale_after: float) -> Phase
     if age > stale_after:
         return Phase.STALE
     return Phase.COASTING if age > coast_after else Phase.TRACKING
-
-
-class InnovationMonitor:
-    """Averages the normalised innovation squared (1 when the model fits) over about a second.
-
-    Attributes:
-        nis: The average, each sample clipped at 5σ so that a lone outlier cannot hide in it.
-    """
-
-    def __init__(self, time_constant: float = 1.0) -> None:
-        self._time_constant = positive("time_constant", time_constant)
-        self._stamp: int | None = None
-        self.nis = 1.0
-
-    def update(self, stamp: int, normalised: float) -> None:
-        """Take in an innovation divided by its expected 1σ, at a stamp [ns]."""
-        elapsed = 0.0 if self._stamp is None else max(0.0, (stamp - self._stamp) * 1e-9)
-        self._stamp = stamp
-        weight = -math.expm1(-elapsed / self._time_constant)
-        self.nis += weight * (min(normalised * normalised, _CLIP) - self.nis)
-
-    def status(self) -> Status:
-        """Return whether the innovations are as large as the design expects."""
-        fits = self.nis <= _INCONSISTENT
-        return Status(
-            "innovation",
-            Level.OK if fits else Level.WARN,
-            "consistent with the design"
-            if fits
-            else "larger than the design expects: noise, model or disturbance differ",
-            {"normalised innovation squared": f"{self.nis:.3g}"},
-        )
 
 
 @dataclass(frozen=True)

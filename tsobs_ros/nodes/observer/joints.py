@@ -4,6 +4,7 @@
 
 import hashlib
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,8 +15,8 @@ from tsobs_ros.design.file import load_arm_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.faults import FaultMonitor
-from tsobs_ros.estimation.health import InnovationMonitor, Phase, phase_of
+from tsobs_ros.estimation.faults import FaultMonitor, add_samples, new_watches
+from tsobs_ros.estimation.health import Phase, phase_of
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -98,7 +99,6 @@ class ObservedJoint:
         tracker: Orders its measurements and estimates.
         received: Number of its samples since the start: used + rejected.
         latest: The latest estimate, None before the first.
-        innovations: Compares their size with the design's.
         faults: Recognises faults of its sensor.
     """
 
@@ -123,8 +123,9 @@ class ObservedJoint:
         self.tracker.reset()
         self.received = 0
         self.latest: Estimate | None = None
-        self.innovations = InnovationMonitor()
-        self.faults = FaultMonitor(self.loaded.design.arm_request.measurement_std, self._limits)
+        std = self.loaded.design.arm_request.measurement_std
+        self.watch = new_watches([std])
+        self.faults = FaultMonitor(std, self._limits, self.watch)
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
@@ -153,13 +154,9 @@ class ObservedJoint:
         """
         self.received += len(stamps)
         outcomes = offer_all(self.tracker, stamps, y, u, now)
-        rows = zip(stamps.tolist(), y.tolist(), *outcomes, strict=True)
-        for stamp, angle, reason, innovation, expected_std in rows:
-            if reason is None:
-                self.innovations.update(stamp, innovation / expected_std)
-                self.faults.measured(stamp, angle, innovation, expected_std)
-            elif reason is RejectReason.GATED:
-                self.faults.unused(stamp, angle)
+        gated = [reason is RejectReason.GATED for reason in outcomes.reasons]
+        columns = (np.array(each)[:, np.newaxis] for each in (*outcomes[1:], gated))
+        add_samples(self.watch, stamps, y[:, np.newaxis], *columns)
         return outcomes
 
     def reject(self, count: int) -> None:
@@ -194,6 +191,19 @@ class ObservedJoint:
         return self.latest and self.latest._replace(
             state_bound=_NOTHING, disturbance_bound=_NOTHING, parameters_valid=False
         )
+
+
+def rehearse(joints: Sequence[ObservedJoint]) -> None:
+    """Run everything that is compiled on joints that have no past yet; they have none after it."""
+    zero = np.zeros(1)
+    for joint in joints:
+        period = round(joint.loaded.design.request.period * NANOSECONDS)
+        for place in (1, 2, 4, 3, 3):  # one of them late, one twice
+            stamp = NANOSECONDS + place * period
+            joint.offer(np.array([stamp]), zero, zero, stamp + period)
+        for ahead in (0.5, 10.0):
+            joint.estimate(stamp + round(ahead * period), hold=False)
+        joint.reset()
 
 
 def observed_joints(parameters: ObserverParameters) -> list[ObservedJoint]:

@@ -16,12 +16,13 @@ from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import WARNINGS
+from tsobs_ros.nodes.compiling import compile_ahead
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher
 from tsobs_ros.nodes.observer import statuses
 from tsobs_ros.nodes.observer.io import MEASUREMENT_QOS, EstimatePublisher, MeasurementReader
-from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints, rehearse
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.ticker import Ticker
 
@@ -58,6 +59,7 @@ class Observer(ManagedNode[ObserverParameters]):
         """Load the designs and make everything."""
         parameters = self.parameters
         self._joints = observed_joints(parameters)
+        compile_ahead(self, lambda: rehearse(self._joints))
         self._resets = 0
         self._reported_failures = 0
         self._enabled = True

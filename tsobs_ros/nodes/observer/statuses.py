@@ -105,7 +105,7 @@ def _estimate_statuses(joint: ObservedJoint, method: str) -> list[Status]:
     estimate = joint.latest
     statuses = [
         _domain_status(estimate, joint.loaded.design.arm_request.x_max),
-        joint.innovations.status(),
+        joint.faults.innovation_status(),
         joint.faults.status(),
         _certificate_status(joint.loaded, method, estimate),
     ]
