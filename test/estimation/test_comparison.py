@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """PO, PIO and EKF against their definitions, exact solutions and an independent filter."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,15 @@ from scipy.linalg import block_diag, expm
 
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.baselines import (
-    ExtendedKalmanFilter,
-    HighGainObserver,
-    ProportionalIntegralObserver,
+    high_gain,
+    high_gain_matrix,
     place_single_output,
+    proportional_integral,
+    proportional_integral_matrix,
 )
-from tsobs_ros.estimation.observer import CertifiedGain, GainMode, TSObserver
+from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.arm import ElasticJointArm
@@ -37,13 +39,16 @@ START = np.array([0.3, 0.0, 2.0, 0.0])
 RUN = simulate(SCENARIOS["noise"], [3], 20.0)
 
 
+KNOWN = (PERIOD, 0.028)
+
+
 @pytest.mark.parametrize("theta", [2.0, 5.0])
 def test_observers_have_their_poles(theta: float) -> None:
     arm = ARM.slope_matrix(1.0)
-    high = arm - np.outer(HighGainObserver(ARM, theta).K, ARM.output_matrix)
+    high = arm - high_gain_matrix(ARM, theta) @ ARM.output_matrix
     joined = block_diag(0.0, arm)
     joined[0, 1] = 1.0  # the integral of the error
-    joined[:, 0] -= ProportionalIntegralObserver(ARM, theta).K
+    joined[:, :1] -= proportional_integral_matrix(ARM, theta)
     for closed, spread in ((high, [1.3, 1.2, 1.1, 1.0]), (joined, [1.4, 1.3, 1.2, 1.1, 1.0])):
         poles = np.sort(np.linalg.eigvals(closed).real)
         np.testing.assert_allclose(poles, -theta * np.array(spread), rtol=1e-5)
@@ -54,23 +59,21 @@ def test_held_sample_is_integrated_exactly() -> None:
     y, u = np.array([0.4]), np.array([0.7])
     drive = LINEAR.input_matrix @ u
 
-    high = HighGainObserver(LINEAR, 4.0)
-    state, innovation = high.correct(high.initial()._replace(x=START), y)
-    np.testing.assert_allclose(innovation, 0.1)
-    closed = A - np.outer(high.K, C)
-    expected = exact(closed, np.r_[high.K * y + drive], START, 0.05)
+    high, K = high_gain(LINEAR, 4.0, *KNOWN), high_gain_matrix(LINEAR, 4.0)
+    state, correction = high.correct(high.initial().changed(x=START), y)
+    np.testing.assert_allclose(correction.innovation, 0.1)
+    np.testing.assert_allclose(correction.innovation_covariance, 0.028**2)
+    expected = exact(A - K @ C, K @ y + drive, START, 0.05)
     np.testing.assert_allclose(high.predict(state, u, 0.05).x, expected, rtol=1e-5, atol=1e-5)
 
-    integral = ProportionalIntegralObserver(LINEAR, 4.0)
-    begun, _ = integral.correct(integral.initial()._replace(x=START), y)
-    joined = np.zeros((5, 5))
-    joined[0, 1:] = -C[0]
-    joined[1:, 1:] = A
-    joined[0, 0] -= integral.K[0]
-    joined[1:, 0] += integral.K[1:]
-    expected = exact(joined, np.r_[y, drive], np.r_[0.0, START], 0.05)
+    integral = proportional_integral(LINEAR, 4.0, *KNOWN)
+    K = proportional_integral_matrix(LINEAR, 4.0)
+    begun, _ = integral.correct(integral.initial().changed(x=np.r_[START, 0.0]), y)
+    joined = block_diag(A, -K[0])
+    joined[:4, 4:], joined[4:, :4] = K[1:], -C
+    expected = exact(joined, np.r_[drive, y], np.r_[START, 0.0], 0.05)
     after = integral.predict(begun, u, 0.05)
-    np.testing.assert_allclose(np.r_[after.integral_error, after.x], expected, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(after.x, expected, rtol=1e-5, atol=1e-5)
 
 
 def exact(A: Array, b: Array, x: Array, t: float) -> Array:
@@ -80,55 +83,49 @@ def exact(A: Array, b: Array, x: Array, t: float) -> Array:
     return (expm(t * joined) @ np.r_[x, 1.0])[:n]
 
 
-@pytest.mark.parametrize("kind", [HighGainObserver, ProportionalIntegralObserver])
-def test_converges_on_a_clean_output_for_every_theta_of_a_batch(
-    kind: type[HighGainObserver] | type[ProportionalIntegralObserver],
+@pytest.mark.parametrize("make", [high_gain, proportional_integral])
+@pytest.mark.parametrize("theta", [3.0, 6.0])
+def test_converges_on_a_clean_output_for_every_run_of_a_batch(
+    make: Callable[..., Estimator], theta: float
 ) -> None:
-    observer = kind(ARM, np.array([[3.0], [6.0]]))
-    state = observer.initial((2, 3))
-    truth = ARM.to_physical(START)
-    plant = ArmIntegrator(ARM, PERIOD)
-    for index in range(1200):
-        u = np.array([np.sin(index * PERIOD)])
-        state, innovation = observer.correct(state, truth[:1])  # type: ignore[arg-type]
-        assert innovation.shape == (2, 3, 1)
-        state = observer.predict(state, u, PERIOD)  # type: ignore[arg-type]
+    truth, plant, samples = ARM.to_physical(START), ArmIntegrator(ARM, PERIOD), []
+    torques = np.sin(np.arange(1200) * PERIOD)[:, np.newaxis]
+    for u in torques:
+        samples.append(truth[:1])
         truth = plant.advance(truth, u)
-    error = np.abs(state.x - ARM.from_physical(truth))
+    observer = make(ARM, theta, *KNOWN)
+    states = observer.initial((3,))
+    for y, u in zip(samples, torques, strict=True):
+        states, correction = observer.correct(states, y)
+        assert correction.innovation.shape == (3, 1)
+        states = observer.predict(states, u, PERIOD)
+    error = np.abs(states.x[:, :4] - ARM.from_physical(truth))
     # What is left is the sample's age, half a period of the velocity.
-    assert error[..., 0].max() < 0.01
+    assert error[:, 0].max() < 0.01
     assert error.max() < 0.5
-    np.testing.assert_allclose(state.x[:, 0], state.x[:, 2])
+    assert (states.x[0] == states.x[2]).all()
 
 
-def test_kalman_filter_is_the_riccati_mode_of_the_certified_observer() -> None:
-    request = ArmRequest()
-    ekf = ExtendedKalmanFilter(
-        request.flow, request.measurement_covariance, request.initial_covariance
-    )
-    certified = TSObserver(
-        request.flow,
-        request.measurement_covariance,
-        request.initial_covariance,
-        CertifiedGain(np.zeros((5, 1)), np.eye(5)),
-        gain_mode=GainMode.RICCATI,
-    )
-    random = np.random.default_rng(1)
-    one, other = ekf.initial((3,)), certified.initial((3,))
-    for _ in range(200):
-        y, u = random.normal(0.0, 0.3, size=(3, 1)), random.normal(size=(3, 1))
-        one, innovation = ekf.correct(one, y)
-        other, correction = certified.correct(other, y)
-        np.testing.assert_allclose(innovation, correction.innovation, atol=1e-9)
-        one, other = ekf.predict(one, u, PERIOD), certified.predict(other, u, PERIOD)
-    np.testing.assert_allclose(one.x, other.x, atol=1e-9)
-    np.testing.assert_allclose(one.covariance, other.covariance, atol=1e-12)
+def test_observing_arrays_is_stepping_from_a_start() -> None:
+    observer = high_gain(ARM, 2.5, *KNOWN)
+    start = observer.initial((2,)).changed(x=[START, -START])
+    y = np.stack([RUN.measurements[0, :50]] * 2)
+    rows = observer.observe(y, RUN.torques[:, :50], PERIOD, start)
+    states = start
+    for k in range(50):
+        states, _ = observer.correct(states, y[:, k])
+        assert (rows.state[:, k] == observer.readout(states).state).all()
+        states = observer.predict(states, RUN.torques[0, k], PERIOD)
+    assert (start.x == [START, -START]).all()
+    with pytest.raises(ModelError, match=r"start: expected a batch of \(2,\), got \(3,\)"):
+        observer.observe(y, RUN.torques[:, :50], PERIOD, observer.initial((3,)))
 
 
-def test_kalman_filter_is_the_textbook_one_on_a_linear_arm() -> None:
+def test_riccati_gains_are_the_textbook_filter_on_a_linear_arm() -> None:
     request = ArmRequest(arm=LINEAR, disturbance=(DisturbanceTerm("bias"),))
-    flow = request.flow
-    ekf = ExtendedKalmanFilter(flow, request.measurement_covariance, request.initial_covariance)
+    flow, covariances = request.flow, (request.measurement_covariance, request.initial_covariance)
+    unused = CertifiedGain(np.zeros((5, 1)), np.eye(5))
+    ekf = certified_estimator(flow, *covariances, unused, gain_mode=GainMode.RICCATI)
     textbook = KalmanFilter(dim_x=5, dim_z=1, dim_u=1)
     step = flow.transition(PERIOD)
     textbook.F, textbook.B, textbook.Q = step.phi, step.gamma, step.noise
@@ -146,8 +143,8 @@ def test_kalman_filter_is_the_textbook_one_on_a_linear_arm() -> None:
     np.testing.assert_allclose(state.covariance, textbook.P, atol=1e-9)
 
 
-def follow(estimator: Any) -> tuple[Tracker[Any], Array]:
-    tracker: Tracker[Any] = Tracker(estimator, TrackerOptions(x_max=0.75))
+def follow(estimator: Estimator) -> tuple[Tracker, Array]:
+    tracker = Tracker(estimator, TrackerOptions(x_max=0.75))
     errors = []
     for k, y in enumerate(RUN.measurements[0]):
         stamp = 10**9 + 5_000_000 * k
@@ -161,9 +158,9 @@ def follow(estimator: Any) -> tuple[Tracker[Any], Array]:
     return tracker, np.array(errors)
 
 
-@pytest.mark.parametrize("make", [baselines.high_gain, baselines.proportional_integral])
-def test_high_gain_observers_follow_the_arm(make: Any) -> None:
-    tracker, errors = follow(make(ARM, 2.5, PERIOD, 0.028))
+@pytest.mark.parametrize("make", [high_gain, proportional_integral])
+def test_high_gain_observers_follow_the_arm(make: Callable[..., Estimator]) -> None:
+    tracker, errors = follow(make(ARM, 2.5, *KNOWN))
     assert tracker.used == len(RUN.times)
     assert np.sqrt((errors[2000:, 0] ** 2).mean()) < 0.02
     estimate = tracker.estimate(10**9 + 5_000_000 * (len(RUN.times) - 1))
@@ -172,21 +169,20 @@ def test_high_gain_observers_follow_the_arm(make: Any) -> None:
 
 
 def test_the_tracker_takes_the_observers_own_steps() -> None:
-    own = HighGainObserver(ARM, 2.5)
-    tracker = Tracker[Any](baselines.high_gain(ARM, 2.5, PERIOD, 0.028), TrackerOptions(0.75))
-    state = own.initial()
+    observer = high_gain(ARM, 2.5, *KNOWN)
+    tracker, state = Tracker(observer, TrackerOptions(0.75)), observer.initial()
     for k in range(50):
         stamp, y, u = 10**9 + 5_000_000 * k, RUN.measurements[0, k], RUN.torques[0, k]
         tracker.offer(Measurement(stamp, y, u), stamp)
-        state, _ = own.correct(state, y)
+        state, _ = observer.correct(state, y)
         estimate = tracker.estimate(stamp)
         assert estimate is not None
-        assert (estimate.state == ARM.to_physical(own.predict(state, u, 0.0).x)).all()
-        state = own.predict(state, u, PERIOD)
+        assert (estimate.state == observer.readout(state).state).all()
+        state = observer.predict(state, u, PERIOD)
 
 
 def test_the_papers_observer_does_not_find_the_arm() -> None:
-    _, errors = follow(paper_observer(ARM, PERIOD, 0.028))
+    _, errors = follow(paper_observer(ARM, *KNOWN))
     # It is an open-loop simulation from another start: the error neither decays nor grows.
     early, late = (
         np.sqrt((errors[part, 0] ** 2).mean()) for part in (slice(0, 2000), slice(2000, None))
@@ -197,17 +193,15 @@ def test_the_papers_observer_does_not_find_the_arm() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: HighGainObserver(ARM, [1.0, -1.0]), "theta: expected .* above 0, got -1"),
-        (lambda: ProportionalIntegralObserver(ARM, float("nan")), "theta: expected .* got nan"),
-        (
-            lambda: ExtendedKalmanFilter(ArmRequest().flow, np.eye(1), np.eye(4)),
-            r"initial covariance: expected shape \(5, 5\), got \(4, 4",
-        ),
+        (lambda: high_gain(ARM, -1.0, *KNOWN), "theta: expected .* above 0, got -1"),
+        (lambda: proportional_integral(ARM, float("nan"), *KNOWN), "theta: expected .* got nan"),
+        (lambda: high_gain(ARM, 2.0, 0.0, 0.028), "period: expected .* above 0, got 0"),
+        (lambda: high_gain(ARM, 2.0, PERIOD, 0.0), "measurement_std: expected .* above 0, got 0"),
         (
             lambda: place_single_output(np.diag([-1.0, -2.0]), np.array([[1.0, 0.0]]), [-3, -4]),
             "C: expected an output that sees all 2 modes of A",
         ),
-        (lambda: paper_observer(ElasticJointArm(stiffness=11.0), PERIOD, 0.028), "Example 3"),
+        (lambda: paper_observer(ElasticJointArm(stiffness=11.0), *KNOWN), "Example 3"),
     ],
 )
 def test_wrong_numbers_are_named(make: Any, message: str) -> None:

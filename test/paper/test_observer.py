@@ -14,10 +14,16 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import example_1
-from tsobs_ros.paper.observer import AugmentedObserver, AugmentedState
+from tsobs_ros.paper.observer import (
+    AugmentedObserver,
+    AugmentedState,
+    paper_observer,
+    printed_observer,
+)
 from tsobs_ros.paper.systems import TSSystem
 
 Array = NDArray[np.float64]
@@ -138,16 +144,17 @@ def test_adaptation_never_starts_from_a_fitting_estimate() -> None:
     assert np.abs(run(observer, 3.0, 0.02).Xi).max() > 0.05
 
 
-def test_held_and_linear_agree_where_nothing_changes() -> None:
-    observer = AugmentedObserver(AUG, H1, M, GAMMA)
-    y, u = np.array([0.4, 0.1, -0.2]), np.array([0.3])
-    state = observer.initial(y, START)
-    held = observer.predict(state, u, 0.3)
-    steps = observer.initial(y, START)
-    for _ in range(30):
-        steps, innovation = observer.correct(observer.predict(steps, u, 0.01), y)
-    np.testing.assert_allclose(steps.xi, held.xi, atol=1e-12)
-    np.testing.assert_allclose(innovation, y - AUG.C_bar @ observer.augmented_estimate(steps))
+def test_the_record_with_the_printed_gains_is_the_observer_with_the_sample_held() -> None:
+    record, observer = paper_observer(ElasticJointArm(), 0.005, 0.028), printed_observer()
+    y, u = np.full((201, 1), 0.4), np.full((201, 1), 0.3)
+    # The record starts at ξ = 0, which is x̂̄ = E_L⁻¹L y.
+    states = observer.follow(y, u, 0.005, estimate=observer.augmentation.L1 @ y[0])
+    estimates = record.observe(y[np.newaxis], u[np.newaxis])
+    x, omega = observer.estimate(states)
+    expected = ElasticJointArm().to_physical(x)
+    np.testing.assert_allclose(estimates.state[0], expected, atol=1e-12)
+    np.testing.assert_allclose(estimates.disturbance[0], omega, atol=1e-12)
+    assert np.ptp(expected[:, 0]) > 0.01
 
 
 def batch_of() -> AugmentedState:

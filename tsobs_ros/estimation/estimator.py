@@ -255,13 +255,20 @@ class Estimator:
             values[name] = values[name].astype(bool) if state.batch else bool(values[name])
         return Readout(**values)
 
-    def observe(self, y: ArrayLike, u: ArrayLike, period: float | None = None) -> Readout:
+    def observe(
+        self,
+        y: ArrayLike,
+        u: ArrayLike,
+        period: float | None = None,
+        start: State | None = None,
+    ) -> Readout:
         """Return the estimates after each sample of some runs, without holding Python's lock.
 
         Args:
             y: Measurements, NaN if lost, shape (runs, samples, p).
             u: Inputs from each sample to the next, shape (runs, samples, m).
             period: Time between samples [s]; the nominal one if None.
+            start: States at the first sample, a batch of shape (runs,); the initial one if None.
 
         Raises:
             ModelError: The arrays have other shapes, or the period is negative.
@@ -276,9 +283,12 @@ class Estimator:
         )
         rows = np.empty((*samples.shape[:2], self.row_width))
         length = self.period if period is None else non_negative("period", period)
+        states = self.initial((len(samples),)) if start is None else start.copy()
+        if states.batch != (len(samples),):
+            raise ModelError(f"start: expected a batch of {(len(samples),)}, got {states.batch}")
         observe_each(
             self.model,
-            self.new_states(len(samples)),
+            states.records,
             samples,
             inputs,
             length,

@@ -101,48 +101,6 @@ class AugmentedObserver:
         if self.xi is not None and (self.xi < 0.0).any():
             raise ModelError(f"xi: expected bounds of at least 0, got {self.xi.tolist()}")
 
-    def initial(
-        self, y: ArrayLike, estimate: ArrayLike | None = None, z: ArrayLike | None = None
-    ) -> AugmentedState:
-        """Return the state at the first sample.
-
-        Args:
-            y: First sample, shape (..., p); its leading axes are the batch.
-            estimate: x̂̄(0), shape (..., n + p); zero if not given.
-            z: Premise variables, shape (..., q); the first q outputs by default.
-        """
-        aug = self.augmentation
-        sample = self._checked("y", y, aug.output_count)
-        guess = np.zeros(aug.size) if estimate is None else np.asarray(estimate, dtype=np.float64)
-        xi = guess - sample @ aug.L1.T
-        shape = (*xi.shape[:-1], aug.rule_count, aug.output_count, aug.size)
-        return AugmentedState(xi, np.zeros(shape), sample, self._premises(sample, z))
-
-    def correct(
-        self, state: AugmentedState, y: ArrayLike, z: ArrayLike | None = None
-    ) -> tuple[AugmentedState, Array]:
-        """Take a sample: the disturbance estimate moves with it, the state estimate does not.
-
-        Args:
-            state: Predicted to the sample's stamp.
-            y: Sample, shape (..., p).
-            z: Premise variables, shape (..., q); the first q outputs by default.
-
-        Returns:
-            The state, and the innovation e_y, shape (..., p).
-        """
-        sample = self._checked("y", y, self.augmentation.output_count)
-        taken = state._replace(y=sample, z=self._premises(sample, z))
-        return taken, self.innovation(taken)
-
-    def predict(self, state: AugmentedState, u: ArrayLike, duration: float) -> AugmentedState:
-        """Predict over `duration` [s] with the last sample, its premises and u (..., m) held."""
-        if duration == 0.0:
-            return state
-        y, z, torque = (np.stack([each, each]) for each in (state.y, state.z, np.asarray(u)))
-        states = self._follow(state, y, z, torque, duration)
-        return AugmentedState(*(each[1] for each in states))
-
     def follow(
         self,
         y: ArrayLike,
@@ -164,36 +122,31 @@ class AugmentedObserver:
         Raises:
             ModelError: A shape is wrong, the period is not above zero, or no rule fires at some z.
         """
-        samples = self._checked("y", y, self.augmentation.output_count)
-        premises = self._premises(samples, z)
-        start = self.initial(samples[0], estimate, premises[0])
-        inputs = as_matrix("u", u, (len(samples), self.augmentation.B1.shape[-1]))
-        return self._follow(start, samples, premises, inputs, positive("period", period))
-
-    def _follow(
-        self, start: AugmentedState, y: Array, z: Array, u: Array, period: float
-    ) -> AugmentedState:
         aug = self.augmentation
-        r, p, size, batch = aug.rule_count, aug.output_count, aug.size, y.shape[1:-1]
-        steps = max(1, math.ceil(period / _MAX_STEP - 1e-9))
-        weights = aug.system.rule_base.weights(_at_nodes(z, steps))
-        runs, m = math.prod(batch), aug.B1.shape[-1]
-        inputs = np.broadcast_to(u.reshape(len(y), -1, m), (len(y), runs, m))
-        states = np.empty((len(y), runs, 1 + r * p, size))
-        states[0, :, 0] = start.xi.reshape(runs, size)
-        states[0, :, 1:] = start.Xi.reshape(runs, r * p, size)
+        r, p, size, m = aug.rule_count, aug.output_count, aug.size, aug.B1.shape[-1]
+        samples = self._checked("y", y, p)
+        count, *batch = samples.shape[:-1]
+        q = aug.system.rule_base.premise_count
+        premises = self._checked("z", samples[..., :q] if z is None else z, q)
+        inputs = as_matrix("u", u, (count, m))
+        steps = max(1, math.ceil(positive("period", period) / _MAX_STEP - 1e-9))
+        weights = aug.system.rule_base.weights(_at_nodes(premises, steps))
+        guess = np.zeros(size) if estimate is None else np.asarray(estimate, dtype=np.float64)
+        runs = math.prod(batch)
+        states = np.zeros((count, runs, 1 + r * p, size))
+        states.reshape(count, *batch, 1 + r * p, size)[0, ..., 0, :] = guess - samples[0] @ aug.L1.T
         _integrate(
             self._equations(),
             _at_nodes(inputs, steps),
-            _at_nodes(y, steps).reshape(-1, runs, p),
+            _at_nodes(samples, steps).reshape(-1, runs, p),
             weights.reshape(-1, runs, r),
             period / steps,
             steps,
             states,
         )
-        states = states.reshape(len(y), *batch, 1 + r * p, size)
-        Xi = states[..., 1:, :].reshape(len(y), *batch, r, p, size)
-        return AugmentedState(states[..., 0, :], Xi, y, z)
+        states = states.reshape(count, *batch, 1 + r * p, size)
+        Xi = states[..., 1:, :].reshape(count, *batch, r, p, size)
+        return AugmentedState(states[..., 0, :], Xi, samples, premises)
 
     def _equations(self) -> "_Equations":
         aug, p = self.augmentation, self.augmentation.output_count
@@ -224,10 +177,6 @@ class AugmentedObserver:
     def innovation(self, state: AugmentedState) -> Array:
         """Return e_y = y − C̄x̂̄, shape (..., p)."""
         return np.asarray(state.y - self.augmented_estimate(state) @ self.augmentation.C_bar.T)
-
-    def _premises(self, y: Array, z: ArrayLike | None) -> Array:
-        count = self.augmentation.system.rule_base.premise_count
-        return self._checked("z", y[..., :count] if z is None else z, count)
 
     @staticmethod
     def _checked(name: str, value: ArrayLike, length: int) -> Array:
@@ -277,7 +226,7 @@ def _integrate(
 
     Args:
         equations: Of the observer.
-        u: Inputs at the ends and in the middle of each step, shape (nodes, runs, m).
+        u: Inputs at the ends and in the middle of each step, shape (nodes, m).
         y: Outputs there, shape (nodes, runs, p).
         weights: Rule weights there, shape (nodes, runs, r).
         h: Length of a step [s].
@@ -307,7 +256,7 @@ def _integrate(
                     _derivative(
                         equations,
                         at,
-                        u[node, run],
+                        u[node],
                         y[node, run],
                         weights[node, run],
                         slopes[stage],

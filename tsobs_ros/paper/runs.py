@@ -19,7 +19,7 @@ from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.estimation.baselines import high_gain, proportional_integral
-from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
 from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
 from tsobs_ros.paper.examples import PaperExample, second_weight
@@ -338,12 +338,16 @@ def compare_on_arm(design: Design, seeds: int = 20, *, duration: float = 60.0) -
     period = float(runs.times[1] - runs.times[0])
     known = (period, asked.measurement_std)
     without = replace(asked, disturbance=(DisturbanceTerm("clean"),))
+    paper = paper_observer(arm, *known)
+    # x̂̄(0) = 0 is ξ(0) = −E_L⁻¹L y(0), which is zero in all states but the disturbance's.
+    xi = np.hstack([np.zeros((seeds, arm.output_matrix.shape[1])), -runs.measurements[:, 0]])
+    blind = paper.initial((seeds,)).changed(x=xi)
     return ArmComparison(
         runs,
         (
             _best("PO", runs, [high_gain(arm, theta, *known) for theta in THETAS]),
             _best("PIO", runs, [proportional_integral(arm, theta, *known) for theta in THETAS]),
-            _errors("paper", runs, _run(paper_observer(arm, *known), runs)),
+            _errors("paper", runs, _run(paper, runs, blind)),
             _errors("ours", runs, _run(design.observer(), runs)),
             _errors("EKF", runs, _run(_ekf(asked), runs)),
             _errors("EKF clean", runs, _run(_ekf(without), runs)),
@@ -364,10 +368,10 @@ def _ekf(request: ArmRequest) -> Estimator:
     )
 
 
-def _run(observer: Estimator, runs: Trajectories) -> Array:
+def _run(observer: Estimator, runs: Trajectories, start: State | None = None) -> Array:
     """Return x̂ after each sample in design coordinates, shape (runs, samples, 4)."""
     period = float(runs.times[1] - runs.times[0])
-    physical = observer.observe(runs.measurements, runs.torques, period).state
+    physical = observer.observe(runs.measurements, runs.torques, period, start).state
     return ElasticJointArm().from_physical(physical)
 
 
