@@ -16,10 +16,13 @@ from tsobs_ros.design import file
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Innovation, Measurement
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.history import EXTRA, USED
+from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.replay.passes import Pass, Ticks
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
@@ -29,6 +32,9 @@ if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Run
     from tsobs_ros.replay.source import Source
     from tsobs_ros.report.comparison import ObserverErrors
+
+# So many estimates take some 20 ms, after which a signal is noticed.
+_BLOCK = 10_000
 
 Flags = NDArray[np.bool_]
 Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Component]
@@ -213,22 +219,20 @@ def estimate(
     y = _columns("angle", angle, len(times), outputs)
     u = _columns("torque", torque, len(times), _input_count(design.request))
     stamps, tracker = _stamps(times), _tracker(design, settings or ObserverSettings())
-    innovations, used = [], []
-    found: list[Estimate | None] = []
-    now = 0
-    for row, stamp in enumerate(stamps):
-        now = max(now, stamp)
-        outcome = tracker.offer(Measurement(stamp, y[row], u[row]), now)
-        if isinstance(outcome, Innovation):
-            innovations.append(outcome.value)
-            used.append(row)
-        found.append(tracker.estimate(stamp))
+    count = len(stamps)
+    known, never = np.arange(1, count + 1), np.full(count, -1)
+    ticks = Ticks(stamps, np.maximum.accumulate(stamps), known, known, never, np.zeros((0, 4)))
+    series = Pass(tracker, stamps, y, u, ticks)
+    blocks = range(0, count, _BLOCK)
+    rows = np.concatenate([series.advance(k, min(k + _BLOCK, count)) for k in blocks])
+    rows[series.results.there == 0] = np.nan
     outputs_shape = y.shape[1:] if np.ndim(angle) == 2 else ()
+    used = series.results.outcomes == USED
     return Estimates(
         time=times,
-        innovation=np.array(innovations).reshape(-1, *outputs_shape),
+        innovation=series.results.innovations[used].reshape(-1, *outputs_shape),
         innovation_time=times[used],
-        **_stacked(found, flow.state_count - flow.disturbance.state_count, outputs_shape),
+        **_columns_of(rows, tracker.estimator, outputs_shape),
         used=tracker.used,
         rejected={reason.value: n for reason, n in tracker.rejected.items()},
     )
@@ -431,31 +435,24 @@ def _input_count(request: ArmRequest | TSRequest) -> int:
     return int(request.model.input_count + request.model.schedule.shape[1])
 
 
-def _stacked(
-    found: Sequence[Estimate | None], states: int, outputs: tuple[int, ...]
-) -> dict[str, Any]:
-    """Return the fields of `Estimates` that those of single instants have, with NaN for None."""
-    known = np.array([one is not None for one in found])
-    own = [one for one in found if one is not None]
-    stacked: dict[str, Any] = {}
+def _columns_of(rows: Array, estimator: Estimator, outputs: tuple[int, ...]) -> dict[str, Any]:
+    """Return the fields of `Estimates` that are in rows of `history.estimate_at`."""
+    columns: dict[str, Any] = {}
     for name, shape in (
-        ("state", (states,)),
-        ("state_bound", (states,)),
+        ("state", (estimator.shape.plant,)),
+        ("state_bound", (estimator.shape.plant,)),
         ("disturbance", outputs),
         ("disturbance_bound", outputs),
-        ("parameters", own[0].parameters.shape if own else (0,)),
-        ("parameter_bound", own[0].parameters.shape if own else (0,)),
+        ("parameters", (estimator.shape.k,)),
+        ("parameter_bound", (estimator.shape.k,)),
     ):
-        array = np.full((len(found), *shape), np.nan)
-        values = np.array([getattr(one, name) for one in own])
-        if values.size:
-            array[known] = values.reshape(-1, *shape)
-        stacked[name] = array
-    for name in ("parameters_valid", "certified", "in_domain"):
-        flags = np.zeros(len(found), np.bool_)
-        flags[known] = [getattr(one, name) for one in own]
-        stacked[name] = flags
-    return stacked
+        columns[name] = np.full((len(rows), *shape), np.nan)
+        if name not in estimator.lacking:
+            columns[name][:] = rows[:, estimator.row_parts[name]].reshape(columns[name].shape)
+    flags = rows[:, -2 - EXTRA : -1] == 1.0
+    for name, flag in zip(("certified", "parameters_valid", "in_domain"), flags.T, strict=True):
+        columns[name] = flag.copy()
+    return columns
 
 
 def _numbers(name: str, value: ArrayLike) -> Array:
@@ -479,7 +476,7 @@ def _columns(name: str, value: ArrayLike, rows: int, columns: int) -> Array:
     return np.ascontiguousarray(array)
 
 
-def _stamps(times: Array) -> list[int]:
+def _stamps(times: Array) -> NDArray[np.int64]:
     """Return the times in ns; a stamp of zero means none, so they are moved to begin at 1 s."""
     if times.ndim != 1 or not len(times):
         raise ModelError(f"time: expected shape (n,) with n > 0, got {times.shape}")
@@ -490,5 +487,4 @@ def _stamps(times: Array) -> list[int]:
         )
     stamps = np.round(times * NANOSECONDS).astype(np.int64)
     first = int(stamps.min())
-    shifted: list[int] = (stamps + (0 if first > 0 else NANOSECONDS - first)).tolist()
-    return shifted
+    return stamps + (0 if first > 0 else NANOSECONDS - first)

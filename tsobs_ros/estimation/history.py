@@ -115,7 +115,7 @@ def offer(
     later_stamps = np.empty(0, np.int64)
     later_y, later_u = np.empty((0, 1)), np.empty((0, 1))
     while i < count or again < late:
-        newest = _newest(memory, ring)
+        newest = newest_stamp(memory, ring)
         if again < late:
             following = later_stamps[again]
             # One that is older than its predecessor waits until the rewind is over.
@@ -137,7 +137,7 @@ def offer(
             later_stamps = np.empty(late, np.int64)
             later_y, later_u = np.empty((late, model.p)), np.empty((late, model.m))
             for j in range(late):
-                step = ring[_slot(memory, ring, place + j)]
+                step = ring[slot_of(memory, ring, place + j)]
                 later_stamps[j] = step.stamp
                 for c in range(model.p):
                     later_y[j, c] = step.y[c]
@@ -173,12 +173,12 @@ def estimate_at(models: Any, memories: Any, ring: Any, stamp: int, row: Array) -
     """
     model, memory = models[0], memories[0]
     place = memory.size - 1
-    if memory.size > 0 and stamp < _newest(memory, ring):
+    if memory.size > 0 and stamp < newest_stamp(memory, ring):
         place = _count_before(memory, ring, stamp + 1) - 1
     if place < 0:
         return False
     scratch, coasted = len(ring) - 1, len(ring) - 2
-    step = ring[_slot(memory, ring, place)]
+    step = ring[slot_of(memory, ring, place)]
     elapsed = stamp - step.stamp
     if elapsed > memory.restart_after:
         return False
@@ -225,11 +225,11 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
     Returns:
         Whether the measurement was gated.
     """
-    place = _slot(memory, ring, memory.size)
+    place = slot_of(memory, ring, memory.size)
     gated, restarts, failures = 0, 0, 0
     restart = memory.size == 0
     if memory.size > 0:
-        last = ring[_slot(memory, ring, memory.size - 1)]
+        last = ring[slot_of(memory, ring, memory.size - 1)]
         gated, restarts, failures = last.gated, last.restarts, last.failures
         if stamp - last.stamp > memory.restart_after:
             restart = True
@@ -264,32 +264,32 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
     # Forget what is out of reach, and what is too much.
     while True:
         steps = memory.size - memory.has_base
-        oldest = ring[_slot(memory, ring, memory.has_base)].stamp
+        oldest = ring[slot_of(memory, ring, memory.has_base)].stamp
         expired = oldest < stamp - memory.span
         if not expired and steps <= memory.max_steps:
             break
         if not expired:
             memory.forgotten += 1
         if memory.has_base != 0:
-            memory.first = _slot(memory, ring, 1)
+            memory.first = slot_of(memory, ring, 1)
             memory.size -= 1
         memory.has_base = 1
     return is_gated
 
 
 @compiled
-def _slot(memory: Any, ring: Any, place: int) -> int:
+def slot_of(memory: Any, ring: Any, place: int) -> int:
     """Return where a state is, given its place from the oldest on."""
     slot: int = (memory.first + place) % (len(ring) - SPARE)
     return slot
 
 
 @compiled
-def _newest(memory: Any, ring: Any) -> int:
+def newest_stamp(memory: Any, ring: Any) -> int:
     """Return the newest stamp [ns], 0 if there is none."""
     if memory.size == 0:
         return 0
-    stamp: int = ring[_slot(memory, ring, memory.size - 1)].stamp
+    stamp: int = ring[slot_of(memory, ring, memory.size - 1)].stamp
     return stamp
 
 
@@ -299,7 +299,7 @@ def _count_before(memory: Any, ring: Any, stamp: int) -> int:
     low, high = 0, memory.size
     while low < high:
         middle = (low + high) // 2
-        if ring[_slot(memory, ring, middle)].stamp < stamp:
+        if ring[slot_of(memory, ring, middle)].stamp < stamp:
             low = middle + 1
         else:
             high = middle
@@ -328,6 +328,6 @@ def _refusal(
     if stamp < newest - memory.span or (memory.has_base != 0 and stamp <= base.stamp):
         return TOO_OLD
     place = _count_before(memory, ring, stamp)
-    if place < memory.size and ring[_slot(memory, ring, place)].stamp == stamp:
+    if place < memory.size and ring[slot_of(memory, ring, place)].stamp == stamp:
         return DUPLICATE
     return USED

@@ -27,7 +27,6 @@ from tsobs_ros.bag.writer import BagWriter, Message
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.tracker import JointTrackers
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.replay import Replay
@@ -110,7 +109,7 @@ class Run:
         self.table = EstimateTable(schedule.count, source.samples.count, len(learnt), most)
         self._recorded = None if live is None else Recorded(live, schedule, source.samples)
         self.replay = Replay(
-            JointTrackers(trackers),
+            trackers,
             source.samples,
             schedule,
             self.table,

@@ -3,53 +3,28 @@
 """The observer's loop without its clock: measurements in, innovations and estimates out."""
 
 import math
+import os
 from collections import Counter
 from collections.abc import Sequence
-from enum import Enum, auto
-from itertools import islice
-from typing import TypeAlias
+from concurrent.futures import ThreadPoolExecutor
 
-from tsobs_ros.estimation.records import (
-    NANOSECONDS,
-    Estimate,
-    Innovation,
-    RejectReason,
-    Sample,
-    stamp_of,
-)
-from tsobs_ros.estimation.tracker import JointTrackers
-from tsobs_ros.replay.schedule import Evidence, Schedule
+import numpy as np
+
+from tsobs_ros.bag.joint_series import Flags, Times
+from tsobs_ros.checks import Array
+from tsobs_ros.estimation.history import REASONS, USED
+from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.replay.passes import LEFT_OUT, Pass, Ticks
+from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Samples
 from tsobs_ros.replay.table import EstimateTable, Recorded
 
-Estimates: TypeAlias = Sequence[Estimate | None]
-_Outcomes: TypeAlias = Sequence[Innovation | RejectReason | None]
-_Waiting: TypeAlias = tuple[int, list[Sample]]
-_Used: TypeAlias = tuple[int, _Outcomes]
-
-
-class Choice(Enum):
-    """Which of the messages without innovation were received."""
-
-    UNUSED = auto()
-    """Those that are gated or rejected, as the others would have an innovation."""
-    LIKELY = auto()
-    """Those with some evidence."""
-    ALL = auto()
-    """All; the innovations were lost."""
-    NONE = auto()
-    """None."""
-
-
-_Choice: TypeAlias = Choice | int
-"""A number: none of those before this message, and all from it on."""
-
-# How many messages are used at most to find the first one that an observer received.
-_SEARCH = 50_000
+_NOTHING = np.zeros((0, 4))
 
 
 class Replay:
-    """An observer that runs over samples.
+    """An observer that runs over samples, each joint on its own.
 
     Args:
         trackers: Of the samples' joints.
@@ -61,40 +36,45 @@ class Replay:
         stale_after: Age of a joint's newest measurement after which it is not estimated [s].
 
     Attributes:
-        used: Number of measurements used, of all joints.
         rejected: Number of measurements not used, by reason.
-        rewinds: Number of late measurements put in their place.
-        failures: Number of states or outputs that were not finite.
     """
 
     def __init__(
         self,
-        trackers: JointTrackers,
+        trackers: Sequence[Tracker],
         samples: Samples,
         schedule: Schedule,
         table: EstimateTable,
         recorded: Recorded | None = None,
         stale_after: float = 5.0,
     ) -> None:
-        self.used = 0
-        self.rejected: Counter[RejectReason] = Counter()
-        self._before_reset = Counter[str]()
-        self._trackers = trackers
-        self._samples, self._schedule, self._table = samples, schedule, table
-        self._recorded = recorded
-        self._certain = (schedule.evidence == Evidence.CERTAIN).tolist()
-        self._possible = (schedule.evidence == Evidence.POSSIBLE).tolist()
-        self._stale_after = stale_after * NANOSECONDS
-        self._waiting = enumerate(samples.of_each_joint())
-        self._offered, self._done, self._last = 0, 0, 0
+        self._trackers = tuple(trackers)
+        self._schedule, self._table = schedule, table
+        self._joints = [
+            _Joint(tracker, joint, samples, schedule, recorded, stale_after)
+            for joint, tracker in enumerate(trackers)
+        ]
+        # What cannot be read is refused, whenever that is; what names nobody is for all.
+        unread = (samples.named & ~samples.complete).sum() + len(trackers) * (
+            ~samples.named.any(axis=1)
+        ).sum()
+        self.rejected = Counter({RejectReason.WRONG_JOINT: int(unread)} if unread else {})
+        self._taken, self._done, self._last = 0, 0, 0
+
+    @property
+    def used(self) -> int:
+        """Number of measurements used, of all joints."""
+        return int(np.isfinite(self._table.innovations).sum())
 
     @property
     def rewinds(self) -> int:
-        return self._before_reset["rewinds"] + sum(t.rewinds for t in self._trackers.trackers)
+        """Number of late measurements put in their place."""
+        return sum(tracker.rewinds for tracker in self._trackers)
 
     @property
     def failures(self) -> int:
-        return self._before_reset["failures"] + sum(t.failures for t in self._trackers.trackers)
+        """Number of states or outputs that were not finite."""
+        return sum(tracker.failures for tracker in self._trackers)
 
     def advance(self, end: int) -> slice:
         """Make the ticks up to one; after the last, use what is left of the messages.
@@ -102,167 +82,115 @@ class Replay:
         Returns:
             The messages that were taken.
         """
-        begin, schedule = self._offered, self._schedule
-        columns = (schedule.stamps, schedule.now, schedule.min_known, schedule.max_known)
-        own = slice(self._done, end)
-        rows = zip(
-            *(column[own].tolist() for column in (*columns, schedule.reset_after)), strict=True
-        )
-        ticks: list[int] = []
-        found: list[Estimates] = []
-        for tick, row in enumerate(rows, self._done):
-            estimates = self._tick(tick, *row)
-            if estimates.count(None) < len(estimates):
-                self._last = row[0]
-                ticks.append(tick)
-                found.append(estimates)
-        self._table.add(ticks, found)
-        self._done = end
-        if end == schedule.count:
-            for message, sample in self._waiting:
-                now = int(self._samples.arrivals[message])
-                self._enter(end, self._offer_all([(message, sample)], now))
-                self._offered = message + 1
-        return slice(begin, self._offered)
-
-    def _tick(
-        self, tick: int, stamp: int, now: int, known: int, most: int, reset_after: int
-    ) -> list[Estimate | None]:
-        """Return the estimates of a tick."""
-        recorded = self._recorded
-        if reset_after >= 0:
-            self._enter(tick, self._offer_all(self._next(reset_after), now, Choice.UNUSED))
-            self._reset()
-            self._last = 0
-        included = self._next(known)
-        if recorded is None or stamp <= self._last or self._are_certain(included):
-            self._enter(tick, self._offer_all(included, now))
-            if stamp <= self._last or (self._schedule.at_samples and not self._is_newest(stamp)):
-                return []
-            estimates = self._estimate(stamp)
+        begin, self._done = self._done, end
+        workers = min(len(self._joints), os.cpu_count() or 1)
+        if workers > 1:
+            with ThreadPoolExecutor(workers) as pool:
+                rows = list(pool.map(lambda joint: joint.advance(begin, end), self._joints))
         else:
-            used, estimates = self._decide(recorded, tick, included, stamp, now)
-            self._enter(tick, used)
-        while self._offered < most and not (recorded and recorded.agrees(tick, estimates)):
-            self._enter(tick, self._offer_all(self._next(self._offered + 1), now))
-            if recorded or self._offered == most:
-                estimates = self._estimate(stamp)
-        return estimates
-
-    def _next(self, end: int) -> list[_Waiting]:
-        """Return the messages up to one that have not been taken yet."""
-        taken = list(islice(self._waiting, max(0, end - self._offered)))
-        self._offered += len(taken)
+            rows = [joint.advance(begin, end) for joint in self._joints]
+        ticks = slice(begin, end)
+        published = self._published(ticks)
+        for joint, own in enumerate(rows):
+            there = published & self._joints[joint].there(ticks)
+            self._table.add(joint, ticks, own, there, self._trackers[joint].estimator.row_parts)
+        taken = slice(self._taken, min(joint.next_message for joint in self._joints))
+        self._taken = taken.stop
+        for joint, each in enumerate(self._joints):
+            self.rejected += each.enter(self._table, joint, taken)
         return taken
 
-    def _are_certain(self, messages: list[_Waiting]) -> bool:
-        return all(self._certain[message] for message, _ in messages)
-
-    def _decide(
-        self, recorded: Recorded, tick: int, messages: list[_Waiting], stamp: int, now: int
-    ) -> tuple[list[_Used], list[Estimate | None]]:
-        """Use the messages that were received, of which the recorded estimates decide."""
-        trackers, earlier = self._trackers, self._before_reset
-        uncertain = [message for message, _ in messages if not self._certain[message]]
-        starts = uncertain[1 : 1 + _SEARCH // len(messages)]
-        for choice in (*Choice, *starts, Choice.LIKELY):
-            self._trackers, self._before_reset = trackers.copy(), earlier.copy()
-            used = self._offer_all(messages, now, choice)
-            estimates = self._estimate(stamp)
-            if recorded.agrees(tick, estimates):
-                break
-        return used, estimates
-
-    def _offer_all(
-        self, messages: list[_Waiting], now: int, choice: _Choice = Choice.LIKELY
-    ) -> list[_Used]:
-        """Use messages in the order of their stamps, as a tick of the node."""
-        messages = sorted(messages, key=lambda one: stamp_of(one[1]))
-        return [
-            (message, self._outcomes(message, sample, now, choice)) for message, sample in messages
-        ]
-
-    def _outcomes(self, message: int, sample: list[Sample], now: int, choice: _Choice) -> _Outcomes:
-        """Use a message; return no outcomes if it is left out."""
-        if self._certain[message]:
-            outcomes = self._offer(self._trackers, sample, now)
-            return self._as_recorded(message, sample, now, outcomes)
-        if isinstance(choice, int):
-            received = message >= choice
-        elif choice in (Choice.ALL, Choice.NONE):
-            received = choice is Choice.ALL
-        else:
-            received = self._possible[message]
-        if not received:
-            return ()
-        trackers = self._trackers.copy() if choice is Choice.UNUSED else self._trackers
-        outcomes = self._offer(trackers, sample, now)
-        if choice is Choice.UNUSED and any(isinstance(one, Innovation) for one in outcomes):
-            return ()
-        self._trackers = trackers
-        return outcomes
-
-    def _as_recorded(
-        self, message: int, sample: list[Sample], now: int, outcomes: _Outcomes
-    ) -> _Outcomes:
-        """Return the outcomes, those of an observer without a past if those were recorded."""
-        if self._recorded is None:
-            return outcomes
-        wanted = self._recorded.innovations[message].tolist()
-        if not (same := _are(outcomes, wanted)):
-            anew = self._trackers.copy()
-            anew.reset()
-            others = self._offer(anew, sample, now)
-            if same := _are(others, wanted):
-                self._remember_counts()
-                self._trackers, outcomes = anew, others
-        if self._table.began_anew is None:
-            self._table.began_anew = same
-        return outcomes
-
-    @staticmethod
-    def _offer(trackers: JointTrackers, sample: list[Sample], now: int) -> _Outcomes:
-        given = [None if isinstance(one, RejectReason) else one for one in sample]
-        outcomes = trackers.offer(given, now)
-        pairs = zip(sample, outcomes, strict=True)
-        return [one if isinstance(one, RejectReason) else outcome for one, outcome in pairs]
-
-    def _enter(self, tick: int, used: list[_Used]) -> None:
-        for message, outcomes in used:
-            for outcome in outcomes:
-                if isinstance(outcome, Innovation):
-                    self.used += 1
-                elif outcome is not None:
-                    self.rejected[outcome] += 1
-            if outcomes:
-                self._table.add_innovations(tick, message, outcomes)
-            else:
-                self._table.left_out[message] = True
-
-    def _estimate(self, stamp: int) -> list[Estimate | None]:
-        # As the node, which publishes nothing of a joint without recent measurements.
-        fresh = [self._is_fresh(tracker.newest, stamp) for tracker in self._trackers.trackers]
-        return self._trackers.estimate(stamp, fresh)
-
-    def _is_fresh(self, newest: int | None, stamp: int) -> bool:
-        return newest is not None and stamp - newest <= self._stale_after
-
-    def _is_newest(self, stamp: int) -> bool:
-        return stamp in [tracker.newest for tracker in self._trackers.trackers]
-
-    def _reset(self) -> None:
-        self._remember_counts()
-        self._trackers.reset()
-
-    def _remember_counts(self) -> None:
-        for tracker in self._trackers.trackers:
-            self._before_reset.update(rewinds=tracker.rewinds, failures=tracker.failures)
+    def _published(self, ticks: slice) -> Flags:
+        """Return the ticks at which a node would publish estimates; stamps rise to a restart."""
+        schedule = self._schedule
+        stamps, resets = schedule.stamps[ticks], schedule.reset_after[ticks] >= 0
+        there: Flags = np.any([joint.there(ticks) for joint in self._joints], axis=0)
+        if schedule.at_samples:
+            there &= np.any([joint.newest(ticks) == stamps for joint in self._joints], axis=0)
+        for part in np.split(np.arange(len(stamps)), np.flatnonzero(resets)):
+            if len(part) and resets[part[0]]:
+                self._last = 0
+            before = np.maximum.accumulate(
+                np.append(self._last, np.where(there[part], stamps[part], 0))
+            )
+            there[part] &= stamps[part] > before[:-1]
+            self._last = int(before[-1])
+        self._table.done[ticks] = there
+        return there
 
 
-def _are(outcomes: _Outcomes, innovations: Sequence[float]) -> bool:
-    """Return whether those of a message are the recorded ones, NaN without one."""
-    values = [one.value[0] if isinstance(one, Innovation) else math.nan for one in outcomes]
-    return all(
-        value == wanted or wanted != wanted
-        for value, wanted in zip(values, innovations, strict=True)
-    )
+class _Joint:
+    """One joint's tracker on its way over the joint's samples.
+
+    Args:
+        tracker: The tracker.
+        joint: Index of the joint.
+        samples: The measurements of all joints.
+        schedule: The ticks.
+        recorded: Recorded output of an observer.
+        stale_after: Age of the newest measurement after which nothing is estimated [s].
+    """
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        joint: int,
+        samples: Samples,
+        schedule: Schedule,
+        recorded: Recorded | None,
+        stale_after: float,
+    ) -> None:
+        mask = samples.named[:, joint] & samples.complete[:, joint]
+        self._messages = np.flatnonzero(mask)
+        self._count = np.concatenate([[0], np.cumsum(mask)])
+        own, column = self._messages, slice(joint, joint + 1)
+        resets = schedule.reset_after
+        ticks = Ticks(
+            schedule.stamps,
+            schedule.now,
+            self._count[schedule.min_known],
+            self._count[schedule.max_known],
+            np.where(resets >= 0, self._count[resets], -1),
+            _NOTHING if recorded is None else np.ascontiguousarray(recorded.states[:, joint]),
+        )
+        self._pass = Pass(
+            tracker,
+            samples.stamps[own],
+            samples.y[own, column],
+            samples.u[own, column],
+            ticks,
+            arrivals=samples.arrivals[own],
+            evidence=schedule.evidence[own].astype(np.int64),
+            innovations=None if recorded is None else recorded.innovations[own, joint],
+            stale_after=2**62 if math.isinf(stale_after) else int(stale_after * NANOSECONDS),
+        )
+
+    def advance(self, begin: int, end: int) -> Array:
+        return self._pass.advance(begin, end)
+
+    def there(self, ticks: slice) -> Flags:
+        return np.asarray(self._pass.results.there[ticks] != 0)
+
+    def newest(self, ticks: slice) -> Times:
+        return self._pass.results.newest[ticks]
+
+    @property
+    def next_message(self) -> int:
+        """The first message that may be used yet; the number of messages if there is none."""
+        taken = self._pass.taken
+        return int(self._messages[taken]) if taken < len(self._messages) else len(self._count) - 1
+
+    def enter(self, table: EstimateTable, joint: int, taken: slice) -> Counter[RejectReason]:
+        """Enter the outcomes of some messages, and return the counts of those rejected."""
+        own = slice(self._count[taken.start], self._count[taken.stop])
+        messages, places = self._messages[own], self._pass.samples.places[own]
+        results = self._pass.results
+        outcomes = results.outcomes[places]
+        used = outcomes == USED
+        table.innovations[messages[used], joint] = results.innovations[places[used], 0]
+        np.maximum.at(table.ticks_of_use, messages, results.ticks_of_use[places])
+        table.left_out[messages[outcomes == LEFT_OUT]] = True
+        if table.began_anew is None:
+            table.began_anew = self._pass.began_anew
+        counts = np.bincount(outcomes[outcomes > USED], minlength=len(REASONS)).tolist()
+        return Counter({r: n for r, n in zip(REASONS, counts, strict=True) if r is not None and n})

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates and innovations of a replay as arrays, and their comparison with a live run's."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -10,18 +10,9 @@ import numpy as np
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import Flags, JointSeries
 from tsobs_ros.checks import Array
-from tsobs_ros.estimation.records import Estimate, Innovation
+from tsobs_ros.estimation.history import EXTRA
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Live, Samples, match, places_of_innovations
-
-_COLUMNS = {
-    "state": slice(0, 4),
-    "state_bound": slice(4, 8),
-    "disturbance": slice(8, 9),
-    "disturbance_rate": slice(9, 10),
-    "disturbance_bound": slice(10, 11),
-}
-_COUNT = 11
 
 
 class EstimateTable:
@@ -53,11 +44,10 @@ class EstimateTable:
     """
 
     def __init__(self, ticks: int, messages: int, joints: int, parameters: int = 0) -> None:
-        self._values = np.full((ticks, joints, _COUNT), np.nan)
-        self.states = self._values[..., _COLUMNS["state"]]
-        self.state_bounds = self._values[..., _COLUMNS["state_bound"]]
-        self.disturbances = self._values[..., 8:10]
-        self.disturbance_bounds = self._values[..., _COLUMNS["disturbance_bound"]]
+        self.states = np.full((ticks, joints, 4), np.nan)
+        self.state_bounds = self.states.copy()
+        self.disturbances = np.full((ticks, joints, 2), np.nan)
+        self.disturbance_bounds = np.full((ticks, joints, 1), np.nan)
         self.parameters = np.full((ticks, joints, parameters), np.nan)
         self.parameter_bounds = self.parameters.copy()
         self.flags = np.zeros((ticks, joints, 3), np.bool_)
@@ -67,34 +57,31 @@ class EstimateTable:
         self.left_out = np.zeros(messages, np.bool_)
         self.began_anew: bool | None = None
 
-    def add(self, ticks: Sequence[int], estimates: Sequence[Sequence[Estimate | None]]) -> None:
-        """Enter the estimates of some ticks."""
-        self.done[list(ticks)] = True
-        for joint in range(self._values.shape[1]):
-            known = [(tick, each[joint]) for tick, each in zip(ticks, estimates, strict=True)]
-            rows = [tick for tick, one in known if one is not None]
-            own = [one for _, one in known if one is not None]
-            if not own:
-                continue
-            # A joint has one observer, so either all estimates have a quantity or none.
-            for name, columns in _COLUMNS.items():
-                arrays = [getattr(one, name) for one in own]
-                if len(arrays[0]):
-                    numbers = np.concatenate(arrays).reshape(len(rows), -1)
-                    self._values[rows, joint, columns] = numbers
-            self.flags[rows, joint] = [
-                (one.certified, one.parameters_valid, one.in_domain) for one in own
-            ]
-            if count := len(own[0].parameters):
-                self.parameters[rows, joint, :count] = [one.parameters for one in own]
-                self.parameter_bounds[rows, joint, :count] = [one.parameter_bound for one in own]
+    def add(
+        self, joint: int, ticks: slice, rows: Array, there: Flags, parts: Mapping[str, slice]
+    ) -> None:
+        """Enter the estimates of a joint at some ticks.
 
-    def add_innovations(self, tick: int, message: int, outcomes: Sequence[object]) -> None:
-        """Enter the innovations of a message."""
-        self.ticks_of_use[message] = tick
-        for joint, one in enumerate(outcomes):
-            if isinstance(one, Innovation):
-                self.innovations[message, joint] = one.value[0]
+        Args:
+            joint: Index of the joint.
+            ticks: m of them.
+            rows: See `history.estimate_at`, shape (m, width).
+            there: Whether a row is an estimate, shape (m,).
+            parts: Places of an estimate's fields in a row.
+        """
+        for name, array in (
+            ("state", self.states),
+            ("state_bound", self.state_bounds),
+            ("disturbance", self.disturbances[..., :1]),
+            ("disturbance_rate", self.disturbances[..., 1:]),
+            ("disturbance_bound", self.disturbance_bounds),
+            ("parameters", self.parameters),
+            ("parameter_bound", self.parameter_bounds),
+        ):
+            numbers = rows[:, parts[name]]
+            width = numbers.shape[1]
+            array[ticks, joint, :width] = np.where(there[:, np.newaxis], numbers, np.nan)
+        self.flags[ticks, joint] = there[:, np.newaxis] & (rows[:, -2 - EXTRA : -1] != 0.0)
 
 
 class Agreement(NamedTuple):
@@ -170,6 +157,7 @@ class Recorded:
         samples: The measurements.
 
     Attributes:
+        states: At the ticks, NaN without, shape (m, J, 4).
         innovations: Those of each message, NaN without, shape (n, J).
     """
 
@@ -177,8 +165,7 @@ class Recorded:
         self._live = live
         self._schedule = schedule
         joints = live.states.values.shape[1] // 2
-        self._states = _by_tick(live.states, schedule).reshape(-1, joints, 4)
-        self._rows = self._states.tolist()
+        self.states = _by_tick(live.states, schedule).reshape(-1, joints, 4)
         own = live.others.get(topics.INNOVATION)
         self.innovations = np.full((samples.count, joints), np.nan)
         self._not_recorded = 0
@@ -187,16 +174,9 @@ class Recorded:
             self.innovations[places >= 0] = own.values[places[places >= 0], :, 0]
             self._not_recorded = own.count - int((places >= 0).sum())
 
-    def agrees(self, tick: int, estimates: Sequence[Estimate | None]) -> bool:
-        """Return whether a tick's states are those of the live run."""
-        return all(
-            row[0] != row[0] if one is None else one.state.tolist() == row
-            for row, one in zip(self._rows[tick], estimates, strict=True)
-        )
-
     def compare(self, table: EstimateTable) -> Agreement:
         """Compare a whole replay."""
-        same = _same(table.states, self._states)
+        same = _same(table.states, self.states)
         for topic, values in (
             (topics.STATE_BOUNDS, table.state_bounds),
             (topics.DISTURBANCE, table.disturbances),

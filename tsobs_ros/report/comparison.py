@@ -20,7 +20,7 @@ from tsobs_ros.bag.joint_series import JointSeries
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.options import GainMode
-from tsobs_ros.estimation.tracker import JointTrackers, Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.replay.estimate import Run
 from tsobs_ros.replay.replay import Replay
 from tsobs_ros.replay.schedule import Evidence, Schedule
@@ -141,7 +141,7 @@ def rerun(run: RecordedRun, observer: Estimator, x_max: float) -> RecordedRun:
     there = np.ones((len(stamps), 1), np.bool_)
     y, u = values[:, :1], values[:, 1:]
     samples = Samples(stamps, stamps, stamps, y, u, named=there, complete=there)
-    trackers = JointTrackers([Tracker(observer, TrackerOptions(x_max=x_max))])
+    trackers = [Tracker(observer, TrackerOptions(x_max=x_max))]
     counts = np.searchsorted(np.maximum.accumulate(stamps), run.stamps, side="right")
     schedule = Schedule(
         stamps=run.stamps,
