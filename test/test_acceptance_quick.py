@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.baselines import HighGainObserver
-from tsobs_ros.estimation.observer import GainMode
+from tsobs_ros.estimation import baselines
+from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -72,7 +72,7 @@ def test_under_plain_noise_it_is_as_good_as_an_ekf_and_better_than_high_gains(
 ) -> None:
     scenario, runs = SCENARIOS["noise"], simulated("noise")
     ekf = bench.outcome(scenario, runs, bench.knowing(DESIGN, scenario, runs))
-    high_gain = bench.high_gain(HighGainObserver, DESIGN, runs)
+    high_gain = bench.high_gain(baselines.high_gain, DESIGN, runs)
     mine = error(ours(bench, "noise"))
 
     assert mine < 1.3 * error(ekf)

@@ -25,7 +25,7 @@ PROPERTY = settings(max_examples=3)
 MANY = 600
 
 
-def tracker(design: Any = DESIGN) -> Tracker[Any]:
+def tracker(design: Any = DESIGN) -> Tracker:
     return Tracker(design.supervised(), TrackerOptions(x_max=design.request.x_max))
 
 
@@ -36,7 +36,7 @@ def bits(record: Any) -> Any:
     return tuple(item.tobytes() if isinstance(item, np.ndarray) else item for item in record)
 
 
-def fed(tracker: Tracker[Any], stream: list[Arrival]) -> list[Any]:
+def fed(tracker: Tracker, stream: list[Arrival]) -> list[Any]:
     """Offer a stream, ask for the estimate at every tick, and return the bits of all answers.
 
     As the node does, it asks for none once the newest measurement is older than five seconds.
@@ -61,7 +61,7 @@ def fed(tracker: Tracker[Any], stream: list[Arrival]) -> list[Any]:
     return answers
 
 
-def books(tracker: Tracker[Any]) -> list[Any]:
+def books(tracker: Tracker) -> list[Any]:
     names = ("used", "rejected", "rewinds", "restarts", "failures", "events", "newest")
     return [getattr(tracker, name) for name in names]
 

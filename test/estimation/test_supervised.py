@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.supervised import SupervisedObserver, SupervisionOptions
+from tsobs_ros.estimation.options import SupervisionOptions
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -73,8 +73,8 @@ def observe(
     )
 
 
-def supervised(**options: float) -> SupervisedObserver:
-    return SupervisedObserver(DESIGN.observer(), SupervisionOptions(**options))
+def supervised(**options: float) -> Estimator:
+    return DESIGN.supervised(options=SupervisionOptions(**options))
 
 
 def test_without_anything_to_notice_it_is_the_observer_bit_for_bit() -> None:

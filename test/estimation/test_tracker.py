@@ -5,6 +5,7 @@
 import itertools
 from collections import Counter
 from collections.abc import Iterable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,11 +16,11 @@ from numpy.typing import NDArray
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.observer import TSObserver
+from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
-from tsobs_ros.estimation.supervised import SupervisedObserver, SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 Array = NDArray[np.float64]
@@ -29,23 +30,32 @@ BEGIN = 100 * SECOND
 END = 10**18
 PROPERTY = settings(max_examples=40)
 DESIGN = load_design(config_path(SHIPPED_DESIGN))
+ADAPTIVE = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
 X_MAX = DESIGN.request.x_max
 
 
-def tracker(kind: str = "unsettled", **options: Any) -> Tracker[Any]:
-    """Return a tracker of the node's observer from its start, which looks for jumps at once.
+@cache
+def estimator_of(kind: str) -> Estimator:
+    """Return the node's observer from its start, which looks for jumps at once.
 
     A settled one hands over to the certified gain after the first regular step.
     """
-    supervised = SupervisedObserver(DESIGN.observer(), SupervisionOptions(jump_quiet=0.0))
-    if kind == "settled":
-        request, certified = DESIGN.request, DESIGN.observer().certified
-        observer = TSObserver(
-            request.flow, request.measurement_covariance, DESIGN.covariance_bound, certified,
-            settle_time=0.0,
-        )  # fmt: skip
-        supervised = SupervisedObserver(observer)
-    return Tracker(supervised, TrackerOptions(x_max=X_MAX, **options))
+    if kind != "settled":
+        return DESIGN.supervised(options=SupervisionOptions(jump_quiet=0.0))
+    settled = certified_estimator(
+        DESIGN.request.flow,
+        DESIGN.request.measurement_covariance,
+        DESIGN.covariance_bound,
+        CertifiedGain(DESIGN.K, DESIGN.covariance_bound),
+        settle_time=0.0,
+    )
+    settled.supervise(SupervisionOptions())
+    return settled
+
+
+def tracker(kind: str = "unsettled", **options: Any) -> Tracker:
+    """Return a new tracker of an observer."""
+    return Tracker(estimator_of(kind), TrackerOptions(x_max=X_MAX, **options))
 
 
 RUN = simulate(SCENARIOS["noise"], [4], 3.0)
@@ -68,11 +78,11 @@ def finite(estimate: Estimate) -> bool:
     return all(np.isfinite(field).all() for field in estimate)
 
 
-def offer_all(tracker: Tracker[Any], measurements: Iterable[Measurement]) -> list[Any]:
+def offer_all(tracker: Tracker, measurements: Iterable[Measurement]) -> list[Any]:
     return [tracker.offer(m, END) for m in measurements]
 
 
-def probes(tracker: Tracker[Any]) -> list[Any]:
+def probes(tracker: Tracker) -> list[Any]:
     """Return the estimates, as bits, at, between and after the newest measurements."""
     newest = tracker.newest
     assert newest is not None
@@ -121,7 +131,7 @@ def schedules(draw: st.DrawFn) -> tuple[list[Measurement], list[Arrival]]:
     return kept, arrivals
 
 
-def spoilt(arrival: Arrival, tracker: Tracker[Any]) -> tuple[Measurement, RejectReason | None]:
+def spoilt(arrival: Arrival, tracker: Tracker) -> tuple[Measurement, RejectReason | None]:
     """Return what really arrives, and why it must be rejected."""
     good, newest = arrival.measurement, tracker.newest
     if arrival.kind == "good":
@@ -288,17 +298,16 @@ def test_enormous_numbers_never_give_an_estimate_that_is_not_finite(
 ) -> None:
     # Without supervision: what overflows here is the observer itself.
     enormous = Tracker(DESIGN.observer(), TrackerOptions(X_MAX))
-    with np.errstate(all="ignore"):
-        for k in range(120):
-            measurement = sample(k)
-            if k in (0, 40, 80):
-                measurement = measurement._replace(**{field: np.array([(-1) ** k * size])})
-            innovation = enormous.offer(measurement, END)
-            assert isinstance(innovation, Innovation)
-            assert np.isfinite(innovation.value).all()
-            for offset in (0, PERIOD - 1, 5 * PERIOD):
-                estimate = enormous.estimate(BEGIN + k * PERIOD + offset)
-                assert estimate is None or finite(estimate)
+    for k in range(120):
+        measurement = sample(k)
+        if k in (0, 40, 80):
+            measurement = measurement._replace(**{field: np.array([(-1) ** k * size])})
+        innovation = enormous.offer(measurement, END)
+        assert isinstance(innovation, Innovation)
+        assert np.isfinite(innovation.value).all()
+        for offset in (0, PERIOD - 1, 5 * PERIOD):
+            estimate = enormous.estimate(BEGIN + k * PERIOD + offset)
+            assert estimate is None or finite(estimate)
     assert enormous.used == 120
     assert enormous.restarts <= enormous.failures
     # An enormous torque alone leaves numbers that are absurd, but numbers.
@@ -351,6 +360,7 @@ def test_one_outlier_of_any_size_does_little_harm(size: float) -> None:
         ({}, [0, 980 * PERIOD, 1040 * PERIOD], [0, 2, 1]),
         ({"history": 10.0, "restart_after": 1.0}, [0, 1, 2, 600, 601, 602], [3, 4, 5, 0, 1, 2]),
         ({"max_steps": 50}, [k * PERIOD for k in range(123)], [*range(120), 121, 122, 120]),
+        ({"max_steps": 1}, [0, PERIOD, 2 * PERIOD], [0, 2, 1]),
     ],
 )
 def test_whatever_the_history_reaches_is_put_in_its_place(
@@ -383,60 +393,32 @@ def test_an_estimate_far_from_any_measurement_is_none_and_costs_nothing(ahead: i
     assert far.failures == 0
 
 
-class Fails:
-    """An estimator that raises, or returns what is not finite, in a step after so many calls."""
-
-    def __init__(self, step: str, after: int, error: Exception | None) -> None:
-        self._inner: Any = DESIGN.supervised()
-        self._step, self._left, self._error = step, after, error
-
-    def __getattr__(self, name: str) -> Any:
-        value = getattr(self._inner, name)
-        if name == self._step:
-            self._left -= 1
-            if self._left < 0 and self._error is None:
-                return lambda state, u, duration: value(state, np.array([np.nan]), duration)
-            if self._left < 0:
-                raise self._error
-        return value
+def damage(broken: Tracker, field: str, value: float) -> None:
+    """Spoil a number of the newest state, as an overflow would."""
+    checkpoint = broken.checkpoint()
+    checkpoint.ring[field][checkpoint.memory["size"][0] - 1] = value
+    broken.restore(checkpoint)
 
 
-ERRORS = [OverflowError("too large"), np.linalg.LinAlgError("singular"), None]
-
-
-@pytest.mark.parametrize(
-    ("step", "error"),
-    [(step, error) for step in ("predict", "extrapolate") for error in ERRORS]
-    + [(step, error) for step in ("correct", "readout") for error in ERRORS[:2]],
-)
-def test_what_numbers_raise_is_a_failure_like_those_that_are_not_finite(
-    step: str, error: Exception | None
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("field", ["x", "covariance", "theta", "gamma", "upsilon"])
+def test_numbers_that_are_not_finite_give_no_estimate_and_a_restart(
+    field: str, value: float
 ) -> None:
-    failing = Tracker[Any](Fails(step, 20, error), TrackerOptions(x_max=1.0))
-    outcomes, estimates = [], []
-    for index in range(1, 31):
-        given = Measurement(index * PERIOD, np.array([0.01 * index]), np.array([0.1]))
-        outcomes.append(failing.offer(given, END))
-        estimates.append(failing.estimate(index * PERIOD + 1_000_000))
-    assert failing.failures > 0
-    if step in ("extrapolate", "readout"):
-        assert None not in estimates[:20]
-        assert estimates[20:] == [None] * 10
-        assert failing.restarts == 0
-    else:
-        assert failing.restarts == failing.failures
-        assert None not in estimates
-    # If not even a restarted estimator can take the sample, it is not used.
-    assert outcomes[20:].count(RejectReason.GATED) == (10 if step == "correct" else 0)
-    assert failing.used == 30 - failing.rejected.total()
-
-
-@pytest.mark.parametrize("error", ERRORS)
-def test_a_coasting_estimate_that_fails_is_none_and_a_failure(error: Exception | None) -> None:
-    failing = Tracker[Any](Fails("predict", 0, error), TrackerOptions(x_max=1.0))
-    failing.offer(sample(0), END)
-    assert failing.estimate(BEGIN + SECOND) is None
-    assert failing.failures == 1
+    observer = ADAPTIVE.supervised()
+    broken, fresh = (Tracker(observer, TrackerOptions(X_MAX)) for _ in range(2))
+    offer_all(broken, map(sample, range(20)))
+    damage(broken, field, value)
+    newest = BEGIN + 19 * PERIOD
+    for times, stamp in enumerate((newest, newest + 1, newest + PERIOD, newest + SECOND), 1):
+        assert broken.estimate(stamp) is None
+        assert (broken.failures, broken.restarts) == (times, 0)
+    # The estimates of before are there yet.
+    assert broken.estimate(newest - PERIOD) is not None
+    after = offer_all(broken, map(sample, range(20, 40)))
+    assert list(map(bits, after)) == list(map(bits, offer_all(fresh, map(sample, range(20, 40)))))
+    assert (broken.failures, broken.restarts, broken.used) == (5, 1, 40)
+    assert probes(broken)[-5:] == probes(fresh)[-5:]
 
 
 @pytest.mark.parametrize(

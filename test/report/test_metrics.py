@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.observer import GainMode
+from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.report.comparison import (
