@@ -2,12 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns: what is observed and scored in bulk is what single runs give."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tsobs_ros.campaign import Observed, score
+from tsobs_ros.campaign import Observed, observe, run_all, score
+from tsobs_ros.checks import Array
+from tsobs_ros.design.file import load_design
+from tsobs_ros.design.record import Design
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.records import Measurement
+from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import QUANTITIES, MetricsOptions, measure
 from tsobs_ros.report.run import RecordedRun, Series
+from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -48,7 +57,16 @@ def test_scores_are_those_of_a_report() -> None:
     estimates = truth + random.normal(0.0, 0.01, truth.shape)
     estimates[0, 2000:2100], bounds[1, 3000:3100] = np.nan, np.inf
     estimates[2, :, 3] = np.nan
-    observed = Observed(estimates[..., :4], bounds[..., :4], estimates[..., 4:], bounds[..., 4:])
+    nothing = np.zeros((*shape, 0))
+    observed = Observed(
+        estimates[..., :4],
+        bounds[..., :4],
+        estimates[..., 4:],
+        bounds[..., 4:],
+        nothing,
+        nothing,
+        ({},) * 3,
+    )
     options = MetricsOptions(start_settle_time=3.0, jump_settle_time=1.0)
     scores = score(runs, observed, options)
     for run in range(3):
@@ -68,3 +86,55 @@ def test_scores_are_those_of_a_report() -> None:
             assert np.isnan(scores.normalised_rmse[run])
         else:
             assert scores.normalised_rmse[run] == pytest.approx(expected.normalised_rmse, rel=1e-12)
+
+
+@pytest.mark.parametrize("method", ["certified", "ekf", "high_gain"])
+def test_what_is_observed_is_what_a_tracker_estimates(method: str) -> None:
+    learning = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
+    # A dropout is longer than what is bridged, and the first samples are lost.
+    sensor = Sensor(outlier_probability=0.01, dropout_interval=8.0, dropout_duration=5.6)
+    runs = simulate(replace(SCENARIO, sensor=sensor), [5, 6])
+    runs.measurements[0, :10] = np.nan
+    settings = ObserverSettings(method=method)
+    observed = observe(learning, runs, settings)
+    stamps = 1_000_000_000 + np.round(runs.times * 1e9).astype(np.int64)
+    for run in range(2):
+        tracker = make_tracker(learning, settings)
+        for sample, stamp in enumerate(stamps.tolist()):
+            y, u = runs.measurements[run, sample], runs.torques[run, sample]
+            tracker.offer(Measurement(stamp, y, u), stamp)
+            one = tracker.estimate(stamp)
+            for found, expected in (
+                (observed.states, one and one.state),
+                (observed.state_bounds, one and one.state_bound),
+                (observed.disturbances, one and one.disturbance),
+                (observed.disturbance_bounds, one and one.disturbance_bound),
+                (observed.parameters, one and one.parameters),
+                (observed.parameter_bounds, one and one.parameter_bound),
+            ):
+                if expected is None or not len(expected):
+                    assert np.isnan(found[run, sample]).all()
+                else:
+                    assert found[run, sample].tolist() == expected.tolist()
+        assert observed.events[run] == tracker.events
+    assert np.isnan(observed.states).any()
+
+
+def test_scores_depend_neither_on_threads_nor_on_what_is_one_case(design: Design) -> None:
+    def scores(seeds: list[list[int]], threads: int) -> list[Array]:
+        cases = [(SCENARIO, each) for each in seeds]
+        parts = list(run_all(design, cases, threads=threads))
+        return [np.concatenate(each) for each in zip(*parts, strict=True)]
+
+    alone = scores([[place] for place in range(7)], 1)
+    together = scores([[0, 1, 2], [3], [4, 5, 6]], 3)
+    assert [one.tolist() for one in alone] == [one.tolist() for one in together]
+    assert alone[0].shape == (7, 5)
+    assert (alone[2] > 0.99).all()
+
+
+def test_samples_that_are_followed_ascend(design: Design) -> None:
+    tracker = make_tracker(design)
+    samples = np.zeros((3, 1))
+    with pytest.raises(ModelError, match="stamps: expected them to ascend from 0 ns on"):
+        tracker.follow([5, 5, 7], samples, samples)

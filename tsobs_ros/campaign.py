@@ -3,14 +3,27 @@
 """Monte Carlo campaigns: many runs simulated, observed and scored, on all cores."""
 
 import math
+import os
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled_nogil
+from tsobs_ros.design.record import Design
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.report.metrics import SAME_JUMP, SIGMAS, MetricsOptions
-from tsobs_ros.simulation.plant import Trajectories
+from tsobs_ros.simulation.plant import Scenario, Trajectories
+from tsobs_ros.simulation.scenarios import simulate
+
+Case = tuple[Scenario, Sequence[int]]
+"""A scenario and the seeds of its runs."""
 
 
 class Observed(NamedTuple):
@@ -18,15 +31,21 @@ class Observed(NamedTuple):
 
     Attributes:
         states: Estimated [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
-        state_bounds: 1σ bound of each, shape (runs, samples, 4).
+        state_bounds: 1σ bound of each, NaN if the method has none, shape (runs, samples, 4).
         disturbances: Estimated disturbance of the sensor [rad], shape (runs, samples, 1).
         disturbance_bounds: 1σ bound of it [rad], shape (runs, samples, 1).
+        parameters: Learnt changes θ of the model's parameters, shape (runs, samples, k).
+        parameter_bounds: 1σ of each, shape (runs, samples, k).
+        events: What the supervision counted in each run.
     """
 
     states: Array
     state_bounds: Array
     disturbances: Array
     disturbance_bounds: Array
+    parameters: Array
+    parameter_bounds: Array
+    events: tuple[dict[str, int], ...]
 
 
 class Scores(NamedTuple):
@@ -45,6 +64,101 @@ class Scores(NamedTuple):
     bound: Array
     inside: Array
     normalised_rmse: Array
+
+
+def run_all(
+    design: Design,
+    cases: Iterable[Case],
+    settings: ObserverSettings | None = None,
+    options: MetricsOptions | None = None,
+    threads: int | None = None,
+) -> Iterator[Scores]:
+    """Simulate, observe and score many runs, on all cores; yield the scores of each case in order.
+
+    They do not depend on the number of threads, nor on which runs are in one case. A thread takes
+    one case at a time, and about 400 bytes of memory for each of its samples.
+
+    Args:
+        design: The design of an arm.
+        cases: Best of a few runs each.
+        settings: Method, gates and timeouts; the node's defaults if None.
+        options: Which parts of a run are settled, and the scale; the defaults if None.
+        threads: The number of cores if None.
+
+    Raises:
+        ModelError: The method cannot observe this arm, or a seed is negative.
+
+    >>> import tsobs_ros as ts
+    >>> from tsobs_ros.campaign import run_all
+    >>> from tsobs_ros.simulation.scenarios import SCENARIOS
+    >>> case = (SCENARIOS["noise"], range(4))
+    >>> [float(max(s.normalised_rmse)) < 0.2 for s in run_all(ts.load_design(), [case])]
+    [True]
+    """
+    estimator = make_estimator(design, settings or ObserverSettings())
+    count = threads or os.cpu_count() or 1
+
+    def scores(case: Case) -> Scores:
+        runs = simulate(*case)
+        return score(runs, observe(design, runs, settings, estimator), options)
+
+    with ThreadPoolExecutor(count) as pool:
+        waiting: deque[Future[Scores]] = deque()
+        for case in cases:
+            waiting.append(pool.submit(scores, case))
+            if len(waiting) > 2 * count:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+
+
+def observe(
+    design: Design,
+    runs: Trajectories,
+    settings: ObserverSettings | None = None,
+    estimator: Estimator | None = None,
+) -> Observed:
+    """Observe a batch of runs by what the node runs; the bits are those of `ts.estimate`.
+
+    Args:
+        design: The design of an arm.
+        runs: A batch of runs.
+        settings: Method, gates and timeouts; the node's defaults if None.
+        estimator: The observer, if it is made already.
+
+    Raises:
+        ModelError: The method cannot observe this arm.
+    """
+    settings = settings or ObserverSettings()
+    estimator = estimator or make_estimator(design, settings)
+    # Nothing is late.
+    limits = TrackerOptions(
+        design.arm_request.x_max, history=0.0, restart_after=settings.stale_after, max_steps=1
+    )
+    tracker = Tracker(estimator, limits)
+    stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
+    rows, events = [], []
+    for y, u in zip(runs.measurements, runs.torques, strict=True):
+        tracker.reset()
+        rows.append(tracker.follow(stamps, y, u))
+        events.append(tracker.events)
+    shape = (len(rows), len(stamps))
+
+    def field(name: str, width: int) -> Array:
+        part = estimator.row_parts[name]
+        if part.stop == part.start:
+            return np.full((*shape, width), np.nan)
+        return np.stack([row[:, part] for row in rows])
+
+    return Observed(
+        field("state", 4),
+        field("state_bound", 4),
+        field("disturbance", 1),
+        field("disturbance_bound", 1),
+        field("parameters", 0),
+        field("parameter_bound", 0),
+        tuple(events),
+    )
 
 
 def score(runs: Trajectories, observed: Observed, options: MetricsOptions | None = None) -> Scores:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled
+from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.state import correction_type, readout_type, work_type
 from tsobs_ros.estimation.steps import correct, predict, read, write_row
@@ -182,33 +182,35 @@ def estimate_at(models: Any, memories: Any, ring: Any, stamp: int, row: Array) -
     elapsed = stamp - step.stamp
     if elapsed > memory.restart_after:
         return False
-    ring[scratch] = step
-    remaining, period = elapsed / 1e9, model.period
-    # Whole periods of a gap are remembered from one call to the next; without that every call in a
-    # long gap would predict through the whole gap again.
-    whole = math.floor(remaining / period) if remaining > 2.0 * period else 0
-    taken, memorable = 0, place == memory.size - 1
-    known = memorable and memory.coasted_generation == memory.generation
-    if known and 0 < memory.coasted_periods <= whole:
-        ring[scratch] = ring[coasted]
-        taken = memory.coasted_periods
-    while True:
-        length = period
-        if taken >= whole:
-            length = remaining - whole * period
-            if whole > 0 and memorable:
-                ring[coasted] = ring[scratch]
-                memory.coasted_periods = whole
-                memory.coasted_generation = memory.generation
-        elif taken == 0:
-            # Two at once, so that it is no regular step for the estimator.
-            length = 2.0 * period
-        if length > 0.0:
-            predict(model, ring[scratch], step.u[:], length, taken >= whole, memory.work)
-        if taken >= whole:
-            break
-        taken += 2 if taken == 0 else 1
-    read(model, ring[scratch], memory.readout, memory.work)
+    remaining, period, shown = elapsed / 1e9, model.period, step
+    if elapsed > 0:
+        ring[scratch] = step
+        # Whole periods of a gap are remembered from one call to the next; without that every call
+        # in a long gap would predict through the whole gap again.
+        whole = math.floor(remaining / period) if remaining > 2.0 * period else 0
+        taken, memorable = 0, place == memory.size - 1
+        known = memorable and memory.coasted_generation == memory.generation
+        if known and 0 < memory.coasted_periods <= whole:
+            ring[scratch] = ring[coasted]
+            taken = memory.coasted_periods
+        while True:
+            length = period
+            if taken >= whole:
+                length = remaining - whole * period
+                if whole > 0 and memorable:
+                    ring[coasted] = ring[scratch]
+                    memory.coasted_periods = whole
+                    memory.coasted_generation = memory.generation
+            elif taken == 0:
+                # Two at once, so that it is no regular step for the estimator.
+                length = 2.0 * period
+            if length > 0.0:
+                predict(model, ring[scratch], step.u[:], length, taken >= whole, memory.work)
+            if taken >= whole:
+                break
+            taken += 2 if taken == 0 else 1
+        shown = ring[scratch]
+    read(model, shown, memory.readout, memory.work)
     if memory.readout.finite == 0:
         memory.bad_outputs += 1
         return False
@@ -216,6 +218,32 @@ def estimate_at(models: Any, memories: Any, ring: Any, stamp: int, row: Array) -
     row[end] = 1.0 if abs(memory.readout.state[0]) <= memory.x_max else 0.0
     row[end + 1] = remaining
     return True
+
+
+@compiled_nogil
+def follow(
+    models: Any, memories: Any, ring: Any, stamps: Any, y: Array, u: Array, there: Any, rows: Array
+) -> None:
+    """Use measurements in ascending order of stamps, those that are finite, and estimate at each.
+
+    Args:
+        models: Model record, shape (1,).
+        memories: Record of `memory_type`, shape (1,).
+        ring: State records.
+        stamps: Of N measurements [ns], shape (N,).
+        y: Shape (N, p).
+        u: Shape (N, m).
+        there: Whether there is an estimate, written, shape (N,).
+        rows: The estimates, as of `estimate_at`, written where there are any, shape (N, width).
+    """
+    model, memory = models[0], memories[0]
+    for i in range(len(stamps)):
+        if _is_finite(model, y[i], u[i]):
+            memory.accepted += 1
+            _advance(model, memory, ring, stamps[i], y[i], u[i])
+        else:
+            memory.refused[NON_FINITE] += 1
+        there[i] = estimate_at(models, memories, ring, stamps[i], rows[i])
 
 
 @compiled
@@ -307,16 +335,22 @@ def _count_before(memory: Any, ring: Any, stamp: int) -> int:
 
 
 @compiled
-def _refusal(
-    model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array, now: int, newest: int
-) -> int:
-    """Return the code of the reason why a measurement cannot be used, or `USED`."""
+def _is_finite(model: Any, y: Array, u: Array) -> bool:
     total = 0.0
     for i in range(model.p):
         total += 0.0 * y[i]
     for i in range(model.m):
         total += 0.0 * u[i]
-    if total != 0.0:  # which it is for NaN
+    finite: bool = total == 0.0  # which it is not for NaN
+    return finite
+
+
+@compiled
+def _refusal(
+    model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array, now: int, newest: int
+) -> int:
+    """Return the code of the reason why a measurement cannot be used, or `USED`."""
+    if not _is_finite(model, y, u):
         return NON_FINITE
     if stamp <= 0:
         return ZERO_STAMP

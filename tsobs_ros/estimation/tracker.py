@@ -17,7 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, State, copy_records
-from tsobs_ros.estimation.history import EXTRA, REASONS, SPARE, estimate_at, memory_type, offer
+from tsobs_ros.estimation.history import (
+    EXTRA,
+    REASONS,
+    SPARE,
+    estimate_at,
+    follow,
+    memory_type,
+    offer,
+)
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -197,19 +205,50 @@ class Tracker:
         Raises:
             ModelError: The arrays have other shapes.
         """
+        times, samples, inputs = self._prepared(stamps, y, u)
+        count, p = samples.shape
+        outcomes = Outcomes(np.zeros(count, np.int64), np.empty((count, p)), np.empty((count, p)))
+        offer(self.estimator.model, self.memory, self.ring, times, samples, inputs, now, *outcomes)
+        return outcomes
+
+    def follow(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
+        """Use measurements one after the other, and return the estimates at their stamps.
+
+        Other threads of Python can run meanwhile.
+
+        Args:
+            stamps: Of N measurements, ascending, later than any before [ns], shape (N,).
+            y: Measured outputs, NaN if lost, shape (N, p).
+            u: Inputs from each measurement until the next one, shape (N, m).
+
+        Returns:
+            Rows, NaN where there is no estimate, shape (N, width); `Estimator.row_parts` has the
+            places of their numbers. The last two of a row are those of `history.estimate_at`.
+
+        Raises:
+            ModelError: The arrays have other shapes, or the stamps do not ascend.
+        """
+        times, samples, inputs = self._prepared(stamps, y, u)
+        after = self.newest or 0
+        if not (np.diff(times, prepend=after) > 0).all():
+            raise ModelError(f"stamps: expected them to ascend from {after} ns on")
+        there = np.zeros(len(times), np.bool_)
+        rows = np.full((len(times), self.estimator.row_width + EXTRA), np.nan)
+        follow(self.estimator.model, self.memory, self.ring, times, samples, inputs, there, rows)
+        return rows
+
+    def _prepared(
+        self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
+    ) -> tuple[NDArray[np.int64], Array, Array]:
         shape, times = self.estimator.shape, np.array(stamps, np.int64)
-        count = len(times)
         samples, inputs = np.array(y, np.float64), np.array(u, np.float64)
+        count = len(times)
         if samples.shape != (count, shape.p) or inputs.shape != (count, shape.m):
             raise ModelError(
                 f"measurements: expected y of shape {(count, shape.p)} and u of shape "
                 f"{(count, shape.m)}, got {samples.shape} and {inputs.shape}"
             )
-        outcomes = Outcomes(
-            np.zeros(count, np.int64), np.empty((count, shape.p)), np.empty((count, shape.p))
-        )
-        offer(self.estimator.model, self.memory, self.ring, times, samples, inputs, now, *outcomes)
-        return outcomes
+        return times, samples, inputs
 
     def estimate(self, stamp: int) -> Estimate | None:
         """Return the estimate at a stamp [ns].
