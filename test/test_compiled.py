@@ -27,11 +27,15 @@ OUTER = """
 import resource, sys
 import numpy as np
 from inner import total
-from tsobs_ros.compiled import compiled, compiled_nogil
+from tsobs_ros.compiled import compiled, compiled_nogil, inlined
+
+@inlined
+def between(values):
+    return total(values)
 
 @compiled_nogil
 def doubled(values):
-    return 2.0 * total(values)
+    return 2.0 * between(values)
 
 if "full" in sys.argv:
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))

@@ -161,10 +161,8 @@ def _name_of(function: _Compiled, signature: str) -> str:
 
 def _gather(value: Any, found: set[str], seen: set[int]) -> None:
     """Add the text of all files that a compiled function calls into, and the constants it uses."""
-    if id(value) in seen:
-        return
-    seen.add(id(value))
-    if isinstance(value, CPUDispatcher):
+    if isinstance(value, CPUDispatcher) and id(value) not in seen:
+        seen.add(id(value))
         python: FunctionType = value.py_func
         found.add(_text_of(python.__code__.co_filename))
         for name in _names_in(python.__code__):
@@ -173,12 +171,6 @@ def _gather(value: Any, found: set[str], seen: set[int]) -> None:
                 found.add(f"{name} = {used!r}")
             else:
                 _gather(used, found, seen)
-    elif isinstance(value, FunctionType):  # one that chooses among others
-        for cell in value.__closure__ or ():
-            _gather(cell.cell_contents, found, seen)
-    elif isinstance(value, dict):
-        for each in value.values():
-            _gather(each, found, seen)
 
 
 def _names_in(code: CodeType) -> set[str]:
