@@ -28,7 +28,6 @@ def some_system(seed: int, n: int = 4, p: int = 2, r: int = 3) -> TSSystem:
         random.normal(size=(r, n, 1)),
         random.normal(size=(r, p, n)),
         rules,
-        lambda x: x[..., :1],
     )
 
 

@@ -123,7 +123,6 @@ def test_innovation_decays_by_its_own_equation() -> None:
         EXAMPLE.system.B[:1],
         EXAMPLE.system.C[:1],
         rules,
-        lambda x: x[..., :1],
     )
     aug = Augmentation(system, 0, AUG.L)
     observer = AugmentedObserver(aug, H1[:1], M)

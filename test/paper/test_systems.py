@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase
-from tsobs_ros.paper.systems import TSSystem, arm_system
+from tsobs_ros.paper.systems import TSSystem, arm_system, blend
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=40)
@@ -38,41 +38,35 @@ def plain(**changed: Any) -> TSSystem:
         "B": [[[0.0], [1.0]]],
         "C": [[[1.0, 0.0]], [[1.0, 0.5]]],
     }
-    return TSSystem.from_rules(
-        **(matrices | changed), rule_base=RAMPS, premise=lambda x: x[..., :1]
-    )
+    return TSSystem.from_rules(**(matrices | changed), rule_base=RAMPS)
 
 
 @st.composite
 def systems(draw: st.DrawFn) -> TSSystem:
-    """Systems of random size whose premise variables are the first states."""
+    """Systems of random size."""
     q, r = draw(st.integers(1, 3)), draw(st.integers(1, 4))
     n, m, p = draw(st.integers(q, 4)), draw(st.integers(1, 2)), draw(st.integers(1, 2))
     centres = draw(arrays(r, q))
     rules = [[lambda z, c=c: np.exp(-0.1 * (z - c) ** 2) for c in row] for row in centres]
     matrices = [draw(arrays(r, *shape)) for shape in ((n, n), (n, m), (p, n))]
-    return TSSystem(*matrices, RuleBase(tuple(map(tuple, rules))), lambda x: x[..., :q])
+    return TSSystem(*matrices, RuleBase(tuple(map(tuple, rules))))
 
 
 @PROPERTY
 @given(st.data(), systems())
 def test_the_blend_is_the_weighted_sum_of_the_rules(data: st.DataObject, system: TSSystem) -> None:
-    x, u = data.draw(arrays(system.state_count)), data.draw(arrays(system.B.shape[-1]))
-    weights = system.rule_base.weights(system.premise(x))
-    rate = sum(h * (A @ x + B @ u) for h, A, B in zip(weights, system.A, system.B, strict=True))
+    x, z = data.draw(arrays(system.state_count)), data.draw(arrays(system.rule_base.premise_count))
+    weights = system.rule_base.weights(z)
     output = sum(h * (C @ x) for h, C in zip(weights, system.C, strict=True))
-    np.testing.assert_allclose(system.derivative(x, u), rate, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(system.output(x), output, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(system.output(x, z), output, rtol=1e-12, atol=1e-12)
 
 
 @PROPERTY
-@given(arrays(2), arrays(1))
-def test_a_vertex_membership_reproduces_the_vertex_model(x: Array, u: Array) -> None:
+@given(arrays(2))
+def test_a_vertex_membership_reproduces_the_vertex_model(x: Array) -> None:
     system = plain()
     for vertex in (0, 1):
-        z = [float(vertex)]
-        assert (system.derivative(x, u, z) == system.A[vertex] @ x + system.B[vertex] @ u).all()
-        assert (system.output(x, z) == system.C[vertex] @ x).all()
+        assert (system.output(x, [float(vertex)]) == system.C[vertex] @ x).all()
 
 
 def test_a_single_matrix_serves_every_rule() -> None:
@@ -113,7 +107,7 @@ def test_a_wrong_matrix_is_named_with_its_shapes(changed: dict[str, Any], messag
 
 def test_a_system_needs_an_output_matrix_for_each_rule() -> None:
     with pytest.raises(ModelError, match=r"C: expected one matrix a rule.*got \(1, 2\)"):
-        TSSystem(np.zeros((1, 2, 2)), np.zeros((1, 2, 1)), np.zeros((1, 2)), RAMPS, lambda x: x)
+        TSSystem(np.zeros((1, 2, 2)), np.zeros((1, 2, 1)), np.zeros((1, 2)), RAMPS)
 
 
 def test_the_matrices_of_example_3_are_the_papers() -> None:
@@ -145,10 +139,12 @@ def test_the_ts_form_is_the_nonlinear_arm_on_its_whole_domain(
     system = arm_system(arm, x_max)
     terms = np.abs(arm.spring_matrix) + np.abs(arm.slope_matrix(1.0) - arm.spring_matrix)
     scale = 1.0 + terms @ np.abs(x) + np.abs(arm.input_matrix @ u)
-    error = system.derivative(x, u) - arm.derivative(x, u)
+    weights = system.rule_base.weights(x[:1])
+    rate = blend(system.A, weights, x) + blend(system.B, weights, u)
+    error = rate - arm.derivative(x, u)
     # The membership divides rounding by 1 − sin(x_max)/x_max, and the blend multiplies it back.
     assert (np.abs(error) <= 1e-14 * scale).all()
-    assert (system.output(x) == x[:1]).all()
+    assert (system.output(x, x[:1]) == x[:1]).all()
 
 
 @pytest.mark.parametrize("x_max", [0.0, -1.0, math.pi, 4.0, math.nan])

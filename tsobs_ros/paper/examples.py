@@ -100,8 +100,7 @@ second_weight = compiled(_second_weight)
 
 def _system(A1: list[list[float]], A2: list[list[float]]) -> TSSystem:
     rules = RuleBase(((lambda y1: 1.0 - _second_weight(y1),), (_second_weight,)))
-    # The first row of both C is the first state, which is therefore y₁ without disturbance.
-    return TSSystem.from_rules([A1, A2], list(_B), list(_C), rules, lambda x: x[..., :1])
+    return TSSystem.from_rules([A1, A2], list(_B), list(_C), rules)
 
 
 def _sine(t: Array) -> Array:

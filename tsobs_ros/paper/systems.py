@@ -6,7 +6,7 @@ Their outputs may differ from rule to rule, which the certified observers' `TSMo
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, shown
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import LINK_ANGLE, ElasticJointArm
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, SineLower, SineUpper
 from tsobs_ros.model.trigonometry import sine
 
@@ -28,14 +28,12 @@ class TSSystem:
         B: Input matrices, shape (r, n, m).
         C: Output matrices, shape (r, p, n); they may differ from rule to rule.
         rule_base: Memberships of the premise variables z.
-        premise: Maps a state or its estimate, shape (..., n), to z, shape (..., q).
     """
 
     A: Array
     B: Array
     C: Array
     rule_base: RuleBase
-    premise: Callable[[Array], Array]
 
     def __post_init__(self) -> None:
         rules = self.rule_base.rule_count
@@ -54,7 +52,6 @@ class TSSystem:
         B: Sequence[ArrayLike],
         C: Sequence[ArrayLike],
         rule_base: RuleBase,
-        premise: Callable[[Array], Array],
     ) -> "TSSystem":
         """Build a system from one matrix a rule; a single B or C serves every rule."""
         rules = rule_base.rule_count
@@ -68,30 +65,16 @@ class TSSystem:
             repeated = list(matrices) * (rules if len(matrices) == 1 else 1)
             return np.array(repeated, dtype=np.float64)
 
-        return cls(stacked("A", A), stacked("B", B), stacked("C", C), rule_base, premise)
+        return cls(stacked("A", A), stacked("B", B), stacked("C", C), rule_base)
 
     @property
     def state_count(self) -> int:
         """Number of states n."""
         return int(self.A.shape[-1])
 
-    def derivative(self, x: ArrayLike, u: ArrayLike, z: ArrayLike | None = None) -> Array:
-        """Return ẋ.
-
-        Args:
-            x: State, shape (..., n).
-            u: Input, shape (..., m).
-            z: Premise variables, shape (..., q); taken from x by `premise` if not given.
-        """
-        state = np.asarray(x, dtype=np.float64)
-        weights = self.rule_base.weights(self.premise(state) if z is None else z)
-        return blend(self.A, weights, state) + blend(self.B, weights, np.asarray(u, float))
-
-    def output(self, x: ArrayLike, z: ArrayLike | None = None) -> Array:
+    def output(self, x: ArrayLike, z: ArrayLike) -> Array:
         """Return the undisturbed output Σ hᵢ(z) Cᵢx, shape (..., p)."""
-        state = np.asarray(x, dtype=np.float64)
-        weights = self.rule_base.weights(self.premise(state) if z is None else z)
-        return blend(self.C, weights, state)
+        return blend(self.C, self.rule_base.weights(z), np.asarray(x, dtype=np.float64))
 
 
 def blend(matrices: Array, weights: Array, vector: Array) -> Array:
@@ -120,7 +103,6 @@ def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSSystem:
         B=[arm.input_matrix],
         C=[arm.output_matrix],
         rule_base=RuleBase(((SineUpper(x_max),), (SineLower(x_max),))),
-        premise=lambda x: x[..., LINK_ANGLE, np.newaxis],
     )
 
 
