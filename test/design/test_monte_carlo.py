@@ -3,6 +3,7 @@
 """The certified bound against the errors of many simulated runs."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.baselines import integrate
-from tsobs_ros.estimation.observer import ObserverState
 
 Array = NDArray[np.float64]
 RUNS = 800
@@ -26,7 +25,7 @@ class Campaign(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def campaign(shipped: Design) -> Campaign:
+def campaign(shipped: Design, runge_kutta: Callable[..., Array]) -> Campaign:
     """Simulate arms, a wandering bias and sensors for 8 s at 200 Hz, from errors as large as X.
 
     The truth is the differential equation with random accelerations every millisecond, not the
@@ -44,7 +43,10 @@ def campaign(shipped: Design) -> Campaign:
     start = rng.standard_normal((RUNS, 5)) @ np.linalg.cholesky(shipped.covariance_bound).T
     observer = shipped.observer()
     truth = np.hstack([x, bias])
-    state = ObserverState(truth + start, shipped.covariance_bound, 0.0, True, False)
+    bound = np.tile(shipped.covariance_bound, (RUNS, 1, 1))
+    state = observer.initial((RUNS,)).changed(
+        x=truth + start, covariance=bound, settling=np.zeros(RUNS), certified=np.ones(RUNS)
+    )
     errors, widest = [], 0.0
     for k in range(1600):
         widest = max(widest, float(np.abs(x[:, 0]).max()))
@@ -54,9 +56,9 @@ def campaign(shipped: Design) -> Campaign:
         y = x[:, :1] + bias + std * rng.standard_normal((RUNS, 1))
         state, _ = observer.correct(state, y)
         state = observer.predict(state, u, period)
-        assert state.certified
+        assert state.certified.all()
         for _ in range(SUBSTEPS):
-            x = integrate(lambda z, u=u: arm.derivative(z, u), x, substep, substep)
+            x = runge_kutta(lambda z, u=u: arm.derivative(z, u), x, substep)
             x = x + kick_std * rng.standard_normal((RUNS, 4))
         bias = bias + math.sqrt(1e-4 * period) * rng.standard_normal((RUNS, 1))
     return Campaign(np.array(errors), widest)

@@ -21,7 +21,7 @@ from tsobs_ros.estimation.options import (
 )
 from tsobs_ros.estimation.state import Shape
 from tsobs_ros.model.flow import ArmFlow, GapFlow
-from tsobs_ros.model.prediction import Flow, Record, fill_matrix
+from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix
 from tsobs_ros.model.stepping import Room
 from tsobs_ros.model.uncertainty import Uncertainty
 
@@ -51,8 +51,11 @@ class State:
         self.batch = batch
 
     def __getattr__(self, name: str) -> Any:
-        if self.records.dtype.names is None or name not in self.records.dtype.names:
-            raise AttributeError(f"a state has no {name!r}; it has {self.records.dtype.names}")
+        if name in State.__slots__:  # of a copy that is still being made
+            raise AttributeError(name)
+        fields = self.records.dtype.names or ()
+        if name not in fields:
+            raise AttributeError(f"a state has no {name!r}; it has {fields}")
         return _shaped(self.records, name, self.shape, self.batch)
 
     def __eq__(self, other: object) -> bool:
@@ -202,8 +205,11 @@ class Estimator:
 
         Returns:
             The corrected state, and the innovation with its gain.
+
+        Raises:
+            ModelError: The measurement has another shape.
         """
-        after, samples = state.copy(), self._rows(y, state.batch, self.shape.p)
+        after, samples = state.copy(), as_rows("y", y, state.batch, (self.shape.p,))
         corrections = self.new_corrections(len(after.records))
         correct_each(self.model, after.records, samples, corrections)
         fields = ("innovation", "innovation_covariance", "gain", "weight")
@@ -220,7 +226,7 @@ class Estimator:
             duration: Time to the next stamp [s], at least 0.
 
         Raises:
-            ModelError: The duration is negative or not finite.
+            ModelError: The duration is negative or not finite, or the inputs have another shape.
         """
         return self._predicted(state, u, duration, between_samples=False)
 
@@ -236,7 +242,7 @@ class Estimator:
         self, state: State, u: ArrayLike, duration: float, *, between_samples: bool
     ) -> State:
         non_negative("duration", duration)
-        after, inputs = state.copy(), self._rows(u, state.batch, self.shape.m)
+        after, inputs = state.copy(), as_rows("u", u, state.batch, (self.shape.m,))
         predict_each(
             self.model, after.records, inputs, float(duration), between_samples, self._work
         )
@@ -265,7 +271,7 @@ class Estimator:
         """Return the estimates after each sample of some runs, without holding Python's lock.
 
         Args:
-            y: Measurements, NaN if lost, shape (runs, samples, p).
+            y: Measurements, one of them NaN or infinite if lost, shape (runs, samples, p).
             u: Inputs from each sample to the next, shape (runs, samples, m).
             period: Time between samples [s]; the nominal one if None.
             start: States at the first sample, a batch of shape (runs,); the initial one if None.
@@ -278,9 +284,7 @@ class Estimator:
             raise ModelError(
                 f"y: expected shape (runs, samples, {self.shape.p}), got {samples.shape}"
             )
-        inputs = np.array(
-            np.broadcast_to(np.asarray(u, np.float64), (*samples.shape[:2], self.shape.m))
-        )
+        inputs = as_rows("u", u, samples.shape[:1], (samples.shape[1], self.shape.m))
         rows = np.empty((*samples.shape[:2], self.row_width))
         length = self.period if period is None else non_negative("period", period)
         states = self.initial((len(samples),)) if start is None else start.copy()
@@ -353,12 +357,6 @@ class Estimator:
         """Return whether learning was given up: the model differs in other ways than θ."""
         resets = int(state.adaptation_resets)
         return self.shape.k > 0 and self.supervised and resets > self.model["relearn_budget"][0]
-
-    @staticmethod
-    def _rows(values: ArrayLike, batch: tuple[int, ...], width: int) -> Array:
-        """Return a batch's numbers as rows."""
-        array = np.broadcast_to(np.asarray(values, np.float64), (*batch, width))
-        return np.array(array, order="C").reshape(-1, width)
 
 
 def certified_estimator(
@@ -489,7 +487,10 @@ def observe_each(
         for sample in range(y.shape[1]):
             if sample > 0:
                 steps.predict(model, states[run], u[run, sample - 1], duration, False, work[0])
-            if not math.isnan(y[run, sample, 0]):
+            total = 0.0
+            for i in range(model.p):
+                total += y[run, sample, i]
+            if math.isfinite(total):
                 steps.correct(model, states[run], y[run, sample], corrections[0])
             steps.read(model, states[run], readouts[0], work[0])
             steps.write_row(model, readouts[0], rows[run, sample])

@@ -7,7 +7,6 @@ bytes are, an array of them is a batch, a history or a checkpoint. The shapes of
 on the numbers of states n, outputs p, inputs m and parameters k. Flags are integers, 0 or 1.
 """
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -138,7 +137,7 @@ def state_type(room: Room) -> np.dtype[Any]:
 def correction_type(room: Room) -> np.dtype[Any]:
     """Return the type of a sample's effect, with scratch numbers of the same step."""
     n, p, _, k = room[:4]
-    number = np.float64
+    number, wide = np.float64, max(n, p)
     return record_type(
         [
             ("innovation", number, (p,)),
@@ -152,19 +151,21 @@ def correction_type(room: Room) -> np.dtype[Any]:
             ("factor", number, (p, p)),
             ("crossed", number, (p, n)),
             ("turned", number, (p, k)),
-            ("nothing", number, (n, n)),
-            ("squares", number, (3, n, n)),
+            ("nothing", number, (wide, wide)),
+            ("squares", number, (3, n, wide)),
         ]
     )
 
 
 def readout_type(room: Room) -> np.dtype[Any]:
-    """Return the type of an estimate in physical units; see `Estimate` for the fields."""
+    """Return the type of an estimate in physical units; see `Readout` for the fields.
+
+    finite: whether all numbers are.
+    """
     number, count = np.float64, np.int64
     n, p, _, k = room[:4]
     return record_type(
         [
-            ("stamp", count),
             ("state", number, (n,)),
             ("state_bound", number, (n,)),
             ("disturbance", number, (p,)),
@@ -172,10 +173,8 @@ def readout_type(room: Room) -> np.dtype[Any]:
             ("disturbance_bound", number, (p,)),
             ("parameters", number, (k,)),
             ("parameter_bound", number, (k,)),
-            ("age", number),
             ("certified", count),
             ("parameters_valid", count),
-            ("in_domain", count),
             ("finite", count),
         ]
     )
@@ -300,7 +299,7 @@ def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, cove
 
 def enter_supervision(model: Any, options: SupervisionOptions) -> None:
     """Enter when to react, and how strongly, into one model record."""
-    for name, value in vars(replace(options)).items():
+    for name, value in vars(options).items():
         model[name] = value
     model["supervised"] = 1
     # Shares of a sample in the averages over one second, and over half a second.

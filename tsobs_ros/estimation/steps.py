@@ -222,7 +222,7 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
         correction.weight = limit / size
     if size > model.reject:
         correction.weight = 0.0
-    clipped = r if size < _WINDOW_CLIP else math.copysign(_WINDOW_CLIP, r)
+    clipped = math.copysign(_WINDOW_CLIP, r) if size > _WINDOW_CLIP else r  # NaN stays
     if state.watched == WINDOW:
         for i in range(WINDOW - 1):
             recent[i], calm_nis[i] = recent[i + 1], calm_nis[i + 1]

@@ -153,7 +153,8 @@ def joseph_form(
 ) -> None:
     """Write (I − KC) Σ (I − KC)ᵀ + K R Kᵀ, symmetric and positive for any K.
 
-    `squares` is scratch of three n × n matrices, `nothing` is zero, `result` may be Σ.
+    `squares` is scratch of three matrices of n rows and the larger of n and p columns, `nothing`
+    is zero and n × n, `result` may be Σ.
     """
     closed, noise, scratch = squares[0], squares[1], squares[2]
     congruence(gain, R, nothing, scratch, noise, n, p)
@@ -189,7 +190,7 @@ def joseph(C: ArrayLike, R: ArrayLike, covariance: ArrayLike, gain: ArrayLike) -
     n, p = K.shape
     result, nothing = np.empty((n, n)), np.zeros((n, n))
     joseph_form(
-        _rows(C), _rows(R), _rows(covariance), K, np.empty((3, n, n)), nothing, result, n, p
+        _rows(C), _rows(R), _rows(covariance), K, np.empty((3, n, max(n, p))), nothing, result, n, p
     )
     return result
 

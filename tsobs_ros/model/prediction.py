@@ -112,10 +112,9 @@ class Flow(ABC):
             )
         n, m, p = self.state_count, self.input_count, self.output_matrix.shape[0]
         batch = np.broadcast_shapes(np.shape(x)[:-1], np.shape(u)[:-1])
-        states = np.array(np.broadcast_to(x, (*batch, n)), np.float64).reshape(-1, n)
-        inputs = np.array(np.broadcast_to(u, (*batch, m)), np.float64).reshape(-1, m)
+        states, inputs = as_rows("x", x, batch, (n,)), as_rows("u", u, batch, (m,))
         sigma = np.zeros((n, n)) if covariance is None else covariance
-        spread = np.array(np.broadcast_to(sigma, (*batch, n, n)), np.float64).reshape(-1, n, n)
+        spread = as_rows("covariance", sigma, batch, (n, n))
         room = Room.fitting(n, p, m, 0, *self.rule_counts)
         flow, work = np.zeros(1, flow_type(room)), np.zeros(1, work_type(room))
         self.fill(flow[0])
@@ -147,6 +146,26 @@ def _advance_all(
             duration,
             work[0],
         )
+
+
+def as_rows(name: str, values: ArrayLike, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
+    """Return a batch's numbers one after the other as a new array, by rows whatever came.
+
+    Args:
+        name: Name of the numbers, for errors.
+        values: Shape (*batch, *shape), or what can be repeated to it.
+        batch: Shape of the batch.
+        shape: Shape of each of it.
+
+    Raises:
+        ModelError: The values are of another shape.
+    """
+    array = np.asarray(values, np.float64)
+    try:
+        whole = np.broadcast_to(array, (*batch, *shape))
+    except ValueError:
+        raise ModelError(f"{name}: expected shape {(*batch, *shape)}, got {array.shape}") from None
+    return np.array(whole, order="C").reshape(math.prod(batch), *shape)
 
 
 def fill_common(
