@@ -2,16 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gaps in the measurements, during which the torque goes on changing as u = sin t."""
 
-from typing import Any
-
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design, load_request
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.observer import CertifiedGain, TSObserver
+from tsobs_ros.estimation.estimator import certified_estimator
+from tsobs_ros.estimation.options import CertifiedGain
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.flow import GapFlow
@@ -37,16 +37,16 @@ def sample(run: int, index: int) -> Measurement:
     return Measurement(stamp_of(index), RUN.measurements[run, index], RUN.torques[run, index])
 
 
-def tracker_of(design: Design, torque_rate: float = 1.0) -> Tracker[Any]:
+def tracker_of(design: Design, torque_rate: float = 1.0) -> Tracker:
     return Tracker(design.supervised(torque_rate=torque_rate), TrackerOptions(design.request.x_max))
 
 
-def feed(tracker: Tracker[Any], run: int, begin: int, end: int) -> None:
+def feed(tracker: Tracker, run: int, begin: int, end: int) -> None:
     for index in range(begin, end):
         tracker.offer(sample(run, index), stamp_of(index))
 
 
-def estimate(tracker: Tracker[Any], index: int) -> Estimate:
+def estimate(tracker: Tracker, index: int) -> Estimate:
     found = tracker.estimate(stamp_of(index))
     assert found is not None
     return found
@@ -63,15 +63,13 @@ def test_the_bound_covers_the_error_in_gaps_and_after_them(design: Design) -> No
     for run, begin in enumerate(STARTS):
         tracker = tracker_of(design)
         feed(tracker, run, 0, begin)
-        settled[run] = estimate(tracker, begin - 1).certified, tracker._history.last
+        settled[run] = estimate(tracker, begin - 1).certified, tracker
     for gap in (4, 40, 200, 600):
         errors = []
         for run, begin in enumerate(STARTS):
-            tracker = tracker_of(design)
-            certified, last = settled[run]
+            certified, before = settled[run]
             assert certified == (design is DESIGN)
-            assert last is not None
-            tracker._history.append(last)
+            tracker = before.copy()
             again = begin + gap
             for index in range(begin + 1, again, max(1, gap // 10)):
                 found = estimate(tracker, index)
@@ -81,8 +79,8 @@ def test_the_bound_covers_the_error_in_gaps_and_after_them(design: Design) -> No
                 feed(tracker, run, index, index + 1)
                 if (index - again) % 10 == 0:
                     found = estimate(tracker, index)
-                    state = tracker._history.last.state.inner
-                    covered = getattr(state, "observer", state).certified
+                    assert tracker.state is not None
+                    covered = bool(tracker.state.certified)
                     assert found.certified == (covered and design is DESIGN)
                     errors.append(sigmas(found, run, index))
         assert np.median(np.max(errors, axis=1)) < 2.0
@@ -109,8 +107,9 @@ def test_without_gaps_nothing_of_it_is_computed() -> None:
         ends = estimate(held, index + 1), estimate(moving, index + 1)
         assert ends[0].state.tobytes() == ends[1].state.tobytes()
         assert ends[0].state_bound.tobytes() == ends[1].state_bound.tobytes()
-    assert moving._history.last is not None
-    assert moving._history.last.state.inner.gap is None
+    assert moving.state is not None
+    assert not moving.state.in_gap
+    assert not moving.state.gap.any()
 
 
 def test_a_torque_is_known_even_where_its_angle_is_not_believed() -> None:
@@ -122,8 +121,8 @@ def test_a_torque_is_known_even_where_its_angle_is_not_believed() -> None:
     for index in (*range(1000, 1030), *range(1060, 1090)):
         given = Measurement(stamp_of(index), stuck, RUN.torques[0, index])
         outcomes.append(tracker.offer(given, stamp_of(index)))
-        assert tracker._history.last is not None
-        assert tracker._history.last.state.inner.gap is None
+        assert tracker.state is not None
+        assert not tracker.state.in_gap
     assert outcomes[-30:] == [RejectReason.GATED] * 30
     assert not estimate(tracker, 1090).certified
 
@@ -131,16 +130,21 @@ def test_a_torque_is_known_even_where_its_angle_is_not_believed() -> None:
 def test_a_batch_goes_through_a_gap_as_each_of_it() -> None:
     observer = DESIGN.observer()
     x = np.linspace(-0.3, 0.3, 10).reshape(2, 5)
-    together = observer.initial((2,))._replace(x=x)
     u = np.array([[0.5], [-1.0]])
-    together = observer.predict(observer.predict(together, u, 0.3), u, T)
-    assert together.gap is not None
-    assert (together.covariance == GapFlow.narrow(together.gap)).all()
+    batch = observer.initial((2,)).changed(x=x)
+    batch = observer.predict(observer.predict(batch, u, 0.3), u, T)
+    assert batch.in_gap.all()
+    assert (batch.covariance == batch.gap[:, :5, :5]).all()
+    gap_flow = GapFlow(DESIGN.request.flow, 1.0)
     for place in range(2):
-        alone = observer.initial()._replace(x=x[place])
+        alone = observer.initial().changed(x=x[place])
+        start = block_diag(alone.covariance, np.diag([0.0, 1.0]))
         alone = observer.predict(observer.predict(alone, u[place], 0.3), u[place], T)
-        np.testing.assert_allclose(together.x[place], alone.x, rtol=1e-12, atol=1e-14)
-        np.testing.assert_allclose(together.covariance[place], alone.covariance, rtol=1e-9)
+        assert batch.records[place : place + 1].tobytes() == alone.records.tobytes()
+        wide = gap_flow.predict_with_covariance(np.append(x[place], [0, 0]), start, u[place], 0.3)
+        wide = gap_flow.predict_with_covariance(*wide, u[place], T)
+        np.testing.assert_allclose(alone.x, wide[0][:5], rtol=1e-12, atol=1e-14)
+        np.testing.assert_allclose(alone.gap, wide[1], rtol=1e-12, atol=1e-16)
 
 
 def test_a_torque_rate_must_make_sense() -> None:
@@ -149,7 +153,7 @@ def test_a_torque_rate_must_make_sense() -> None:
     request = load_request(config_path("ts_example.request.yaml"))
     n, p = request.flow.state_count, len(request.flow.output_matrix)
     gain = CertifiedGain(np.zeros((n, p)), np.eye(n))
-    known = TSObserver(request.flow, np.eye(p), np.eye(n), gain)
-    assert known.gap_flow is None
+    known = certified_estimator(request.flow, np.eye(p), np.eye(n), gain)
+    assert known.shape.gap == 0
     with pytest.raises(ModelError, match=r"torque_rate: expected 0 for any system but an arm"):
-        TSObserver(request.flow, np.eye(p), np.eye(n), gain, torque_rate=1.0)
+        certified_estimator(request.flow, np.eye(p), np.eye(n), gain, torque_rate=1.0)

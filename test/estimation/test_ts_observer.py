@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tsobs_ros.design.file import load_request
@@ -17,12 +18,10 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm, TSRequest
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.adaptive import AdaptationOptions, AdaptiveObserver
-from tsobs_ros.estimation.baselines import integrate
-from tsobs_ros.estimation.observer import GainMode, ObserverState
+from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
+from tsobs_ros.estimation.options import AdaptationOptions, CertifiedGain, GainMode
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.prediction import TSSensitivity
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.resources import config_path
@@ -32,8 +31,13 @@ Array = NDArray[np.float64]
 RUNS = 1000
 
 
-def moved_by(derivative: Callable[[Array, Array], Array], x: Array, u: Array, T: float) -> Array:
-    return integrate(lambda z: derivative(z, u), x, T, T)
+def settled(observer: Estimator, design: Design, x: Array) -> State:
+    """Return a state, or a batch, in which the certified gain is in use."""
+    batch = x.shape[:-1]
+    bound = np.broadcast_to(design.covariance_bound, (*batch, *design.covariance_bound.shape))
+    return observer.initial(batch).changed(
+        x=x, covariance=bound, settling=np.zeros(batch), certified=np.ones(batch)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +102,7 @@ def test_with_one_rule_it_is_the_textbook_kalman_filter(linear: Design) -> None:
 def test_with_one_rule_the_certified_gain_is_a_luenberger_observer(linear: Design) -> None:
     observer = linear.observer()
     bound = linear.covariance_bound
-    state = ObserverState(np.array([0.3, -0.2, 0.1]), bound, 0.0, True, False)
+    state = settled(observer, linear, np.array([0.3, -0.2, 0.1]))
     y, u, T = np.array([0.5, -0.4]), np.array([0.7]), linear.request.period
     x = state.x + linear.K @ (y - linear.request.flow.output_matrix @ state.x)
     state, correction = observer.correct(state, y)
@@ -118,7 +122,7 @@ class Campaign(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def campaign(pendulum: Design) -> Campaign:
+def campaign(pendulum: Design, runge_kutta: Callable[..., Array]) -> Campaign:
     """Pendulums that follow the equation, kicked every quarter step, from errors as large as X."""
     rng = np.random.default_rng(20260301)
     T, substeps = pendulum.request.period, 4
@@ -128,7 +132,7 @@ def campaign(pendulum: Design) -> Campaign:
     bias = 0.1 * rng.standard_normal((RUNS, 1))
     start = rng.standard_normal((RUNS, 3)) @ np.linalg.cholesky(pendulum.covariance_bound).T
     observer = pendulum.observer()
-    state = ObserverState(np.hstack([x, bias]) + start, pendulum.covariance_bound, 0, True, False)
+    state = settled(observer, pendulum, np.hstack([x, bias]) + start)
     errors, widest = [], 0.0
     for k in range(800):
         widest = max(widest, float(np.abs(x[:, 0]).max()))
@@ -139,9 +143,9 @@ def campaign(pendulum: Design) -> Campaign:
         y = y + rng.standard_normal((RUNS, 2)) * [0.01, 0.02]
         state, _ = observer.correct(state, y)
         state = observer.predict(state, u, T)
-        assert state.certified
+        assert state.certified.all()
         for _ in range(substeps):
-            x = moved_by(derivative, x, u, h)
+            x = runge_kutta(lambda z, u=u: derivative(z, u), x, h)
             x = x + rng.standard_normal((RUNS, 2)) * [0.0, math.sqrt(1e-3 * h)]
         bias = bias + math.sqrt(1e-6 * T) * rng.standard_normal((RUNS, 1))
     return Campaign(np.array(errors), widest)
@@ -166,7 +170,9 @@ def test_the_bound_is_not_idle(campaign: Campaign, pendulum: Design) -> None:
     assert (share < 1.03).all()
 
 
-def test_adaptation_finds_the_true_parameter(pendulum: Design) -> None:
+def test_adaptation_finds_the_true_parameter(
+    pendulum: Design, runge_kutta: Callable[..., Array]
+) -> None:
     """Gravity differs by θ; the truth is the equation, both sensors are noisy, one has a bias."""
     theta, observer = -0.15, pendulum.adaptive(1.0, options=AdaptationOptions(start=1.0))
     rng = np.random.default_rng(7)
@@ -179,7 +185,7 @@ def test_adaptation_finds_the_true_parameter(pendulum: Design) -> None:
         state, correction = observer.correct(state, y)
         assert correction.innovation_covariance.shape == (2, 2)
         state = observer.predict(state, u, T)
-        x = moved_by(derivative, x, u, T)
+        x = runge_kutta(lambda z, u=u: derivative(z, u), x, T)
     readout = observer.readout(state)
     assert readout.parameters_valid
     # Adapted, but the certificate was not asked to cover θ.
@@ -192,60 +198,62 @@ def test_adaptation_finds_the_true_parameter(pendulum: Design) -> None:
 
 def test_the_sensitivity_is_the_derivative_by_theta(pendulum: Design) -> None:
     """Υ starts as ∂x/∂θ of a start that depends on θ, and stays that of the predicted state."""
-    uncertainty = pendulum.request.uncertainty
-    assert uncertainty is not None
-    carrier = TSSensitivity(pendulum.request.flow, uncertainty)
-    x0, slope, u = np.array([0.7, -0.4, 0.1]), np.array([[0.2], [-0.5], [0.3]]), np.array([1.5])
+    observer, u = pendulum.adaptive(), np.array([1.5])
+    x0, slope = np.array([0.7, -0.4, 0.1]), np.array([0.2, -0.5, 0.3])
 
-    def predicted(theta: float) -> Array:
-        start = x0 + slope[:, 0] * (theta - 0.1)
-        return carrier.carry(start, slope, None, np.array([theta]), u, 0.034)[0]
+    def predicted(theta: float) -> State:
+        start = observer.initial().changed(
+            x=x0 + slope * (theta - 0.1), theta=theta, upsilon=[slope]
+        )
+        return observer.predict(start, u, 0.034)
 
-    _, upsilon, _ = carrier.carry(x0, slope, None, np.array([0.1]), u, 0.034)
-    expected = (predicted(0.1 + 1e-6) - predicted(0.1 - 1e-6)) / 2e-6
-    np.testing.assert_allclose(upsilon[:, 0], expected, rtol=1e-7)
+    expected = (predicted(0.1 + 1e-6).x - predicted(0.1 - 1e-6).x) / 2e-6
+    np.testing.assert_allclose(predicted(0.1).upsilon[0], expected, rtol=1e-7)
 
 
 def test_known_parameters_are_those_of_the_changed_model(pendulum: Design) -> None:
-    """Carrying θ is predicting with Aᵢ + θEᵢ; and θ = 0 is the plain prediction, noise included."""
-    request, flow = pendulum.request, pendulum.request.flow
+    """Predicting with θ is predicting with Aᵢ + θEᵢ; and θ = 0 is the plain prediction."""
+    request, flow, observer = pendulum.request, pendulum.request.flow, pendulum.adaptive()
     assert request.uncertainty is not None
-    carrier = TSSensitivity(flow, request.uncertainty)
     x, u, covariance = np.array([0.7, -0.4, 0.1]), np.array([1.5]), np.diag([0.1, 0.2, 0.3])
-    none = np.zeros((3, 1))
-    moved, _, spread = carrier.carry(x, none, covariance, np.zeros(1), u, 0.01)
+    state = observer.initial().changed(x=x, covariance=covariance)
+    moved = observer.predict(state, u, 0.01)
     expected = flow.predict_with_covariance(x, covariance, u, 0.01)
-    np.testing.assert_allclose(moved, expected[0], rtol=1e-13)
-    assert spread is not None
-    np.testing.assert_allclose(spread, expected[1], rtol=1e-12, atol=1e-16)
+    np.testing.assert_allclose(moved.x, expected[0], rtol=1e-13)
+    np.testing.assert_allclose(moved.covariance, expected[1], rtol=1e-12, atol=1e-16)
 
     model = request.model
     changed = replace(model, A=model.A + 0.15 * request.uncertainty.linear[0])
     np.testing.assert_allclose(changed.A[:, 1, 0], 1.15 * request.model.A[:, 1, 0])
-    theta = np.array([0.15])
+    state = state.changed(theta=0.15)
     for _ in range(100):
-        x, _, _ = carrier.carry(x, none, None, theta, u, 0.01)
-    truth = np.array([0.7, -0.4])
-    for _ in range(200):
-        truth = moved_by(changed.derivative, truth, u, 0.005)
-    np.testing.assert_allclose(x[:2], truth, atol=1e-3)
+        state = observer.predict(state, u, 0.01)
+    truth = solve_ivp(
+        lambda _, z: changed.derivative(z, u), (0.0, 1.0), x[:2], rtol=1e-9, atol=1e-10
+    )
+    np.testing.assert_allclose(state.x[:2], truth.y[:, -1], atol=1e-3)
 
 
 def test_the_readout_is_in_the_models_own_terms(pendulum: Design) -> None:
     observer = pendulum.observer()
-    state = ObserverState(
-        np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), pendulum.covariance_bound, 0, True, False
-    )
-    readout = observer.readout(state)
+    x = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
+    readout = observer.readout(settled(observer, pendulum, x))
     np.testing.assert_array_equal(readout.state, [[0.1, 0.2], [0.4, 0.5]])
-    np.testing.assert_allclose(readout.state_bound, pendulum.bound_std[:2], rtol=1e-12)
+    np.testing.assert_allclose(readout.state_bound, [pendulum.bound_std[:2]] * 2, rtol=1e-12)
     np.testing.assert_array_equal(readout.disturbance, [[0.0, 0.3], [0.0, 0.6]])
-    np.testing.assert_allclose(readout.disturbance_bound, [0.0, pendulum.bound_std[2]], rtol=1e-12)
+    own = [0.0, pendulum.bound_std[2]]
+    np.testing.assert_allclose(readout.disturbance_bound, [own, own], rtol=1e-12)
 
 
 def test_what_cannot_be_learnt_is_refused(pendulum: Design, linear: Design) -> None:
     arm = arm_uncertainty(ElasticJointArm(), {"stiffness": 0.2})
     with pytest.raises(ModelError, match=r"shape \(2, 2, 3\) for TSFlow, got \(1, 4, 6\)"):
-        AdaptiveObserver(pendulum.observer(), arm)
+        certified_estimator(
+            pendulum.request.flow,
+            np.eye(2),
+            np.eye(3),
+            CertifiedGain(pendulum.K, np.eye(3)),
+            uncertainty=arm,
+        )
     with pytest.raises(ModelError, match="expected at least one parameter to learn, got none"):
         linear.adaptive()
