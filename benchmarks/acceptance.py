@@ -31,8 +31,8 @@ from common import design_of, parser, show, use_one_thread
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.estimation.baselines import HighGainObserver, ProportionalIntegralObserver
-from tsobs_ros.estimation.observer import GainMode
+from tsobs_ros.estimation import baselines
+from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _CONTENDERS = (
@@ -51,7 +51,7 @@ def _work(job: Job) -> tuple[str, bool, dict[str, Outcome]]:
     scenario = SCENARIOS[name]
     runs = simulate(scenario, seeds)
     if batch:
-        kinds = {"po": HighGainObserver, "pio": ProportionalIntegralObserver}
+        kinds = {"po": baselines.high_gain, "pio": baselines.proportional_integral}
         found = {who: high_gain(kind, design, runs) for who, kind in kinds.items()}
         found["ekf_true"] = outcome(scenario, runs, knowing(design, scenario, runs))
         found["ekf_augmented"] = outcome(scenario, runs, *augmented(design, runs))

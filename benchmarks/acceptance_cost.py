@@ -8,7 +8,6 @@ that a change of the machine's speed meets all.
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from acceptance_ekf import AugmentedFilter
@@ -18,7 +17,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.observer import GainMode
+from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import SINE, Uncertainty
@@ -96,7 +95,7 @@ def step_cost(design: Design, seconds: float = 30.0) -> dict[str, float]:
     return {name: float(np.median(each[len(each) // 2 :])) / 1e3 for name, each in times.items()}
 
 
-def _stepping(observer: Estimator[Any], y: Array, u: Array) -> Callable[[int], None]:
+def _stepping(observer: Estimator, y: Array, u: Array) -> Callable[[int], None]:
     state = observer.initial()
     period = observer.period
 

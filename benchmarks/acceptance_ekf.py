@@ -5,11 +5,14 @@
 Plain: the Kalman gain along the estimate for ever; no gates, no search for jumps, no projection.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.baselines import ExtendedKalmanFilter, KalmanState
+from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
@@ -23,14 +26,29 @@ THETA_WANDER = 1e-6
 _ROWS = [LINK_VELOCITY, MOTOR_VELOCITY]
 
 
-def knowing_filter(design: Design, arm: ElasticJointArm) -> ExtendedKalmanFilter:
+class KalmanState(NamedTuple):
+    """Estimates, shape (..., n), and their error covariances, shape (..., n, n)."""
+
+    x: Array
+    covariance: Array
+
+
+def knowing_filter(design: Design, arm: ElasticJointArm) -> Estimator:
     """Return the EKF that predicts with the true arm, in that arm's design coordinates."""
     request = design.request
     flow = ArmFlow(arm, request.disturbance_model, request.process_noise, request.period)
     std = np.concatenate(
         [arm.from_physical(request.initial_std), request.disturbance_model.initial_std]
     )
-    return ExtendedKalmanFilter(flow, request.measurement_covariance, np.diag(std**2))
+    n = flow.state_count
+    return certified_estimator(
+        flow,
+        request.measurement_covariance,
+        np.diag(std**2),
+        # Never used: with Riccati gains no constant one takes over.
+        CertifiedGain(np.zeros((n, 1)), np.eye(n)),
+        gain_mode=GainMode.RICCATI,
+    )
 
 
 class AugmentedFilter:

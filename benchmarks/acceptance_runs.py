@@ -7,19 +7,23 @@ coordinates. PO and PIO hold a sample until the next one, so theirs is the estim
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from acceptance_ekf import AugmentedFilter, knowing_filter
 from numpy.typing import NDArray
 
+from tsobs_ros import campaign
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.adaptive import AdaptiveObserver
-from tsobs_ros.estimation.baselines import HighGainObserver, ProportionalIntegralObserver
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.observer import GainMode
-from tsobs_ros.estimation.supervised import SupervisedObserver
+from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.options import (
+    TORQUE_RATE,
+    CertifiedGain,
+    GainMode,
+    SupervisionOptions,
+)
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 
@@ -71,12 +75,20 @@ def uncertainty_of(design: Design) -> Uncertainty:
     return arm_uncertainty(design.request.arm, BOUNDS)
 
 
-def supervised(design: Design, mode: GainMode, adaptive: bool = True) -> SupervisedObserver:
+def supervised(design: Design, mode: GainMode, adaptive: bool = True) -> Estimator:
     """Return the observer under test."""
-    observer = design.observer(gain_mode=mode)
-    if not adaptive:
-        return SupervisedObserver(observer)
-    return SupervisedObserver(AdaptiveObserver(observer, uncertainty_of(design)))
+    request = design.request
+    observer = certified_estimator(
+        request.flow,
+        request.measurement_covariance,
+        request.initial_covariance,
+        CertifiedGain(design.K, design.covariance_bound),
+        gain_mode=mode,
+        torque_rate=TORQUE_RATE,
+        uncertainty=uncertainty_of(design) if adaptive else None,
+    )
+    observer.supervise(SupervisionOptions())
+    return observer
 
 
 def true_theta(scenario: Scenario) -> Array:
@@ -85,48 +97,23 @@ def true_theta(scenario: Scenario) -> Array:
 
 
 def observe(
-    design: Design, make: Callable[[], Estimator[Any]], runs: Trajectories
+    design: Design, make: Callable[[], Estimator], runs: Trajectories
 ) -> tuple[Array, Array | None, list[dict[str, int]]]:
     """Return estimates (runs, samples, 5), parameters (runs, samples, k) if any, and events.
 
     The fifth estimate is the disturbance.
     """
-    estimates = _room(runs)
-    H = design.request.disturbance_model.H[0]
-    thetas: Array | None = None
-    events = []
-    for run in range(len(estimates)):
-        estimator = make()
-        state = estimator.initial()
-        for sample, y in enumerate(runs.measurements[run]):
-            if np.isfinite(y).all():
-                state, _ = estimator.correct(state, y)
-            inner = getattr(state, "inner", state)
-            if hasattr(inner, "theta"):
-                if thetas is None:
-                    thetas = np.empty((*estimates.shape[:2], len(inner.theta)))
-                thetas[run, sample] = inner.theta
-                inner = inner.observer
-            estimates[run, sample, :4], estimates[run, sample, 4] = inner.x[:4], H @ inner.x[4:]
-            state = estimator.predict(state, runs.torques[run, sample], estimator.period)
-        events.append(estimator.events(state))
-    return estimates, thetas, events
+    found = campaign.observe(design, runs, estimator=make())
+    states = design.arm_request.arm.from_physical(found.states)
+    estimates = np.concatenate([states, found.disturbances], axis=2)
+    learns = found.parameters.shape[2] > 0
+    return estimates, found.parameters if learns else None, list(found.events)
 
 
 def knowing(design: Design, scenario: Scenario, runs: Trajectories) -> Array:
     """Return the estimates of the EKF that knows the true arm."""
-    arm = scenario.true_arm
-    ekf = knowing_filter(design, arm)
-    state = ekf.initial(runs.states.shape[:1])
-    estimates, H = _room(runs), design.request.disturbance_model.H[0]
-    for sample in range(estimates.shape[1]):
-        y = runs.measurements[:, sample]
-        if np.isfinite(y).all():
-            state, _ = ekf.correct(state, y)
-        estimates[:, sample, :4] = scenario.arm.from_physical(arm.to_physical(state.x[:, :4]))
-        estimates[:, sample, 4] = state.x[:, 4:] @ H
-        state = ekf.predict(state, runs.torques[:, sample], design.request.period)
-    return estimates
+    found = knowing_filter(design, scenario.true_arm).observe(runs.measurements, runs.torques)
+    return np.concatenate([scenario.arm.from_physical(found.state), found.disturbance], axis=2)
 
 
 def augmented(design: Design, runs: Trajectories) -> tuple[Array, Array]:
@@ -148,28 +135,24 @@ def augmented(design: Design, runs: Trajectories) -> tuple[Array, Array]:
 
 
 def high_gain(
-    kind: type[HighGainObserver | ProportionalIntegralObserver], design: Design, runs: Trajectories
+    kind: Callable[[ElasticJointArm, float, float, float], Estimator],
+    design: Design,
+    runs: Trajectories,
 ) -> Outcome:
     """Return the outcome at the best θ of the grid, chosen for each window."""
-    observer = kind(design.request.arm, GRID[:, np.newaxis])
-    # Any: the two kinds of state never mix, which the type system cannot see from here.
-    state: Any = observer.initial((len(GRID), len(runs.states)))
-    squares = {name: np.zeros((len(GRID), len(runs.states), 4)) for name in WINDOWS}
-    parts = {name: _inside(runs.times, window) for name, window in WINDOWS.items()}
-    for sample in range(len(runs.times)):
-        error = state.x - runs.states[:, sample]
-        for name, part in parts.items():
-            if part[sample]:
-                squares[name] += error**2
-        y = runs.measurements[:, sample]
-        if np.isfinite(y).all():
-            state, _ = observer.correct(state, np.broadcast_to(y, (len(GRID), *y.shape)))
-        state = observer.predict(state, runs.torques[:, sample], design.request.period)
+    request = design.arm_request
+    found: dict[str, list[Array]] = {name: [] for name in WINDOWS}
+    for theta in GRID.tolist():
+        observer = kind(request.arm, theta, request.period, request.measurement_std)
+        states = observer.observe(runs.measurements, runs.torques).state
+        squares = _squares(request.arm.from_physical(states), runs)
+        for name, window in WINDOWS.items():
+            part = squares[:, _inside(runs.times, window)]
+            found[name].append(np.sqrt(part.mean(axis=1)))
     errors, tuning = {}, {}
-    for name, part in parts.items():
-        normalised = np.sqrt((squares[name] / part.sum() / SCALE**2).mean(axis=2))
-        best = int(normalised.mean(axis=1).argmin())
-        errors[name], tuning[name] = normalised[best], float(GRID[best])
+    for name, each in found.items():
+        best = int(np.mean(each, axis=1).argmin())
+        errors[name], tuning[name] = each[best], float(GRID[best])
     return Outcome(errors, tuning=tuning)
 
 
@@ -182,7 +165,7 @@ def outcome(
 ) -> Outcome:
     """Return the errors of estimates (runs, samples, 5)."""
     with np.errstate(all="ignore"):
-        squares = (((estimates[..., :4] - runs.states) / SCALE) ** 2).mean(axis=2)
+        squares = _squares(estimates[..., :4], runs)
         disturbed = ((estimates[..., 4] - runs.disturbances[..., 0]) / STEP_SIZE) ** 2
         errors = {
             name: np.sqrt(squares[:, _inside(runs.times, window)].mean(axis=1))
@@ -216,6 +199,11 @@ def settled_after(times: Array, errors: Array) -> Array:
         if len(quiet):
             result[run] = begins[quiet[0]] - STEP
     return result
+
+
+def _squares(states: Array, runs: Trajectories) -> Array:
+    """Return the mean of the four squared errors of a sample, shape (runs, samples)."""
+    return np.asarray((((states - runs.states) / SCALE) ** 2).mean(axis=2))
 
 
 def _room(runs: Trajectories) -> Array:

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.observer import GainMode
-from tsobs_ros.estimation.supervised import SupervisedObserver
+from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.report.metrics import SIGMAS, MetricsOptions
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -36,21 +35,19 @@ class _Estimates(NamedTuple):
     bounds: Array
 
 
-def _estimate(estimator: Estimator[Any], runs: Trajectories) -> _Estimates:
+def _estimate(estimator: Estimator, runs: Trajectories) -> _Estimates:
     """Return what an estimator knows of each run just before each sample."""
     shape = (*runs.measurements.shape[:2], 5)
     values, bounds = np.empty(shape), np.empty(shape)
-    for run in range(shape[0]):
-        state = estimator.initial()
-        for sample in range(shape[1]):
-            known = estimator.readout(state)
-            values[run, sample, :4], values[run, sample, 4:] = known.state, known.disturbance
-            bounds[run, sample, :4] = known.state_bound
-            bounds[run, sample, 4:] = known.disturbance_bound
-            y = runs.measurements[run, sample]
-            if np.isfinite(y).all():
-                state, _ = estimator.correct(state, y)
-            state = estimator.predict(state, runs.torques[run, sample], estimator.period)
+    state = estimator.initial(shape[:1])
+    for sample in range(shape[1]):
+        known = estimator.readout(state)
+        values[:, sample, :4], values[:, sample, 4:] = known.state, known.disturbance
+        bounds[:, sample, :4], bounds[:, sample, 4:] = known.state_bound, known.disturbance_bound
+        y = runs.measurements[:, sample]
+        if np.isfinite(y).all():  # samples are lost in all runs at once
+            state, _ = estimator.correct(state, y)
+        state = estimator.predict(state, runs.torques[:, sample], estimator.period)
     return _Estimates(values, bounds)
 
 
@@ -76,9 +73,8 @@ def _quartiles(values: Array) -> dict[str, float]:
 def _measure(design: Design, scenario: str, seeds: list[int], mode: GainMode) -> dict[str, Any]:
     """Return errors, ratios to the EKF and the bound's hit rate of one scenario, by part."""
     runs = simulate(SCENARIOS[scenario], seeds)
-    physical = design.request.arm.to_physical(runs.states)
-    truth = np.concatenate([physical, runs.disturbances], axis=2)
-    ours = _estimate(SupervisedObserver(design.observer(gain_mode=mode)), runs)
+    truth = np.concatenate([runs.physical, runs.disturbances], axis=2)
+    ours = _estimate(design.supervised(gain_mode=mode, adapt=False), runs)
     ekf = _estimate(design.observer(gain_mode=GainMode.RICCATI), runs)
     jumps = any(isinstance(one, BiasStep) for one in SCENARIOS[scenario].disturbance)
     results: dict[str, Any] = {}
