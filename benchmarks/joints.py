@@ -7,7 +7,6 @@ design.
 """
 
 import time
-from typing import Any
 
 import numpy as np
 from common import parser, show, use_one_thread
@@ -28,7 +27,7 @@ _DESIGNS = {
 Row = list[Measurement]
 
 
-def _trackers(kind: str, count: int) -> list[Tracker[Any]]:
+def _trackers(kind: str, count: int) -> list[Tracker]:
     """Return trackers that share nothing, not even an equal design."""
     designs = [load_design(config_path(_DESIGNS[kind][0])) for _ in range(count)]
     return [make_tracker(each, ObserverSettings()) for each in designs]

@@ -314,7 +314,7 @@ def test_samples_that_repeat_long_and_often_enough_are_stuck(
     watches, seen = new_watches([0.05]), []
     for k in range(samples):
         y, stamp = np.array([[spread * (k // 20)]]), SECOND + k * period * SECOND // 1000
-        add_samples(watches, np.array([stamp]), y, 0.0 * y, 1.0 + y, y < 0.0)
+        add_samples(watches, np.array([stamp]), y, np.zeros((1, 1), np.int64), 0.0 * y, 1.0 + y)
         seen.append(bool(watches[0].stuck))
     assert seen == [False] * (samples - stuck) + [True] * stuck
 

@@ -21,6 +21,7 @@ from tsobs_ros.checks import Array, positive
 from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.fault_shapes import FaultKind, Shape, shape_of
 from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level, Status
+from tsobs_ros.estimation.history import GATED, USED
 
 __all__ = ["Fault", "FaultKind", "FaultMonitor", "add_estimates", "add_samples", "new_watches"]
 
@@ -123,30 +124,31 @@ def add_samples(
     watches: Any,
     stamps: NDArray[np.int64],
     y: Array,
+    codes: NDArray[np.int64],
     innovations: Array,
     expected_std: Array,
-    gated: NDArray[np.bool_],
 ) -> None:
     """Take in m samples of each of k sensors, in the order of their stamps.
 
     Args:
         watches: Records of the sensors, shape (k,).
         stamps: [ns], shape (m,).
-        y: Raw angles [rad], shape (m, k).
-        innovations: y − ŷ, NaN of a sample that was not used [rad], shape (m, k).
-        expected_std: 1σ expected of the innovations [rad], shape (m, k).
-        gated: Whether a sample was not used for its value, shape (m, k).
+        y: Raw angles [rad], shape (k, m).
+        codes: Outcomes by the codes of `history.REASONS`; only of samples that were used, or gated
+            for their value, something is taken in; shape (k, m).
+        innovations: y − ŷ [rad], shape (k, m).
+        expected_std: 1σ expected of the innovations [rad], shape (k, m).
     """
-    for row in range(stamps.shape[0]):
-        for place in range(watches.shape[0]):
-            innovation = innovations[row, place]
-            used = innovation == innovation
-            if used or gated[row, place]:
-                _compare(watches[place], stamps[row], y[row, place])
-            if used:
-                normalised = innovation / expected_std[row, place]
-                _average(watches[place], stamps[row], normalised)
-                watches[place].predicted = y[row, place] - innovation
+    for place in range(watches.shape[0]):
+        watch = watches[place]
+        for sample in range(stamps.shape[0]):
+            code = codes[place, sample]
+            if code in (USED, GATED):
+                _compare(watch, stamps[sample], y[place, sample])
+            if code == USED:
+                innovation = innovations[place, sample]
+                _average(watch, stamps[sample], innovation / expected_std[place, sample])
+                watch.predicted = y[place, sample] - innovation
 
 
 @compiled
@@ -277,8 +279,8 @@ class FaultMonitor:
             expected_std: 1σ expected of the innovation [rad].
         """
         angles, innovations, deviations = np.array([y, innovation, expected_std]).reshape(3, 1, 1)
-        not_gated = np.array([[False]])
-        add_samples(self._watches, np.array([stamp]), angles, innovations, deviations, not_gated)
+        codes = np.full((1, 1), USED)
+        add_samples(self._watches, np.array([stamp]), angles, codes, innovations, deviations)
 
     def estimated(self, stamp: int, disturbance: float, bound: float) -> Fault:
         """Take in an estimate and return the fault, which is judged ten times a second.

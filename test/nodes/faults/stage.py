@@ -306,7 +306,7 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
     return {item.key: item.value for item in status.values}
 
 
-def tracker_of(observer: Observer) -> Tracker[Any]:
+def tracker_of(observer: Observer) -> Tracker:
     """Return a new tracker like the observer's."""
     return Tracker(observer.tracker.estimator, observer.tracker.options)
 

@@ -35,11 +35,11 @@ def message(names: list[str], position: list[float], effort: list[float], **head
 def shown(batch: Batch) -> list[Any]:
     """Return of each joint its sample in the only message, WRONG, or None if it has no part."""
     (stamp,) = batch.stamps.tolist()
-    columns = [each[0].tolist() for each in batch[2:]]
-    return [
-        (stamp, y, u) if given else WRONG if wrong else None
-        for y, u, given, wrong in zip(*columns, strict=True)
-    ]
+    y, u = batch.y[:, 0].tolist(), batch.u[:, 0].tolist()
+    if batch.given is None or batch.wrong is None:
+        return [(stamp, *each) for each in zip(y, u, strict=True)]
+    flags = zip(y, u, batch.given[:, 0], batch.wrong[:, 0], strict=True)
+    return [(stamp, y, u) if given else WRONG if wrong else None for y, u, given, wrong in flags]
 
 
 @pytest.mark.parametrize(
@@ -91,10 +91,11 @@ def test_messages_that_wait_together_come_in_the_order_of_their_stamps() -> None
 
     assert batch.order == [4, 1, 3, 0, 2]
     assert batch.stamps[1:].tolist() == [k * 10**9 + 5 for k in (1, 2, 3, 4)]
-    assert batch.y[1:].tolist() == [[k, 10.0 * k] for k in (1.0, 2.0, 3.0, 4.0)]
-    assert batch.u[1:].tolist() == [[0.0, 1.0]] * 4
-    assert batch.given.tolist() == [[False] * 2] + [[True] * 2] * 4
-    assert batch.wrong.tolist() == [[True] * 2] + [[False] * 2] * 4
+    assert batch.y[:, 1:].T.tolist() == [[k, 10.0 * k] for k in (1.0, 2.0, 3.0, 4.0)]
+    assert batch.u[:, 1:].T.tolist() == [[0.0, 1.0]] * 4
+    assert batch.given.tolist() == [[False, *[True] * 4]] * 2
+    assert batch.wrong.tolist() == [[True, *[False] * 4]] * 2
+    assert reader.read(data).given is None
 
 
 GOOD, OURS = (STAMP, 1.0, 3.0), ["hip"]
@@ -145,7 +146,7 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     reader = MeasurementReader(JOINTS, assume_zero_torque=False)
     valid = message(["hip", "knee"], [1.0, 2.0], [3.0, 4.0])
     for each in (data, valid[: len(data)], valid[: len(data) // 2] + data):
-        assert reader.read([each]).y.shape == (1, len(JOINTS))
+        assert reader.read([each]).y.shape == (len(JOINTS), 1)
         assert reader.describe(each, "hip")
 
 

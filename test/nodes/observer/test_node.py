@@ -272,29 +272,14 @@ def test_methods_to_compare_with_publish_no_bound(
     assert topics == {"joint_states", "innovation"} | ({"disturbance"} if disturbed else set())
 
 
-class FailsOnce:
-    """An estimator whose third sample is one too many for the numbers."""
-
-    def __init__(self, estimator: Any) -> None:
-        self._estimator, self.corrections = estimator, 0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._estimator, name)
-
-    def correct(self, state: Any, y: Any) -> Any:
-        self.corrections += 1
-        if self.corrections == 3:
-            raise FloatingPointError("overflow")
-        return self._estimator.correct(state, y)
-
-
 def test_a_numerical_failure_is_an_error_and_a_fresh_start_of_its_joint(
     stage: Stage, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    observer = stage.add()
-    observer.tracker.estimator = FailsOnce(observer.tracker.estimator)
+    observer = stage.add(method="high_gain")
+    events = samples(0, 33)
+    events[20] = Event(events[20].at, ARM.message(events[20].at, effort=[1.7e308]))
     stage.step(BEGIN - PERIOD)
-    stage.play(samples(0, 33))
+    stage.play(events)
     status = stage.statuses()["observer: state"]
     assert status.level == DiagnosticStatus.ERROR
     assert status.message == "TRACKING, after a numerical failure"

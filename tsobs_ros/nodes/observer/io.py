@@ -46,18 +46,18 @@ class Batch(NamedTuple):
     Attributes:
         order: Their places among those that were read.
         stamps: [ns]; 0 of a message that cannot be read; shape (m,).
-        y: Measured angles, NaN if there is none [rad], shape (m, k).
-        u: Torques, NaN if there is none [N m], shape (m, k).
-        given: Whether a message has a sample of a joint, shape (m, k).
-        wrong: Whether it should have one and has none, shape (m, k).
+        y: Measured angles, NaN if there is none [rad], shape (k, m).
+        u: Torques, NaN if there is none [N m], shape (k, m).
+        given: Whether a message has a sample of a joint, shape (k, m); None: all have.
+        wrong: Whether it should have one and has none, shape (k, m); None: none is.
     """
 
     order: Sequence[int]
     stamps: Stamps
     y: Array
     u: Array
-    given: Flags
-    wrong: Flags
+    given: Flags | None
+    wrong: Flags | None
 
 
 class MeasurementReader:
@@ -76,7 +76,7 @@ class MeasurementReader:
         self._places: dict[tuple[str, ...], list[int]] = {}
         nothing = [math.nan] * len(joints)
         self._unreadable: _Row = (0, nothing, nothing, [False] * len(joints), [True] * len(joints))
-        self._complete = [True] * len(joints), [False] * len(joints)
+        self._all, self._none = [True] * len(joints), [False] * len(joints)
 
     def read(self, messages: Sequence[bytes]) -> Batch:
         """Return the samples in messages, in the order of the messages' stamps.
@@ -86,13 +86,14 @@ class MeasurementReader:
         rows = [self._read(data) for data in messages]
         order = sorted(range(len(rows)), key=[row[0] for row in rows].__getitem__)
         stamps, y, u, given, wrong = zip(*[rows[place] for place in order], strict=True)
+        complete = all(each is self._all for each in given)
         return Batch(
             order,
             np.array(stamps, np.int64),
-            np.array(y, np.float64),
-            np.array(u, np.float64),
-            np.array(given, np.bool_),
-            np.array(wrong, np.bool_),
+            np.array(list(zip(*y, strict=True)), np.float64),
+            np.array(list(zip(*u, strict=True)), np.float64),
+            None if complete else np.array(given, np.bool_).T,
+            None if complete else np.array(wrong, np.bool_).T,
         )
 
     def _read(self, data: bytes) -> _Row:
@@ -108,7 +109,7 @@ class MeasurementReader:
         if all(given):
             y = [position[place] for place in places]
             u = [effort[place] for place in places]
-            return stamp, y, u, *self._complete
+            return stamp, y, u, self._all, self._none
         named = [place != _ABSENT for place in places]
         if not any(named):
             return self._unreadable
@@ -263,11 +264,11 @@ class EstimatePublisher:
 
         Args:
             stamps: Of the messages [ns], shape (m,).
-            innovations: Of their samples [rad], NaN of those not used, shape (m, k).
+            innovations: Of their samples [rad], NaN of those not used, shape (k, m).
         """
         if not self._innovation.is_heard:
             return
-        for stamp, values in zip(stamps.tolist(), innovations.tolist(), strict=True):
+        for stamp, values in zip(stamps.tolist(), innovations.T.tolist(), strict=True):
             self._innovation.publish(
                 stamp,
                 [(joint, (each,), ()) for joint, each in enumerate(values) if each == each],

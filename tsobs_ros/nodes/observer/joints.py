@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,12 +15,12 @@ from tsobs_ros.design.file import load_arm_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.faults import FaultMonitor, add_samples, new_watches
+from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
 from tsobs_ros.estimation.health import Phase, phase_of
+from tsobs_ros.estimation.history import GATED, USED, offer
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
-    Measurement,
     RejectReason,
 )
 from tsobs_ros.estimation.tracker import Tracker
@@ -31,6 +31,8 @@ from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 _IDENTITY_LENGTH = 12
 _NOTHING = np.zeros(0)
+_OPEN = np.array([math.inf])
+_ACCEPTED = (USED, GATED)
 
 
 class LoadedDesign(NamedTuple):
@@ -61,32 +63,6 @@ def load(path: str) -> LoadedDesign:
     except OSError as error:
         raise DesignFileError(f"{file}: {error.strerror}") from error
     return LoadedDesign(file, identity, design)
-
-
-class Outcomes(NamedTuple):
-    """What became of samples, m of them.
-
-    Attributes:
-        reasons: Why they were not used, None of those that were.
-        innovations: y − ŷ, NaN if not used [rad].
-        expected_std: 1σ expected of the innovations, NaN if not used [rad].
-    """
-
-    reasons: list[RejectReason | None]
-    innovations: list[float]
-    expected_std: list[float]
-
-
-def offer_all(tracker: Tracker, stamps: Stamps, y: Array, u: Array, now: int) -> Outcomes:
-    """Offer a tracker samples in ascending order of their stamps."""
-    outcomes = Outcomes([], [], [])
-    for stamp, angle, torque in zip(stamps.tolist(), y, u, strict=True):
-        outcome: Any = tracker.offer(Measurement(stamp, np.array([angle]), np.array([torque])), now)
-        refused = isinstance(outcome, RejectReason)
-        outcomes.reasons.append(outcome if isinstance(outcome, RejectReason) else None)
-        outcomes.innovations.append(math.nan if refused else float(outcome.value[0]))
-        outcomes.expected_std.append(math.nan if refused else float(outcome.expected_std[0]))
-    return outcomes
 
 
 class ObservedJoint:
@@ -122,6 +98,7 @@ class ObservedJoint:
         """Forget everything that was computed from data."""
         self.tracker.reset()
         self.received = 0
+        self._newest = 0
         self.latest: Estimate | None = None
         std = self.loaded.design.arm_request.measurement_std
         self.watch = new_watches([std])
@@ -136,14 +113,13 @@ class ObservedJoint:
 
     def age(self, now: int) -> float | None:
         """Return the age of the newest measurement in use [s], None before the first."""
-        newest = self.tracker.newest
-        return None if newest is None else max(0, now - newest) / NANOSECONDS
+        return max(0, now - self._newest) / NANOSECONDS if self._newest else None
 
     def phase(self, now: int) -> Phase:
         """Return how fresh its measurements are."""
         return phase_of(self.age(now), self._coast_after, self._stale_after)
 
-    def offer(self, stamps: Stamps, y: Array, u: Array, now: int) -> Outcomes:
+    def offer(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[list[int], Array]:
         """Use samples, m of them.
 
         Args:
@@ -151,13 +127,36 @@ class ObservedJoint:
             y: Measured angles [rad], shape (m,).
             u: Torques [N m], shape (m,).
             now: Time on the node's clock [ns].
+
+        Returns:
+            Outcomes by the codes of `history.REASONS`, and the innovations y − ŷ, NaN of a sample
+            that was not used [rad], shape (m,).
         """
-        self.received += len(stamps)
-        outcomes = offer_all(self.tracker, stamps, y, u, now)
-        gated = [reason is RejectReason.GATED for reason in outcomes.reasons]
-        columns = (np.array(each)[:, np.newaxis] for each in (*outcomes[1:], gated))
-        add_samples(self.watch, stamps, y[:, np.newaxis], *columns)
-        return outcomes
+        count = len(stamps)
+        self.received += count
+        tracker, codes = self.tracker, np.zeros((1, count), np.int64)
+        innovations, expected_std = np.empty((2, 1, count))
+        # A column of one and a row of one are the same numbers.
+        offer(
+            tracker.estimator.model,
+            tracker.memory,
+            tracker.ring,
+            stamps,
+            y.reshape(count, 1),
+            u.reshape(count, 1),
+            now,
+            codes[0],
+            innovations.reshape(count, 1),
+            expected_std.reshape(count, 1),
+        )
+        add_samples(self.watch, stamps, y.reshape(1, count), codes, innovations, expected_std)
+        outcomes: list[int] = codes[0].tolist()
+        accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
+        if accepted:
+            self._newest = max(self._newest, int(stamps[accepted[-1]]))
+        if any(outcomes):
+            innovations[codes != USED] = math.nan
+        return outcomes, innovations[0]
 
     def reject(self, count: int) -> None:
         """Count samples that cannot be read."""
@@ -178,13 +177,11 @@ class ObservedJoint:
         estimate = self.tracker.estimate(now)
         if estimate is not None:
             self.latest = estimate
-            if estimate.disturbance.size:
-                bound = estimate.disturbance_bound
-                self.faults.estimated(
-                    estimate.stamp,
-                    float(estimate.disturbance[0]),
-                    float(bound[0]) if bound.size else math.inf,
-                )
+            disturbance = estimate.disturbance
+            if disturbance.size:
+                bound = estimate.disturbance_bound if estimate.disturbance_bound.size else _OPEN
+                if add_estimates(self.watch, now, disturbance, bound):
+                    self.faults.judge(float(disturbance[0]), float(bound[0]))
         return estimate
 
     def _held(self) -> Estimate | None:

@@ -5,6 +5,7 @@
 import math
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,9 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
+from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import WARNINGS
@@ -21,7 +24,7 @@ from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher
 from tsobs_ros.nodes.observer import statuses
-from tsobs_ros.nodes.observer.io import MEASUREMENT_QOS, EstimatePublisher, MeasurementReader
+from tsobs_ros.nodes.observer.io import MEASUREMENT_QOS, Batch, EstimatePublisher, MeasurementReader
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints, rehearse
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.ticker import Ticker
@@ -32,7 +35,7 @@ _WARNING_PERIOD = 5.0
 # left of half a period is for the estimation. The rest waits in the queue.
 _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
-_WRONG = RejectReason.WRONG_JOINT
+_WRONG = REASONS.index(RejectReason.WRONG_JOINT)
 
 
 class Observer(ManagedNode[ObserverParameters]):
@@ -164,25 +167,34 @@ class Observer(ManagedNode[ObserverParameters]):
         self._is_new = False
         messages = [data for data, _ in taken]
         batch = self._reader.read(messages)
-        innovations = np.full(batch.y.shape, math.nan)
-        for index, joint in enumerate(self._joints):
-            rows = np.flatnonzero(batch.given[:, index])
-            outcomes = joint.offer(
-                batch.stamps[rows], batch.y[rows, index], batch.u[rows, index], now
-            )
-            innovations[rows, index] = outcomes.innovations
-            wrong = np.flatnonzero(batch.wrong[:, index])
-            joint.reject(len(wrong))
-            reasons = zip([*rows, *wrong], [*outcomes.reasons, *[_WRONG] * len(wrong)], strict=True)
-            for row, reason in reasons:
-                if reason is not None and self._may_warn(reason):
-                    self._warn(joint, reason, messages[batch.order[row]], now)
-        used = np.flatnonzero((innovations == innovations).any(axis=1))
-        self._publisher.publish_innovations(batch.stamps[used], innovations[used])
+        innovations = np.stack(
+            [self._offer(k, batch, messages, now) for k in range(len(self._joints))]
+        )
+        used = np.flatnonzero((innovations == innovations).any(axis=0))
+        self._publisher.publish_innovations(batch.stamps[used], innovations[:, used])
         self._unanswered += [
-            taken[batch.order[row]][1]["received_timestamp"] for row in used.tolist()
+            taken[batch.order[place]][1]["received_timestamp"] for place in used.tolist()
         ]
         return len(used) > 0
+
+    def _offer(self, index: int, batch: Batch, messages: list[bytes], now: int) -> Array:
+        """Let a joint use its samples; return the innovations, NaN if there is none."""
+        joint, y, u = self._joints[index], batch.y[index], batch.u[index]
+        if batch.given is None or batch.wrong is None:
+            outcomes, innovations = joint.offer(batch.stamps, y, u, now)
+            places: Sequence[int] = range(len(outcomes))
+        else:
+            given, wrong = np.flatnonzero(batch.given[index]), np.flatnonzero(batch.wrong[index])
+            innovations = np.full(len(y), math.nan)
+            outcomes, innovations[given] = joint.offer(batch.stamps[given], y[given], u[given], now)
+            joint.reject(len(wrong))
+            outcomes += [_WRONG] * len(wrong)
+            places = [*given.tolist(), *wrong.tolist()]
+        if any(outcomes):
+            for code, place in zip(outcomes, places, strict=True):
+                if code and self._may_warn(code):
+                    self._warn(joint, code, messages[batch.order[place]], now)
+        return innovations
 
     def _forget_waiting(self) -> None:
         self._measurements.drain(MEASUREMENT_QOS.depth)
@@ -191,7 +203,9 @@ class Observer(ManagedNode[ObserverParameters]):
         """Return when a tick that begins now has to stop working on what waits."""
         return time.monotonic() + min(_MAX_SHARE / self.parameters.rate, _MAX_BACKLOG)
 
-    def _warn(self, joint: ObservedJoint, reason: RejectReason, data: bytes, now: int) -> None:
+    def _warn(self, joint: ObservedJoint, code: int, data: bytes, now: int) -> None:
+        reason = REASONS[code]
+        assert reason is not None
         self.get_logger().warning(
             f"measurement of {joint.name} rejected: {reason.value} "
             f"({self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f})"
