@@ -486,7 +486,7 @@ def observe_each(
     for run in range(len(states)):
         for sample in range(y.shape[1]):
             if sample > 0:
-                steps.predict(model, states[run], u[run, sample - 1], duration, False, work[0])
+                steps.predict(model, states[run], u[run, sample - 1], duration, bool(0), work[0])
             total = 0.0
             for i in range(model.p):
                 total += y[run, sample, i]

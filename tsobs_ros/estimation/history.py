@@ -116,44 +116,47 @@ def offer(
     later_y, later_u = np.empty((0, 1)), np.empty((0, 1))
     while i < count or again < late:
         newest = newest_stamp(memory, ring)
-        if again < late:
-            following = later_stamps[again]
-            # One that is older than its predecessor waits until the rewind is over.
-            if i >= count or stamps[i] > following or stamps[i] < newest:
-                _advance(model, memory, ring, following, later_y[again], later_u[again])
-                again += 1
+        # One that is older than its predecessor waits until a rewind is over.
+        repeated = again < late and (
+            i >= count or stamps[i] > later_stamps[again] or stamps[i] < newest
+        )
+        if repeated:
+            stamp, sample, inputs = later_stamps[again], later_y[again], later_u[again]
+            again += 1
+        else:
+            stamp, sample, inputs = stamps[i], y[i], u[i]
+            code = _refusal(model, memory, ring, stamp, sample, inputs, now, newest)
+            if code == USED and again < late and stamp == later_stamps[again]:
+                code = DUPLICATE
+            if code != USED:
+                memory.refused[code] += 1
+                outcomes[i] = code
+                i += 1
                 continue
-        code = _refusal(model, memory, ring, stamps[i], y[i], u[i], now, newest)
-        if code == USED and again < late and stamps[i] == later_stamps[again]:
-            code = DUPLICATE
-        if code != USED:
-            memory.refused[code] += 1
-            outcomes[i] = code
+            if again >= late and memory.size > 0 and stamp < newest:
+                place = _count_before(memory, ring, stamp)
+                late, again = memory.size - place, 0
+                later_stamps = np.empty(late, np.int64)
+                later_y, later_u = np.empty((late, model.p)), np.empty((late, model.m))
+                for j in range(late):
+                    step = ring[slot_of(memory, ring, place + j)]
+                    later_stamps[j] = step.stamp
+                    for c in range(model.p):
+                        later_y[j, c] = step.y[c]
+                    for c in range(model.m):
+                        later_u[j, c] = step.u[c]
+                memory.size = place
+            if again < late:
+                memory.rewinds += 1
+            memory.accepted += 1
+        gated = _advance(model, memory, ring, stamp, sample, inputs)
+        if not repeated:
+            outcomes[i] = GATED if gated else USED
+            for j in range(model.p):
+                innovations[i, j] = memory.correction.innovation[j]
+                variance = memory.correction.innovation_covariance[j, j]
+                expected_std[i, j] = math.sqrt(variance) if variance >= 0.0 else math.nan
             i += 1
-            continue
-        if again >= late and memory.size > 0 and stamps[i] < newest:
-            place = _count_before(memory, ring, stamps[i])
-            late, again = memory.size - place, 0
-            later_stamps = np.empty(late, np.int64)
-            later_y, later_u = np.empty((late, model.p)), np.empty((late, model.m))
-            for j in range(late):
-                step = ring[slot_of(memory, ring, place + j)]
-                later_stamps[j] = step.stamp
-                for c in range(model.p):
-                    later_y[j, c] = step.y[c]
-                for c in range(model.m):
-                    later_u[j, c] = step.u[c]
-            memory.size = place
-        if again < late:
-            memory.rewinds += 1
-        memory.accepted += 1
-        gated = _advance(model, memory, ring, stamps[i], y[i], u[i])
-        outcomes[i] = GATED if gated else USED
-        for j in range(model.p):
-            innovations[i, j] = memory.correction.innovation[j]
-            variance = memory.correction.innovation_covariance[j, j]
-            expected_std[i, j] = math.sqrt(variance) if variance >= 0.0 else math.nan
-        i += 1
 
 
 @compiled
@@ -264,7 +267,9 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
             restarts += 1
         else:
             ring[place] = last
-            predict(model, ring[place], last.u[:], (stamp - last.stamp) / 1e9, False, memory.work)
+            duration = (stamp - last.stamp) / 1e9
+            # bool(0) and not False, for which `predict` would be compiled once more.
+            predict(model, ring[place], last.u[:], duration, bool(0), memory.work)
     state, correction = ring[place], memory.correction
     for attempt in range(2):
         if restart:
