@@ -20,7 +20,6 @@ from common import design_of, parser, show, use_one_thread
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.faults import FaultMonitor
-from tsobs_ros.estimation.supervised import SupervisedObserver
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
@@ -77,7 +76,7 @@ class _Run(NamedTuple):
 def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
     scenario = replace(case.scenario, rate=design.request.rate)
     plant = Plant(scenario, seed)
-    observer = SupervisedObserver(design.observer())
+    observer = design.supervised(adapt=False)
     monitor = FaultMonitor(design.request.measurement_std)
     state, kinds, costs = observer.initial(), [], []
     period = observer.period

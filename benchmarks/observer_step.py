@@ -1,31 +1,45 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of one observer step, alone and in batches, next to filterpy's extended Kalman filter.
+"""Cost of one estimator, by step, in a series, in batches and with late samples.
 
-A step is correct + predict on data of a simulated arm with a bias step. All contenders take the
-same samples one after another in short turns, so that a change of the machine's speed meets all.
+A step is correct + predict + readout of the supervised estimator, on data of a simulated arm. The
+reference is filterpy's extended Kalman filter with the same model and states, whose step is
+update + predict. All contenders take the same samples one after another in short turns, so that a
+change of the machine's speed meets all.
 """
 
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from common import design_of, parser, show, use_one_thread
+from acceptance_cost import FilterpyAugmentedFilter
+from acceptance_runs import uncertainty_of
+from common import design_of, parser, show, timed, use_one_thread
 from filterpy.kalman import ExtendedKalmanFilter
 
+import tsobs_ros as ts
 from tsobs_ros.checks import Array
+from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.observer import GainMode
-from tsobs_ros.estimation.records import Measurement
-from tsobs_ros.estimation.supervised import SupervisedObserver
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.estimation.estimator import Estimator, correct_each, predict_each, read_each
+from tsobs_ros.estimation.records import NANOSECONDS, Measurement
+from tsobs_ros.methods import make_tracker
+from tsobs_ros.resources import config_path
+from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _TURN = 200
-_NANO = 1_000_000_000
+_DESIGNS = {
+    "fixed": ("elastic_joint.design.yaml", "bias_step"),
+    "adaptive": ("elastic_joint_adaptive.design.yaml", "stiff"),
+}
 
 Step = Callable[[int], object]
 
@@ -34,20 +48,29 @@ class _FilterpyEkf(ExtendedKalmanFilter):  # type: ignore[misc]
     """The same model and states: exact prediction, its Jacobian at the estimate."""
 
     def __init__(self, design: Design) -> None:
-        flow = design.request.flow
+        flow = design.arm_request.flow
         super().__init__(dim_x=flow.state_count, dim_z=1, dim_u=1)
-        self.flow: ArmFlow = flow
+        self.flow = flow
         self.x = np.zeros((flow.state_count, 1))
         self.P = design.request.initial_covariance.copy()
         self.Q = flow.nominal.noise
         self.R = design.request.measurement_covariance
+        self.C = flow.output_matrix
 
     def predict_x(self, u: Any = 0) -> None:
-        """Predict as the observer does, and linearise there."""
-        step = self.flow.nominal
-        before = self._kick(step.half_kick * np.cos(self.x[0, 0]))
-        self.x = self.flow.predict(self.x[:, 0], u, self.flow.period)[:, np.newaxis]
-        self.F = self._kick(step.half_kick * np.cos(self.x[0, 0])) @ step.phi @ before
+        """Predict and linearise there, by NumPy's products."""
+        step, x = self.flow.nominal, self.x[:, 0].copy()
+        x[1] -= step.half_kick * np.sin(x[0])
+        before = self._kick(step.half_kick * np.cos(x[0]))
+        x = step.phi @ x + step.gamma @ u
+        self.F = self._kick(step.half_kick * np.cos(x[0])) @ step.phi @ before
+        x[1] -= step.half_kick * np.sin(x[0])
+        self.x = x[:, np.newaxis]
+
+    def step(self, y: Array, u: Array) -> None:
+        """Correct by a sample y (1,) and predict with the torque u (1,) held."""
+        self.update(y[:, np.newaxis], lambda _: self.C, lambda x: self.C @ x)
+        self.predict(u)
 
     def _kick(self, gain: float) -> Array:
         matrix = np.eye(self.dim_x)
@@ -55,110 +78,210 @@ class _FilterpyEkf(ExtendedKalmanFilter):  # type: ignore[misc]
         return matrix
 
 
-class _Running:
-    """An observer that goes on from sample to sample."""
+def _pure(estimator: Estimator, y: Array, u: Array) -> Step:
+    """Return the step by the pure functions."""
+    state, period = estimator.initial(), estimator.period
 
-    def __init__(self, observer: Estimator[Any], y: Array, u: Array) -> None:
-        self._observer, self._y, self._u = observer, y, u
-        self._period = observer.period
-        self.state = observer.initial()
+    def step(sample: int) -> None:
+        nonlocal state
+        corrected, _ = estimator.correct(state, y[sample])
+        state = estimator.predict(corrected, u[sample], period)
+        estimator.readout(state)
 
-    def __call__(self, sample: int) -> None:
-        state, _ = self._observer.correct(self.state, self._y[sample])
-        self.state = self._observer.predict(state, self._u[sample], self._period)
+    return step
 
 
-def _single(design: Design, seconds: float) -> dict[str, float]:
-    """Return the median time of one step of each contender [µs]."""
-    runs = simulate(SCENARIOS["bias_step"], [1], seconds)
-    y, u = runs.measurements[0], runs.torques[0]
-    ekf = _FilterpyEkf(design)
-    C = design.request.flow.output_matrix
-    tracker = Tracker(
-        SupervisedObserver(design.observer(settle_time=0.0)),
-        TrackerOptions(x_max=design.request.x_max),
-    )
+def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
+    """Return the step by the compiled calls that the pure functions make, in place."""
+    model, states, period = estimator.model, estimator.new_states(1), estimator.period
+    corrections, readouts = estimator.new_corrections(), estimator.new_readouts()
+    work = estimator.new_work()
+    samples, inputs = [row[np.newaxis] for row in y], [row[np.newaxis] for row in u]
 
-    def ekf_step(sample: int) -> None:
-        ekf.update(y[sample][:, np.newaxis], lambda _: C, lambda x: C @ x)
-        ekf.predict(u[sample])
+    def step(sample: int) -> None:
+        correct_each(model, states, samples[sample], corrections)
+        predict_each(model, states, inputs[sample], period, False, work)
+        read_each(model, states, readouts, work)
 
-    def tick(sample: int) -> None:
-        stamp = _NANO + round(sample * _NANO / design.request.rate)
+    return step
+
+
+def _tracking(design: Design, y: Array, u: Array) -> Step:
+    """Return a sample offered to a tracker and the estimate of a tick."""
+    tracker, period = make_tracker(design), design.request.period
+
+    def step(sample: int) -> None:
+        stamp = NANOSECONDS + round(sample * period * NANOSECONDS)
         tracker.offer(Measurement(stamp, y[sample], u[sample]), stamp)
         tracker.estimate(stamp + 1_000_000)
 
-    contenders: dict[str, Step] = {
-        "certified": _Running(design.observer(settle_time=0.0), y, u),
-        "supervised": _Running(SupervisedObserver(design.observer(settle_time=0.0)), y, u),
-        "riccati": _Running(design.observer(gain_mode=GainMode.RICCATI), y, u),
-        "tracker": tick,
-        "filterpy": ekf_step,
-    }
+    return step
+
+
+def _medians(contenders: dict[str, Step], samples: int) -> dict[str, float]:
+    """Return the median time of one step of each contender [µs]."""
     times: dict[str, list[int]] = {name: [] for name in contenders}
-    for begin in range(0, len(y) - _TURN, _TURN):
+    for begin in range(0, samples - _TURN, _TURN):
         for name, step in contenders.items():
             for sample in range(begin, begin + _TURN):
                 started = time.perf_counter_ns()
                 step(sample)
                 times[name].append(time.perf_counter_ns() - started)
-    # The first quarter is for caches and for the certified gain to take over.
-    medians = {name: float(np.median(each[len(each) // 4 :])) / 1e3 for name, each in times.items()}
-    state = contenders["certified"].state  # type: ignore[attr-defined]
-    assert state.certified, "the certified gain never took over, so its step was not measured"
-    return medians
+    # The first half is for caches and for the certified gain to take over.
+    return {name: float(np.median(each[len(each) // 2 :])) / 1e3 for name, each in times.items()}
 
 
-def _batch(design: Design, arms: int, steps: int) -> float:
-    """Return the arm-steps a second of a settled batch, median over its steps."""
-    runs = simulate(SCENARIOS["bias_step"], list(range(16)), 20.0)
-    copies = -(-arms // 16)
-    y = np.tile(np.moveaxis(runs.measurements, 0, 1), (1, copies, 1))[:, :arms]
-    u = np.tile(np.moveaxis(runs.torques, 0, 1), (1, copies, 1))[:, :arms]
-    observer = design.observer(settle_time=0.0)
-    running = _Running(observer, y, u)
-    # Settling a batch with Riccati gains takes long and is not what is measured: begin at X.
-    X = observer.certified.X
-    running.state = observer.initial((arms,))._replace(covariance=X, settling=0.0, certified=True)
-    times = []
-    for sample in range(steps):
-        started = time.perf_counter()
-        running(sample)
-        times.append(time.perf_counter() - started)
-    assert running.state.certified
-    assert np.isfinite(running.state.x).all()
-    return arms / float(np.median(times))
+def _steps(kind: str, design: Design, seconds: float) -> dict[str, float]:
+    """Return the median times of one step [µs]."""
+    runs = simulate(SCENARIOS[_DESIGNS[kind][1]], [1], seconds)
+    y, u = runs.measurements[0], runs.torques[0]
+    ekf: Any = (
+        FilterpyAugmentedFilter(design, uncertainty_of(design))
+        if kind == "adaptive"
+        else _FilterpyEkf(design)
+    )
+    contenders: dict[str, Step] = {
+        "in place": _in_place(design.supervised(), y, u),
+        "pure functions": _pure(design.supervised(), y, u),
+        "tracker": _tracking(design, y, u),
+        "filterpy": lambda sample: ekf.step(y[sample], u[sample]),
+    }
+    return _medians(contenders, len(y))
+
+
+def _batch(design: Design, runs: Trajectories, arms: int, turns: int) -> dict[str, float]:
+    """Return the arm-steps a second of whole runs, on one core and on all; medians."""
+    estimator, cores = design.supervised(), len(os.sched_getaffinity(0))
+    copies = -(-arms // len(runs.states))
+    y = np.tile(runs.measurements, (copies, 1, 1))[:arms]
+    u = np.tile(runs.torques, (copies, 1, 1))[:arms]
+    parts = list(zip(np.array_split(y, cores), np.array_split(u, cores), strict=True))
+    times: dict[str, list[float]] = {"one core": [], "all cores": []}
+    with ThreadPoolExecutor(cores) as pool:
+
+        def together() -> None:
+            list(pool.map(lambda part: estimator.observe(*part), parts))
+
+        together()
+        for _ in range(turns):
+            times["one core"].append(timed(lambda: estimator.observe(y, u)))
+            times["all cores"].append(timed(together))
+    return {name: y.shape[0] * y.shape[1] / float(np.median(each)) for name, each in times.items()}
+
+
+def _series(design: Design, runs: Trajectories, turns: int) -> float:
+    """Return the median time of `ts.estimate` of a run [s]."""
+    y, u = runs.measurements[0, :, 0], runs.torques[0, :, 0]
+    times = [timed(lambda: ts.estimate(design, runs.times, y, u)) for _ in range(turns + 1)]
+    return float(np.median(times[1:]))
+
+
+def _late(design: Design, count: int, turns: int) -> dict[str, float]:
+    """Return the median times to use samples that come together [s], by their order."""
+    runs = simulate(SCENARIOS["noise"], [1], (count + 2) * design.request.period)
+    y, u = runs.measurements[0, :count], runs.torques[0, :count]
+    stamps = NANOSECONDS + np.round(runs.times[:count] * NANOSECONDS).astype(np.int64)
+    settings = ts.ObserverSettings(history=2.0 * count * design.request.period)
+    now, order = int(stamps[-1]), np.arange(count)
+    orders = {"ascending": order, "descending": order[::-1]}
+    times: dict[str, list[float]] = {name: [] for name in orders}
+    for _ in range(turns):
+        for name, places in orders.items():
+            tracker = make_tracker(design, settings)
+            given = (stamps[places], y[places], u[places])
+            times[name].append(timed(lambda: tracker.offer_many(*given, now)))  # noqa: B023
+    return {name: float(np.median(each)) for name, each in times.items()}
+
+
+_START = """
+import time
+begun, cpu = time.perf_counter(), time.process_time()
+import numpy as np
+import tsobs_ros as ts
+tracker = ts.make_tracker(ts.load_design())
+tracker.offer(ts.Measurement(10**9, np.array([0.1]), np.array([0.0])), 10**9)
+assert tracker.estimate(10**9 + 10**6) is not None
+print(time.perf_counter() - begun, time.process_time() - cpu)
+"""
+
+
+def _start(turns: int) -> dict[str, dict[str, float]]:
+    """Return the time from the import to the first estimate, compiled and loaded [s]."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"NUMBA_CACHE_DIR": folder}
+
+        def once() -> list[float]:
+            command = [sys.executable, "-c", _START]
+            done = subprocess.run(command, env=environment, capture_output=True, check=True)
+            return [float(each) for each in done.stdout.split()]
+
+        cold = once()
+        warm = np.median([once() for _ in range(turns)], axis=0).tolist()
+    return {
+        name: dict(zip(("wall", "cpu"), found, strict=True))
+        for name, found in (("compiled", cold), ("loaded", warm))
+    }
+
+
+def _of_steps(kind: str, found: dict[str, float]) -> Sequence[str]:
+    reference = found["filterpy"]
+    lines = [f"supervised, {kind}; medians, and as a share of filterpy's EKF:"]
+    lines += [
+        f"  {name:28s} {cost:7.2f} µs  {cost / reference:6.3f}" for name, cost in found.items()
+    ]
+    return lines
+
+
+def _measure(options: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
+    """Return what the parts that were asked for found, as numbers and as lines."""
+    parts = set(options.parts)
+    results: dict[str, Any] = {}
+    lines: list[str] = []
+    shipped, adaptive = design_of(options), load_design(config_path(_DESIGNS["adaptive"][0]))
+    if "steps" in parts:
+        for kind, design in (("fixed", shipped), ("adaptive", adaptive)):
+            found = results[f"step_us {kind}"] = _steps(kind, design, options.seconds)
+            lines += _of_steps(kind, found)
+    if "batch" in parts:
+        runs = simulate(SCENARIOS["stiff"], list(range(16)), 20.0)
+        rates = results["arm_steps_per_second"] = _batch(
+            adaptive, runs, options.arms, options.turns
+        )
+        lines.append(f"batch of {options.arms} runs of 20 s, supervised and adaptive:")
+        lines += [f"  {name:28s} {rate / 1e6:7.2f} million/s" for name, rate in rates.items()]
+    if "series" in parts:
+        runs = simulate(SCENARIOS["stiff"], [1], 600.0)
+        taken = {
+            kind: _series(design, runs, options.turns)
+            for kind, design in (("fixed", shipped), ("adaptive", adaptive))
+        }
+        results["ten_minutes_s"] = taken
+        lines.append("ts.estimate of ten minutes:")
+        lines += [f"  {kind:28s} {1e3 * each:7.1f} ms" for kind, each in taken.items()]
+    if "late" in parts:
+        waits = results["late_s"] = _late(adaptive, options.late, options.turns)
+        lines.append(f"{options.late} samples together:")
+        lines += [f"  {name:28s} {1e3 * each:7.1f} ms" for name, each in waits.items()]
+    if "start" in parts:
+        starts = results["start_s"] = _start(options.turns)
+        lines.append("from the import to a tracker's first estimate:")
+        for name, one in starts.items():
+            lines.append(f"  {name:28s} {one['wall']:7.2f} s, of CPU {one['cpu']:.2f} s")
+    return results, lines
 
 
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
     made.add_argument("--seconds", type=float, default=30.0, help="simulated time of one arm")
-    made.add_argument("--arms", type=int, default=10_000, help="size of the batch")
-    made.add_argument("--steps", type=int, default=500, help="steps of the batch")
+    made.add_argument("--arms", type=int, default=250, help="runs in a batch")
+    made.add_argument("--late", type=int, default=1000, help="samples that come together")
+    made.add_argument("--turns", type=int, default=7, help="repetitions of what is not a step")
+    choices = ("steps", "batch", "series", "late", "start")
+    made.add_argument("--parts", nargs="+", choices=choices, default=choices)
     options = made.parse_args()
-    design = design_of(options)
-    single = _single(design, options.seconds)
-    rate = _batch(design, options.arms, options.steps)
-    ratio = single["certified"] / single["filterpy"]
-    text = "\n".join(
-        [
-            f"one step, {design.request.flow.state_count} states, median:",
-            f"  certified gain            {single['certified']:7.1f} µs",
-            f"  the same, supervised      {single['supervised']:7.1f} µs",
-            f"  Riccati gain              {single['riccati']:7.1f} µs",
-            f"  filterpy's EKF            {single['filterpy']:7.1f} µs",
-            f"  certified / filterpy      {ratio:7.2f}",
-            f"  tracker, sample and tick  {single['tracker']:7.1f} µs",
-            f"batch of {options.arms}, one thread:  {rate / 1e6:.2f} million arm-steps/s",
-        ]
-    )
-    results = {
-        "step_us": single,
-        "certified_over_filterpy": ratio,
-        "batch": {"arms": options.arms, "arm_steps_per_second": rate},
-    }
-    show(results, text, options.json)
+    results, lines = _measure(options)
+    show(results, "\n".join(lines), options.json)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ serves all that come together: the cost is one pass over the history.
 """
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,7 @@ EXTRA = 2
 """Numbers of `estimate_at` behind those of `write_row`: in the domain or not, and the age [s]."""
 
 
+@cache
 def memory_type(room: Room) -> np.dtype[Any]:
     """Return the type of what a history needs besides its ring.
 

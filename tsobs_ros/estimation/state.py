@@ -7,6 +7,7 @@ bytes are, an array of them is a batch, a history or a checkpoint. The shapes of
 on the numbers of states n, outputs p, inputs m and parameters k. Flags are integers, 0 or 1.
 """
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -80,6 +81,7 @@ _SIZES: dict[str, tuple[str, ...]] = {
 }
 
 
+@cache
 def state_type(room: Room) -> np.dtype[Any]:
     """Return the type of a state.
 
@@ -134,6 +136,7 @@ def state_type(room: Room) -> np.dtype[Any]:
     )
 
 
+@cache
 def correction_type(room: Room) -> np.dtype[Any]:
     """Return the type of a sample's effect, with scratch numbers of the same step."""
     n, p, _, k = room[:4]
@@ -157,6 +160,7 @@ def correction_type(room: Room) -> np.dtype[Any]:
     )
 
 
+@cache
 def readout_type(room: Room) -> np.dtype[Any]:
     """Return the type of an estimate in physical units; see `Readout` for the fields.
 
@@ -180,6 +184,7 @@ def readout_type(room: Room) -> np.dtype[Any]:
     )
 
 
+@cache
 def work_type(room: Room) -> np.dtype[Any]:
     """Return the type of a prediction's scratch numbers."""
     n, k = room.n, room.k
@@ -194,6 +199,7 @@ def work_type(room: Room) -> np.dtype[Any]:
     )
 
 
+@cache
 def model_type(room: Room) -> np.dtype[Any]:
     """Return the type of a model: flows, output, gains, bounds, options and the initial state."""
     n, p, _, k = room[:4]

@@ -9,6 +9,7 @@ gathers the effect of θ on the state's derivative; it is kept by rows, one a pa
 """
 
 import math
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,10 +61,14 @@ def _power_of_two(size: int) -> int:
 
 
 def record_type(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
-    """Return the type of a record whose fields are attributes too, in compiled code and out."""
+    """Return the type of a record whose fields are attributes too, in compiled code and out.
+
+    Keep it: a compiled function recognises the very same type ten times faster than an equal one.
+    """
     return np.dtype((np.record, np.dtype(fields, align=True)))
 
 
+@cache
 def flow_type(room: Room) -> np.dtype[Any]:
     """Return the type of a model's numbers.
 
@@ -109,6 +114,7 @@ def flow_type(room: Room) -> np.dtype[Any]:
     )
 
 
+@cache
 def work_type(room: Room) -> np.dtype[Any]:
     """Return the type of a step's scratch numbers."""
     n, _, m, k, rules, premises = room
