@@ -223,8 +223,10 @@ def estimate(
     known, never = np.arange(1, count + 1), np.full(count, -1)
     ticks = Ticks(stamps, np.maximum.accumulate(stamps), known, known, never, np.zeros((0, 4)))
     series = Pass(tracker, stamps, y, u, ticks)
-    blocks = range(0, count, _BLOCK)
-    rows = np.concatenate([series.advance(k, min(k + _BLOCK, count)) for k in blocks])
+    rows = series.new_rows(count)
+    for begin in range(0, count, _BLOCK):
+        end = min(begin + _BLOCK, count)
+        series.advance(begin, end, rows[begin:end])
     rows[series.results.there == 0] = np.nan
     outputs_shape = y.shape[1:] if np.ndim(angle) == 2 else ()
     used = series.results.outcomes == USED

@@ -8,10 +8,13 @@ observer was recorded, its output decides which samples it received:
 * those with a recorded innovation;
 * of the others, those with which the estimate is the recorded one: alternatives are tried;
 * none from before a restart, which shows in an innovation that only an observer without a past has.
+
+The compiled loop stops at ticks with anything to decide, which are few.
 """
 
 import math
-from typing import Any, NamedTuple
+from enum import Enum, auto
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,24 +35,27 @@ LEFT_OUT, NOT_TAKEN = -1, -2
 """Outcomes besides the codes of `history.REASONS`: the recorded observer did not receive it; no
 tick has taken it yet."""
 
-# Which samples without certain evidence were received, as alternatives in the order of trial: those
-# that are gated or rejected, as the others would have an innovation; those with some evidence; all;
-# none; a number from 0 on: all from this one on, in the order of arrival. The likely one is last.
-_UNUSED, _LIKELY, _ALL, _NONE, _LAST = -5, -4, -3, -2, -1
-
 # How many samples are offered at most to find the first one that was received.
-_SEARCH = 200_000
+_SEARCH = 20_000
 
-_TAKEN, _OFFERED, _BEGAN_ANEW = range(3)
-_UNKNOWN, _UNRECORDED = -1, -2
+_TAKEN, _OFFERED = range(2)
 
 
-class Track(NamedTuple):
-    """The records of a tracker."""
+class _Choice(Enum):
+    """Which samples without certain evidence were received, in the order of trial."""
 
-    model: Any
-    memory: Any
-    ring: Any
+    UNUSED = auto()
+    """Those that are gated or rejected, as the others would have an innovation."""
+    LIKELY = auto()
+    """Those with some evidence."""
+    ALL = auto()
+    """All; the innovations were lost."""
+    NONE = auto()
+    """None."""
+
+
+_From: TypeAlias = _Choice | int
+"""A number: all from this one on, in the order of arrival."""
 
 
 class Samples(NamedTuple):
@@ -62,6 +68,8 @@ class Samples(NamedTuple):
         u: Inputs from each measurement until the next one, shape (n, m).
         evidence: Of reception, shape (n,).
         innovations: Recorded ones, NaN without, shape (n,).
+        begins: 1 if the recorded innovation is that of a zero estimate, from which all estimators
+            start, shape (n,).
         arrived: Place of each in the order of arrival, shape (n,).
         places: Inverse of `arrived`, shape (n,).
     """
@@ -72,6 +80,7 @@ class Samples(NamedTuple):
     u: Array
     evidence: Codes
     innovations: Array
+    begins: Codes
     arrived: Codes
     places: Codes
 
@@ -101,9 +110,7 @@ class Results(NamedTuple):
         ticks_of_use: Tick that took a sample, shape (n,).
         newest: Stamp of the newest sample in use at a tick [ns], shape (m,).
         there: 1 if there is an estimate at a tick, shape (m,).
-        counts: Samples taken for certain, and at all; whether the first recorded innovation is that
-            of a tracker without a past, -1 before it, -2 if nothing was recorded; and the same
-            before an alternative, shape (2, 3).
+        counts: Numbers of samples taken for certain, and at all, shape (2,).
     """
 
     outcomes: Codes
@@ -148,22 +155,25 @@ class Pass:
         stale_after: int = 2**62,
     ) -> None:
         n, m = len(stamps), len(ticks.stamps)
-        bounds = np.unique(np.concatenate([ticks.min_known, ticks.reset_after]))
-        ticks_of_use = np.searchsorted(bounds, np.arange(n), side="right")
-        arrived = np.lexsort((stamps, ticks_of_use))
+        arrived = np.arange(n)
+        if (np.diff(stamps) < 0).any():
+            bounds = np.sort(np.concatenate([ticks.min_known, ticks.reset_after]))
+            arrived = np.lexsort((stamps, np.searchsorted(bounds, arrived, side="right")))
         places = np.empty(n, np.int64)
         places[arrived] = np.arange(n)
+        wanted = np.full(n, np.nan) if innovations is None else innovations[arrived]
+        samples = np.ascontiguousarray(y[arrived])
         self.samples = Samples(
             stamps[arrived],
             (stamps if arrivals is None else arrivals)[arrived],
-            np.ascontiguousarray(y[arrived]),
+            samples,
             np.ascontiguousarray(u[arrived]),
-            np.full(n, CERTAIN) if evidence is None else evidence[arrived].astype(np.int64),
-            np.full(n, np.nan) if innovations is None else innovations[arrived],
+            np.full(n, CERTAIN) if evidence is None else evidence[arrived],
+            wanted,
+            (samples[:, 0] == wanted).astype(np.int64),
             arrived,
             places,
         )
-        began = _UNRECORDED if innovations is None else _UNKNOWN
         self.results = Results(
             np.full(n, NOT_TAKEN),
             np.full((n, y.shape[1]), np.nan),
@@ -171,51 +181,181 @@ class Pass:
             np.full(n, -1),
             np.zeros(m, np.int64),
             np.zeros(m, np.int64),
-            np.array([[0, 0, began]] * 2),
+            np.zeros(2, np.int64),
         )
-        self._tracker, self._ticks, self._stale_after = tracker, ticks, stale_after
-        estimator, options = tracker.estimator, tracker.options
-        alternatives = [Tracker(estimator, options) for _ in range(2 * (innovations is not None))]
-        own, first, second = (alternatives and [tracker, *alternatives]) or [tracker] * 3
-        self._tracks = (_track(own), _track(first), _track(second))
+        self._ticks, self._stale_after = ticks, stale_after
+        others = 2 * (innovations is not None)
+        self._tracker = tracker
+        # To try alternatives with.
+        self._spare = [Tracker(tracker.estimator, tracker.options) for _ in range(others)]
 
     @property
     def taken(self) -> int:
         """The number of samples that have been taken."""
-        return int(self.results.counts[0, _OFFERED])
+        return int(self.results.counts[_OFFERED])
 
     @property
     def began_anew(self) -> bool | None:
-        """Whether the first recorded innovation is that of a tracker without a past."""
-        code = int(self.results.counts[0, _BEGAN_ANEW])
-        return None if code < 0 else bool(code)
+        """Whether the first recorded innovation is that of a tracker without a past.
 
-    def advance(self, begin: int, end: int) -> Array:
-        """Make the ticks from one up to another, and return a row of estimates for each.
-
-        A row is as `history.estimate_at` writes it, where `results.there` is 1.
+        None if there is none, or no tick has taken its sample.
         """
-        rows = np.empty((end - begin, self._tracker.estimator.row_width + EXTRA))
-        advance(
-            self._tracks,
-            self.samples,
-            self._ticks,
-            self.results,
-            rows,
-            begin,
-            end,
-            self._stale_after,
+        recorded = np.flatnonzero(np.isfinite(self.samples.innovations))
+        if not len(recorded) or self.results.outcomes[recorded[0]] == NOT_TAKEN:
+            return None
+        return self._innovation(recorded[0]) == float(self.samples.innovations[recorded[0]])
+
+    def new_rows(self, count: int) -> Array:
+        """Return room for as many estimates."""
+        return np.empty((count, self._tracker.estimator.row_width + EXTRA))
+
+    def advance(self, begin: int, end: int, rows: Array) -> None:
+        """Make the ticks from one up to another; after the last, use what is left of the samples.
+
+        Args:
+            begin: The first tick.
+            end: The tick after the last.
+            rows: Estimates as `history.estimate_at` writes them, written where `results.there` is
+                1 and else undefined, shape (end − begin, width).
+        """
+        tracker, tick = self._tracker, begin
+        while tick < end:
+            tick = _advance(
+                tracker.estimator.model,
+                tracker.memory,
+                tracker.ring,
+                self.samples,
+                self._ticks,
+                self.results,
+                rows[tick - begin :],
+                tick,
+                end,
+                self._stale_after,
+            )
+            if tick < end:
+                self._make(tick, rows[tick - begin])
+                tick += 1
+        if end == len(self._ticks.stamps):
+            for place in self.samples.places[self.taken :].tolist():
+                self._use(place, end, int(self.samples.arrivals[place]), _Choice.LIKELY)
+            self.results.counts[:] = len(self.samples.stamps)
+
+    def _make(self, tick: int, row: Array) -> None:
+        """Make a tick with something to decide."""
+        ticks, counts = self._ticks, self.results.counts
+        now, known, most, reset_after = (
+            int(column[tick])
+            for column in (ticks.now, ticks.min_known, ticks.max_known, ticks.reset_after)
         )
-        return rows
+        if reset_after >= 0:
+            self._take(reset_after, tick, now, _Choice.UNUSED)
+            _forget(self._tracker.memory, self._tracker.ring)
+        begin, before = self.taken, counts.copy()
+        uncertain = [
+            arrived
+            for arrived in range(begin, known)
+            if self.samples.evidence[self.samples.places[arrived]] != CERTAIN
+        ]
+        starts = uncertain[1 : 1 + _SEARCH // max(1, known - begin)]
+        choices = (
+            [*_Choice, *starts, _Choice.LIKELY] if self._spare and uncertain else [_Choice.LIKELY]
+        )
+        if len(choices) > 1:
+            _copy(self._tracker, self._spare[0])
+        for number, choice in enumerate(choices):
+            if number:
+                _copy(self._spare[0], self._tracker)
+                counts[:] = before
+            self._take(known, tick, now, choice)
+            self._estimate(tick, row)
+            if self._agrees(tick, row):
+                break
+        while self.taken < most and not self._agrees(tick, row):
+            place = int(self.samples.places[self.taken])
+            counts[_OFFERED] += 1
+            self._use(place, tick, now, _Choice.LIKELY)
+            if self._spare or self.taken == most:
+                self._estimate(tick, row)
 
+    def _agrees(self, tick: int, row: Array) -> bool:
+        """Return whether the estimate is the recorded one."""
+        if not len(self._ticks.states):
+            return False
+        recorded = self._ticks.states[tick]
+        if not self.results.there[tick]:
+            return bool(np.isnan(recorded).all())
+        return bool((row[:4] == recorded).all())
 
-def _track(tracker: Tracker) -> Track:
-    return Track(tracker.estimator.model, tracker.memory, tracker.ring)
+    def _take(self, end: int, tick: int, now: int, choice: _From) -> None:
+        """Use the samples up to one that have not been used yet, in the order of their stamps."""
+        counts, offered = self.results.counts, self.taken
+        for place in range(int(counts[_TAKEN]), end):
+            if self.samples.arrived[place] >= offered:
+                self._use(place, tick, now, choice)
+        counts[:] = np.maximum(counts, end)
+
+    def _use(self, place: int, tick: int, now: int, choice: _From) -> None:
+        """Use a sample if it was received."""
+        samples, results, tracker = self.samples, self.results, self._tracker
+        certain = samples.evidence[place] == CERTAIN
+        results.ticks_of_use[place] = tick
+        if not (certain or self._is_received(place, choice)):
+            results.outcomes[place] = LEFT_OUT
+            return
+        undone = choice is _Choice.UNUSED and not certain and bool(self._spare)
+        if undone or samples.begins[place]:
+            _copy(tracker, self._spare[1])
+        self._offer(tracker, place, now)
+        if undone and results.outcomes[place] == USED:
+            _copy(self._spare[1], tracker)
+            results.outcomes[place] = LEFT_OUT
+        if samples.begins[place] and self._innovation(place) != samples.innovations[place]:
+            _copy(self._spare[1], tracker)
+            _forget(tracker.memory, tracker.ring)
+            self._offer(tracker, place, now)
+
+    def _is_received(self, place: int, choice: _From) -> bool:
+        if isinstance(choice, int):
+            return bool(self.samples.arrived[place] >= choice)
+        if choice in (_Choice.ALL, _Choice.NONE):
+            return choice is _Choice.ALL
+        return bool(self.samples.evidence[place] == POSSIBLE)
+
+    def _innovation(self, place: int) -> float:
+        used = self.results.outcomes[place] == USED
+        return float(self.results.innovations[place, 0]) if used else math.nan
+
+    def _offer(self, tracker: Tracker, place: int, now: int) -> None:
+        own, samples, results = slice(place, place + 1), self.samples, self.results
+        offer(
+            tracker.estimator.model,
+            tracker.memory,
+            tracker.ring,
+            samples.stamps[own],
+            samples.y[own],
+            samples.u[own],
+            now,
+            results.outcomes[own],
+            results.innovations[own],
+            results.expected_std[own],
+        )
+
+    def _estimate(self, tick: int, row: Array) -> None:
+        tracker, stamp = self._tracker, int(self._ticks.stamps[tick])
+        newest = tracker.newest or 0
+        self.results.newest[tick] = newest
+        self.results.there[tick] = (
+            newest > 0
+            and stamp - newest <= self._stale_after
+            and estimate_at(tracker.estimator.model, tracker.memory, tracker.ring, stamp, row)
+        )
 
 
 @compiled_nogil
-def advance(
-    tracks: tuple[Track, Track, Track],
+def _advance(
+    model: Any,
+    memory: Any,
+    ring: Any,
     samples: Samples,
     ticks: Ticks,
     results: Results,
@@ -223,250 +363,80 @@ def advance(
     begin: int,
     end: int,
     stale_after: int,
-) -> None:
-    """Make the ticks from one up to another; after the last, use what is left of the samples.
+) -> int:
+    """Make the ticks from one up to another, as far as there is nothing to decide.
 
     Args:
-        tracks: The tracker, and two like it to try alternatives with.
+        model: Model record of the tracker, shape (1,).
+        memory: Its memory record, shape (1,).
+        ring: Its states.
         samples: The samples.
         ticks: The ticks.
         results: Written at the ticks and their samples.
-        rows: The estimates, written from the first row on; see `history.estimate_at`.
+        rows: The estimates, written from the first row on.
         begin: The first tick.
         end: The tick after the last.
         stale_after: Age of the newest sample after which nothing is estimated [ns].
+
+    Returns:
+        The first tick that was not made, or not finished.
     """
-    counts, is_recorded = results.counts[0], len(ticks.states) > 0
+    counts = results.counts
     for tick in range(begin, end):
-        now, reset_after = ticks.now[tick], ticks.reset_after[tick]
-        if reset_after >= 0:
-            _take(tracks, samples, results, reset_after, tick, now, _UNUSED)
-            _restart(tracks[0])
-        row = rows[tick - begin]
-        known, most = ticks.min_known[tick], ticks.max_known[tick]
-        if is_recorded and not _are_certain(samples, results, known):
-            _decide(tracks, samples, ticks, results, row, tick, stale_after)
-        else:
-            _take(tracks, samples, results, known, tick, now, _LIKELY)
-            _estimate(tracks[0], ticks, results, row, tick, stale_after)
-        while counts[_OFFERED] < most and not _agrees(ticks, results, row, tick):
-            place = samples.places[counts[_OFFERED]]
-            counts[_OFFERED] += 1
-            _use(tracks, samples, results, place, tick, now, _LIKELY)
-            if is_recorded or counts[_OFFERED] == most:
-                _estimate(tracks[0], ticks, results, row, tick, stale_after)
-    if end == len(ticks.stamps):
-        for arrived in range(counts[_OFFERED], len(samples.stamps)):
-            place = samples.places[arrived]
-            _use(tracks, samples, results, place, end, samples.arrivals[place], _LIKELY)
-        counts[_OFFERED] = len(samples.stamps)
-
-
-@compiled
-def _are_certain(samples: Samples, results: Results, end: int) -> bool:
-    for place in range(results.counts[0, _TAKEN], end):
-        taken = samples.arrived[place] < results.counts[0, _OFFERED]
-        if not taken and samples.evidence[place] != CERTAIN:
-            return False
-    return True
-
-
-@compiled
-def _decide(
-    tracks: tuple[Track, Track, Track],
-    samples: Samples,
-    ticks: Ticks,
-    results: Results,
-    row: Array,
-    tick: int,
-    stale_after: int,
-) -> None:
-    """Use the samples with which the estimate is the recorded one, and estimate."""
-    counts, end, now = results.counts, ticks.min_known[tick], ticks.now[tick]
-    begin = counts[0, _OFFERED]
-    tries, choice = _SEARCH // (end - begin), _UNUSED
-    _copy_track(tracks[0], tracks[1])
-    counts[1] = counts[0]
-    while True:
-        _take(tracks, samples, results, end, tick, now, choice)
-        _estimate(tracks[0], ticks, results, row, tick, stale_after)
-        if choice == _LAST or _agrees(ticks, results, row, tick):
-            return
-        tries -= choice >= 0
-        choice = _following(samples, choice, begin, end if tries > 0 else begin)
-        _copy_track(tracks[1], tracks[0])
-        counts[0] = counts[1]
-
-
-@compiled
-def _following(samples: Samples, choice: int, begin: int, end: int) -> int:
-    """Return the alternative to try after another."""
-    if choice < _NONE:
-        return choice + 1
-    # To begin with the first one is to use all.
-    is_first = choice == _NONE
-    for arrived in range(max(begin, choice + 1), end):
-        if samples.evidence[samples.places[arrived]] != CERTAIN:
-            if not is_first:
-                return arrived
-            is_first = False
-    return _LAST
-
-
-@compiled
-def _agrees(ticks: Ticks, results: Results, row: Array, tick: int) -> bool:
-    """Return whether the estimate is the recorded one."""
-    if len(ticks.states) == 0:
-        return False
-    there = results.there[tick] != 0
-    for i in range(4):
-        recorded = ticks.states[tick, i]
-        if there != (recorded == recorded) or (there and row[i] != recorded):
-            return False
-    return True
-
-
-@compiled
-def _take(
-    tracks: tuple[Track, Track, Track],
-    samples: Samples,
-    results: Results,
-    end: int,
-    tick: int,
-    now: int,
-    choice: int,
-) -> None:
-    """Use the samples up to one that have not been used yet, in the order of their stamps."""
-    counts, place = results.counts[0], results.counts[0, _TAKEN]
-    # One by one as long as there may be something to decide, and the others as a batch.
-    offered, certain = counts[_OFFERED], _are_certain(samples, results, end)
-    checked = counts[_BEGAN_ANEW] == _UNRECORDED
-    while place < end and not (certain and checked and offered <= counts[_TAKEN]):
-        if samples.arrived[place] >= offered:
-            _use(tracks, samples, results, place, tick, now, choice)
-            wanted = samples.innovations[place]
-            checked = checked or wanted == wanted
-        place += 1
-    if place < end:
-        _offer(tracks[0], samples, results, place, end, tick, now)
-    counts[_TAKEN] = max(counts[_TAKEN], end)
-    counts[_OFFERED] = max(offered, end)
-
-
-@compiled
-def _use(
-    tracks: tuple[Track, Track, Track],
-    samples: Samples,
-    results: Results,
-    place: int,
-    tick: int,
-    now: int,
-    choice: int,
-) -> None:
-    """Use a sample if it was received."""
-    certain = samples.evidence[place] == CERTAIN
-    if not (certain or _is_received(samples, place, choice)):
-        results.outcomes[place] = LEFT_OUT
-        return
-    undone = choice == _UNUSED and not certain
-    if undone:
-        _copy_track(tracks[0], tracks[2])
-    _offer(tracks[0], samples, results, place, place + 1, tick, now)
-    wanted = samples.innovations[place]
-    if undone and results.outcomes[place] == USED:
-        _copy_track(tracks[2], tracks[0])
-        results.outcomes[place] = LEFT_OUT
-    elif wanted == wanted:
-        is_same = _innovation(results, place) == wanted
-        if not is_same:
-            # If not of a tracker without a past, the sample must be used once more as before.
-            _copy_track(tracks[0], tracks[2])
-            _restart(tracks[2])
-            outcome, innovation, std = (
-                results.outcomes[place],
-                results.innovations[place, 0],
-                results.expected_std[place, 0],
+        taken, known, stamp = counts[_TAKEN], ticks.min_known[tick], ticks.stamps[tick]
+        decided = ticks.reset_after[tick] < 0 and taken == counts[_OFFERED]
+        for place in range(taken, known):
+            if samples.evidence[place] != CERTAIN or samples.begins[place] != 0:
+                decided = False
+        if not decided:
+            return tick
+        if known > taken:
+            offer(
+                model,
+                memory,
+                ring,
+                samples.stamps[taken:known],
+                samples.y[taken:known],
+                samples.u[taken:known],
+                ticks.now[tick],
+                results.outcomes[taken:known],
+                results.innovations[taken:known],
+                results.expected_std[taken:known],
             )
-            _offer(tracks[2], samples, results, place, place + 1, tick, now)
-            is_same = _innovation(results, place) == wanted
-            if is_same:
-                _copy_track(tracks[2], tracks[0])
-            else:
-                results.outcomes[place] = outcome
-                results.innovations[place, 0] = innovation
-                results.expected_std[place, 0] = std
-        if results.counts[0, _BEGAN_ANEW] < 0:
-            results.counts[0, _BEGAN_ANEW] = is_same
+            results.ticks_of_use[taken:known] = tick
+            counts[:] = known
+        newest, row = newest_stamp(memory[0], ring), rows[tick - begin]
+        results.newest[tick] = newest
+        there = newest > 0 and stamp - newest <= stale_after
+        if there:
+            there = estimate_at(model, memory, ring, stamp, row)
+        results.there[tick] = there
+        if ticks.max_known[tick] > known:
+            # More may have been used, if the estimate is not the recorded one.
+            for i in range(4):
+                if not there or len(ticks.states) == 0 or row[i] != ticks.states[tick, i]:
+                    return tick
+    return end
+
+
+def _copy(source: Tracker, target: Tracker) -> None:
+    _copy_records(source.memory, source.ring, target.memory, target.ring)
 
 
 @compiled
-def _is_received(samples: Samples, place: int, choice: int) -> bool:
-    if choice >= 0:
-        later: bool = samples.arrived[place] >= choice
-        return later
-    if choice in (_ALL, _NONE):
-        return choice == _ALL
-    possible: bool = samples.evidence[place] == POSSIBLE
-    return possible
+def _copy_records(memory: Any, ring: Any, other_memory: Any, other_ring: Any) -> None:
+    other_memory[0] = memory[0]
+    for place in range(memory[0].size):
+        slot = slot_of(memory[0], ring, place)
+        other_ring[slot] = ring[slot]
+    coasted = len(ring) - 2
+    other_ring[coasted] = ring[coasted]
 
 
 @compiled
-def _innovation(results: Results, place: int) -> float:
-    return results.innovations[place, 0] if results.outcomes[place] == USED else math.nan
-
-
-@compiled
-def _offer(
-    track: Track,
-    samples: Samples,
-    results: Results,
-    begin: int,
-    end: int,
-    tick: int,
-    now: int,
-) -> None:
-    offer(
-        track.model,
-        track.memory,
-        track.ring,
-        samples.stamps[begin:end],
-        samples.y[begin:end],
-        samples.u[begin:end],
-        now,
-        results.outcomes[begin:end],
-        results.innovations[begin:end],
-        results.expected_std[begin:end],
-    )
-    results.ticks_of_use[begin:end] = tick
-
-
-@compiled
-def _estimate(
-    track: Track, ticks: Ticks, results: Results, row: Array, tick: int, stale_after: int
-) -> None:
-    """Estimate, as the node does, which publishes nothing without recent measurements."""
-    newest, stamp = newest_stamp(track.memory[0], track.ring), ticks.stamps[tick]
-    results.newest[tick] = newest
-    results.there[tick] = (
-        newest > 0
-        and stamp - newest <= stale_after
-        and estimate_at(track.model, track.memory, track.ring, stamp, row)
-    )
-
-
-@compiled
-def _restart(track: Track) -> None:
+def _forget(memories: Any, ring: Any) -> None:
     """Forget the measurements, but not the counts."""
-    memory = track.memory[0]
+    memory = memories[0]
     if memory.size > 0:
-        memory.bad_outputs += track.ring[slot_of(memory, track.ring, memory.size - 1)].failures
+        memory.bad_outputs += ring[slot_of(memory, ring, memory.size - 1)].failures
     memory.first, memory.size, memory.has_base, memory.coasted_periods = 0, 0, 0, 0
-
-
-@compiled
-def _copy_track(source: Track, target: Track) -> None:
-    target.memory[0] = source.memory[0]
-    memory, ring, last = source.memory[0], source.ring, len(source.ring) - 1
-    for place in range(memory.size):
-        target.ring[slot_of(memory, ring, place)] = ring[slot_of(memory, ring, place)]
-    target.ring[last - 1] = ring[last - 1]

@@ -166,7 +166,9 @@ class _Joint:
         )
 
     def advance(self, begin: int, end: int) -> Array:
-        return self._pass.advance(begin, end)
+        rows = self._pass.new_rows(end - begin)
+        self._pass.advance(begin, end, rows)
+        return rows
 
     def there(self, ticks: slice) -> Flags:
         return np.asarray(self._pass.results.there[ticks] != 0)
