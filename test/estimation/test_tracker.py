@@ -3,9 +3,13 @@
 """Estimates are a function of the measurements and the stamp, however and whenever they came."""
 
 import itertools
+import os
+import subprocess
+import sys
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,9 +21,10 @@ from numpy.typing import NDArray
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import Outcomes, Tracker, TrackerOptions
 from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -80,6 +85,23 @@ def finite(estimate: Estimate) -> bool:
 
 def offer_all(tracker: Tracker, measurements: Iterable[Measurement]) -> list[Any]:
     return [tracker.offer(m, END) for m in measurements]
+
+
+def offer_batch(tracker: Tracker, batch: Sequence[Measurement]) -> Outcomes:
+    stamps, y, u = (np.array(column) for column in zip(*batch, strict=True))
+    return tracker.offer_many(stamps, y, u, END)
+
+
+def steps_of(tracker: Tracker) -> int:
+    """Return how many measurements were stepped through, rewinds included."""
+    return int(tracker.memory["generation"][0])
+
+
+def books(tracker: Tracker) -> list[Any]:
+    """Return all counts."""
+    rejected = sorted((reason.value, count) for reason, count in tracker.rejected.items())
+    counts = (tracker.used, tracker.rewinds, tracker.forgotten, tracker.restarts, tracker.failures)
+    return [*counts, rejected, tracker.events, tracker.newest]
 
 
 def probes(tracker: Tracker) -> list[Any]:
@@ -182,6 +204,143 @@ def test_any_order_of_arrival_gives_the_estimates_of_arrival_in_order(
     assert (shuffled.used, shuffled.rewinds) == (len(kept), late)
     assert len(arrivals) == shuffled.used + sum(shuffled.rejected.values())
     assert (shuffled.failures, shuffled.restarts) == (0, 0)
+
+
+JUNK: dict[RejectReason, Callable[[Measurement], Measurement]] = {
+    RejectReason.DUPLICATE: lambda good: good,
+    RejectReason.NON_FINITE: lambda good: good._replace(y=np.array([np.nan])),
+    RejectReason.ZERO_STAMP: lambda good: good._replace(stamp=0),
+    RejectReason.FROM_FUTURE: lambda good: good._replace(stamp=END + SECOND),
+    RejectReason.TOO_OLD: lambda good: good._replace(stamp=BEGIN - SECOND),
+}
+
+
+@PROPERTY
+@given(schedule=schedules(), data=st.data())
+def test_batches_in_any_order_give_the_estimates_of_arrival_in_order(
+    schedule: tuple[list[Measurement], list[Arrival]], data: st.DataObject
+) -> None:
+    kept, arrivals = schedule
+    arrived = [arrival.measurement for arrival in arrivals if arrival.kind == "good"]
+    together, in_order = tracker(), tracker()
+    expected: Counter[RejectReason] = Counter()
+    late = steps = place = 0
+    while place < len(arrived):
+        good = arrived[place : place + data.draw(st.integers(1, 12))]
+        known, place = arrived[:place], place + len(good)
+        oldest, newest = min(m.stamp for m in good), together.newest or 0
+        late += sum(m.stamp < newest for m in good)
+        steps += len(good) + sum(m.stamp > oldest for m in known)
+        kinds = st.sampled_from([*JUNK][: 5 if known else 4])
+        junk = data.draw(st.lists(st.tuples(kinds, st.sampled_from(good)), max_size=4))
+        batch = data.draw(st.permutations([*good, *(JUNK[reason](m) for reason, m in junk)]))
+        outcomes = offer_batch(together, batch)
+        expected.update(reason for reason, _ in junk)
+        assert Counter(REASONS[code] for code in outcomes.codes) == Counter(
+            [None] * len(good) + [reason for reason, _ in junk]
+        )
+        assert np.isfinite(outcomes.innovations[outcomes.codes == 0]).all()
+    offer_all(in_order, kept)
+
+    assert probes(together) == probes(in_order)
+    assert together.events == in_order.events
+    assert together.rejected == expected
+    assert (together.used, together.rewinds) == (len(kept), late)
+    # One pass over what is newer than the oldest of a batch.
+    assert steps_of(together) == steps
+
+
+@pytest.mark.parametrize("count", [300, 5000])
+@pytest.mark.parametrize("known", [0, 300])
+def test_late_samples_that_come_together_cost_one_pass_in_any_order(count: int, known: int) -> None:
+    """5,000 within the history of half a second, before and between samples that are known."""
+    spacing = SECOND // (2 * (count + known)) - 20
+    stamps = BEGIN + spacing * np.arange(count + known)
+    early = np.arange(known) * (count // max(known, 1)) + count // 2
+    late = np.setdiff1d(np.arange(count + known), early)
+    y = (
+        0.1 * np.sin(stamps[:, np.newaxis] / SECOND)
+        + 0.01 * np.cos(7.0 * np.arange(len(stamps)))[:, np.newaxis]
+    )
+    u = np.zeros_like(y)
+    spent, results = [], []
+    for order in (late, late[::-1], np.random.default_rng(1).permutation(late)):
+        one = tracker(max_steps=6000)
+        one.offer_many(stamps[early], y[early], u[early], END)
+        outcomes = one.offer_many(stamps[order], y[order], u[order], END)
+        assert not outcomes.codes.any()
+        spent.append(steps_of(one))
+        results.append((probes(one), outcomes.innovations[np.argsort(order)].tobytes()))
+    alone = tracker(max_steps=6000)
+    alone.offer_many(stamps, y, u, END)
+    assert results[0] == results[1] == results[2]
+    assert results[0][0] == probes(alone)
+    assert spent[0] == spent[1] == spent[2] <= count + 2 * known
+
+
+def test_a_batch_of_the_wrong_shape_is_refused_and_an_empty_one_changes_nothing() -> None:
+    one = tracker()
+    offer_all(one, map(sample, range(5)))
+    before = probes(one)
+    assert one.offer_many([], np.empty((0, 1)), np.empty((0, 1)), END).codes.size == 0
+    for y, u in ((np.zeros((2, 1)), np.zeros((3, 1))), (np.zeros((3, 2)), np.zeros((3, 1)))):
+        with pytest.raises(ModelError, match=r"expected y of shape \(3, 1\)"):
+            one.offer_many([1, 2, 3], y, u, END)
+    assert probes(one) == before
+
+
+@pytest.mark.parametrize("environment", [{}, {"NUMBA_DISABLE_JIT": "1"}])
+def test_a_checkpoint_goes_on_with_the_same_bits_in_another_process(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    first, last = [sample(k, offset=0.3 * (k == 30)) for k in range(40)], [*range(44, 60), 41]
+    original = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
+    offer_all(original, first)
+    original.estimate(BEGIN + 39 * PERIOD + SECOND)  # coasts
+    original.reject(RejectReason.WRONG_JOINT)
+    checkpoint, copy = original.checkpoint(), original.copy()
+    offer_all(original, map(sample, last))
+    expected = [*probes(original), *books(original)]
+
+    fresh = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
+    fresh.restore(checkpoint)
+    for again in (fresh, copy):
+        offer_all(again, map(sample, last))
+        assert [*probes(again), *books(again)] == expected
+
+    for name, records in checkpoint._asdict().items():
+        np.save(tmp_path / f"{name}.npy", records, allow_pickle=False)
+    code = (
+        "import sys, numpy as np, test_tracker as t\n"
+        "from tsobs_ros.estimation.tracker import Checkpoint\n"
+        "memory, ring = (np.load(f'{sys.argv[1]}/{name}.npy') for name in ('memory', 'ring'))\n"
+        "one = t.Tracker(t.ADAPTIVE.supervised(), t.TrackerOptions(t.X_MAX))\n"
+        "one.restore(Checkpoint(memory, ring))\n"
+        f"t.offer_all(one, map(t.sample, {last}))\n"
+        "print([*t.probes(one), *t.books(one)])"
+    )
+    process = subprocess.run(
+        [sys.executable, "-c", code, tmp_path],
+        cwd=Path(__file__).parent,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+    )
+    assert process.returncode == 0, process.stderr
+    assert process.stdout.strip() == str(expected)
+
+
+def test_a_checkpoint_of_another_size_is_refused() -> None:
+    checkpoint = tracker(max_steps=5).checkpoint()
+    with pytest.raises(ModelError, match=r"expected a ring of 1028 records .*, got 9 of"):
+        tracker().restore(checkpoint)
+
+
+def test_limits_beyond_all_stamps_are_as_good_as_none() -> None:
+    endless = tracker(history=1e12, future_tolerance=1e300, restart_after=1e12)
+    offer_all(endless, [sample(0), sample(1, BEGIN + 60 * SECOND)])
+    assert isinstance(endless.offer(sample(2), END), Innovation)
+    assert (endless.restarts, endless.used) == (0, 3)
 
 
 def test_the_innovations_of_a_rewound_sample_are_those_of_its_place() -> None:
@@ -396,7 +555,7 @@ def test_an_estimate_far_from_any_measurement_is_none_and_costs_nothing(ahead: i
 def damage(broken: Tracker, field: str, value: float) -> None:
     """Spoil a number of the newest state, as an overflow would."""
     checkpoint = broken.checkpoint()
-    checkpoint.ring[field][checkpoint.memory["size"][0] - 1] = value
+    checkpoint.ring[field][checkpoint.memory["length"][0] - 1] = value
     broken.restore(checkpoint)
 
 

@@ -47,7 +47,7 @@ EXTRA = 2
 def memory_type(room: Room) -> np.dtype[Any]:
     """Return the type of what a history needs besides its ring.
 
-    first, size: of the states in the ring. has_base: whether the first of them is only kept to
+    first, length: of the states in the ring. has_base: whether the first of them is only kept to
     rewind to. generation: count of changes. coasted_periods: whole periods of a gap, after the
     newest measurement at `coasted_generation`, for which there is a state. accepted to refused:
     counts, the last by the codes of `REASONS`. span: how far back a late measurement may reach
@@ -59,7 +59,7 @@ def memory_type(room: Room) -> np.dtype[Any]:
     return record_type(
         [
             ("first", count),
-            ("size", count),
+            ("length", count),
             ("has_base", count),
             ("generation", count),
             ("coasted_generation", count),
@@ -135,9 +135,9 @@ def offer(
                 outcomes[i] = code
                 i += 1
                 continue
-            if again >= late and memory.size > 0 and stamp < newest:
+            if again >= late and memory.length > 0 and stamp < newest:
                 place = _count_before(memory, ring, stamp)
-                late, again = memory.size - place, 0
+                late, again = memory.length - place, 0
                 later_stamps = np.empty(late, np.int64)
                 later_y, later_u = np.empty((late, model.p)), np.empty((late, model.m))
                 for j in range(late):
@@ -147,7 +147,7 @@ def offer(
                         later_y[j, c] = step.y[c]
                     for c in range(model.m):
                         later_u[j, c] = step.u[c]
-                memory.size = place
+                memory.length = place
             if again < late:
                 memory.rewinds += 1
             memory.accepted += 1
@@ -177,8 +177,8 @@ def estimate_at(models: Any, memories: Any, ring: Any, stamp: int, row: Array) -
             and the time since the newest measurement before it [s].
     """
     model, memory = models[0], memories[0]
-    place = memory.size - 1
-    if memory.size > 0 and stamp < newest_stamp(memory, ring):
+    place = memory.length - 1
+    if memory.length > 0 and stamp < newest_stamp(memory, ring):
         place = _count_before(memory, ring, stamp + 1) - 1
     if place < 0:
         return False
@@ -193,7 +193,7 @@ def estimate_at(models: Any, memories: Any, ring: Any, stamp: int, row: Array) -
         # Whole periods of a gap are remembered from one call to the next; without that every call
         # in a long gap would predict through the whole gap again.
         whole = math.floor(remaining / period) if remaining > 2.0 * period else 0
-        taken, memorable = 0, place == memory.size - 1
+        taken, memorable = 0, place == memory.length - 1
         known = memorable and memory.coasted_generation == memory.generation
         if known and 0 < memory.coasted_periods <= whole:
             ring[scratch] = ring[coasted]
@@ -258,11 +258,11 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
     Returns:
         Whether the measurement was gated.
     """
-    place = slot_of(memory, ring, memory.size)
+    place = slot_of(memory, ring, memory.length)
     gated, restarts, failures = 0, 0, 0
-    restart = memory.size == 0
-    if memory.size > 0:
-        last = ring[slot_of(memory, ring, memory.size - 1)]
+    restart = memory.length == 0
+    if memory.length > 0:
+        last = ring[slot_of(memory, ring, memory.length - 1)]
         gated, restarts, failures = last.gated, last.restarts, last.failures
         if stamp - last.stamp > memory.restart_after:
             restart = True
@@ -294,11 +294,11 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
         state.u[i] = u[i]
     state.gated = gated + 1 if is_gated else gated
     state.restarts, state.failures = restarts, failures
-    memory.size += 1
+    memory.length += 1
     memory.generation += 1
     # Forget what is out of reach, and what is too much.
     while True:
-        steps = memory.size - memory.has_base
+        steps = memory.length - memory.has_base
         oldest = ring[slot_of(memory, ring, memory.has_base)].stamp
         expired = oldest < stamp - memory.span
         if not expired and steps <= memory.max_steps:
@@ -307,7 +307,7 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
             memory.forgotten += 1
         if memory.has_base != 0:
             memory.first = slot_of(memory, ring, 1)
-            memory.size -= 1
+            memory.length -= 1
         memory.has_base = 1
     return is_gated
 
@@ -322,16 +322,16 @@ def slot_of(memory: Any, ring: Any, place: int) -> int:
 @compiled
 def newest_stamp(memory: Any, ring: Any) -> int:
     """Return the newest stamp [ns], 0 if there is none."""
-    if memory.size == 0:
+    if memory.length == 0:
         return 0
-    stamp: int = ring[slot_of(memory, ring, memory.size - 1)].stamp
+    stamp: int = ring[slot_of(memory, ring, memory.length - 1)].stamp
     return stamp
 
 
 @compiled
 def _count_before(memory: Any, ring: Any, stamp: int) -> int:
     """Return the number of states in the ring before a stamp [ns]."""
-    low, high = 0, memory.size
+    low, high = 0, memory.length
     while low < high:
         middle = (low + high) // 2
         if ring[slot_of(memory, ring, middle)].stamp < stamp:
@@ -363,12 +363,12 @@ def _refusal(
         return ZERO_STAMP
     if stamp > now + memory.future:
         return FROM_FUTURE
-    if memory.size == 0 or stamp > newest:
+    if memory.length == 0 or stamp > newest:
         return USED
     base = ring[memory.first]
     if stamp < newest - memory.span or (memory.has_base != 0 and stamp <= base.stamp):
         return TOO_OLD
     place = _count_before(memory, ring, stamp)
-    if place < memory.size and ring[slot_of(memory, ring, place)].stamp == stamp:
+    if place < memory.length and ring[slot_of(memory, ring, place)].stamp == stamp:
         return DUPLICATE
     return USED

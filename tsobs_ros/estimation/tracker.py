@@ -36,6 +36,10 @@ from tsobs_ros.estimation.records import (
 from tsobs_ros.model.prediction import Record
 
 
+_LONGEST = 2**61
+"""Longest time that is told from a longer one, so that no sum of stamps overflows [ns]."""
+
+
 @dataclass(frozen=True)
 class TrackerOptions:
     """Limits of a tracker.
@@ -112,7 +116,7 @@ class Tracker:
             ("future", options.future_tolerance),
             ("restart_after", options.restart_after),
         ):
-            memory[name] = round(seconds * NANOSECONDS)
+            memory[name] = round(min(seconds * NANOSECONDS, _LONGEST))
         memory["max_steps"], memory["x_max"] = options.max_steps, options.x_max
 
     @property
@@ -194,10 +198,13 @@ class Tracker:
         return reason or Innovation(stamp, innovations[0], expected_std[0])
 
     def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
-        """Use measurements, or refuse them; late ones that come together cost one rewind.
+        """Use measurements in the order of their stamps, or refuse them.
+
+        However many are late, one rewind serves them all. Of those with the same stamp, the first
+        is used.
 
         Args:
-            stamps: Of N measurements, best in ascending order [ns], shape (N,).
+            stamps: Of N measurements, in any order [ns], shape (N,).
             y: Measured outputs, shape (N, p).
             u: Inputs from each measurement until the next one, shape (N, m).
             now: Time on the clock of the stamps [ns].
@@ -208,7 +215,14 @@ class Tracker:
         times, samples, inputs = self._prepared(stamps, y, u)
         count, p = samples.shape
         outcomes = Outcomes(np.zeros(count, np.int64), np.empty((count, p)), np.empty((count, p)))
+        ascending = count < 2 or bool((times[1:] >= times[:-1]).all())
+        if not ascending:
+            order = np.argsort(times, kind="stable")
+            times, samples, inputs = times[order], samples[order], inputs[order]
         offer(self.estimator.model, self.memory, self.ring, times, samples, inputs, now, *outcomes)
+        if not ascending:
+            for each in outcomes:
+                each[order] = each.copy()
         return outcomes
 
     def follow(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
@@ -310,11 +324,11 @@ class Tracker:
     @property
     def _place_of_last(self) -> int:
         memory = self.memory[0]
-        return int((memory["first"] + memory["size"] - 1) % (len(self.ring) - SPARE))
+        return int((memory["first"] + memory["length"] - 1) % (len(self.ring) - SPARE))
 
     @property
     def _last(self) -> "np.void | None":
-        return self.ring[self._place_of_last] if self.memory["size"][0] else None
+        return self.ring[self._place_of_last] if self.memory["length"][0] else None
 
     @property
     def _gated(self) -> int:

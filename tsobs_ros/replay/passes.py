@@ -437,6 +437,6 @@ def _copy_records(memory: Any, ring: Any, other_memory: Any, other_ring: Any) ->
 def _forget(memories: Any, ring: Any) -> None:
     """Forget the measurements, but not the counts."""
     memory = memories[0]
-    if memory.size > 0:
-        memory.bad_outputs += ring[slot_of(memory, ring, memory.size - 1)].failures
-    memory.first, memory.size, memory.has_base, memory.coasted_periods = 0, 0, 0, 0
+    if memory.length > 0:
+        memory.bad_outputs += ring[slot_of(memory, ring, memory.length - 1)].failures
+    memory.first, memory.length, memory.has_base, memory.coasted_periods = 0, 0, 0, 0
