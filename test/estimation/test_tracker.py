@@ -256,7 +256,7 @@ def test_late_samples_that_come_together_cost_one_pass_in_any_order(count: int, 
     """5,000 within the history of half a second, before and between samples that are known."""
     spacing = SECOND // (2 * (count + known)) - 20
     stamps = BEGIN + spacing * np.arange(count + known)
-    early = np.arange(known) * (count // max(known, 1)) + count // 2
+    early = np.arange(known) * (count // max(known, 1)) + known // 2
     late = np.setdiff1d(np.arange(count + known), early)
     y = (
         0.1 * np.sin(stamps[:, np.newaxis] / SECOND)
@@ -334,6 +334,18 @@ def test_a_checkpoint_of_another_size_is_refused() -> None:
     checkpoint = tracker(max_steps=5).checkpoint()
     with pytest.raises(ModelError, match=r"expected a ring of 1028 records .*, got 9 of"):
         tracker().restore(checkpoint)
+
+
+def test_no_field_of_a_record_is_an_attribute_of_every_record() -> None:
+    """The interpreter would read the attribute, such as `size`, in place of the field."""
+
+    def names(kind: np.dtype[Any]) -> set[str]:
+        inner = [names(field.base) for field, *_ in (kind.fields or {}).values()]
+        return set(kind.names or ()).union(*inner)
+
+    one = tracker()
+    kinds = (one.memory.dtype, one.ring.dtype, one.estimator.model.dtype)
+    assert set().union(*map(names, kinds)).isdisjoint(dir(np.record))
 
 
 def test_limits_beyond_all_stamps_are_as_good_as_none() -> None:

@@ -35,7 +35,6 @@ from tsobs_ros.estimation.records import (
 )
 from tsobs_ros.model.prediction import Record
 
-
 _LONGEST = 2**61
 """Longest time that is told from a longer one, so that no sum of stamps overflows [ns]."""
 
