@@ -3,7 +3,7 @@
 """Cost of a tick of one joint and of seven: a measurement offered and an estimate asked for.
 
 Stamps jitter by 20 µs about the period, as those of a real clock do, and the joints share no
-design.
+design. All contenders take turns on the same samples.
 """
 
 import time
@@ -19,6 +19,7 @@ from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _JITTER = 20_000
+_TURN = 200
 _DESIGNS = {
     "shipped": ("elastic_joint.design.yaml", "bias_step"),
     "adaptive": ("elastic_joint_adaptive.design.yaml", "stiff"),
@@ -49,16 +50,26 @@ def _rows(kind: str, count: int, seconds: float) -> list[tuple[int, Row]]:
     return rows
 
 
-def _cost(kind: str, count: int, seconds: float) -> float:
-    """Return the median time of a tick [µs]."""
-    joints, times = JointTrackers(_trackers(kind, count)), []
-    for now, row in _rows(kind, count, seconds):
-        started = time.perf_counter_ns()
-        joints.offer(row, now)
-        joints.estimate(now)
-        times.append(time.perf_counter_ns() - started)
+def _costs(counts: list[int], seconds: float) -> dict[str, float]:
+    """Return the median time of a tick of each kind and number of joints [µs]."""
+    cases = {
+        f"{kind}, {count} joint{'s' * (count > 1)}": (
+            JointTrackers(_trackers(kind, count)),
+            _rows(kind, count, seconds),
+        )
+        for kind in _DESIGNS
+        for count in counts
+    }
+    times: dict[str, list[int]] = {name: [] for name in cases}
+    for begin in range(0, min(len(rows) for _, rows in cases.values()), _TURN):
+        for name, (joints, rows) in cases.items():
+            for now, row in rows[begin : begin + _TURN]:
+                started = time.perf_counter_ns()
+                joints.offer(row, now)
+                joints.estimate(now)
+                times[name].append(time.perf_counter_ns() - started)
     # The first half is for caches and for the certified gain to take over.
-    return float(np.median(times[len(times) // 2 :])) / 1e3
+    return {name: float(np.median(each[len(each) // 2 :])) / 1e3 for name, each in times.items()}
 
 
 def main() -> None:
@@ -67,11 +78,7 @@ def main() -> None:
     made.add_argument("--seconds", type=float, default=30.0, help="simulated time")
     made.add_argument("--joints", type=int, default=7, help="number of joints")
     options = made.parse_args()
-    costs = {
-        f"{kind}, {count} joint{'s' * (count > 1)}": _cost(kind, count, options.seconds)
-        for kind in _DESIGNS
-        for count in (1, options.joints)
-    }
+    costs = _costs([1, options.joints], options.seconds)
     lines = ["one tick, offer and estimate, median:"]
     lines += [f"  {name:34s} {cost:7.1f} µs" for name, cost in costs.items()]
     show({"tick_us": costs}, "\n".join(lines), options.json)
