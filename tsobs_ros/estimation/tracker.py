@@ -104,6 +104,13 @@ class Tracker:
         self.ring: Record = np.zeros(
             options.max_steps + 2 + SPARE, estimator.model.dtype["initial"]
         )
+        shape = estimator.shape
+        self._one = (
+            np.zeros(1, np.int64),
+            np.zeros((1, shape.p)),
+            np.zeros((1, shape.m)),
+            np.zeros(1, np.int64),
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -192,9 +199,26 @@ class Tracker:
             Its innovation, or the reason of its rejection, which has been counted.
         """
         stamp, y, u = measurement
-        codes, innovations, expected_std = self.offer_many([stamp], [y], [u], now)
+        stamps, sample, inputs, codes = self._one
+        if np.shape(y) != sample.shape[1:] or np.shape(u) != inputs.shape[1:]:
+            self._prepared([stamp], [y], [u])  # names what is wrong
+        # Arrays that are filled anew: making them would take longer than the estimator does.
+        stamps[0], sample[0], inputs[0], codes[0] = stamp, y, u, 0
+        innovation, expected_std = np.empty(sample.shape), np.empty(sample.shape)
+        offer(
+            self.estimator.model,
+            self.memory,
+            self.ring,
+            stamps,
+            sample,
+            inputs,
+            now,
+            codes,
+            innovation,
+            expected_std,
+        )
         reason = REASONS[codes.item()]
-        return reason or Innovation(stamp, innovations[0], expected_std[0])
+        return reason or Innovation(stamp, innovation[0], expected_std[0])
 
     def offer_many(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike, now: int) -> Outcomes:
         """Use measurements in the order of their stamps, or refuse them.
