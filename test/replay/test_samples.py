@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tsobs_ros.bag.joint_series import JointSeries
-from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.replay.source import Samples, restarts, samples_of
 
 SECOND = 1_000_000_000
@@ -20,14 +19,7 @@ def series(values: list[list[list[float]]], named: list[list[bool]]) -> JointSer
     return JointSeries(times, times, times, array, np.array(named), ~np.isnan(array), ())
 
 
-def read(samples: Samples) -> list[list[object]]:
-    return [
-        [(m.stamp, m.y.tolist(), m.u.tolist()) if isinstance(m, Measurement) else m for m in row]
-        for row in samples.of_each_joint()
-    ]
-
-
-def test_each_joint_gets_its_sample_or_why_there_is_none() -> None:
+def test_a_sample_needs_an_angle_and_a_torque_of_its_joint() -> None:
     recorded = series(
         [
             [[1.0, 2.0], [3.0, 4.0]],
@@ -38,14 +30,12 @@ def test_each_joint_gets_its_sample_or_why_there_is_none() -> None:
         [[True, True], [True, False], [True, True], [False, False]],
     )
 
-    wrong = RejectReason.WRONG_JOINT
-    assert read(samples_of(recorded, assume_zero_torque=False)) == [
-        [(SECOND, [1.0], [2.0]), (SECOND, [3.0], [4.0])],
-        [(2 * SECOND, [1.0], [2.0]), None],
-        [wrong, (3 * SECOND, [3.0], [4.0])],
-        [wrong, wrong],
-    ]
-    assert read(samples_of(recorded, assume_zero_torque=True))[2][0] == (3 * SECOND, [1.0], [0.0])
+    samples = samples_of(recorded, assume_zero_torque=False)
+    assert samples.complete.tolist() == [[True, True], [True, False], [False, True], [False] * 2]
+    assert samples.usable.tolist() == [True, True, True, False]
+    silent = samples_of(recorded, assume_zero_torque=True)
+    assert silent.complete[2].all()
+    assert silent.u[2].tolist() == [0.0, 4.0]
 
 
 def test_restarts_are_told_from_stragglers() -> None:

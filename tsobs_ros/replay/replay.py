@@ -160,7 +160,7 @@ class _Joint:
             samples.u[own, column],
             ticks,
             arrivals=samples.arrivals[own],
-            evidence=schedule.evidence[own].astype(np.int64),
+            evidence=schedule.evidence[own],
             innovations=None if recorded is None else recorded.innovations[own, joint],
             stale_after=2**62 if math.isinf(stale_after) else int(stale_after * NANOSECONDS),
         )

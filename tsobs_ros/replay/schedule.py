@@ -7,30 +7,19 @@ of the observer that was recorded.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.joint_series import JointSeries, Times
 from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.replay.passes import CERTAIN, NO_EVIDENCE, POSSIBLE, Codes
 from tsobs_ros.replay.source import UNKNOWN, Samples, passes, times_of_use
 
 Counts = NDArray[np.intp]
 
 # Without an estimate for so many of the usual times between two, an observer was not at work.
 _SILENCE = 5
-
-
-class Evidence(IntEnum):
-    """Evidence in a recording that its observer received a message."""
-
-    NONE = 0
-    """It has no innovation, and the observer published no estimates for a while after it."""
-    POSSIBLE = 1
-    """It has no innovation, as one that was gated or rejected."""
-    CERTAIN = 2
-    """It has an innovation, or nothing is known of an observer."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +35,7 @@ class Schedule:
             if it has used more; -1 for no reset; shape (m,).
         log_times: Of the estimates' messages, ns since the epoch, shape (m,).
         publish_times: Of the same, shape (m,).
-        evidence: Of each message, that the observer received it, shape (n,).
+        evidence: Of each message's reception, see `passes`, shape (n,).
         at_samples: Whether there are only estimates at measurements that are in use.
     """
 
@@ -57,7 +46,7 @@ class Schedule:
     reset_after: Counts
     log_times: Times
     publish_times: Times
-    evidence: NDArray[np.int8]
+    evidence: Codes
     at_samples: bool = False
 
     @property
@@ -111,8 +100,8 @@ def at_rate(samples: Samples, rate: float) -> Schedule:
     return Schedule(ticks, ticks, counts, counts, resets, log_times, log_times, evidence)
 
 
-def _certain(samples: Samples) -> NDArray[np.int8]:
-    return np.full(samples.count, Evidence.CERTAIN, np.int8)
+def _certain(samples: Samples) -> Codes:
+    return np.full(samples.count, CERTAIN)
 
 
 def as_recorded(
@@ -141,10 +130,10 @@ def as_recorded(
     if innovations is not None and innovations.count:
         used_at = times_of_use(samples, innovations)
         tick = np.searchsorted(published, used_at, side="left")
-        evidence[used_at == UNKNOWN] = Evidence.POSSIBLE
+        evidence[used_at == UNKNOWN] = POSSIBLE
         following = np.append(published, UNKNOWN)[np.searchsorted(published, samples.publish_times)]
         silent = following - samples.publish_times > _SILENCE * _usual_interval(published)
-        evidence[(used_at == UNKNOWN) & silent & samples.usable] = Evidence.NONE
+        evidence[(used_at == UNKNOWN) & silent & samples.usable] = NO_EVIDENCE
     used = np.flatnonzero(tick < m)
     known, beyond = np.zeros(m, np.intp), np.full(m + 1, n)
     np.maximum.at(known, tick[used], used + 1)

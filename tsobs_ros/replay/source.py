@@ -29,7 +29,7 @@ from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.estimation.records import NANOSECONDS, Measurement, RejectReason, Sample
+from tsobs_ros.estimation.records import NANOSECONDS
 
 MEASUREMENTS = "joint_measurements"
 _TRUTH = TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
@@ -93,28 +93,6 @@ class Samples:
         # Log times of another clock give the order only: each arrives when it is sampled.
         spans = passes(self.stamps.tolist())
         return np.concatenate([np.maximum.accumulate(self.stamps[a:b]) for a, b in spans])
-
-    def of_each_joint(self) -> Iterator[list[Sample]]:
-        """Yield what the observer node reads in each message."""
-        plain: list[bool] = np.all(self.complete, axis=1).tolist()
-        joints = range(self.y.shape[1])
-        for place, (stamp, y, u) in enumerate(
-            zip(self.stamps.tolist(), self.y, self.u, strict=True)
-        ):
-            if plain[place]:
-                yield [Measurement(stamp, y[j : j + 1], u[j : j + 1]) for j in joints]
-            elif not self.named[place].any():
-                yield [RejectReason.WRONG_JOINT for _ in joints]
-            else:
-                yield [self._sample(place, j) for j in joints]
-
-    def _sample(self, place: int, joint: int) -> Sample:
-        if not self.named[place, joint]:
-            return None
-        if not self.complete[place, joint]:
-            return RejectReason.WRONG_JOINT
-        one = slice(joint, joint + 1)
-        return Measurement(int(self.stamps[place]), self.y[place, one], self.u[place, one])
 
     def take(self, places: NDArray[np.intp]) -> "Samples":
         """Return some of the messages, or all of them in another order."""

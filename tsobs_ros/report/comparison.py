@@ -22,8 +22,9 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.replay.estimate import Run
+from tsobs_ros.replay.passes import CERTAIN
 from tsobs_ros.replay.replay import Replay
-from tsobs_ros.replay.schedule import Evidence, Schedule
+from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Samples, Source, Truth, passes
 from tsobs_ros.replay.table import EstimateTable
 from tsobs_ros.report.metrics import (
@@ -151,7 +152,7 @@ def rerun(run: RecordedRun, observer: Estimator, x_max: float) -> RecordedRun:
         reset_after=np.full(len(run.stamps), -1),
         log_times=run.stamps,
         publish_times=run.stamps,
-        evidence=np.full(samples.count, Evidence.CERTAIN, np.int8),
+        evidence=np.full(samples.count, CERTAIN),
     )
     table = EstimateTable(len(run.stamps), samples.count, 1)
     Replay(trackers, samples, schedule, table, stale_after=math.inf).advance(schedule.count)
