@@ -17,25 +17,23 @@ from tsobs_ros.checks import Array, positive
 from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.stepping import record_type
 from tsobs_ros.model.trigonometry import sine
 
 LONGEST_SUBSTEP = 1e-3
 """Upper limit of an integration step [s]; a sampling period is cut into equal steps below it."""
 
-_MOTION = np.dtype(
-    (
-        np.record,
-        [
-            ("substeps", np.int64),
-            ("substep", np.float64),
-            ("gravity", np.float64),
-            ("motor_inertia", np.float64),
-            ("link_spring", np.float64),
-            ("link_drag", np.float64),
-            ("motor_spring", np.float64),
-            ("motor_drag", np.float64),
-        ],
-    )
+_MOTION = record_type(
+    [
+        ("substeps", np.int64),
+        ("substep", np.float64),
+        ("gravity", np.float64),
+        ("motor_inertia", np.float64),
+        ("link_spring", np.float64),
+        ("link_drag", np.float64),
+        ("motor_spring", np.float64),
+        ("motor_drag", np.float64),
+    ]
 )
 
 

@@ -20,6 +20,7 @@ from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.stepping import record_type
 from tsobs_ros.simulation.integrator import ArmIntegrator, advance_arm
 from tsobs_ros.simulation.sensor import Sensor, is_dropped, outlier
 from tsobs_ros.simulation.signals import (
@@ -43,29 +44,23 @@ _BLOCK = 256
 _LARGEST_BLOCK = 2**16
 """Samples of all runs drawn at a time, so that the memory stays bounded."""
 
-_PLANT = np.dtype(
-    (
-        np.record,
-        [
-            ("rate", np.float64),
-            ("injected", np.int64),
-            ("excitation", np.float64, (ROW,)),
-            ("noise_std", np.float64),
-            ("outlier_probability", np.float64),
-            ("outlier_size", np.float64),
-            ("dropout_interval", np.float64),
-            ("dropout_duration", np.float64),
-            ("link_kick", np.float64),
-            ("motor_kick", np.float64),
-            ("lost", np.bool_),
-        ],
-    )
+_PLANT = record_type(
+    [
+        ("rate", np.float64),
+        ("injected", np.int64),
+        ("excitation", np.float64, (ROW,)),
+        ("noise_std", np.float64),
+        ("outlier_probability", np.float64),
+        ("outlier_size", np.float64),
+        ("dropout_interval", np.float64),
+        ("dropout_duration", np.float64),
+        ("link_kick", np.float64),
+        ("motor_kick", np.float64),
+        ("lost", np.bool_),
+    ]
 )
-_RUN = np.dtype(
-    (
-        np.record,
-        [("physical", np.float64, (4,)), ("frozen", np.float64), ("stuck", np.bool_)],
-    )
+_RUN = record_type(
+    [("physical", np.float64, (4,)), ("frozen", np.float64), ("stuck", np.bool_)],
 )
 
 
