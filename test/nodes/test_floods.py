@@ -1,0 +1,158 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Ten thousand bad messages of each kind, as fast as they can be sent, to an observer's process."""
+
+import math
+import re
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from faults.arm import Arm
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+
+from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.nodes.messages import to_nanoseconds
+
+TIMEOUT = 120.0
+COUNT = 10_000
+WRONG = RejectReason.WRONG_JOINT
+BEST_EFFORT = QoSProfile(depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT)
+Make = Callable[[Arm, int, int], Any]
+"""A message from the arm, the stamp of its newest good one [ns], and its number in the flood."""
+
+
+def alone(**changes: Any) -> Make:
+    return lambda arm, newest, _: arm.message(newest + 1000, **changes)
+
+
+def stamped(shift: Callable[[int], int]) -> Make:
+    """A good sample, but for its stamp; no two have the same angle."""
+
+    def make(arm: Arm, newest: int, number: int) -> Any:
+        y = float(arm.measurement(newest).y[0]) + 0.01 * math.sin(7.0 * number)
+        return arm.message(newest + shift(number), position=[y])
+
+    return make
+
+
+def as_bytes(change: Callable[[bytes], bytes]) -> Make:
+    return lambda arm, newest, _: change(bytes(serialize_message(arm.message(newest))))
+
+
+NAMES = [f"joint_{index}" for index in range(100)]
+FLOODS: dict[str, tuple[Make, RejectReason | None]] = {
+    "nan angle": (alone(position=[math.nan]), RejectReason.NON_FINITE),
+    "infinite torque": (alone(effort=[math.inf]), RejectReason.NON_FINITE),
+    "foreign joint": (alone(name=["elbow"]), WRONG),
+    "no effort": (alone(effort=[]), WRONG),
+    "many foreign joints": (alone(name=NAMES, position=[0.0] * 100, effort=[0.0] * 100), WRONG),
+    "long name": (alone(name=["x" * 2000]), WRONG),
+    "truncated bytes": (as_bytes(lambda data: data[:50]), WRONG),
+    "random bytes": (as_bytes(lambda _: b"\x00\x01\x00\x00" + b"\xff" * 60), WRONG),
+    "same again": (stamped(lambda _: 0), RejectReason.DUPLICATE),
+    "clock since boot": (stamped(lambda _: -3600 * NANOSECONDS), RejectReason.TOO_OLD),
+    "an hour ahead": (stamped(lambda _: 3600 * NANOSECONDS), RejectReason.FROM_FUTURE),
+    "zero stamp": (
+        lambda arm, newest, number: arm.message(0, position=[0.001 * number]),
+        RejectReason.ZERO_STAMP,
+    ),
+    "outlier": (alone(position=[9.0]), RejectReason.DUPLICATE),
+    "outliers in a row": (
+        lambda arm, newest, number: arm.message(newest + number, position=[9.0 + number]),
+        RejectReason.GATED,
+    ),
+    "descending": (stamped(lambda number: -20_000 * number), None),
+    "late in turn": (stamped(lambda number: -(number % 2) * 200_000_000 - 100 * number), None),
+}
+
+
+class Sensor:
+    """Publishes good samples in real time, as often as it is asked to, and floods between them."""
+
+    def __init__(self, ros: Any) -> None:
+        self._node = ros.node("sensor")
+        self.arm = Arm(time.time_ns())
+        self.newest = self.arm.origin
+        self.publisher = self._node.create_publisher(JointState, "joint_measurements", BEST_EFFORT)
+
+    def publish_due(self) -> None:
+        """Publish the newest good sample if it has not been."""
+        now = time.time_ns()
+        stamp = now - (now - self.arm.origin) % self.arm.period
+        if stamp > self.newest:
+            self.newest = stamp
+            self.publisher.publish(self.arm.message(stamp))
+
+    def flood(self, make: Make) -> None:
+        """Publish a flood as fast as can be, with good samples as they are due."""
+        for number in range(COUNT):
+            self.publisher.publish(make(self.arm, self.newest, number))
+            if number % 50 == 0:
+                self.publish_due()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("publish_on", ["tick", "measurement"])
+def test_after_each_flood_the_observer_goes_on_and_a_signal_ends_it_in_the_last(
+    ros: Any, ros_process: Callable[..., Any], publish_on: str
+) -> None:
+    process = ros_process("observer", parameters={"publish_on": publish_on})
+    sensor, estimated, counts = Sensor(ros), [0], [Counter[str]()]
+    node = ros.node("watch")
+    node.create_subscription(
+        JointState, "observer/joint_states",
+        lambda message: estimated.append(to_nanoseconds(message.header.stamp)), BEST_EFFORT,
+    )  # fmt: skip
+
+    def keep(array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == "observer: measurements":
+                counts.append(Counter({item.key: int(item.value) for item in status.values}))
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", keep, 10)
+
+    def goes_on(condition: Callable[[], bool], what: str) -> None:
+        def met() -> bool:
+            sensor.publish_due()
+            return condition()
+
+        ros.spin_until(met, TIMEOUT, what)
+
+    process.wait_for_line("certificate holds", TIMEOUT)
+    began = time.monotonic()
+    goes_on(lambda: len(estimated) > 100, "the first estimates")
+    for name, (make, reason) in FLOODS.items():
+        before = counts[-1]
+        sensor.flood(make)
+        end, first = time.time_ns(), len(counts)
+        goes_on(lambda end=end: estimated[-1] > end, f"an estimate after the flood: {name}")
+        since = len(estimated)
+        goes_on(lambda since=since: len(estimated) > since + 50, f"its rate after: {name}")
+        goes_on(lambda first=first: len(counts) > first + 1, "diagnostics")
+        after = counts[-1]
+        rejected = {key: value for key, value in after.items() if key.startswith("rejected")}
+        assert after["received"] == after["used"] + sum(rejected.values()), name
+        assert after["received"] - before["received"] > 1000, name
+        if reason is not None:
+            key = f"rejected: {reason.value}"
+            assert after[key] - before[key] > 1000, name
+    lasted = time.monotonic() - began
+
+    process.signal(signal.SIGINT)
+    sensor.flood(FLOODS["descending"][0])
+    finished = process.finish(TIMEOUT)
+    assert finished.exit_code == 0, finished.stderr
+    assert "Traceback" not in finished.stderr
+    logged = Counter(re.findall(r"rejected: ([\w -]+) \(", finished.stderr + finished.stdout))
+    assert set(logged) <= {reason.value for reason in RejectReason}
+    assert max(logged.values()) <= 1 + lasted / 5.0
+    stamps = np.array(estimated[1:])
+    assert (np.diff(stamps) > 0).all()
