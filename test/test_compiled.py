@@ -26,12 +26,12 @@ def total(values):
 OUTER = """
 import resource, sys
 import numpy as np
-from inner import total
+import inner
 from tsobs_ros.compiled import compiled, compiled_nogil, inlined
 
 @inlined
 def between(values):
-    return total(values)
+    return inner.total(values)
 
 @compiled_nogil
 def doubled(values):
@@ -40,8 +40,8 @@ def doubled(values):
 if "full" in sys.argv:
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 answer = doubled(np.arange(5.0))
-found = sum(sum(each.stats.cache_hits.values()) for each in (total, doubled))
-print(answer, found, total(np.arange(3, dtype=np.int64)))
+found = sum(sum(each.stats.cache_hits.values()) for each in (inner.total, doubled))
+print(answer, found, inner.total(np.arange(3, dtype=np.int64)))
 """
 
 

@@ -22,8 +22,9 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from functools import cache
+from itertools import product
 from pathlib import Path
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar
 
 import numba
@@ -165,8 +166,13 @@ def _gather(value: Any, found: set[str], seen: set[int]) -> None:
         seen.add(id(value))
         python: FunctionType = value.py_func
         found.add(_text_of(python.__code__.co_filename))
-        for name in _names_in(python.__code__):
-            used = python.__globals__.get(name)
+        names = _names_in(python.__code__)
+        scopes = [python.__globals__]
+        # Functions may be called by a module's name and their own.
+        named = map(python.__globals__.get, names)
+        scopes += [vars(module) for module in named if isinstance(module, ModuleType)]
+        for name, scope in product(names, scopes):
+            used = scope.get(name)
             if isinstance(used, int | float | str | tuple):
                 found.add(f"{name} = {used!r}")
             else:

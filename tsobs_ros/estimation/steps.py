@@ -89,7 +89,10 @@ def _expect(model: Any, state: Any, y: Array, correction: Any) -> None:
     crossed, factor, omega = correction.crossed[:], correction.factor[:], correction.omega[:]
     innovation, D, x = correction.innovation[:], model.D[:], state.x[:]
     for i in range(p):
-        innovation[i] = y[i] - (dot(C[i], x, n) + dot(D[i], y, p))
+        expected = dot(C[i], x, n)
+        if model.gain_mode == OPEN:  # else D is zero, but not times infinity
+            expected += dot(D[i], y, p)
+        innovation[i] = y[i] - expected
     correction.weight = 1.0
     if model.gain_mode == OPEN:
         copy(R, S, p, p)
@@ -220,9 +223,11 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
     limit = model.gate * math.sqrt(state.nis) if state.nis > 1.0 else model.gate
     if size > limit:
         correction.weight = limit / size
-    if size > model.reject:
+    if not size <= model.reject:  # which NaN is not either
         correction.weight = 0.0
-    clipped = math.copysign(_WINDOW_CLIP, r) if size > _WINDOW_CLIP else r  # NaN stays
+    clipped = r
+    if not size < _WINDOW_CLIP:
+        clipped = -_WINDOW_CLIP if r < 0.0 else _WINDOW_CLIP
     if state.watched == WINDOW:
         for i in range(WINDOW - 1):
             recent[i], calm_nis[i] = recent[i + 1], calm_nis[i + 1]
@@ -529,7 +534,9 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         for a in range(k):
             share[a] = dot(h, upsilon[a], n)
         added = larger(quadratic(gamma, share, k), 0.0)
-        omegas[i] = dot(h, x, n) + dot(model.disturbance_direct[i], y, p)
+        omegas[i] = dot(h, x, n)
+        if model.gain_mode == OPEN:
+            omegas[i] += dot(model.disturbance_direct[i], y, p)
         rates[i] = dot(model.rate_map[i], x, n)
         bounds[i] = _root(bound * bound + added)
         total += omegas[i] + rates[i] + bounds[i]

@@ -1,0 +1,303 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What every estimator promises of its states: the same bits however they are stepped.
+
+Run as a program, it prints what this process makes of the same runs.
+"""
+
+import copy
+import hashlib
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tsobs_ros.design.file import load_design
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.baselines import high_gain, proportional_integral
+from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
+from tsobs_ros.estimation.options import AdaptationOptions, CertifiedGain, SupervisionOptions
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.disturbance import bias, clean, per_channel
+from tsobs_ros.model.fuzzy import RuleBase, membership
+from tsobs_ros.model.ts_flow import TSFlow
+from tsobs_ros.model.ts_model import TSModel
+from tsobs_ros.model.uncertainty import Uncertainty
+from tsobs_ros.paper.observer import paper_observer
+from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
+
+Array = NDArray[np.float64]
+ARM, T, STD = ElasticJointArm(), 0.005, 0.02
+SAMPLES = 140
+
+
+def supervised_arm() -> Estimator:
+    """The shipped adaptive design, that learns and reacts early."""
+    design = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
+    estimator = design.adaptive(settle_time=0.0, options=AdaptationOptions(start=0.05, memory=0.3))
+    estimator.supervise(
+        SupervisionOptions(jump_quiet=0.1, jump_duration=0.05, jump_budget=2, lost=2.0, strain=0.03)
+    )
+    return estimator
+
+
+def gyroscope() -> Estimator:
+    """A pendulum of which angle and rate are measured, with a bias, gravity to be learnt."""
+    width = 1.2
+    stiffness = 9.81 * np.array([1.0, np.sin(width) / width])
+    shapes = [membership(name, {"half_width": width}) for name in ("sine_upper", "sine_lower")]
+    A = np.array([[[0.0, 1.0], [-k, -0.2]] for k in stiffness])
+    model = TSModel(A, np.array([[0.0], [1.0]]), np.eye(2), RuleBase(tuple((s,) for s in shapes)),
+                    np.eye(1, 2))  # fmt: skip
+    directions = np.zeros((1, 2, 2, 3))
+    directions[0, :, 1, 0] = -stiffness
+    return certified_estimator(
+        TSFlow(model, per_channel([clean(), bias(1e-6)]), [0.0, 1e-3], T),
+        np.diag([1e-4, 4e-4]),
+        np.diag([0.25, 1.0, 0.01]),
+        CertifiedGain(np.array([[0.3, 0.0], [0.0, 0.2], [0.0, 0.1]]), np.diag([0.3, 1.0, 0.02])),
+        settle_time=0.2,
+        uncertainty=Uncertainty({"gravity": 0.2}, directions),
+        adaptation=AdaptationOptions(start=0.05),
+    )
+
+
+ESTIMATORS: dict[str, Callable[[], Estimator]] = {
+    "supervised arm": supervised_arm,
+    "gyroscope": gyroscope,
+    "proportional": lambda: high_gain(ARM, 20.0, T, STD),
+    "proportional-integral": lambda: proportional_integral(ARM, 20.0, T, STD),
+    "paper": lambda: paper_observer(ARM, T, STD),
+}
+
+
+@cache
+def estimator_of(name: str) -> Estimator:
+    return ESTIMATORS[name]()
+
+
+def series(estimator: Estimator) -> tuple[Array, Array]:
+    """Return samples with outliers, jumps and repetitions of a value, and inputs."""
+    rng, shape = np.random.default_rng(17), estimator.shape
+    times = T * np.arange(SAMPLES)[:, np.newaxis]
+    y = 0.2 * np.sin(9.0 * times) + STD * rng.standard_normal((SAMPLES, shape.p))
+    y[[40, 95]] += [[1.0], [-5.0]]
+    y[60:] += 0.6
+    y[85:105] += 30.0
+    y[110:125] = y[110]
+    return y, np.sin(7.0 * times) * rng.uniform(1.0, 2.0, (1, shape.m))
+
+
+def stepped(estimator: Estimator) -> list[State]:
+    """Return the states of a run, with a gap, a short step and a look between two samples."""
+    states, state = [], estimator.initial()
+    if estimator.supervised:  # as it would be some seconds later
+        bound = estimator.shape.trim("covariance", estimator.model["X"])[0]
+        state = state.changed(covariance=bound, settling=0.0, certified=1)
+    for k, (y, u) in enumerate(zip(*series(estimator), strict=True)):
+        state, _ = estimator.correct(state, y)
+        states += [state, estimator.extrapolate(state, u, 0.4 * T)]
+        state = estimator.predict(state, u, {70: 0.0421, 80: 0.7 * T}.get(k, T))
+        states.append(state)
+        if k % 10 == 3:
+            state = estimator.predict(state, u, T)  # a sample is missing
+            states.append(state)
+    return states
+
+
+def bad_numbers(estimator: Estimator) -> list[State]:
+    """Return states after numbers that are not finite, or too large, in sample and input."""
+    ys, us = series(estimator)
+    start = stepped(estimator)[-1]
+    states = []
+    for bad in (np.nan, np.inf, -np.inf, 1e200):
+        for y, u in ((bad, us[0]), (ys[0], np.full_like(us[0], bad))):
+            state = start
+            for _ in range(3):
+                state, _ = estimator.correct(state, np.broadcast_to(y, ys[0].shape))
+                state = estimator.predict(state, u, T)
+                state = estimator.predict(state, us[1], 3.3 * T)
+            states.append(state)
+    return states
+
+
+def digest(states: list[State], estimator: Estimator) -> str:
+    """Return a digest of the bytes of states and of what is read of them; every NaN is alike."""
+    found = hashlib.sha256()
+    for state in states:
+        records = state.copy().records
+        for name in records.dtype.names or ():
+            values = records[name]
+            if values.dtype == np.float64:
+                values[np.isnan(values)] = np.nan
+        found.update(records.tobytes())
+        for part in estimator.readout(state):
+            numbers = np.array(part, np.float64)
+            numbers[np.isnan(numbers)] = np.nan
+            found.update(numbers.tobytes())
+    return found.hexdigest()[:16]
+
+
+def digests() -> dict[str, str]:
+    """Return the digests of all runs of this process, by estimator."""
+    made = {}
+    for name in ESTIMATORS:
+        estimator = estimator_of(name)
+        with np.errstate(all="ignore"):  # of the interpreter
+            made[name] = digest(stepped(estimator), estimator)
+            made[f"{name}, bad"] = digest(bad_numbers(estimator), estimator)
+    return made
+
+
+@pytest.fixture(params=ESTIMATORS)
+def estimator(request: pytest.FixtureRequest) -> Estimator:
+    return estimator_of(request.param)
+
+
+def test_interpreted_steps_give_the_same_bits_as_compiled_ones() -> None:
+    printed = subprocess.run(
+        [sys.executable, __file__],
+        env={
+            **os.environ,
+            "NUMBA_DISABLE_JIT": "1",
+            "PYTHONPATH": str(Path(__file__).parents[2]),
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    interpreted = dict(line.split(": ") for line in printed.splitlines())
+    assert interpreted == digests()
+
+
+def test_what_the_runs_go_through() -> None:
+    """Else the digests said little."""
+    estimator = estimator_of("supervised arm")
+    states = stepped(estimator)
+    last = states[-1]
+    assert any(state.in_gap for state in states)
+    assert any(state.certified for state in states)
+    assert last.outliers > 0
+    assert last.jumps > 0
+    assert last.losses > 0
+    assert any(state.theta.any() for state in states)
+    assert any(state.repeats >= 10 for state in states)
+    pendulum = stepped(estimator_of("gyroscope"))
+    assert {int(state.certified) for state in pendulum} == {0, 1}
+    assert pendulum[-1].theta.any()
+
+
+def test_whole_runs_are_their_steps_one_by_one(estimator: Estimator) -> None:
+    """One call for many runs, a batch and single states: the same bits."""
+    y, u = series(estimator)
+    runs = np.stack([y, -0.5 * y, y[::-1]])
+    inputs = np.stack([u, -u, u[::-1]])
+    lost = np.random.default_rng(2).random(runs.shape) < 0.1
+    lost[0] = False
+    samples = np.where(lost, np.where(np.arange(SAMPLES)[:, None] % 2, np.nan, np.inf), runs)
+    whole = estimator.observe(samples, inputs)
+    together = estimator.observe(runs, inputs)
+    batch = estimator.initial((3,))
+    alone = [estimator.initial() for _ in runs]
+    for k in range(SAMPLES):
+        if k > 0:
+            batch = estimator.predict(batch, inputs[:, k - 1], estimator.period)
+        batch, _ = estimator.correct(batch, runs[:, k])
+        for part, own in zip(together, estimator.readout(batch), strict=True):
+            assert part[:, k].tobytes() == own.tobytes()
+        for run in range(3):
+            if k > 0:
+                alone[run] = estimator.predict(alone[run], inputs[run, k - 1], estimator.period)
+            if np.isfinite(samples[run, k]).all():
+                alone[run], _ = estimator.correct(alone[run], samples[run, k])
+            for part, own in zip(whole, estimator.readout(alone[run]), strict=True):
+                assert part[run, k].tobytes() == np.asarray(own).tobytes()
+        assert batch.records[:1].tobytes() == alone[0].records.tobytes()
+    assert np.isfinite(whole.state).all()
+
+    middle = estimator.initial((3,)).changed(stamp=[1, 2, 3])
+    with pytest.raises(ModelError, match=r"start: expected a batch of \(3,\), got \(\)"):
+        estimator.observe(runs, inputs, start=estimator.initial())
+    from_there = estimator.observe(runs, inputs, start=middle)
+    assert from_there.state.tobytes() == together.state.tobytes()
+    assert (middle.stamp == [1, 2, 3]).all()
+
+
+def test_runs_of_other_lengths_of_step(estimator: Estimator) -> None:
+    y, u = series(estimator)
+    fast = estimator.observe(y[np.newaxis, :20], u[np.newaxis, :20], 0.8 * T)
+    state = estimator.initial()
+    for k in range(20):
+        if k > 0:
+            state = estimator.predict(state, u[k - 1], 0.8 * T)
+        state, _ = estimator.correct(state, y[k])
+        assert fast.state[0, k].tobytes() == estimator.readout(state).state.tobytes()
+
+
+def test_numbers_that_are_not_finite_raise_nothing(estimator: Estimator) -> None:
+    supervised = estimator.supervised
+    for place, state in enumerate(bad_numbers(estimator)):
+        finite = bool(np.isfinite(np.concatenate(estimator.readout(state)[:5])).all())
+        if supervised and place % 2 == 0:
+            assert finite  # a sample like this is an outlier
+        elif place < 6:
+            assert not finite
+
+
+def test_a_state_is_not_changed_by_a_step_and_copied_by_its_bytes(estimator: Estimator) -> None:
+    y, u = series(estimator)
+    state, _ = estimator.correct(estimator.initial(), y[0])
+    before = state.records.tobytes()
+    corrected, _ = estimator.correct(state, y[1])
+    predicted = estimator.predict(state, u[0], 2.5 * T)
+    assert state.records.tobytes() == before
+    assert predicted != state != corrected
+    for same in (
+        state.copy(), copy.copy(state), copy.deepcopy(state), pickle.loads(pickle.dumps(state)),
+    ):  # fmt: skip
+        assert same == state
+        assert estimator.predict(same, u[0], 2.5 * T) == predicted
+    moved = state.changed(x=state.x + 1.0)
+    np.testing.assert_array_equal(moved.x, state.x + 1.0)
+    assert moved != state
+    assert moved.changed(x=state.x) == state
+    assert state.records.tobytes() == before
+    assert state != "a state"
+    with pytest.raises(AttributeError, match="a state has no 'y_hat'; it has"):
+        state.changed(y_hat=0.0)
+
+
+def test_numbers_of_another_shape_are_named() -> None:
+    estimator = estimator_of("gyroscope")
+    state, batch = estimator.initial(), estimator.initial((3,))
+    for call, message in (
+        (lambda: estimator.correct(state, np.zeros(3)), r"y: expected shape \(2,\), got \(3,\)"),
+        (lambda: estimator.correct(batch, np.zeros((2, 2))), r"y: expected shape \(3, 2\), got"),
+        (lambda: estimator.predict(state, np.zeros(2), T), r"u: expected shape \(1,\), got \(2,\)"),
+        (lambda: estimator.predict(state, [0.0], -T), "duration: expected a finite number"),
+        (lambda: estimator.extrapolate(state, [0.0], np.nan), "duration: expected a finite number"),
+        (lambda: estimator.observe(np.zeros((5, 2)), 0.0), r"y: expected shape \(runs, samples, 2"),
+        (
+            lambda: estimator.observe(np.zeros((4, 5, 2)), np.zeros((4, 6, 1))),
+            r"u: expected shape \(4, 5, 1\), got \(4, 6, 1\)",
+        ),
+        (
+            lambda: estimator.observe(np.zeros((1, 5, 2)), np.zeros((1, 5, 1)), -1.0),
+            "period: expected a finite number of at least 0",
+        ),
+        (lambda: estimator.supervise(SupervisionOptions()), "expected a system of one output"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            call()
+
+
+if __name__ == "__main__":
+    for _name, _digest in digests().items():
+        print(f"{_name}: {_digest}")
