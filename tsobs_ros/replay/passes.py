@@ -426,7 +426,7 @@ def _copy(source: Tracker, target: Tracker) -> None:
 @compiled
 def _copy_records(memory: Any, ring: Any, other_memory: Any, other_ring: Any) -> None:
     other_memory[0] = memory[0]
-    for place in range(memory[0].size):
+    for place in range(memory[0].length):
         slot = slot_of(memory[0], ring, place)
         other_ring[slot] = ring[slot]
     coasted = len(ring) - 2
