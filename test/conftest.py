@@ -328,8 +328,19 @@ def executable(name: str) -> list[str]:
     return [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {code}"]
 
 
+@pytest.fixture(scope="session")
+def compiled() -> None:
+    """Compile what nodes need, so that none of them takes a minute to start in its test."""
+    from tsobs_ros.nodes.observer.joints import observed_joints, rehearse
+    from tsobs_ros.nodes.observer.parameters import ObserverParameters
+    from tsobs_ros.simulation.plant import Plant, Scenario
+
+    rehearse(observed_joints(ObserverParameters()))
+    Plant(Scenario())
+
+
 @pytest.fixture
-def ros_process(ros: Ros) -> Iterator[Callable[..., RosProcess]]:
+def ros_process(ros: Ros, compiled: None) -> Iterator[Callable[..., RosProcess]]:
     """Start executables on this test's domain; whatever is left is killed after the test.
 
     `prefix` is a command that runs the executable, such as a shell that sets limits first.
