@@ -252,6 +252,26 @@ def follow(
 
 
 @compiled
+def copy_history(memories: Any, ring: Any, other_memories: Any, other_ring: Any) -> None:
+    """Copy a history to records of the same sizes, without the states that it has forgotten."""
+    memory, coasted = memories[0], len(ring) - SPARE
+    other_memories[0] = memory
+    for place in range(memory.length):
+        slot = slot_of(memory, ring, place)
+        other_ring[slot] = ring[slot]
+    other_ring[coasted] = ring[coasted]
+
+
+@compiled
+def forget(memories: Any, ring: Any) -> None:
+    """Forget all measurements, but not the counts."""
+    memory = memories[0]
+    if memory.length > 0:
+        memory.bad_outputs += ring[slot_of(memory, ring, memory.length - 1)].failures
+    memory.first, memory.length, memory.has_base, memory.coasted_periods = 0, 0, 0, 0
+
+
+@compiled
 def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array) -> bool:
     """Predict to a measurement from the newest state, correct, and remember.
 

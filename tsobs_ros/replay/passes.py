@@ -20,8 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled, compiled_nogil
-from tsobs_ros.estimation.history import EXTRA, USED, estimate_at, newest_stamp, offer, slot_of
+from tsobs_ros.compiled import compiled_nogil
+from tsobs_ros.estimation.history import (
+    EXTRA,
+    USED,
+    copy_history,
+    estimate_at,
+    forget,
+    newest_stamp,
+    offer,
+)
 from tsobs_ros.estimation.tracker import Tracker
 
 Times = NDArray[np.int64]
@@ -249,7 +257,7 @@ class Pass:
         )
         if reset_after >= 0:
             self._take(reset_after, tick, now, _Choice.UNUSED)
-            _forget(self._tracker.memory, self._tracker.ring)
+            forget(self._tracker.memory, self._tracker.ring)
         begin, before = self.taken, counts.copy()
         uncertain = [
             arrived
@@ -311,7 +319,7 @@ class Pass:
             results.outcomes[place] = LEFT_OUT
         if samples.begins[place] and self._innovation(place) != samples.innovations[place]:
             _copy(self._spare[1], tracker)
-            _forget(tracker.memory, tracker.ring)
+            forget(tracker.memory, tracker.ring)
             self._offer(tracker, place, now)
 
     def _is_received(self, place: int, choice: _From) -> bool:
@@ -420,23 +428,4 @@ def _advance(
 
 
 def _copy(source: Tracker, target: Tracker) -> None:
-    _copy_records(source.memory, source.ring, target.memory, target.ring)
-
-
-@compiled
-def _copy_records(memory: Any, ring: Any, other_memory: Any, other_ring: Any) -> None:
-    other_memory[0] = memory[0]
-    for place in range(memory[0].length):
-        slot = slot_of(memory[0], ring, place)
-        other_ring[slot] = ring[slot]
-    coasted = len(ring) - 2
-    other_ring[coasted] = ring[coasted]
-
-
-@compiled
-def _forget(memories: Any, ring: Any) -> None:
-    """Forget the measurements, but not the counts."""
-    memory = memories[0]
-    if memory.length > 0:
-        memory.bad_outputs += ring[slot_of(memory, ring, memory.length - 1)].failures
-    memory.first, memory.length, memory.has_base, memory.coasted_periods = 0, 0, 0, 0
+    copy_history(source.memory, source.ring, target.memory, target.ring)
