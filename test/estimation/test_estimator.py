@@ -161,20 +161,42 @@ def estimator(request: pytest.FixtureRequest) -> Estimator:
     return estimator_of(request.param)
 
 
-def test_interpreted_steps_give_the_same_bits_as_compiled_ones() -> None:
-    printed = subprocess.run(
-        [sys.executable, __file__],
-        env={
-            **os.environ,
-            "NUMBA_DISABLE_JIT": "1",
-            "PYTHONPATH": str(Path(__file__).parents[2]),
-        },
+def interpreted(*arguments: str) -> str:
+    """Return what this file prints if nothing is compiled."""
+    path = str(Path(__file__).parents[2])
+    return subprocess.run(
+        [sys.executable, __file__, *arguments],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": path},
         capture_output=True,
         text=True,
         check=True,
     ).stdout
-    interpreted = dict(line.split(": ") for line in printed.splitlines())
-    assert interpreted == digests()
+
+
+def variance_after_nine_samples_at_once() -> float:
+    """Return the variance of one state that nine sensors measure, each with a variance of 0.5."""
+    always = RuleBase(((membership("always", {}),),))
+    model = TSModel(np.zeros((1, 1, 1)), np.zeros((1, 0)), np.ones((9, 1)), always, np.ones((1, 1)))
+    estimator = certified_estimator(
+        TSFlow(model, clean(9), [0.0], T),
+        0.5 * np.eye(9),
+        np.array([[2.0]]),
+        CertifiedGain(np.zeros((1, 9)), np.eye(1)),
+        uncertainty=Uncertainty({"a": 0.1}, np.ones((1, 1, 1, 1))),
+    )
+    state, _ = estimator.correct(estimator.initial(), np.ones(9))
+    return float(estimator.predict(state, [], T).covariance[0, 0])
+
+
+def test_interpreted_steps_give_the_same_bits_as_compiled_ones() -> None:
+    printed = dict(line.split(": ") for line in interpreted().splitlines())
+    assert printed == digests()
+
+
+def test_there_is_room_for_more_outputs_than_states() -> None:
+    """Interpreted, as an index beyond an array is an error there."""
+    variance = float(interpreted("nine"))
+    assert variance == pytest.approx(1.0 / (1.0 / 2.0 + 9.0 / 0.5), rel=1e-12)
 
 
 def test_what_the_runs_go_through() -> None:
@@ -299,5 +321,8 @@ def test_numbers_of_another_shape_are_named() -> None:
 
 
 if __name__ == "__main__":
-    for _name, _digest in digests().items():
-        print(f"{_name}: {_digest}")
+    if sys.argv[1:] == ["nine"]:
+        print(variance_after_nine_samples_at_once())
+    else:
+        for _name, _digest in digests().items():
+            print(f"{_name}: {_digest}")
