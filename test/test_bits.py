@@ -1,0 +1,119 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Every number is the same to the last bit on any CPU, compiled or interpreted.
+
+Libraries choose other loops for other CPUs, and other last bits come of them. Environments here
+have them choose as they would there, each in a process of its own.
+"""
+
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tsobs_ros as ts
+
+PROGRAM = """
+import hashlib, sys
+from pathlib import Path
+import numpy as np
+import tsobs_ros as ts
+from tsobs_ros.estimation.options import SupervisionOptions
+from tsobs_ros.methods import METHODS, make_estimator
+
+folder = Path(sys.argv[1])
+
+def show(name, record):
+    values = [record] if isinstance(record, np.ndarray) else vars(record).values()
+    digest = hashlib.sha256()
+    for value in values:
+        if isinstance(value, np.ndarray):
+            digest.update(np.ascontiguousarray(value).tobytes())
+    print(name, digest.hexdigest()[:16])
+
+for file in ("elastic_joint.design.yaml", "elastic_joint_adaptive.design.yaml"):
+    design = ts.load_design(folder / file)
+    show(f"design {file}", design.covariance_bound)
+    for method in METHODS if "adaptive" in file else ["certified"]:
+        settings = ts.ObserverSettings(
+            method=method, settle_time=0.2, supervision=SupervisionOptions(jump_quiet=0.0)
+        )
+        show(f"model {method}", make_estimator(design, settings).model)
+        found = ts.estimate(design, *np.load(folder / "arrays.npy"), settings=settings)
+        show(f"arrays {method}", found)
+        (found,) = ts.estimate_bag(folder / "bag", design, settings=settings).joints.values()
+        show(f"bag {method}", found)
+disturbed = {"mismatch": {"stiffness": 0.2}, "disturbance": "bias_step+sinusoid"}
+show("simulation", ts.simulate(duration=0.5, seed=3, **disturbed))
+"""
+CORES = ("Haswell", "SkylakeX", "Zen", "Sandybridge", "Nehalem", "Prescott")
+ENVIRONMENTS = {
+    "threads": {"OPENBLAS_NUM_THREADS": "1"},
+    **{core: {"OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": "2"} for core in CORES},
+    "numpy": {"NPY_DISABLE_CPU_FEATURES": "FEATURES"},
+    "glibc": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-FMA4"},
+    "generic CPU": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
+    "interpreter": {"NUMBA_DISABLE_JIT": "1"},
+}
+CONFIG = Path(__file__).resolve().parents[1] / "config"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag and arrays with jitter, late and lost samples, an outlier, a gap and a jump."""
+    folder = tmp_path_factory.mktemp("bits")
+    for name in ("elastic_joint.design.yaml", "elastic_joint_adaptive.design.yaml"):
+        (folder / name).write_bytes((CONFIG / name).read_bytes())
+    run = ts.simulate(duration=3.0, seed=5, mismatch={"stiffness": 0.2})
+    keep = np.r_[0:120, 480:600]
+    time, angle, torque = run.time[keep] + 10.0, run.angle[keep], run.torque[keep]
+    time = np.round(time + 1e-3 * np.sin(17.0 * np.arange(len(keep))), 6)
+    angle[60] += 1.0
+    angle[170:] += 0.3
+    rows = np.column_stack([time, angle, torque])
+    np.savetxt(folder / "log.csv", rows, delimiter=",", header="time,angle,torque", comments="")
+    ts.estimate_bag(
+        folder / "log.csv", str(folder / "elastic_joint_adaptive.design.yaml"), rate=150.0,
+        output=folder / "bag",
+    )  # fmt: skip
+    order = np.arange(len(keep))
+    order[[20, 30]], order[[130, 131]], angle[200] = order[[30, 20]], order[[131, 130]], np.nan
+    np.save(folder / "arrays.npy", np.array([time, angle, torque])[:, order])
+    return folder
+
+
+def numbers_of(folder: Path, environment: dict[str, str]) -> str:
+    if "NPY_DISABLE_CPU_FEATURES" in environment:
+        features = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+        environment = {"NPY_DISABLE_CPU_FEATURES": " ".join(features)}
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", PROGRAM, folder],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_all_numbers_are_the_same_bits_whatever_the_cpu(folder: Path) -> None:
+    reference = numbers_of(folder, {})
+    assert len(set(reference.split()[2::3])) > 8
+    with ThreadPoolExecutor(2) as pool:
+        found = dict(
+            zip(
+                ENVIRONMENTS,
+                pool.map(lambda one: numbers_of(folder, one), ENVIRONMENTS.values()),
+                strict=True,
+            )
+        )
+    differing = {
+        name: sorted(set(numbers.splitlines()) - set(reference.splitlines()))
+        for name, numbers in found.items()
+        if numbers != reference
+    }
+    assert differing == {}
