@@ -30,6 +30,7 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator, correct_each, predict_each, read_each
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Trajectories
@@ -181,13 +182,15 @@ def _late(design: Design, count: int, turns: int) -> dict[str, float]:
     runs = simulate(SCENARIOS["noise"], [1], (count + 2) * design.request.period)
     y, u = runs.measurements[0, :count], runs.torques[0, :count]
     stamps = NANOSECONDS + np.round(runs.times[:count] * NANOSECONDS).astype(np.int64)
-    settings = ts.ObserverSettings(history=2.0 * count * design.request.period)
+    limits = TrackerOptions(
+        design.arm_request.x_max, history=2.0 * count * design.request.period, max_steps=count
+    )
     now, order = int(stamps[-1]), np.arange(count)
     orders = {"ascending": order, "descending": order[::-1]}
     times: dict[str, list[float]] = {name: [] for name in orders}
     for _ in range(turns):
         for name, places in orders.items():
-            tracker = make_tracker(design, settings)
+            tracker = Tracker(design.supervised(), limits)
             given = (stamps[places], y[places], u[places])
             times[name].append(timed(lambda: tracker.offer_many(*given, now)))  # noqa: B023
     return {name: float(np.median(each)) for name, each in times.items()}
@@ -275,7 +278,7 @@ def main() -> None:
     made = parser(__doc__)
     made.add_argument("--seconds", type=float, default=30.0, help="simulated time of one arm")
     made.add_argument("--arms", type=int, default=250, help="runs in a batch")
-    made.add_argument("--late", type=int, default=1000, help="samples that come together")
+    made.add_argument("--late", type=int, default=5000, help="samples that come together")
     made.add_argument("--turns", type=int, default=7, help="repetitions of what is not a step")
     choices = ("steps", "batch", "series", "late", "start")
     made.add_argument("--parts", nargs="+", choices=choices, default=choices)
