@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled, compiled_nogil
+from tsobs_ros.compiled import compiled, compiled_nogil, inlined
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.state import correction_type, readout_type, work_type
 from tsobs_ros.estimation.steps import correct, predict, read, write_row
@@ -271,7 +271,7 @@ def forget(memories: Any, ring: Any) -> None:
     memory.first, memory.length, memory.has_base, memory.coasted_periods = 0, 0, 0, 0
 
 
-@compiled
+@inlined
 def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array) -> bool:
     """Predict to a measurement from the newest state, correct, and remember.
 

@@ -28,7 +28,7 @@ import math
 from typing import Any
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled, inlined
+from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.options import MAX_JUMP_BUDGET
 from tsobs_ros.estimation.state import CERTIFIED, OPEN, WINDOW
 from tsobs_ros.model.matrices import (
@@ -81,7 +81,7 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
     state.seen = 1
 
 
-@inlined
+@compiled
 def _expect(model: Any, state: Any, y: Array, correction: Any) -> None:
     """Write the innovation of a measurement, its covariance and the gain for it."""
     n, p, k = model.n, model.p, model.k
@@ -118,7 +118,7 @@ def _expect(model: Any, state: Any, y: Array, correction: Any) -> None:
                 S[i, j] += explained[i, j]
 
 
-@inlined
+@compiled
 def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
     """Correct estimate and parameters by an innovation.
 
@@ -158,7 +158,7 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
         _learn(model, state, correction, adapt, inflation)
 
 
-@inlined
+@compiled
 def _learn(model: Any, state: Any, correction: Any, adapt: bool, inflation: float) -> None:
     """Correct the regressor and, if wanted, the parameters and with them the estimate."""
     n, p, k = model.n, model.p, model.k
@@ -204,7 +204,7 @@ def _add_square(s: Array, a: Array, b: Array, sign: float, p: int, k: int) -> No
             s[j, i] = s[i, j]
 
 
-@inlined
+@compiled
 def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, bool, bool]:
     """Weigh a measurement of one output by its innovation, which the supervision remembers.
 
@@ -284,7 +284,7 @@ def _forget(state: Any) -> None:
         recent[i], calm_nis[i] = 0.0, 0.0
 
 
-@inlined
+@compiled
 def _leans(state: Any) -> bool:
     if state.watched < WINDOW:
         return False
@@ -295,7 +295,7 @@ def _leans(state: Any) -> bool:
     return abs(total) > _LEAN and max(positives, WINDOW - positives) >= _SAME_SIGN
 
 
-@inlined
+@compiled
 def _may_jump(model: Any, state: Any) -> bool:
     if model.jump_std == 0.0 or model.jump_budget == 0 or state.watch_age < model.jump_quiet:
         return False
@@ -306,7 +306,7 @@ def _may_jump(model: Any, state: Any) -> bool:
     return not full or state.watch_age - state.jump_ages[0] > model.jump_budget_window
 
 
-@inlined
+@compiled
 def _limit_disturbance(model: Any, state: Any) -> None:
     """Keep the disturbance ω = h w within its limit, by the smallest change of w that does it."""
     n, h, x = model.n, model.disturbance_map[0], state.x[:]
@@ -318,7 +318,7 @@ def _limit_disturbance(model: Any, state: Any) -> None:
         x[j] -= excess * (h[j] / square)
 
 
-@inlined
+@compiled
 def _guard(model: Any, state: Any, strained: bool) -> None:
     """Reset the adaptation if it goes astray."""
     k = model.k
@@ -455,7 +455,7 @@ def predict(
             _forget_slowly(model, state, duration)
 
 
-@inlined
+@compiled
 def _enter_gap(model: Any, state: Any, work: Any) -> None:
     """Write the estimate with the unknown torque and its rate as two more states."""
     n, k, wide = model.n, model.k, model.n_gap
@@ -472,7 +472,7 @@ def _enter_gap(model: Any, state: Any, work: Any) -> None:
             rows[i, j] = state.upsilon[i, j] if j < n else 0.0
 
 
-@inlined
+@compiled
 def _forget_slowly(model: Any, state: Any, duration: float) -> None:
     """Let the excitation fade and Γ grow, but no variance beyond the initial one."""
     k, gamma, gram = model.k, state.gamma[:], state.gram[:]
@@ -564,7 +564,7 @@ def _root(variance: float) -> float:
     return math.sqrt(variance) if variance >= 0.0 else math.nan
 
 
-@inlined
+@compiled
 def _is_excited(model: Any, state: Any, work: Any) -> bool:
     """Return whether the motion has been rich enough for θ̂ to count."""
     gram = work.small[:]

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled, inlined
+from tsobs_ros.compiled import compiled
 from tsobs_ros.model.linear_flow import MAX_TERMS, cut_into_steps, flow_over
 from tsobs_ros.model.matrices import apply, congruence, dot, multiply
 from tsobs_ros.model.memberships import rule_weights, rule_weights_and_slopes
@@ -222,7 +222,7 @@ def advance(
             )
 
 
-@inlined
+@compiled
 def _step_arm(
     flow: Any,
     phi: Array,
@@ -310,7 +310,7 @@ def _shear(covariance: Array, link: Array, motor: Array, n: int) -> None:
         c[j, 1] = c[1, j]
 
 
-@inlined
+@compiled
 def _step_system(
     flow: Any,
     phi: Array,
@@ -382,7 +382,7 @@ def _step_system(
         congruence(inner, covariance, second, first, covariance, n, n)
 
 
-@inlined
+@compiled
 def _enter(
     flow: Any,
     x: Array,
@@ -442,7 +442,7 @@ def _enter(
                 entering[p, i] += weights[rule] * dot(directions[p, rule, i], signal, signals)
 
 
-@inlined
+@compiled
 def _integrate(flow: Any, x: Array, y: Array, u: Array, duration: float, work: Any) -> None:
     """Integrate x' = Σ hᵢ(y)(Fᵢ x + Yᵢ y + Uᵢ u) − g sin x₁ in the row of x₂, by Runge–Kutta."""
     n, rules, premises = flow.n, flow.rules, flow.premises
