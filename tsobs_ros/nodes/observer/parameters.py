@@ -7,7 +7,12 @@ from dataclasses import dataclass
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.health import DisturbanceLimits
-from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
+from tsobs_ros.estimation.options import (
+    MAX_JUMP_BUDGET,
+    TORQUE_RATE,
+    GainMode,
+    SupervisionOptions,
+)
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import fixed_parameter, parameter, parameter_group
@@ -119,7 +124,9 @@ class ObserverParameters(ManagedParameters):
         jump_quiet=parameter(
             8.0, "No jump is looked for so soon after a start", unit="s", minimum=0.0, maximum=600.0
         ),
-        jump_budget=parameter(3, "Jumps within 20 s before they are ignored", minimum=0),
+        jump_budget=parameter(
+            3, "Jumps within 20 s before they are ignored", minimum=0, maximum=MAX_JUMP_BUDGET
+        ),
         lost=parameter(
             6.0, "Average innovation in sigma that gives the estimate up", minimum=1.0, maximum=1e3
         ),
