@@ -22,7 +22,8 @@ import hashlib, sys
 from pathlib import Path
 import numpy as np
 import tsobs_ros as ts
-from tsobs_ros.estimation.options import SupervisionOptions
+from tsobs_ros.estimation.estimator import certified_estimator
+from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions
 from tsobs_ros.methods import METHODS, make_estimator
 
 folder = Path(sys.argv[1])
@@ -37,7 +38,17 @@ def show(name, record):
 
 for file in ("elastic_joint.design.yaml", "elastic_joint_adaptive.design.yaml"):
     design = ts.load_design(folder / file)
-    show(f"design {file}", design.covariance_bound)
+    request, X = design.request, design.covariance_bound
+    show(f"design {file}", X)
+    settled = certified_estimator(
+        request.flow, request.measurement_covariance, X, CertifiedGain(design.K, X),
+        settle_time=0.0, uncertainty=request.uncertainty_model,
+    )
+    _, angle, torque = np.load(folder / "arrays.npy")[:, :100, np.newaxis]
+    found = settled.observe([angle], [torque])
+    # Where θ is learnt, its bounds are not the certificate's.
+    assert found.certified.any() == (settled.shape.k == 0)
+    show("settled", np.concatenate([found.state, found.state_bound, found.disturbance], axis=2))
     for method in METHODS if "adaptive" in file else ["certified"]:
         settings = ts.ObserverSettings(
             method=method, settle_time=0.2, supervision=SupervisionOptions(jump_quiet=0.0)
