@@ -4,8 +4,8 @@
 
 Loops run in the order in which they are written: no fused multiplication and addition, no changed
 order of sums. So the numbers are the same bits on every CPU, and the same as those of the
-interpreter, which runs the same functions if the environment has NUMBA_DISABLE_JIT=1. Only sines,
-exponentials and the like come from the system's mathematical library.
+interpreter, which runs the same functions if the environment has NUMBA_DISABLE_JIT=1. Sines and
+exponentials are those of `model.trigonometry`.
 
 What was compiled is kept in the folder NUMBA_CACHE_DIR if that is set, else beside the package,
 else in the user's cache folder; if none of them can be written, every process compiles for itself.

@@ -196,6 +196,7 @@ def _of_arm(
     measurement_std: float,
 ) -> Estimator:
     n, fastest = len(F), theta * _POLE_RATIOS[len(F) - 1]
+    std = positive("measurement_std", measurement_std)
     return integrated_estimator(
         F[np.newaxis],
         Y[np.newaxis],
@@ -204,8 +205,6 @@ def _of_arm(
         period=period,
         max_step=_STEP_LIMIT / fastest,
         scale=arm.to_physical(np.ones(4)),
-        measurement_covariance=as_matrix(
-            "R", [[positive("measurement_std", measurement_std) ** 2]], (1, 1)
-        ),
+        measurement_covariance=as_matrix("R", [[std * std]], (1, 1)),
         gravity_gain=arm.gravity_gain,
     )

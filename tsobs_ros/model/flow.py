@@ -207,7 +207,7 @@ class ArmFlow(Flow):
         arm = np.zeros((4, 4))
         arm[LINK_VELOCITY, LINK_VELOCITY] = self.process_noise.link
         scale = self.arm.stiffness / self.arm.link_inertia
-        arm[MOTOR_VELOCITY, MOTOR_VELOCITY] = self.process_noise.motor * scale**2
+        arm[MOTOR_VELOCITY, MOTOR_VELOCITY] = self.process_noise.motor * (scale * scale)
         return np.asarray(block_diag(arm, self.disturbance.noise_density))
 
     def to_physical(self, x: ArrayLike) -> Array:
@@ -251,7 +251,7 @@ class GapFlow(ArmFlow):
         return np.asarray(drift)
 
     def _noise_density(self) -> Array:
-        own = np.diag([0.0, 2.0 * self._torque_rate**2 / GAP_MEMORY])
+        own = np.diag([0.0, 2.0 * self.rate_variance / GAP_MEMORY])
         return np.asarray(block_diag(super()._noise_density(), own))
 
     @property
