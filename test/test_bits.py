@@ -63,8 +63,10 @@ show("simulation", ts.simulate(duration=0.5, seed=3, **disturbed))
 """
 CORES = ("Haswell", "SkylakeX", "Zen", "Sandybridge", "Nehalem", "Prescott")
 ENVIRONMENTS = {
-    "threads": {"OPENBLAS_NUM_THREADS": "1"},
-    **{core: {"OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": "2"} for core in CORES},
+    **{
+        core: {"OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": str(1 + number % 2)}
+        for number, core in enumerate(CORES)
+    },
     "numpy": {"NPY_DISABLE_CPU_FEATURES": "FEATURES"},
     "glibc": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-FMA4"},
     "interpreter": {"NUMBA_DISABLE_JIT": "1"},

@@ -154,10 +154,6 @@ def test_without_a_folder_to_write_to_the_next_one_is_taken(
     assert program.run(environment=environment) == Answer(20.0, 0)
 
 
-def write_rubbish(path: Path) -> None:
-    path.write_bytes(b"rubbish")
-
-
 def cut_off(path: Path) -> None:
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
 
@@ -167,7 +163,7 @@ def make_folder(path: Path) -> None:
     path.mkdir()
 
 
-@pytest.mark.parametrize("damage", [write_rubbish, cut_off, make_folder])
+@pytest.mark.parametrize("damage", [cut_off, make_folder])
 def test_a_damaged_cache_is_made_anew(program: Program, damage: Callable[[Path], None]) -> None:
     program.run()
     for path in [*program.beside.rglob("*.nb[ic]")]:

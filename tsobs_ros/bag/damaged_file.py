@@ -234,7 +234,9 @@ class DamagedFile:
             # One that has lost bytes may take them from the chunk that follows.
             if isinstance(record, Metadata) and not self._starts_record(end):
                 raise RecordError("not a record")
-            if isinstance(record, Channel) and not self._has_chunks:
+            # Behind damage it may be one of a chunk whose head is lost, and whose checksum with it.
+            is_bare = not self._has_chunks and (self._keep_unchecked or not self.damage)
+            if isinstance(record, Channel) and is_bare:
                 self._bare_channels.add(channel)
             return record, end
         # Nothing but the record that follows confirms the length of all others.

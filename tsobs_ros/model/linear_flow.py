@@ -84,6 +84,7 @@ class LinearFlow:
             np.empty((n, m)),
             n,
             m,
+            True,
         )
         return phi, gamma, noise
 
@@ -126,8 +127,9 @@ def flow_over(
     forced: Array,
     n: int,
     m: int,
+    with_noise: bool,
 ) -> None:
-    """Write Φ, Γ and Q over `duration` [s] from a series.
+    """Write Φ, Γ and, if wanted, Q over `duration` [s] from a series.
 
     Args:
         series: Of a `LinearFlow`.
@@ -141,6 +143,7 @@ def flow_over(
         forced: Scratch, shape (n, m).
         n: Number of states.
         m: Number of inputs.
+        with_noise: Whether Q is wanted, which is a third of the work.
     """
     doublings, step = 0, duration
     while step > reach:
@@ -151,7 +154,7 @@ def flow_over(
             phi[i, j] = _at(series, terms, step, n * i + j)
         for j in range(m):
             gamma[i, j] = _at(series, terms, step, n * n + m * i + j)
-        for j in range(i, n):
+        for j in range(i, n if with_noise else i):
             noise[i, j] = _at(series, terms, step, n * (n + m) + n * i + j)
             noise[j, i] = noise[i, j]
     first, second = squares[0], squares[1]
@@ -160,8 +163,9 @@ def flow_over(
         for i in range(n):
             for j in range(m):
                 gamma[i, j] += forced[i, j]
-        congruence(phi, noise, noise, first, second, n, n)
-        copy(second, noise, n, n)
+        if with_noise:
+            congruence(phi, noise, noise, first, second, n, n)
+            copy(second, noise, n, n)
         multiply(phi, phi, first, n, n, n)
         copy(first, phi, n, n)
 

@@ -189,6 +189,7 @@ def advance(
                 work.forced[:],
                 flow.n,
                 flow.inputs,
+                with_covariance,
             )
         if flow.kind == ARM:
             _step_arm(
