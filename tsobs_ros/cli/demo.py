@@ -30,7 +30,9 @@ RECORDED_TOPICS = (
 ADAPTIVE_TOPICS = tuple(f"/observer/{name}" for name in PARAMETER_TOPICS)
 """Published only if the design calls parameters uncertain."""
 
-_START_TIMEOUT = 30.0
+# The first start on a machine compiles the estimator, which takes up to a minute or two.
+_START_TIMEOUT = 240.0
+_SLOW_START = 5.0
 _STOP_TIMEOUT = 15.0
 _POLL = 0.05
 
@@ -127,7 +129,19 @@ def _record(
         recorder = start("recorder", {"output": bag.resolve(), "topics": topics})
         own = [re.escape(topic) + r" \[" for topic in RECORDED_TOPICS if "/observer/" in topic]
         others = [observer, recorder]
-        _until(lambda: recorder.has_printed(*own), others, "the recorder to be ready")
+        said: list[float] = []
+
+        def say_once(elapsed: float) -> None:
+            if elapsed > _SLOW_START and not said:
+                said.append(elapsed)
+                print("compiling the estimator, once on a machine", file=sys.stderr)
+
+        _until(
+            lambda: recorder.has_printed(*own),
+            others,
+            "the recorder to be ready",
+            show_progress=say_once,
+        )
         plant = start(
             "plant_simulator",
             {
