@@ -58,7 +58,7 @@ def compilations() -> int:
 def inlined(function: Function) -> Function:
     """Return a function that is compiled as a part of each compiled function that calls it.
 
-    For what is called in one place: a compiled function is optimised again in all that call it.
+    A compiled function is optimised again in all that call it. With few callers that takes longer.
     """
     if numba.config.DISABLE_JIT:
         return function

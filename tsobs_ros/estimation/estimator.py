@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The step-by-step estimator: pure functions of states, over the compiled steps."""
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from tsobs_ros.estimation.options import (
 )
 from tsobs_ros.estimation.state import Shape
 from tsobs_ros.model.flow import ArmFlow, GapFlow
+from tsobs_ros.model.matrices import is_finite
 from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix
 from tsobs_ros.model.stepping import Room
 from tsobs_ros.model.uncertainty import Uncertainty
@@ -301,19 +301,10 @@ class Estimator:
             self.new_work(),
             rows,
         )
-        state, state_bound, disturbance, rate, disturbance_bound, parameters, parameter_bound = [
-            rows[..., part] for part in self.row_parts.values()
-        ]
         return Readout(
-            state,
-            state_bound,
-            disturbance,
-            rate,
-            disturbance_bound,
-            rows[..., -2] != 0.0,
-            parameters,
-            parameter_bound,
-            rows[..., -1] != 0.0,
+            **{name: rows[..., part] for name, part in self.row_parts.items()},
+            certified=rows[..., -2] != 0.0,
+            parameters_valid=rows[..., -1] != 0.0,
         )
 
     def _rows_layout(self) -> tuple[dict[str, slice], int]:
@@ -487,10 +478,7 @@ def observe_each(
         for sample in range(y.shape[1]):
             if sample > 0:
                 steps.predict(model, states[run], u[run, sample - 1], duration, bool(0), work[0])
-            total = 0.0
-            for i in range(model.p):
-                total += y[run, sample, i]
-            if math.isfinite(total):
+            if is_finite(y[run, sample], model.p):
                 steps.correct(model, states[run], y[run, sample], corrections[0])
             steps.read(model, states[run], readouts[0], work[0])
             steps.write_row(model, readouts[0], rows[run, sample])

@@ -18,6 +18,7 @@ from tsobs_ros.compiled import compiled, compiled_nogil, inlined
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.state import correction_type, readout_type, work_type
 from tsobs_ros.estimation.steps import correct, predict, read, write_row
+from tsobs_ros.model.matrices import is_finite
 from tsobs_ros.model.stepping import Room, record_type
 
 REASONS = (None, *RejectReason)
@@ -243,7 +244,7 @@ def follow(
     """
     model, memory = models[0], memories[0]
     for i in range(len(stamps)):
-        if _is_finite(model, y[i], u[i]):
+        if is_finite(y[i], model.p) and is_finite(u[i], model.m):
             memory.accepted += 1
             _advance(model, memory, ring, stamps[i], y[i], u[i])
         else:
@@ -362,22 +363,11 @@ def _count_before(memory: Any, ring: Any, stamp: int) -> int:
 
 
 @compiled
-def _is_finite(model: Any, y: Array, u: Array) -> bool:
-    total = 0.0
-    for i in range(model.p):
-        total += 0.0 * y[i]
-    for i in range(model.m):
-        total += 0.0 * u[i]
-    finite: bool = total == 0.0  # which it is not for NaN
-    return finite
-
-
-@compiled
 def _refusal(
     model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array, now: int, newest: int
 ) -> int:
     """Return the code of the reason why a measurement cannot be used, or `USED`."""
-    if not _is_finite(model, y, u):
+    if not (is_finite(y, model.p) and is_finite(u, model.m)):
         return NON_FINITE
     if stamp <= 0:
         return ZERO_STAMP

@@ -3,8 +3,7 @@
 """Input and output of an estimator as plain records."""
 
 import enum
-from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 from tsobs_ros.checks import Array
 
@@ -36,15 +35,6 @@ class RejectReason(enum.Enum):
     FROM_FUTURE = "from the future"
     GATED = "gated"
     ZERO_STAMP = "zero stamp"
-
-
-Sample: TypeAlias = Measurement | RejectReason | None
-"""Part of a message for a joint: its measurement, the reason that there is none, or nothing."""
-
-
-def stamp_of(message: Sequence[Sample]) -> int:
-    """Return the stamp [ns] of a message's samples, 0 if none can be read."""
-    return next((sample.stamp for sample in message if isinstance(sample, Measurement)), 0)
 
 
 class Innovation(NamedTuple):

@@ -26,8 +26,6 @@ from tsobs_ros.model.prediction import Record, fill_matrix
 from tsobs_ros.model.stepping import Room, flow_type, record_type
 from tsobs_ros.model.trigonometry import exponential
 
-Fields = list[tuple[Any, ...]]
-
 WINDOW = 8
 """Innovations that are looked at together for a jump."""
 

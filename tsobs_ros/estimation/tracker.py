@@ -184,9 +184,9 @@ class Tracker:
         state = self.state
         return {} if state is None else self.estimator.events(state)
 
-    def reject(self, reason: RejectReason) -> None:
-        """Count a measurement that the caller could not even read."""
-        self.memory["refused"][0, REASONS.index(reason)] += 1
+    def reject(self, reason: RejectReason, count: int = 1) -> None:
+        """Count measurements that the caller could not even read."""
+        self.memory["refused"][0, REASONS.index(reason)] += count
 
     def offer(self, measurement: Measurement, now: int) -> Innovation | RejectReason:
         """Use a measurement, or refuse it.
@@ -202,7 +202,7 @@ class Tracker:
         stamps, sample, inputs, codes = self._one
         if np.shape(y) != sample.shape[1:] or np.shape(u) != inputs.shape[1:]:
             self._prepared([stamp], [y], [u])  # names what is wrong
-        # Arrays that are filled anew: making them would take longer than the estimator does.
+        # Arrays that are kept: making them would take longer than the estimator does.
         stamps[0], sample[0], inputs[0], codes[0] = stamp, y, u, 0
         innovation, expected_std = np.empty(sample.shape), np.empty(sample.shape)
         offer(
@@ -301,6 +301,7 @@ class Tracker:
         state, state_bound, disturbance, rate, disturbance_bound, parameters, parameter_bound = [
             row[part] for part in self.estimator.row_parts.values()
         ]
+        # Arguments by name would take a tenth of a tick.
         return Estimate(
             stamp,
             state,
@@ -372,10 +373,6 @@ class JointTrackers:
         """Forget everything; afterwards every tracker is as a new one."""
         for tracker in self.trackers:
             tracker.reset()
-
-    def copy(self) -> "JointTrackers":
-        """Return trackers that go on from here by themselves."""
-        return JointTrackers([tracker.copy() for tracker in self.trackers])
 
     def offer(
         self, measurements: Sequence[Measurement | None], now: int

@@ -6,6 +6,8 @@ A BLAS library has other kernels for other CPUs, and so other last bits. Results
 the caller provides, which must not be an argument at the same time unless that is said.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -20,6 +22,15 @@ def dot(a: Array, b: Array, n: int) -> float:
     for i in range(n):
         total += a[i] * b[i]
     return total
+
+
+@compiled
+def is_finite(a: Array, n: int) -> bool:
+    """Return whether all of the first n numbers are finite."""
+    finite = True
+    for i in range(n):
+        finite = finite and math.isfinite(a[i])
+    return finite
 
 
 @compiled

@@ -203,7 +203,7 @@ class Pass:
         return int(self.results.counts[_OFFERED])
 
     @property
-    def began_anew(self) -> bool | None:
+    def began_without_past(self) -> bool | None:
         """Whether the first recorded innovation is that of a tracker without a past.
 
         None if there is none, or no tick has taken its sample.

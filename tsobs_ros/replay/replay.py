@@ -192,7 +192,7 @@ class _Joint:
         table.innovations[messages[used], joint] = results.innovations[places[used], 0]
         np.maximum.at(table.ticks_of_use, messages, results.ticks_of_use[places])
         table.left_out[messages[outcomes == LEFT_OUT]] = True
-        if table.began_anew is None:
-            table.began_anew = self._pass.began_anew
+        if table.began_without_past is None:
+            table.began_without_past = self._pass.began_without_past
         counts = np.bincount(outcomes[outcomes > USED], minlength=len(REASONS)).tolist()
         return Counter({r: n for r, n in zip(REASONS, counts, strict=True) if r is not None and n})

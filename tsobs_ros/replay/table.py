@@ -31,8 +31,8 @@ class EstimateTable:
             last, -1 for those not used, shape (n,).
         left_out: Whether a message was not used as the recorded observer had not received it,
             shape (n,).
-        began_anew: Whether the first recorded innovation is that of an observer without a past;
-            None without any.
+        began_without_past: Whether the first recorded innovation is that of an observer without a
+            past; None without any.
         states: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), NaN without an estimate, shape (m, J, 4).
         state_bounds: 1σ bound of each, NaN without one, shape (m, J, 4).
         disturbances: Disturbance and its rate (rad, rad/s), NaN without, shape (m, J, 2).
@@ -55,7 +55,7 @@ class EstimateTable:
         self.innovations = np.full((messages, joints), np.nan)
         self.ticks_of_use = np.full(messages, -1)
         self.left_out = np.zeros(messages, np.bool_)
-        self.began_anew: bool | None = None
+        self.began_without_past: bool | None = None
 
     def add(
         self, joint: int, ticks: slice, rows: Array, there: Flags, parts: Mapping[str, slice]
@@ -203,7 +203,7 @@ class Recorded:
             before_first=int(left_out[:begin].sum()),
             in_between=int(left_out[begin:end].sum()),
             after_last=int(left_out[end:].sum()),
-            ran_before=None if table.began_anew is None else not table.began_anew,
+            ran_before=None if table.began_without_past is None else not table.began_without_past,
         )
 
 

@@ -161,8 +161,7 @@ class ObservedJoint:
     def reject(self, count: int) -> None:
         """Count samples that cannot be read."""
         self.received += count
-        for _ in range(count):
-            self.tracker.reject(RejectReason.WRONG_JOINT)
+        self.tracker.reject(RejectReason.WRONG_JOINT, count)
 
     def estimate(self, now: int, *, hold: bool) -> Estimate | None:
         """Return the estimate to publish, None if there is none.
