@@ -18,7 +18,8 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.history import EXTRA, USED
-from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.estimation.records import NANOSECONDS, Basis
+from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker
 from tsobs_ros.model.arm import ElasticJointArm
@@ -78,8 +79,13 @@ class Estimates:
         parameters: Learnt changes θ of the model's parameters, shape (n, k).
         parameter_bound: 1σ of each, shape (n, k).
         parameters_valid: Whether the motion was rich enough for them to be relied on, shape (n,).
-        certified: Whether the bounds are the certificate's; else they are the larger of that and
-            the covariance along the estimate, shape (n,).
+        basis: What the bounds rest on, codes of `tsobs_ros.estimation.records.Basis`, shape (n,).
+        noise_scale: Size of the sensor's noise relative to the design's, at least 1, shape (n,).
+        coloured_power: Mean product of neighbouring innovations relative to their expected power;
+            about 0 if the model is right, shape (n,).
+        learning: What the learning does, codes of `Learning` there, shape (n,).
+        hypothesis: What the arm and its sensor are taken for, codes of `Hypothesis` there,
+            shape (n,).
         in_domain: Whether the estimated link angle is in the certificate's domain, shape (n,).
         used: Number of measurements used.
         rejected: Number of measurements not used, by reason; those of all joints of a bag.
@@ -95,10 +101,19 @@ class Estimates:
     parameters: Array
     parameter_bound: Array
     parameters_valid: Flags
-    certified: Flags
+    basis: Array
+    noise_scale: Array
+    coloured_power: Array
+    learning: Array
+    hypothesis: Array
     in_domain: Flags
     used: int
     rejected: dict[str, int]
+
+    @property
+    def certified(self) -> Flags:
+        """Whether the bounds are the certificate's, shape (n,)."""
+        return np.asarray(self.basis == Basis.CERTIFIED)
 
 
 def load_design(path: str | Path | None = None) -> Design:
@@ -384,9 +399,13 @@ def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
         innovation_time=source.samples.stamps[used] / NANOSECONDS,
         parameters=table.parameters[:, joint],
         parameter_bound=table.parameter_bounds[:, joint],
-        certified=table.flags[:, joint, 0],
-        parameters_valid=table.flags[:, joint, 1],
-        in_domain=table.flags[:, joint, 2],
+        basis=table.condition("basis")[:, joint],
+        parameters_valid=table.condition("parameters_valid")[:, joint] == 1.0,
+        noise_scale=table.condition("noise_scale")[:, joint],
+        coloured_power=table.condition("coloured_power")[:, joint],
+        learning=table.condition("learning")[:, joint],
+        hypothesis=table.condition("hypothesis")[:, joint],
+        in_domain=table.condition("in_domain")[:, joint] == 1.0,
         used=int(used.sum()),
         rejected={reason.value: n for reason, n in run.replay.rejected.items()},
     )
@@ -451,9 +470,11 @@ def _columns_of(rows: Array, estimator: Estimator, outputs: tuple[int, ...]) -> 
         columns[name] = np.full((len(rows), *shape), np.nan)
         if name not in estimator.lacking:
             columns[name][:] = rows[:, estimator.row_parts[name]].reshape(columns[name].shape)
-    flags = rows[:, -2 - EXTRA : -1] == 1.0
-    for name, flag in zip(("certified", "parameters_valid", "in_domain"), flags.T, strict=True):
-        columns[name] = flag.copy()
+    names = (*CONDITIONS, "in_domain")
+    for name, column in zip(names, rows[:, -len(CONDITIONS) - EXTRA : -1].T, strict=True):
+        columns[name] = (
+            column == 1.0 if name in ("parameters_valid", "in_domain") else column.copy()
+        )
     return columns
 
 

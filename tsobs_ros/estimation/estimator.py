@@ -18,7 +18,8 @@ from tsobs_ros.estimation.options import (
     GainMode,
     SupervisionOptions,
 )
-from tsobs_ros.estimation.state import Shape
+from tsobs_ros.estimation.records import Basis
+from tsobs_ros.estimation.state import CONDITIONS, Shape
 from tsobs_ros.model.flow import ArmFlow, GapFlow
 from tsobs_ros.model.matrices import is_finite
 from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix
@@ -104,10 +105,14 @@ class Readout(NamedTuple):
         disturbance: Output disturbance [rad], shape (..., p); of length zero if there is none.
         disturbance_rate: Its modelled rate [rad/s], likewise.
         disturbance_bound: 1σ bound of the disturbance [rad], likewise.
-        certified: Whether the bounds are the certificate's.
         parameters: Learnt changes θ of the model's parameters, shape (..., k).
         parameter_bound: 1σ of each, shape (..., k).
+        basis: What the bounds rest on, a code of `Basis`.
         parameters_valid: Whether the motion was rich enough for them to count.
+        noise_scale: Size of the sensor's noise relative to the design's, at least 1.
+        coloured_power: Mean product of neighbouring innovations relative to their expected power.
+        learning: What the learning does, a code of `Learning`.
+        hypothesis: What the arm and its sensor are taken for, a code of `Hypothesis`.
     """
 
     state: Array
@@ -115,10 +120,19 @@ class Readout(NamedTuple):
     disturbance: Array
     disturbance_rate: Array
     disturbance_bound: Array
-    certified: Any
     parameters: Array
     parameter_bound: Array
+    basis: Any
     parameters_valid: Any
+    noise_scale: Any
+    coloured_power: Any
+    learning: Any
+    hypothesis: Any
+
+    @property
+    def certified(self) -> Any:
+        """Whether the bounds are the certificate's."""
+        return self.basis == Basis.CERTIFIED
 
 
 class Estimator:
@@ -257,8 +271,8 @@ class Estimator:
         }
         for name in self.lacking:
             values[name] = np.zeros((*state.batch, 0))
-        for name in ("certified", "parameters_valid"):
-            values[name] = values[name].astype(bool) if state.batch else bool(values[name])
+        for name, kind in zip(CONDITIONS, (int, bool, float, float, int, int), strict=True):
+            values[name] = values[name].astype(kind) if state.batch else kind(values[name])
         return Readout(**values)
 
     def observe(
@@ -303,9 +317,8 @@ class Estimator:
         )
         return Readout(
             **{name: rows[..., part] for name, part in self.row_parts.items()},
-            certified=rows[..., -2] != 0.0,
-            parameters_valid=rows[..., -1] != 0.0,
-        )
+            **{name: rows[..., at - len(CONDITIONS)] for at, name in enumerate(CONDITIONS)},
+        )._replace(parameters_valid=rows[..., 1 - len(CONDITIONS)] != 0.0)
 
     def _rows_layout(self) -> tuple[dict[str, slice], int]:
         """Return where the numbers of a readout are in a row of `steps.write_row`, and its width.
@@ -325,7 +338,7 @@ class Estimator:
         ):
             parts[name] = slice(at, at if name in self.lacking else at + size)
             at += size
-        return parts, at + 2
+        return parts, at + len(CONDITIONS)
 
     @property
     def lacking(self) -> tuple[str, ...]:
@@ -343,11 +356,6 @@ class Estimator:
             "losses of track": int(state.losses),
             "learning restarts": int(state.adaptation_resets),
         }
-
-    def frozen(self, state: State) -> bool:
-        """Return whether learning was given up: the model differs in other ways than θ."""
-        resets = int(state.adaptation_resets)
-        return self.shape.k > 0 and self.supervised and resets > self.model["relearn_budget"][0]
 
 
 def certified_estimator(

@@ -15,7 +15,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled, compiled_nogil, inlined
-from tsobs_ros.estimation.records import RejectReason
+from tsobs_ros.estimation.records import Basis, RejectReason
 from tsobs_ros.estimation.state import correction_type, readout_type, work_type
 from tsobs_ros.estimation.steps import correct, predict, read, write_row
 from tsobs_ros.model.matrices import is_finite
@@ -36,6 +36,8 @@ NON_FINITE, DUPLICATE, TOO_OLD, FROM_FUTURE, GATED, ZERO_STAMP = (
         RejectReason.ZERO_STAMP,
     )
 )
+
+_OF_CERTIFICATE, _OUTSIDE = Basis.LEARNT.value, Basis.OUTSIDE.value
 
 SPARE = 2
 """States at the end of a ring: one in a gap, and one that is read."""
@@ -220,8 +222,11 @@ def estimate_at(models: Any, memories: Any, ring: Any, stamp: int, row: Array) -
     if memory.readout.finite == 0:
         memory.bad_outputs += 1
         return False
+    inside = abs(memory.readout.state[0]) <= memory.x_max
+    if not inside and memory.readout.basis <= _OF_CERTIFICATE:
+        memory.readout.basis = _OUTSIDE
     end = write_row(model, memory.readout, row)
-    row[end] = 1.0 if abs(memory.readout.state[0]) <= memory.x_max else 0.0
+    row[end] = 1.0 if inside else 0.0
     row[end + 1] = remaining
     return True
 

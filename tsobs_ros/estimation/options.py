@@ -91,13 +91,14 @@ class SupervisionOptions:
     jump_std: float = 0.15
     jump_duration: float = 1.5
     jump_quiet: float = 8.0
-    jump_budget: int = 3
+    jump_budget: int = 8
     jump_budget_window: float = 20.0
     lost: float = 6.0
     stuck_samples: int = 10
     disturbance_limit: float = math.pi
     strain: float = 1.0
     relearn_budget: int = 4
+    relearn_time: float = 20.0
 
     def __post_init__(self) -> None:
         for name in ("gate", "lost", "disturbance_limit", "strain"):

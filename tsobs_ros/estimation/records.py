@@ -37,6 +37,69 @@ class RejectReason(enum.Enum):
     ZERO_STAMP = "zero stamp"
 
 
+class Basis(enum.IntEnum):
+    """What the published bounds rest on.
+
+    Attributes:
+        CERTIFIED: The certificate, times the noise's scale.
+        LEARNT: The same for the estimate's own error, which the certificate covers, and the learnt
+            parameters' uncertainty, which it does not.
+        STARTING: The covariance along the estimate, after a start.
+        GAP: The same, after a gap in measurements or torque.
+        JUMP: The same, after a jump of the sensor.
+        TORQUE: The same, after a doubtful step of the torque.
+        CONTRADICTED: Nothing: the innovations contradict what the bounds assume.
+        HYPOTHESIS: The covariance of another hypothesis about the arm or its sensor.
+        OUTSIDE: Nothing: the link angle is outside of the certificate's domain.
+    """
+
+    CERTIFIED = 0
+    LEARNT = 1
+    STARTING = 2
+    GAP = 3
+    JUMP = 4
+    TORQUE = 5
+    CONTRADICTED = 6
+    HYPOTHESIS = 7
+    OUTSIDE = 8
+
+
+class Learning(enum.IntEnum):
+    """What the learning of parameters does.
+
+    Attributes:
+        NONE: There is nothing to learn.
+        STARTING: It waits until the estimate has settled after a start.
+        ACTIVE: It goes on.
+        AFTER_JUMP: It rests after a jump of the sensor.
+        STRAINED: It rests as the model is wrong in other ways than in the parameters.
+    """
+
+    NONE = 0
+    STARTING = 1
+    ACTIVE = 2
+    AFTER_JUMP = 3
+    STRAINED = 4
+
+
+class Hypothesis(enum.IntEnum):
+    """What the estimate takes the arm and its sensor for.
+
+    Attributes:
+        AS_DESIGNED: What the design says.
+        FORCE: An arm that is pushed by an unknown force.
+        STRONG_FORCE: One that is pushed harder.
+        COLOURED_NOISE: A sensor with noise that is alike from sample to sample.
+        DELAY: A sensor that is late.
+    """
+
+    AS_DESIGNED = 0
+    FORCE = 1
+    STRONG_FORCE = 2
+    COLOURED_NOISE = 3
+    DELAY = 4
+
+
 class Innovation(NamedTuple):
     """How far a used measurement was from its prediction.
 
@@ -61,11 +124,15 @@ class Estimate(NamedTuple):
         disturbance: Output disturbance or fault [rad], shape (1,).
         disturbance_rate: Its modelled rate [rad/s], shape (1,).
         disturbance_bound: 1σ bound of the disturbance [rad], shape (1,).
-        certified: Whether the bound is the certificate's; else it is the larger of that and the
-            covariance along the estimate.
         parameters: Estimated changes θ of the model's parameters, shape (k,).
         parameter_bound: 1σ of each, shape (k,).
+        basis: What the bounds rest on.
         parameters_valid: Whether the motion was rich enough for them to count.
+        noise_scale: Size of the sensor's noise relative to the design's, at least 1.
+        coloured_power: Mean product of neighbouring innovations relative to their expected power,
+            0 if the model is right.
+        learning: What the learning does.
+        hypothesis: What the estimate takes the arm and its sensor for.
         in_domain: Whether the estimated link angle lies in the certificate's domain.
         age: Time since the newest measurement behind it [s].
     """
@@ -76,9 +143,18 @@ class Estimate(NamedTuple):
     disturbance: Array
     disturbance_rate: Array
     disturbance_bound: Array
-    certified: bool
     parameters: Array
     parameter_bound: Array
+    basis: Basis
     parameters_valid: bool
+    noise_scale: float
+    coloured_power: float
+    learning: Learning
+    hypothesis: Hypothesis
     in_domain: bool
     age: float
+
+    @property
+    def certified(self) -> bool:
+        """Whether the bounds are the certificate's."""
+        return self.basis is Basis.CERTIFIED

@@ -29,6 +29,16 @@ from tsobs_ros.model.trigonometry import exponential
 WINDOW = 8
 """Innovations that are looked at together for a jump."""
 
+CONDITIONS = (
+    "basis",
+    "parameters_valid",
+    "noise_scale",
+    "coloured_power",
+    "learning",
+    "hypothesis",
+)
+"""Fields of a readout that say what its numbers are worth, in the order of a row."""
+
 OPEN, RICCATI, CERTIFIED = 0, 1, 2
 """Gains of a sample: none, as it is held while the observer is integrated, or one of these."""
 
@@ -111,11 +121,20 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("gram", number, (k, k)),
             ("age", number),
             ("recent", number, (WINDOW,)),
-            ("calm_nis", number, (WINDOW,)),
+            ("calm", number, (WINDOW,)),
             ("watched", count),
             ("nis", number),
             ("magnitude", number),
+            ("noise_scale", number),
+            ("scale_age", number),
+            ("previous", number),
+            ("paired", count),
+            ("since", number),
+            ("coloured_power", number),
             ("strained", number),
+            ("doubt", number),
+            ("resting", count),
+            ("relearned", number),
             ("watch_age", number),
             ("jump_ages", number, (MAX_JUMP_BUDGET,)),
             ("jump_count", count),
@@ -175,8 +194,12 @@ def readout_type(room: Room) -> np.dtype[Any]:
             ("disturbance_bound", number, (p,)),
             ("parameters", number, (k,)),
             ("parameter_bound", number, (k,)),
-            ("certified", count),
+            ("basis", count),
             ("parameters_valid", count),
+            ("noise_scale", number),
+            ("coloured_power", number),
+            ("learning", count),
+            ("hypothesis", count),
             ("finite", count),
         ]
     )
@@ -253,7 +276,8 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("disturbance_limit", number),
             ("strain", number),
             ("relearn_budget", count),
-            ("nis_share", number),
+            ("relearn_time", number),
+            ("second_share", number),
             ("magnitude_share", number),
         ]
     )
@@ -265,7 +289,8 @@ def new_model(room: Room, shape: Shape, period: float) -> Record:
     for name, size in zip(("n", "plant", "p", "m", "k", "n_gap"), shape, strict=True):
         model[name] = size
     model["period"] = period
-    model["initial"]["nis"] = model["initial"]["magnitude"] = 1.0
+    for name in ("nis", "magnitude", "noise_scale"):
+        model["initial"][name] = 1.0
     return model
 
 
@@ -308,5 +333,5 @@ def enter_supervision(model: Any, options: SupervisionOptions) -> None:
     model["supervised"] = 1
     # Shares of a sample in the averages over one second, and over half a second.
     period = float(model["period"])
-    model["nis_share"] = 1.0 - exponential(-period)
+    model["second_share"] = 1.0 - exponential(-period)
     model["magnitude_share"] = 1.0 - exponential(-2.0 * period)

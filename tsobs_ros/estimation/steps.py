@@ -30,6 +30,7 @@ from typing import Any
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.options import MAX_JUMP_BUDGET
+from tsobs_ros.estimation.records import Basis, Learning
 from tsobs_ros.estimation.state import CERTIFIED, OPEN, WINDOW
 from tsobs_ros.model.matrices import (
     congruence,
@@ -44,11 +45,22 @@ from tsobs_ros.model.matrices import (
 from tsobs_ros.model.stepping import advance
 from tsobs_ros.model.trigonometry import exponential
 
-_WINDOW_CLIP = 5.0
+_CERTIFIED, _LEARNT, _STARTING = Basis.CERTIFIED.value, Basis.LEARNT.value, Basis.STARTING.value
+_CONTRADICTED = Basis.CONTRADICTED.value
+_NONE, _YOUNG, _ACTIVE = Learning.NONE.value, Learning.STARTING.value, Learning.ACTIVE.value
+_AFTER_JUMP, _STRAINED = Learning.AFTER_JUMP.value, Learning.STRAINED.value
+
+_CLIP = 5.0
 _SAME_SIGN = 7
 _LEAN = 6.0 * math.sqrt(WINDOW)
 _LOST_CLIP = 4.0
-_CALM = 2.0
+_CALM = 1.0
+_STRAIN = 1.0
+_MAX_NIS = 3.0
+_MAX_COLOUR = 0.5
+_DOUBT = 3.0
+_NEIGHBOURS = 10.0
+_MEDIAN = 0.6745
 
 
 @compiled
@@ -62,10 +74,10 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
         correction: Record of `correction_type`, written.
     """
     _expect(model, state, y, correction)
-    used, adapt, jumped, strained = model.gain_mode != OPEN, True, False, False
+    used, adapt, jumped = model.gain_mode != OPEN, True, False
     if model.supervised != 0:
-        used, jumped, strained = _judge(model, state, y, correction)
-        adapt = state.pause <= 0.0 and not is_frozen(model, state)
+        used, jumped = _judge(model, state, y, correction)
+        adapt = state.pause <= 0.0 and state.resting == 0
     if used:
         _apply(model, state, correction, adapt)
         if jumped and model.disturbed != 0:
@@ -74,11 +86,11 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
             state.pause = model.jump_duration
         if model.supervised != 0:
             _limit_disturbance(model, state)
-            _guard(model, state, strained)
+            _guard(model, state)
     sample = state.y[:]
     for i in range(model.p):
         sample[i] = y[i]
-    state.seen = 1
+    state.seen, state.since = 1, 0.0
 
 
 @compiled
@@ -135,6 +147,9 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
         for i in range(n):
             total += dot(P[i], covariance[i], n)
         inflation = larger(total / n, 1.0)
+    if model.supervised != 0:
+        scale = larger(state.noise_scale, 1.0)
+        inflation *= scale * scale * larger(state.nis, 1.0)
     for i in range(n):
         for j in range(p):
             x[i] += gain[i, j] * (weight * innovation[j])
@@ -205,41 +220,47 @@ def _add_square(s: Array, a: Array, b: Array, sign: float, p: int, k: int) -> No
 
 
 @compiled
-def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, bool, bool]:
+def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, bool]:
     """Weigh a measurement of one output by its innovation, which the supervision remembers.
 
     Returns:
-        Whether it is used, whether the sensor jumped, and whether the model is strained.
+        Whether it is used, and whether the sensor jumped.
     """
     state.repeats = state.repeats + 1 if state.seen != 0 and y[0] == state.y[0] else 0
     if 0 < model.stuck_samples <= state.repeats:
         state.in_gap = 0
         correction.weight = 0.0
-        return False, False, False
+        return False, False
     variance = correction.innovation_covariance[0, 0]
-    r = correction.innovation[0] / math.sqrt(variance) if variance >= 0.0 else math.nan
-    size = abs(r)
-    recent, calm_nis, jump_ages = state.recent[:], state.calm_nis[:], state.jump_ages[:]
-    limit = model.gate * math.sqrt(state.nis) if state.nis > 1.0 else model.gate
-    if size > limit:
-        correction.weight = limit / size
-    if not size <= model.reject:  # which NaN is not either
+    innovation = correction.innovation[0]
+    r = innovation / math.sqrt(variance) if variance >= 0.0 else math.nan
+    if not math.isfinite(r):
         correction.weight = 0.0
-    clipped = r
-    if not size < _WINDOW_CLIP:
-        clipped = -_WINDOW_CLIP if r < 0.0 else _WINDOW_CLIP
+        state.in_gap = 0
+        return False, False
+    _scale_noise(model, state, innovation)
+    r /= larger(state.noise_scale, 1.0)
+    size, recent, calm = abs(r), state.recent[:], state.calm[:]
+    limit = model.gate * math.sqrt(larger(state.coloured_power, 1.0))
+    if size > limit:
+        correction.weight = (limit / size) * (limit / size)
+    if size > model.reject:
+        correction.weight = 0.0
+    clipped = min(max(r, -_CLIP), _CLIP)
+    coloured = state.coloured_power
+    if state.watched > 0:
+        product = clipped * recent[state.watched - 1]
+        coloured += model.second_share * (product - coloured)
     if state.watched == WINDOW:
         for i in range(WINDOW - 1):
-            recent[i], calm_nis[i] = recent[i + 1], calm_nis[i + 1]
+            recent[i], calm[i] = recent[i + 1], calm[i + 1]
     else:
         state.watched += 1
     recent[state.watched - 1] = clipped
-    calm_nis[state.watched - 1] = state.nis
-    nis = state.nis + model.nis_share * (clipped * clipped - state.nis)
+    calm[state.watched - 1] = state.coloured_power
+    nis = state.nis + model.second_share * (clipped * clipped - state.nis)
     # A lone value of any size must not give the estimate up.
-    bounded = _LOST_CLIP * model.lost
-    if size < bounded:
-        bounded = size
+    bounded = min(size, _LOST_CLIP * model.lost)
     magnitude = state.magnitude + model.magnitude_share * (bounded - state.magnitude)
     if magnitude > model.lost:
         # This sample is not used: it may be the worst of those that gave the estimate up. The
@@ -248,40 +269,68 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
         _inflate(model, state, model.disturbance_limit, 0.0)
         _forget(state)
         state.watch_age, state.jump_count, state.losses = 0.0, 0, state.losses + 1
+        state.doubt = _DOUBT
+        jump_ages = state.jump_ages[:]
         for i in range(MAX_JUMP_BUDGET):
             jump_ages[i] = 0.0
         correction.weight = 0.0
-        return False, False, False
+        return False, False
     if correction.weight < 1.0:
         state.outliers += 1
     used = correction.weight > 0.0
     if not used:
         state.in_gap = 0
-    if _leans(state) and calm_nis[0] < _CALM and _may_jump(model, state):
+    if _leans(state) and calm[0] < _CALM and _may_jump(model, state):
         # The averages start over: they belong to the time before the jump.
         _forget(state)
-        while state.jump_count >= model.jump_budget:
-            state.jump_count -= 1
-            for i in range(state.jump_count):
-                jump_ages[i] = jump_ages[i + 1]
-        jump_ages[state.jump_count] = state.watch_age
-        state.jump_count += 1
-        return used, True, False
-    state.nis, state.magnitude = nis, magnitude
-    state.strained = state.strained + model.period if nis > _CALM else 0.0
-    strained = state.strained >= model.strain
-    if strained:
-        state.strained = 0.0
-    return used, False, strained
+        _note_jump(model, state)
+        state.doubt = _DOUBT
+        return used, True
+    state.nis, state.magnitude, state.coloured_power = nis, magnitude, coloured
+    if nis > _MAX_NIS or coloured > _MAX_COLOUR:
+        state.doubt = _DOUBT
+    state.strained = state.strained + model.period if coloured > _STRAIN else 0.0
+    return used, False
+
+
+@compiled
+def _scale_noise(model: Any, state: Any, innovation: float) -> None:
+    """Follow the size of white noise by the running median of neighbouring differences.
+
+    It is a stochastic approximation in the logarithm of the scale.
+    """
+    elapsed = state.since
+    if state.paired != 0 and elapsed <= _NEIGHBOURS * model.period:
+        expected = math.sqrt(2.0 * model.innovation_covariance[0, 0]) * _MEDIAN
+        rate = larger(20.0 / (1.0 + 20.0 * state.scale_age), 1.0)
+        step = 1.0 + 0.5 * rate * elapsed
+        if abs(innovation - state.previous) > state.noise_scale * expected:
+            state.noise_scale *= step
+        else:
+            state.noise_scale /= step
+        state.scale_age += elapsed
+    state.previous, state.paired = innovation, 1
+
+
+@compiled
+def _note_jump(model: Any, state: Any) -> None:
+    jump_ages = state.jump_ages[:]
+    while state.jump_count >= model.jump_budget:
+        state.jump_count -= 1
+        for i in range(state.jump_count):
+            jump_ages[i] = jump_ages[i + 1]
+    jump_ages[state.jump_count] = state.watch_age
+    state.jump_count += 1
 
 
 @compiled
 def _forget(state: Any) -> None:
     """Start the averages and the window of the innovations over."""
-    state.nis, state.magnitude, state.strained, state.watched = 1.0, 1.0, 0.0, 0
-    recent, calm_nis = state.recent[:], state.calm_nis[:]
+    state.nis, state.magnitude, state.coloured_power = 1.0, 1.0, 0.0
+    state.strained, state.watched, state.paired = 0.0, 0, 0
+    recent, calm = state.recent[:], state.calm[:]
     for i in range(WINDOW):
-        recent[i], calm_nis[i] = 0.0, 0.0
+        recent[i], calm[i] = 0.0, 0.0
 
 
 @compiled
@@ -319,32 +368,28 @@ def _limit_disturbance(model: Any, state: Any) -> None:
 
 
 @compiled
-def _guard(model: Any, state: Any, strained: bool) -> None:
-    """Reset the adaptation if it goes astray."""
+def _guard(model: Any, state: Any) -> None:
+    """Start learning over if it goes astray; let it rest if that happens too often."""
     k = model.k
-    if k == 0 or is_frozen(model, state):
+    if k == 0:
         return
     at_limit, theta, limits = False, state.theta[:], model.limits[:]
     for i in range(k):
         at_limit = at_limit or abs(theta[i]) >= limits[i]
     state.pinned = state.pinned + model.period if at_limit else 0.0
-    if not strained and state.pinned < model.strain:
+    astray = state.strained >= model.strain or state.pinned >= model.strain
+    if state.resting != 0 and state.relearned <= model.relearn_budget - 1.0:
+        state.resting = 0
+    if not astray or state.resting != 0:
         return
-    state.pinned = 0.0
+    state.pinned, state.strained = 0.0, 0.0
+    if state.relearned > model.relearn_budget - 1.0:
+        state.resting = 1
+        return
+    state.relearned += 1.0
     state.adaptation_resets += 1
     copy(model.initial.gamma[:], state.gamma[:], k, k)
     copy(model.initial.upsilon[:], state.upsilon[:], k, model.n)
-    if is_frozen(model, state):
-        for i in range(k):
-            theta[i] = 0.0
-        copy(model.initial.gram[:], state.gram[:], k, k)
-
-
-@compiled
-def is_frozen(model: Any, state: Any) -> bool:
-    """Return whether learning was given up: the model differs in other ways than θ."""
-    given_up: bool = state.adaptation_resets > model.relearn_budget
-    return model.supervised != 0 and model.k > 0 and given_up
 
 
 @compiled
@@ -451,6 +496,9 @@ def predict(
     if not between_samples:
         state.pause = max(0.0, state.pause - duration)
         state.watch_age += duration
+        state.since += duration
+        state.doubt = max(0.0, state.doubt - duration)
+        state.relearned = max(0.0, state.relearned - duration / model.relearn_time)
         if k > 0:
             _forget_slowly(model, state, duration)
 
@@ -508,12 +556,14 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
     x, y, covariance = state.x[:], state.y[:], state.covariance[:]
     upsilon, gamma, theta = state.upsilon[:], state.gamma[:], state.theta[:]
     share = work.small[0]
+    noise = larger(state.noise_scale, 1.0) if model.supervised != 0 else 1.0
     uncertain = model.gain_mode != OPEN and state.certified == 0
     total = 0.0
     for i in range(plant):
         bound = std[i]
         if uncertain:
             bound = larger(_root(covariance[i, i]), bound)
+        bound *= noise
         for a in range(k):
             share[a] = upsilon[a, i]
         added = larger(quadratic(gamma, share, k), 0.0)
@@ -531,6 +581,7 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         bound = std[i]
         if uncertain:
             bound = larger(_root(quadratic(covariance, h, n)), bound)
+        bound *= noise
         for a in range(k):
             share[a] = dot(h, upsilon[a], n)
         added = larger(quadratic(gamma, share, k), 0.0)
@@ -544,13 +595,36 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         readout.parameters[i] = theta[i]
         readout.parameter_bound[i] = _root(gamma[i, i])
         total += readout.parameters[i] + readout.parameter_bound[i]
-    readout.certified = state.certified
-    if k > 0 and model.covered == 0:
-        readout.certified = 0
+    readout.basis = _basis(model, state)
+    readout.noise_scale, readout.coloured_power = noise, state.coloured_power
+    readout.learning = _learning(model, state)
+    readout.hypothesis = 0
     readout.parameters_valid = 0
-    if k > 0 and not is_frozen(model, state) and _is_excited(model, state, work):
+    if k > 0 and state.resting == 0 and _is_excited(model, state, work):
         readout.parameters_valid = 1
     readout.finite = 1 if math.isfinite(total) else 0
+
+
+@compiled
+def _basis(model: Any, state: Any) -> int:
+    """Return the code of `Basis` that a state's bounds have."""
+    if state.doubt > 0.0 and state.watch_age > 0.0:
+        return _CONTRADICTED
+    if state.certified == 0:
+        return _STARTING
+    return _LEARNT if model.k > 0 and model.covered == 0 else _CERTIFIED
+
+
+@compiled
+def _learning(model: Any, state: Any) -> int:
+    """Return the code of `Learning` of a state."""
+    if model.k == 0:
+        return _NONE
+    if state.resting != 0:
+        return _STRAINED
+    if state.pause > 0.0:
+        return _AFTER_JUMP
+    return _ACTIVE if state.age >= model.adaptation_start else _YOUNG
 
 
 @compiled
@@ -578,8 +652,8 @@ def _is_excited(model: Any, state: Any, work: Any) -> bool:
 def write_row(model: Any, readout: Any, row: Array) -> int:
     """Write the numbers of a readout one after the other; return how many they are.
 
-    State, its bound, disturbance, its rate, its bound, parameters, their bounds; then whether the
-    bounds are certified, and whether the parameters are valid.
+    State, its bound, disturbance, its rate, its bound, parameters, their bounds; then those of
+    `state.CONDITIONS`.
     """
     plant, p, k = model.plant, model.p, model.k
     states, bounds = readout.state[:], readout.state_bound[:]
@@ -594,6 +668,8 @@ def write_row(model: Any, readout: Any, row: Array) -> int:
     for i in range(k):
         row[at + i], row[at + k + i] = readout.parameters[i], readout.parameter_bound[i]
     at += 2 * k
-    row[at], row[at + 1] = readout.certified, readout.parameters_valid
-    end: int = at + 2
+    row[at], row[at + 1] = readout.basis, readout.parameters_valid
+    row[at + 2], row[at + 3] = readout.noise_scale, readout.coloured_power
+    row[at + 4], row[at + 5] = readout.learning, readout.hypothesis
+    end: int = at + 6
     return end

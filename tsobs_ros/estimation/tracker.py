@@ -28,12 +28,19 @@ from tsobs_ros.estimation.history import (
 )
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
+    Basis,
     Estimate,
+    Hypothesis,
     Innovation,
+    Learning,
     Measurement,
     RejectReason,
 )
+from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.model.prediction import Record
+
+_BASES, _LEARNINGS, _HYPOTHESES = tuple(Basis), tuple(Learning), tuple(Hypothesis)
+"""By their codes: to make them from numbers would take longer."""
 
 _LONGEST = 2**61
 """Longest time that is told from a longer one, so that no sum of stamps overflows [ns]."""
@@ -297,7 +304,9 @@ class Tracker:
         row = np.empty(self.estimator.row_width + EXTRA)
         if not estimate_at(self.estimator.model, self.memory, self.ring, stamp, row):
             return None
-        certified, parameters_valid, in_domain, age = row[-2 - EXTRA :].tolist()
+        basis, valid, scale, coloured, learning, hypothesis, in_domain, age = row[
+            -len(CONDITIONS) - EXTRA :
+        ].tolist()
         state, state_bound, disturbance, rate, disturbance_bound, parameters, parameter_bound = [
             row[part] for part in self.estimator.row_parts.values()
         ]
@@ -309,10 +318,14 @@ class Tracker:
             disturbance,
             rate,
             disturbance_bound,
-            certified != 0.0,
             parameters,
             parameter_bound,
-            parameters_valid != 0.0,
+            _BASES[int(basis)],
+            valid != 0.0,
+            scale,
+            coloured,
+            _LEARNINGS[int(learning)],
+            _HYPOTHESES[int(hypothesis)],
             in_domain != 0.0,
             age,
         )

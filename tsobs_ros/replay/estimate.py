@@ -159,7 +159,7 @@ class Run:
         disturbances = table.disturbances[ticks]
         messages += publish(topics.DISTURBANCE, at, disturbances[..., :1], disturbances[..., 1:])
         messages += publish(topics.DISTURBANCE_BOUND, at, table.disturbance_bounds[ticks])
-        valid = table.flags[ticks, :, 1]
+        valid = table.condition("parameters_valid")[ticks] == 1.0
         due = self._parameters_due(at.stamps, valid)
         for topic, values in (
             (topics.PARAMETERS, table.parameters[ticks]),

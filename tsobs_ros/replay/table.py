@@ -11,6 +11,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import Flags, JointSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.history import EXTRA
+from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Live, Samples, match, places_of_innovations
 
@@ -39,8 +40,8 @@ class EstimateTable:
         disturbance_bounds: 1σ bound of the disturbance [rad], NaN without, shape (m, J, 1).
         parameters: Learnt parameters, NaN without, shape (m, J, k).
         parameter_bounds: 1σ of each, shape (m, J, k).
-        flags: Whether an estimate is certified, its parameters are valid, and it is in the
-            certificate's domain, shape (m, J, 3).
+        conditions: What an estimate's numbers are worth, NaN without one: the numbers of
+            `state.CONDITIONS`, and whether it is in the certificate's domain, shape (m, J, c).
     """
 
     def __init__(self, ticks: int, messages: int, joints: int, parameters: int = 0) -> None:
@@ -50,7 +51,7 @@ class EstimateTable:
         self.disturbance_bounds = np.full((ticks, joints, 1), np.nan)
         self.parameters = np.full((ticks, joints, parameters), np.nan)
         self.parameter_bounds = self.parameters.copy()
-        self.flags = np.zeros((ticks, joints, 3), np.bool_)
+        self.conditions = np.full((ticks, joints, len(CONDITIONS) + 1), np.nan)
         self.done = np.zeros(ticks, np.bool_)
         self.innovations = np.full((messages, joints), np.nan)
         self.ticks_of_use = np.full(messages, -1)
@@ -81,7 +82,12 @@ class EstimateTable:
             numbers = rows[:, parts[name]]
             width = numbers.shape[1]
             array[ticks, joint, :width] = np.where(there[:, np.newaxis], numbers, np.nan)
-        self.flags[ticks, joint] = there[:, np.newaxis] & (rows[:, -2 - EXTRA : -1] != 0.0)
+        worth = rows[:, -len(CONDITIONS) - EXTRA : -1]
+        self.conditions[ticks, joint] = np.where(there[:, np.newaxis], worth, np.nan)
+
+    def condition(self, name: str) -> Array:
+        """Return a condition of the estimates by its name, shape (m, J)."""
+        return self.conditions[..., (*CONDITIONS, "in_domain").index(name)]
 
 
 class Agreement(NamedTuple):

@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from tsobs_ros.estimation.records import Estimate, RejectReason
+from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning, RejectReason
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.nodes.observer.io import Batch, EstimatePublisher, MeasurementReader
@@ -160,10 +160,14 @@ def estimate(scale: float, *, bounded: bool = True) -> Estimate:
         disturbance=one,
         disturbance_rate=0.0 * one,
         disturbance_bound=0.01 * one if bounded else none,
-        certified=bounded,
         parameters=np.array([scale, -scale]),
         parameter_bound=np.array([0.5, 0.5]),
+        basis=Basis.CERTIFIED if bounded else Basis.STARTING,
         parameters_valid=bounded,
+        noise_scale=1.0,
+        coloured_power=0.0,
+        learning=Learning.ACTIVE,
+        hypothesis=Hypothesis.AS_DESIGNED,
         in_domain=True,
         age=0.0,
     )
