@@ -254,15 +254,17 @@ def test_a_random_walk_is_seldom_taken_for_a_tone() -> None:
 
 def test_the_status_has_the_fault_in_words_and_numbers() -> None:
     monitor = FaultMonitor(STD)
-    assert monitor.status().message == "none"
+    assert monitor.status(0).message == "none"
     fault = feed(monitor, lambda t: 0.3 * math.sin(3.0 * t), 20.0)[-1]
-    status = monitor.status()
+    assert fault.since is not None
+    status = monitor.status(fault.since + 12_340_000_000)
+    assert status.values["since"] == "for 12.3 s"
     assert status[:3] == ("sensor fault", Level.WARN, "oscillation")
     assert status.values["frequency [rad/s]"] == f"{fault.frequency:.4g}"
     assert status.values["magnitude [rad]"] == f"{fault.magnitude:.4g}"
     assert "rate [rad/s]" not in status.values
     feed(monitor, lambda t: 0.02 * t, 20.0, begin=40.0)
-    assert monitor.status().values["rate [rad/s]"] == f"{monitor.fault.rate:.4g}"
+    assert monitor.status(0).values["rate [rad/s]"] == f"{monitor.fault.rate:.4g}"
 
 
 def observed(scenario: Scenario, seconds: float) -> Fault:

@@ -13,6 +13,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.health import (
     Debounce,
     DisturbanceLimits,
+    LastMinute,
     Level,
     Phase,
     phase_of,
@@ -95,3 +96,36 @@ def test_a_level_is_only_ever_left_for_one_that_lasted(values: list[float]) -> N
 def test_senseless_limits_are_refused(make: Callable[[], object], reason: str) -> None:
     with pytest.raises(ModelError, match=reason):
         make()
+
+
+@PROPERTY
+@given(
+    steps=st.lists(st.tuples(st.integers(0, 30 * SECOND), st.integers(-500, 500)), max_size=60),
+    begin=st.integers(0, 10**18),
+)
+def test_a_sliding_minute_has_what_was_counted_in_it(
+    steps: list[tuple[int, int]], begin: int
+) -> None:
+    """At any stamp, with any intervals; what falls is a count that starts over."""
+    recent, now, total = LastMinute(), begin, 0
+    grown: list[tuple[int, int]] = []
+    for elapsed, change in steps:
+        now, before = now + elapsed, total
+        total = max(0, total + change)
+        recent.update(now, {"n": total, "still": 7})
+        grown.append((now, max(0, total - before)))
+        assert recent.growth["n"] == sum(n for at, n in grown if at > now - 60 * SECOND)
+    if steps:
+        recent.update(now + 60 * SECOND, {"n": total, "still": 7})
+        assert not recent.growth
+
+
+def test_a_minute_of_rejections_is_forgotten_after_a_minute_and_seen_after_ten_hours() -> None:
+    recent, received, rejected = LastMinute(), 0, 0
+    for second in range(36_000 + 180):
+        bad = 36_000 <= second < 36_060
+        received, rejected = received + 200, rejected + 24 * bad
+        recent.update(second * SECOND, {"received": received, "rejected": rejected})
+        expected = 24 * max(0, min(second - 35_999, 60, 36_119 - second))
+        assert recent.growth["rejected"] == expected
+    assert recent.growth["received"] == 60 * 200

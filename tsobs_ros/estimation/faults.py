@@ -20,7 +20,13 @@ from numpy.typing import NDArray
 from tsobs_ros.checks import Array, positive
 from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.fault_shapes import FaultKind, Shape, shape_of
-from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level, Status
+from tsobs_ros.estimation.health import (
+    Debounce,
+    DisturbanceLimits,
+    Level,
+    Status,
+    duration_text,
+)
 from tsobs_ros.estimation.history import GATED, USED
 
 __all__ = ["Fault", "FaultKind", "FaultMonitor", "add_estimates", "add_samples", "new_watches"]
@@ -314,8 +320,12 @@ class FaultMonitor:
         watch.complete = 0
         self.fault = self._judge(int(watch.estimated), disturbance, bound)
 
-    def status(self) -> Status:
-        """Return the fault for diagnostics."""
+    def status(self, now: int) -> Status:
+        """Return the fault for diagnostics.
+
+        Args:
+            now: Time on the clock of the stamps [ns].
+        """
         fault = self.fault
         values = {
             "kind": fault.kind.value,
@@ -324,7 +334,7 @@ class FaultMonitor:
             "normalised innovation squared": f"{self.square:.3g}",
         }
         if fault.since is not None:
-            values["since [s]"] = f"{fault.since * 1e-9:.3f}"
+            values["since"] = duration_text(now - fault.since)
         if fault.rate is not None:
             values["rate [rad/s]"] = f"{fault.rate:.4g}"
         if fault.frequency is not None:

@@ -3,6 +3,8 @@
 """Health of an estimator as data, which nodes and reports only show."""
 
 import enum
+from collections import Counter, deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
@@ -10,6 +12,8 @@ from tsobs_ros.checks import positive
 from tsobs_ros.errors import ModelError
 
 T = TypeVar("T")
+
+_MINUTE = 60_000_000_000
 
 
 class Level(enum.IntEnum):
@@ -98,3 +102,46 @@ class Debounce(Generic[T]):
         if stamp - self._from >= hold * 1e9 and value != self.value:
             self.value, self.since = value, self._from
         return self.value
+
+
+def duration_text(nanoseconds: int) -> str:
+    """Return for how long something has lasted, such as "for 12.3 s"."""
+    return f"for {max(0, nanoseconds) * 1e-9:.1f} s"
+
+
+class LastMinute:
+    """The growth of counts over a sliding minute.
+
+    What was counted before the first update belongs to it. A count that falls, as after a restart,
+    goes on from there.
+
+    Attributes:
+        growth: Of each count that has grown.
+
+    Example:
+        >>> recent = LastMinute()
+        >>> for second in range(100):
+        ...     recent.update(second * 1_000_000_000, {"received": 200 * (second + 1)})
+        >>> recent.growth["received"]
+        12000
+    """
+
+    def __init__(self) -> None:
+        self.growth: Counter[str] = Counter()
+        self._totals: Counter[str] = Counter()
+        self._past: deque[tuple[int, Counter[str]]] = deque()
+
+    def update(self, now: int, totals: Mapping[str, int]) -> None:
+        """Take in counts since the start.
+
+        Args:
+            now: A steady time [ns].
+            totals: The counts, by name.
+        """
+        latest = Counter(totals)
+        grown = latest - self._totals
+        self._totals = latest
+        self._past.append((now, grown))
+        self.growth += grown
+        while self._past[0][0] <= now - _MINUTE:
+            self.growth -= self._past.popleft()[1]

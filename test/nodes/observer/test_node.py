@@ -86,9 +86,15 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
         "used": 10,
         "rewinds": 0,
         "rejected: gated": 0,
+        "last minute: received": 10 + total,
+        "last minute: rejected": total,
         **{f"rejected: {reason}": len(kind) for reason, kind in {**bad, **stamps}.items()},
     }
-    assert (status.level, status.message) == (DiagnosticStatus.WARN, f"{total} rejected")
+    share = f"{100 * total / (10 + total):.0f} % of the last minute rejected"
+    assert (status.level, status.message) == (
+        DiagnosticStatus.WARN,
+        f"{share}, most: wrong joint or shape",
+    )
     assert status.hardware_id == JOINT
 
     after = samples(12, 18)

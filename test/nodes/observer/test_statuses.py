@@ -42,10 +42,15 @@ def offer(joint: ObservedJoint, stamp: int, bias: float = 0.0) -> None:
 
 
 def statuses(
-    joints: list[ObservedJoint], now: int, *, method: str = "certified", failed: bool = False
+    joints: list[ObservedJoint],
+    now: int,
+    *,
+    method: str = "certified",
+    steady: int = 0,
+    failed: bool = False,
 ) -> tuple[dict[str, Status], dict[str, dict[str, Status]]]:
     of_all, parts = of_node(
-        joints, TickMeter(200.0), now, method, resets=3, enabled=True, failed=failed
+        joints, TickMeter(200.0), now, method, steady=steady, resets=3, enabled=True, failed=failed
     )
     return (
         {each.name: each for each in of_all},
@@ -88,7 +93,7 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
     assert parts == {}
     assert {name: (each.level, each.message) for name, each in found.items()} == {
         "state": (Level.OK, "TRACKING"),
-        "measurements": (Level.OK, "0 rejected"),
+        "measurements": (Level.OK, "none rejected in the last minute"),
         "timing": (Level.STALE, "no ticks"),
         "premise domain": (Level.OK, "inside the certificate's domain"),
         "innovation": (Level.OK, found["innovation"].message),
@@ -124,7 +129,12 @@ def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -
     assert (counts[2]["received"], counts[2]["used"]) == (1242, 1240)
     assert counts[1]["rejected: wrong joint or shape"] == 1
     assert counts[1]["rejected: duplicate stamp"] == 1
-    assert parts["knee"]["measurements"].level == Level.WARN
+    assert parts["knee"]["measurements"][1:3] == (
+        Level.WARN, "9 % of the last minute rejected, most: wrong joint or shape"
+    )  # fmt: skip
+    assert found["measurements"][1:3] == (
+        Level.OK, "2 in the last minute rejected, most: wrong joint or shape"
+    )  # fmt: skip
     assert parts["knee"]["certificate"].values["design"] == ADAPTIVE
     assert "parameters" not in parts["hip"]
     learnt = parts["knee"]["parameters"]
@@ -132,10 +142,35 @@ def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -
     assert set(learnt.values) == {"stiffness", "gravity"}
 
 
+def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
+    """However long the node has run before: not hidden by ten good hours, nor for ever after."""
+    joints = joints_of()
+    (joint,) = joints
+    now, hours = feed(joints, 20), 36_000 * NANOSECONDS
+    joint.received += 36_000 * 200  # ten good hours, which would take too long here
+    assert statuses(joints, now)[0]["measurements"].level == Level.OK
+    joint.received += 100
+    joint.reject(4)
+    for _ in range(8):
+        offer(joint, now)
+    for after, level, message in (
+        (1, Level.WARN, "11 % of the last minute rejected, most: duplicate stamp"),
+        (60, Level.WARN, "11 % of the last minute rejected, most: duplicate stamp"),
+        (61, Level.OK, "none rejected in the last minute"),
+    ):
+        status = statuses(joints, now, steady=hours + after * NANOSECONDS)[0]["measurements"]
+        assert (status.level, status.message) == (level, message)
+        assert status.values["rejected: duplicate stamp"] == "8"
+    assert status.values["last minute: received"] == "0"
+
+
 def test_a_large_disturbance_is_reported_at_levels_that_can_be_tuned() -> None:
     joints, parameters = joints_of(), ObserverParameters()
-    fault = statuses(joints, feed(joints, 400, bias=0.35))[0]["sensor fault"]
+    now = feed(joints, 400, bias=0.35)
+    fault = statuses(joints, now)[0]["sensor fault"]
     assert fault.level == Level.WARN
+    lasted = (now - (joints[0].faults.fault.since or 0)) * 1e-9
+    assert fault.values["since"] == f"for {lasted:.1f} s"
     assert float(fault.values["magnitude [rad]"]) == pytest.approx(0.35, abs=0.1)
     joints[0].retune(replace(parameters, fault=DisturbanceLimits(warn=0.1, error=0.15, hold=0.5)))
     fault = statuses(joints, feed(joints, 120, bias=0.35, first=400))[0]["sensor fault"]
@@ -149,7 +184,7 @@ def test_a_method_to_compare_with_has_no_certificate() -> None:
 
 
 def test_without_ticks_there_is_nothing_to_report() -> None:
-    status = TickMeter(200.0).status()
+    status = TickMeter(200.0).status(0)
     assert (status.name, status.level, status.message) == ("timing", Level.STALE, "no ticks")
     assert status.values == {"wanted rate [Hz]": "200", "missed ticks": "0"}
 
@@ -166,9 +201,9 @@ def tick(meter: TickMeter, *times_ms: float) -> None:
         (200.0, (0.0, 5.0, 10.1, 14.9, 20.0), 0, Level.OK, "on time", "200.0"),
         # A late tick that the next one makes good is not missed.
         (1000.0, (0.0, 1.7, 2.0, 3.9, 4.0, 5.0), 0, Level.OK, "on time", "1000.0"),
-        (1000.0, (0.0, 1.0, 3.2, 4.0), 1, Level.WARN, "missed 1 ticks", "750.0"),
+        (1000.0, (0.0, 1.0, 3.2, 4.0), 1, Level.WARN, "missed 1 tick in the last minute", "750.0"),
         # 20 periods went by, of which the second tick is one.
-        (1000.0, (0.0, 20.0), 19, Level.WARN, "missed 19 ticks", "50.0"),
+        (1000.0, (0.0, 20.0), 19, Level.WARN, "missed 19 ticks in the last minute", "50.0"),
     ],
 )
 def test_periods_without_a_tick_are_missed(
@@ -176,32 +211,37 @@ def test_periods_without_a_tick_are_missed(
 ) -> None:
     meter = TickMeter(rate)
     tick(meter, *times)
-    status = meter.status()
+    status = meter.status(0)
     assert meter.missed == missed
     assert (status.level, status.message) == (level, message)
     assert status.values["missed ticks"] == str(missed)
     assert status.values["achieved rate [Hz]"] == achieved
 
 
-def test_each_status_begins_a_new_interval_but_the_count_goes_on() -> None:
+def test_each_status_begins_a_new_interval_but_misses_count_for_a_minute() -> None:
     meter = TickMeter(1000.0)
     tick(meter, 0.0, 10.0)
-    meter.status()
-    status = meter.status()
+    meter.status(0)
+    status = meter.status(NANOSECONDS)
     assert (status.level, status.message) == (Level.STALE, "no ticks")
     assert (meter.missed, status.values["missed ticks"]) == (9, "9")
-    tick(meter, 11.0)
-    status = meter.status()
-    # A single tick is enough: its period began with the last tick of the interval before.
-    assert (status.level, status.message) == (Level.OK, "on time")
-    assert status.values["achieved rate [Hz]"] == "1000.0"
+    for second, level, message in (
+        (59, Level.WARN, "missed 9 ticks in the last minute"),
+        (60, Level.OK, "on time"),
+    ):
+        tick(meter, 11.0 + second - 59.0)
+        status = meter.status(second * NANOSECONDS)
+        # A single tick is enough: its period began with the last tick of the interval before.
+        assert (status.level, status.message) == (level, message)
+        assert status.values["achieved rate [Hz]"] == "1000.0"
+    assert status.values["missed ticks"] == "9"
 
 
 def test_a_clock_that_is_ahead_at_once_has_jumped() -> None:
     meter = TickMeter(100.0)
     tick(meter, 1000.0, 1010.0, 61010.0, 61020.0)
     assert (meter.missed, meter.jumps) == (0, 1)
-    values = meter.status().values
+    values = meter.status(0).values
     assert (values["achieved rate [Hz]"], values["clock jumps ahead"]) == ("100.0", "1")
 
 
@@ -211,7 +251,7 @@ def test_work_between_the_ticks_belongs_to_the_rate_and_makes_no_tick_missing() 
         meter.begin(now * MS, tick=is_tick)
         meter.end()
     assert meter.missed == 0
-    assert meter.status().values["achieved rate [Hz]"] == "66.7"
+    assert meter.status(0).values["achieved rate [Hz]"] == "66.7"
 
 
 def test_latency_is_reported_if_there_is_one() -> None:
@@ -219,10 +259,10 @@ def test_latency_is_reported_if_there_is_one() -> None:
     tick(meter, 0.0)
     for latency in range(1, 101):
         meter.answered(latency * 10_000)
-    values = meter.status().values
+    values = meter.status(0).values
     assert (values["latency p50 [ms]"], values["latency p99 [ms]"]) == ("0.500", "0.990")
     tick(meter, 10.0)
-    assert "latency p50 [ms]" not in meter.status().values
+    assert "latency p50 [ms]" not in meter.status(0).values
 
 
 def test_the_tick_time_is_that_of_the_work() -> None:
@@ -233,7 +273,7 @@ def test_the_tick_time_is_that_of_the_work() -> None:
         while time.monotonic_ns() < end:
             pass
         meter.end()
-    values = meter.status().values
+    values = meter.status(0).values
     median, slow = (float(values[f"tick time {p} [ms]"]) for p in ("p50", "p99"))
     assert slow >= 20.0
     assert 0.0 <= median <= slow

@@ -16,7 +16,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
-from tsobs_ros.estimation.health import Phase, phase_of
+from tsobs_ros.estimation.health import LastMinute, Phase, phase_of
 from tsobs_ros.estimation.history import GATED, USED, offer
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
@@ -76,6 +76,8 @@ class ObservedJoint:
         received: Number of its samples since the start: used + rejected.
         latest: The latest estimate, None before the first.
         faults: Recognises faults of its sensor.
+        recent: Counts over the last minute: `received`, the reasons of rejection and the
+            estimator's events, by name.
     """
 
     def __init__(
@@ -98,6 +100,7 @@ class ObservedJoint:
         """Forget everything that was computed from data."""
         self.tracker.reset()
         self.received = 0
+        self.recent = LastMinute()
         self._newest = 0
         self.latest: Estimate | None = None
         std = self.loaded.design.arm_request.measurement_std
@@ -157,6 +160,15 @@ class ObservedJoint:
         if any(outcomes):
             innovations[codes != USED] = math.nan
         return outcomes, innovations[0]
+
+    def count(self, steady: int) -> None:
+        """Enter the counts there are into those of the last minute.
+
+        Args:
+            steady: Time that neither stands still nor goes back [ns].
+        """
+        rejected = {reason.value: count for reason, count in self.tracker.rejected.items()}
+        self.recent.update(steady, {"received": self.received, **rejected, **self.tracker.events})
 
     def reject(self, count: int) -> None:
         """Count samples that cannot be read."""

@@ -279,6 +279,7 @@ class Observer(ManagedNode[ObserverParameters]):
                 self._meter,
                 now,
                 self.parameters.method,
+                steady=time.monotonic_ns(),
                 resets=self._resets,
                 enabled=self._enabled,
                 failed=failed,

@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from tsobs_ros.estimation.health import Level, Phase, Status
+from tsobs_ros.estimation.health import LastMinute, Level, Phase, Status
 from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.nodes.observer.joints import LoadedDesign, ObservedJoint
 
@@ -32,6 +32,7 @@ def of_node(
     now: int,
     method: str,
     *,
+    steady: int,
     resets: int,
     enabled: bool,
     failed: bool,
@@ -43,35 +44,51 @@ def of_node(
         meter: The meter of the node's ticks, which starts a new interval.
         now: Time on the node's clock [ns].
         method: The node's `method`.
+        steady: Time that neither stands still nor goes back [ns], for the last minute.
         resets: Number of restarts of the whole node.
         enabled: Whether the node works.
         failed: Whether there was a numerical failure since the last statuses.
     """
+    for joint in joints:
+        joint.count(steady)
     phase = max((joint.phase(now) for joint in joints), key=_FROM_BEST_TO_WORST.index)
     values = {"resets": str(resets)}
     parts: dict[str, list[Status]] = {}
     if len(joints) == 1:
         values |= _tracking_values(joints[0], now)
-        further = _estimate_statuses(joints[0], method)
+        further = _estimate_statuses(joints[0], method, now)
     else:
         for joint in joints:
             own = _tracking_values(joint, now)
             parts[joint.name] = [
-                _state_status(joint.phase(now), own, enabled=enabled, failed=False),
+                _state_status(
+                    joint.phase(now), own, _losses([joint]), enabled=enabled, failed=False
+                ),
                 _measurement_status([joint]),
-                *_estimate_statuses(joint, method),
+                *_estimate_statuses(joint, method, now),
             ]
         further = [_summary_status(parts)]
-    state = _state_status(phase, values, enabled=enabled, failed=failed)
-    return [state, _measurement_status(joints), meter.status(), *further], parts
+    state = _state_status(phase, values, _losses(joints), enabled=enabled, failed=failed)
+    return [state, _measurement_status(joints), meter.status(steady), *further], parts
 
 
-def _state_status(phase: Phase, values: dict[str, str], *, enabled: bool, failed: bool) -> Status:
+def _losses(joints: Sequence[ObservedJoint]) -> int:
+    """Return how often the estimates of joints were given up in the last minute."""
+    return sum(joint.recent.growth["losses of track"] for joint in joints)
+
+
+def _state_status(
+    phase: Phase, values: dict[str, str], losses: int, *, enabled: bool, failed: bool
+) -> Status:
     if not enabled:
         return Status("state", Level.WARN, "DISABLED", values)
     if failed:
         return Status("state", Level.ERROR, f"{phase.value}, after a numerical failure", values)
-    return Status("state", _LEVEL_OF_PHASE[phase], phase.value, values)
+    level, message = _LEVEL_OF_PHASE[phase], phase.value
+    if losses:
+        level = max(level, Level.WARN)
+        message += f", after {_times(losses, 'loss', 'losses')} of track in the last minute"
+    return Status("state", level, message, values)
 
 
 def _tracking_values(joint: ObservedJoint, now: int) -> dict[str, str]:
@@ -90,23 +107,32 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
     """Return the counts of samples: received = used + rejected, by reason."""
     trackers, received = [joint.tracker for joint in joints], sum(j.received for j in joints)
     rejected: Counter[RejectReason] = sum((each.rejected for each in trackers), Counter())
-    total = rejected.total()
+    recent: Counter[str] = sum((joint.recent.growth for joint in joints), Counter())
+    causes = Counter({reason.value: recent[reason.value] for reason in RejectReason})
     values = {
         "received": str(received),
         "used": str(sum(each.used for each in trackers)),
         "rewinds": str(sum(each.rewinds for each in trackers)),
         **{f"rejected: {reason.value}": str(rejected[reason]) for reason in RejectReason},
+        "last minute: received": str(recent["received"]),
+        "last minute: rejected": str(causes.total()),
     }
-    level = Level.WARN if total > _MANY_REJECTED * max(received, 1) else Level.OK
-    return Status("measurements", level, f"{total} rejected", values)
+    if not causes.total():
+        return Status("measurements", Level.OK, "none rejected in the last minute", values)
+    share = causes.total() / max(recent["received"], causes.total())
+    many = share > _MANY_REJECTED
+    amount = f"{100.0 * share:.0f} % of" if many else f"{causes.total()} in"
+    ((main, _),) = causes.most_common(1)
+    message = f"{amount} the last minute rejected, most: {main}"
+    return Status("measurements", Level.WARN if many else Level.OK, message, values)
 
 
-def _estimate_statuses(joint: ObservedJoint, method: str) -> list[Status]:
+def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Status]:
     estimate = joint.latest
     statuses = [
         _domain_status(estimate, joint.loaded.design.arm_request.x_max),
         joint.faults.innovation_status(),
-        joint.faults.status(),
+        joint.faults.status(now),
         _certificate_status(joint.loaded, method, estimate),
     ]
     if joint.learnt and estimate is not None:
@@ -168,6 +194,7 @@ class TickMeter:
         self._rate = rate
         self.missed = 0
         self.jumps = 0
+        self._ticks = 0
         self._latest: int | None = None
         self._latest_was_tick = True
         self._late = 0.0
@@ -176,7 +203,7 @@ class TickMeter:
         self._periods: list[int] = []
         self._durations: list[int] = []
         self._latencies: list[int] = []
-        self._missed_before = 0
+        self._recent = LastMinute()
 
     def begin(self, now: int, *, tick: bool = True) -> None:
         """Note the start of work.
@@ -219,12 +246,18 @@ class TickMeter:
         self._latest = None
         self._late = 0.0
 
-    def status(self) -> Status:
-        """Return achieved rate, missed ticks, tick time and latency since the last call."""
+    def status(self, steady: int) -> Status:
+        """Return achieved rate, tick time and latency since the last call, and missed ticks.
+
+        Args:
+            steady: Time that neither stands still nor goes back [ns].
+        """
         durations, self._durations = sorted(self._durations), []
         periods, self._periods = self._periods, []
         latencies, self._latencies = sorted(self._latencies), []
-        missed, self._missed_before = self.missed - self._missed_before, self.missed
+        self._ticks += len(durations)
+        self._recent.update(steady, {"missed": self.missed, "ticks": self._ticks})
+        missed, made = self._recent.growth["missed"], self._recent.growth["ticks"]
         values = {"wanted rate [Hz]": f"{self._rate:g}", "missed ticks": str(self.missed)}
         if self.jumps:
             values["clock jumps ahead"] = str(self.jumps)
@@ -236,9 +269,14 @@ class TickMeter:
             if times:
                 values[f"{name} p50 [ms]"] = f"{_percentile(times, 0.50) * 1e-6:.3f}"
                 values[f"{name} p99 [ms]"] = f"{_percentile(times, 0.99) * 1e-6:.3f}"
-        late = missed > _MANY_MISSED * (len(durations) + missed)
+        late = missed > _MANY_MISSED * (made + missed)
         level = Level.WARN if late else Level.OK
-        return Status("timing", level, f"missed {missed} ticks" if missed else "on time", values)
+        message = f"missed {_times(missed, 'tick', 'ticks')} in the last minute"
+        return Status("timing", level, message if missed else "on time", values)
+
+
+def _times(count: int, one: str, several: str) -> str:
+    return f"{count} {one if count == 1 else several}"
 
 
 def _percentile(ordered: list[int], fraction: float) -> int:
