@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.simulation.integrator import ArmIntegrator
+from tsobs_ros.simulation.integrator import CREEP, ArmIntegrator, Friction
 
 ARM = ElasticJointArm()
 DAMPED = ElasticJointArm(1.3, 1.7, 12.0, 9.0, 0.2, 0.1)
@@ -52,6 +52,21 @@ def test_energy_of_the_undriven_arm_stays_over_a_minute(angle: float) -> None:
 def test_agrees_with_a_solver_of_order_eight(arm: ElasticJointArm) -> None:
     ours = advance_for(ArmIntegrator(arm, 0.005), START, 0.7, 1000)
     np.testing.assert_allclose(ours, exact(arm, START, 0.7, 5.0), rtol=0.0, atol=1e-9)
+
+
+def test_friction_agrees_with_its_formula() -> None:
+    friction = Friction(0.2, 0.1, 0.3, 0.15)
+
+    def slope(_: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        rest = ARM.to_physical(ARM.derivative(ARM.from_physical(x), [0.7]))
+        link, motor = np.clip(x[[1, 3]] / CREEP, -1.0, 1.0)
+        rest[1] -= (0.2 * x[1] + 0.1 * link) / ARM.link_inertia
+        rest[3] -= (0.3 * x[3] + 0.15 * motor) / ARM.motor_inertia
+        return rest
+
+    solution = solve_ivp(slope, (0.0, 5.0), START, method="LSODA", rtol=1e-10, atol=1e-10)
+    ours = advance_for(ArmIntegrator(ARM, 0.005, friction), START, 0.7, 1000)
+    np.testing.assert_allclose(ours, solution.y[:, -1], rtol=0.0, atol=1e-6)
 
 
 def test_error_falls_with_the_fourth_power_of_the_step() -> None:

@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import t
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.integrator import ArmIntegrator
+from tsobs_ros.simulation.integrator import ArmIntegrator, Friction
 from tsobs_ros.simulation.plant import Mismatch, Plant, Sample, Scenario, Trajectories
+from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,
@@ -30,6 +32,7 @@ from tsobs_ros.simulation.signals import (
     GaussMarkov,
     Multisine,
     NoTorque,
+    Pulses,
     Sine,
     Sinusoid,
     Square,
@@ -51,8 +54,21 @@ BUSY = Scenario(
         StuckSensor(1.0, 0.2),
     ),
     excitation=Multisine(1.7, 0.4, 6.5, 8),
-    sensor=Sensor(outlier_probability=0.1, dropout_interval=0.5, dropout_duration=0.1),
+    sensor=Sensor(
+        outlier_probability=0.1,
+        dropout_interval=0.5,
+        dropout_duration=0.1,
+        outlier_is_uniform=True,
+        noise_time_constant=0.05,
+        noise_degrees=3,
+        burst_interval=0.7,
+        burst_duration=0.2,
+        latency=0.01,
+        resolution=0.001,
+    ),
     mismatch=Mismatch(stiffness=0.2, motor_damping=-0.1),
+    friction=Friction(0.1, 0.05, 0.3, 0.15),
+    torque_error=(Pulses(50.0, 1.0, 0.005, 0.0),),
 )
 
 
@@ -263,6 +279,68 @@ def test_dropouts_come_when_they_should() -> None:
     assert np.isfinite(stack(samples, "disturbance")).all()
 
 
+def noise_of(sensor: Sensor, seeds: Any = range(20), seconds: float = 10.0) -> NDArray[np.float64]:
+    """Return what a sensor adds to the angle, shape (runs, samples)."""
+    runs = simulate(Scenario(sensor=sensor), seeds, seconds)
+    return np.asarray(runs.measurements[..., 0] - runs.physical[..., 0])
+
+
+def test_correlated_noise_has_the_stated_spread_and_memory() -> None:
+    noise = noise_of(Sensor(0.1, noise_time_constant=0.05))
+    ages = np.arange(0, 40, 5)
+    products = [np.mean(noise[:, age:] * noise[:, : noise.shape[1] - age]) for age in ages]
+    np.testing.assert_allclose(products, 0.01 * np.exp(-ages * 0.005 / 0.05), atol=4e-4)
+    np.testing.assert_allclose(noise_of(Sensor(0.1), range(4000), 0.0).std(), 0.1, rtol=0.05)
+
+
+def test_noise_of_students_t_has_its_tails() -> None:
+    noise = np.sort(np.abs(noise_of(Sensor(0.1, noise_degrees=3)).ravel()))
+    shares = np.array([0.5, 0.9, 0.99, 0.999])
+    expected = 0.1 * t.ppf(0.5 + 0.5 * shares, 3)
+    np.testing.assert_allclose(np.quantile(noise, shares), expected, rtol=0.08)
+
+
+def test_noise_is_louder_in_bursts() -> None:
+    burst = Sensor(0.1, burst_interval=2.0, burst_duration=0.5, burst_factor=3.0)
+    noise, calm = noise_of(burst, [3]), noise_of(Sensor(0.1), [3])
+    times = np.arange(noise.shape[1]) / 200.0
+    loud = (times >= 2.0) & (times % 2.0 < 0.5)
+    np.testing.assert_allclose(noise, np.where(loud, 3.0, 1.0) * calm, atol=1e-12)
+
+
+def test_outliers_may_have_any_size_up_to_the_stated_one() -> None:
+    kind = Sensor(0.0, outlier_probability=0.2, outlier_size=3.0, outlier_is_uniform=True)
+    noise = noise_of(kind).ravel()
+    added = noise[np.abs(noise) > 1e-12]
+    assert len(added) / len(noise) == pytest.approx(0.2, rel=0.05)
+    counts, _ = np.histogram(added, bins=6, range=(-3.0, 3.0))
+    np.testing.assert_allclose(counts / len(added), 1 / 6, rtol=0.1)
+
+
+def test_an_old_angle_is_measured_in_steps() -> None:
+    sensor = Sensor(0.0, latency=0.02, resolution=0.01)
+    plant = Plant(replace(QUIET, disturbance=(BiasStep(0.1, 0.5),), sensor=sensor))
+    run = plant.run(300)
+    angle, d = run.physical[:, 0], run.disturbances[:, 0]
+    old = np.concatenate([np.full(4, angle[0]), angle[:-4]])
+    np.testing.assert_allclose(run.measurements[:, 0], 0.01 * np.round((old + d) / 0.01))
+    # The angles before a change of the latency are not known any more.
+    plant.exchange_sensor(Sensor(0.0, latency=0.01))
+    later = plant.run(10)
+    now = later.physical[:, 0]
+    expected = np.concatenate([np.full(2, now[0]), now[:-2]]) + 0.1
+    np.testing.assert_allclose(later.measurements[:, 0], expected)
+
+
+def test_the_arm_does_not_feel_an_error_of_the_reported_torque() -> None:
+    right = Plant(QUIET).run(100)
+    wrong = Plant(replace(QUIET, torque_error=(Pulses(50.0, 0.1, 0.01, 0.2),))).run(100)
+    assert (wrong.physical == right.physical).all()
+    changed = wrong.torques[:, 0] - right.torques[:, 0]
+    assert np.flatnonzero(changed).tolist() == [20, 21, 60, 61]
+    np.testing.assert_allclose(changed[changed != 0.0], 50.0)
+
+
 def test_mismatch_changes_the_arm_but_not_its_start() -> None:
     changes = Mismatch(stiffness=0.2, gravity_torque=-0.1)
     scenario = replace(QUIET, mismatch=changes)
@@ -307,6 +385,8 @@ def test_a_seed_repeats_out_of_an_array_too_and_another_does_not() -> None:
         (lambda: Mismatch(stiffness=-1.0), "mismatch stiffness: expected a finite number above -1"),
         (lambda: Sensor(outlier_probability=1.1), "outlier_probability: expected 0 to 1"),
         (lambda: Sensor(noise_std=-0.1), "noise_std"),
+        (lambda: Sensor(latency=-0.1), "latency"),
+        (lambda: Friction(motor_coulomb=-0.1), "friction motor_coulomb"),
         (lambda: Plant(QUIET, -1), "seeds: expected integers of at least 0"),
         (lambda: Plant(QUIET, []), "seeds: expected integers of at least 0"),
         (lambda: Plant(QUIET, [3, -2]), "seeds: expected integers of at least 0"),

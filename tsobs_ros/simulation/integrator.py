@@ -8,12 +8,13 @@ needed.
 """
 
 import math
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, positive
+from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
@@ -33,8 +34,39 @@ _MOTION = record_type(
         ("link_drag", np.float64),
         ("motor_spring", np.float64),
         ("motor_drag", np.float64),
+        ("link_rub", np.float64),
+        ("motor_rub", np.float64),
     ]
 )
+
+CREEP = 0.01
+"""Speed below which Coulomb friction is proportional to the speed [rad/s]."""
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Friction of the true arm that the nominal one lacks.
+
+    Coulomb friction is c·sign(q̇), and below `CREEP` it grows linearly from zero.
+
+    Attributes:
+        link_viscous: Of the link's bearing [N m s/rad].
+        link_coulomb: [N m].
+        motor_viscous: Of the motor with its gear [N m s/rad].
+        motor_coulomb: [N m].
+
+    Raises:
+        ModelError: A number is negative or not finite.
+    """
+
+    link_viscous: float = 0.0
+    link_coulomb: float = 0.0
+    motor_viscous: float = 0.0
+    motor_coulomb: float = 0.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            non_negative(f"friction {item.name}", getattr(self, item.name))
 
 
 class ArmIntegrator:
@@ -46,6 +78,7 @@ class ArmIntegrator:
     Args:
         arm: The arm that moves.
         period: Time that one call of `advance` covers [s].
+        friction: Friction besides the arm's damping.
         longest_substep: Upper limit of the integration step [s].
 
     Attributes:
@@ -56,8 +89,13 @@ class ArmIntegrator:
     """
 
     def __init__(
-        self, arm: ElasticJointArm, period: float, longest_substep: float = LONGEST_SUBSTEP
+        self,
+        arm: ElasticJointArm,
+        period: float,
+        friction: Friction | None = None,
+        longest_substep: float = LONGEST_SUBSTEP,
     ) -> None:
+        friction = friction or Friction()
         positive("longest_substep", longest_substep)
         # A period of exactly five steps must not become six because .005/.001 rounds upwards.
         self.substeps = max(1, math.ceil(positive("period", period) / longest_substep - 1e-9))
@@ -69,9 +107,11 @@ class ArmIntegrator:
             arm.gravity_gain,
             arm.motor_inertia,
             arm.stiffness / arm.link_inertia,
-            arm.link_damping / arm.link_inertia,
+            (arm.link_damping + friction.link_viscous) / arm.link_inertia,
             arm.stiffness / arm.motor_inertia,
-            arm.motor_damping / arm.motor_inertia,
+            (arm.motor_damping + friction.motor_viscous) / arm.motor_inertia,
+            friction.link_coulomb / arm.link_inertia,
+            friction.motor_coulomb / arm.motor_inertia,
         )
 
     def advance(self, state: ArrayLike, torque: ArrayLike, kicks: ArrayLike | None = None) -> Array:
@@ -122,25 +162,26 @@ def advance_arm(
     h, gravity = float(motion.substep), float(motion.gravity)
     link_spring, link_drag = float(motion.link_spring), float(motion.link_drag)
     motor_spring, motor_drag = float(motion.motor_spring), float(motion.motor_drag)
+    link_rub, motor_rub = float(motion.link_rub), float(motion.motor_rub)
     drive = torque / float(motion.motor_inertia)
     half, sixth = 0.5 * h, h / 6.0
     q1, v1, q2, v2 = float(state[0]), float(state[1]), float(state[2]), float(state[3])
     for step in range(motion.substeps):
         # The velocity of each stage is the slope of the angle: w of the link, s of the motor.
-        a1 = link_spring * (q2 - q1) - gravity * sine(q1) - link_drag * v1
-        b1 = drive - motor_spring * (q2 - q1) - motor_drag * v2
+        a1 = link_spring * (q2 - q1) - gravity * sine(q1) - link_drag * v1 - _rub(link_rub, v1)
+        b1 = drive - motor_spring * (q2 - q1) - motor_drag * v2 - _rub(motor_rub, v2)
         w2, s2 = v1 + half * a1, v2 + half * b1
         p1, p2 = q1 + half * v1, q2 + half * v2
-        a2 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w2
-        b2 = drive - motor_spring * (p2 - p1) - motor_drag * s2
+        a2 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w2 - _rub(link_rub, w2)
+        b2 = drive - motor_spring * (p2 - p1) - motor_drag * s2 - _rub(motor_rub, s2)
         w3, s3 = v1 + half * a2, v2 + half * b2
         p1, p2 = q1 + half * w2, q2 + half * s2
-        a3 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w3
-        b3 = drive - motor_spring * (p2 - p1) - motor_drag * s3
+        a3 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w3 - _rub(link_rub, w3)
+        b3 = drive - motor_spring * (p2 - p1) - motor_drag * s3 - _rub(motor_rub, s3)
         w4, s4 = v1 + h * a3, v2 + h * b3
         p1, p2 = q1 + h * w3, q2 + h * s3
-        a4 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w4
-        b4 = drive - motor_spring * (p2 - p1) - motor_drag * s4
+        a4 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w4 - _rub(link_rub, w4)
+        b4 = drive - motor_spring * (p2 - p1) - motor_drag * s4 - _rub(motor_rub, s4)
         q1 += sixth * (v1 + 2.0 * (w2 + w3) + w4)
         q2 += sixth * (v2 + 2.0 * (s2 + s3) + s4)
         v1 += sixth * (a1 + 2.0 * (a2 + a3) + a4)
@@ -149,6 +190,12 @@ def advance_arm(
             v1 += link_kick * float(kicks[2 * step])
             v2 += motor_kick * float(kicks[2 * step + 1])
     state[0], state[1], state[2], state[3] = q1, v1, q2, v2
+
+
+@compiled
+def _rub(level: float, speed: float) -> float:
+    """Return the deceleration by Coulomb friction of a level [rad/s²]."""
+    return level * min(max(speed / CREEP, -1.0), 1.0) if level > 0.0 else 0.0
 
 
 @compiled

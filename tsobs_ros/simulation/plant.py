@@ -21,8 +21,8 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.stepping import record_type
-from tsobs_ros.simulation.integrator import ArmIntegrator, advance_arm
-from tsobs_ros.simulation.sensor import Sensor, is_dropped, outlier
+from tsobs_ros.simulation.integrator import ArmIntegrator, Friction, advance_arm
+from tsobs_ros.simulation.sensor import Sensor, correlated, is_within, outlier, student
 from tsobs_ros.simulation.signals import (
     GAUSS_MARKOV,
     ROW,
@@ -54,13 +54,26 @@ _PLANT = record_type(
         ("outlier_size", np.float64),
         ("dropout_interval", np.float64),
         ("dropout_duration", np.float64),
+        ("outlier_is_uniform", np.bool_),
+        ("noise_time_constant", np.float64),
+        ("noise_degrees", np.int64),
+        ("burst_interval", np.float64),
+        ("burst_duration", np.float64),
+        ("burst_factor", np.float64),
+        ("latency", np.float64),
+        ("resolution", np.float64),
         ("link_kick", np.float64),
         ("motor_kick", np.float64),
         ("lost", np.bool_),
     ]
 )
 _RUN = record_type(
-    [("physical", np.float64, (4,)), ("frozen", np.float64), ("stuck", np.bool_)],
+    [
+        ("physical", np.float64, (4,)),
+        ("noise", np.float64),
+        ("frozen", np.float64),
+        ("stuck", np.bool_),
+    ],
 )
 
 
@@ -100,6 +113,7 @@ class Scenario:
     Attributes:
         arm: The nominal arm, the one an estimator knows.
         mismatch: How the true arm differs from it.
+        friction: What the true arm has besides.
         rate: Samples a second [Hz].
         duration: How long a campaign simulates [s].
         initial_state: Mean of x(0) in the nominal arm's design coordinates.
@@ -108,6 +122,8 @@ class Scenario:
         excitation: Torque in the absence of a command.
         disturbance: Components of the sensor's disturbance, added up.
         sensor: Noise, outliers and dropouts.
+        torque_error: What the reported torque has beyond the applied one, as signals of
+            `signals` in N m, added up; of a drift its mean.
 
     Raises:
         ModelError: A number is not finite, of the wrong sign, or a state has not four entries.
@@ -115,6 +131,7 @@ class Scenario:
 
     arm: ElasticJointArm = field(default_factory=ElasticJointArm)
     mismatch: Mismatch = field(default_factory=Mismatch)
+    friction: Friction = field(default_factory=Friction)
     rate: float = 200.0
     duration: float = 60.0
     initial_state: tuple[float, ...] = (0.3, 0.0, 2.0, 0.0)
@@ -123,6 +140,7 @@ class Scenario:
     excitation: Excitation = field(default_factory=Sine)
     disturbance: tuple[Component, ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
+    torque_error: tuple[Component, ...] = ()
 
     def __post_init__(self) -> None:
         positive("rate", self.rate)
@@ -152,10 +170,11 @@ class Sample:
         time: k/rate, since the start [s].
         state: True state in the nominal arm's design coordinates, shape (..., 4).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (..., 4).
-        disturbance: What the measurement has beyond q₁, white noise and outliers [rad],
+        disturbance: What the measurement has beyond q₁, its latency, noise and outliers [rad],
             shape (..., 1). Of a stuck sensor it is the frozen value minus q₁.
         measurement: y [rad], shape (..., 1); NaN if the sample was lost.
-        torque: Torque applied from this time to the next sample [N m], shape (..., 1).
+        torque: Torque reported from this time to the next sample [N m], shape (..., 1): the one
+            applied, and its error.
         lost: Whether the sample was lost in a dropout.
     """
 
@@ -177,7 +196,8 @@ class Trajectories(NamedTuple):
         states: True states in the nominal arm's design coordinates, shape (runs, samples, 4).
         disturbances: True disturbances [rad], shape (runs, samples, 1).
         measurements: y [rad], NaN if lost, shape (runs, samples, 1).
-        torques: Torque held from each sample to the next [N m], shape (runs, samples, 1).
+        torques: Torque reported from each sample to the next [N m]: the one applied, and its
+            error, shape (runs, samples, 1).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
     """
 
@@ -205,7 +225,7 @@ class Plant:
         self._seeds = checked_seeds(seeds)
         self._is_batch = not isinstance(seeds, int | np.integer)
         self.scenario = scenario
-        self._integrator = ArmIntegrator(scenario.true_arm, 1.0 / scenario.rate)
+        self._integrator = ArmIntegrator(scenario.true_arm, 1.0 / scenario.rate, scenario.friction)
         self.reset()
 
     def reset(self) -> None:
@@ -224,6 +244,9 @@ class Plant:
         numbers.motor_kick = math.sqrt(noise.motor * substep)
         self._block = min(_BLOCK, max(1, _LARGEST_BLOCK // runs))
         self._drawn = self._block
+        self._tail = np.empty((runs, self._block, 0))
+        self._tail_streams: list[tuple[RandomStream, Array]] = []
+        self._past = np.empty((runs, 0))
         kicks = 2 * self._integrator.substeps if noise.link or noise.motor else 0
         self._kicks = np.empty((runs, self._block, kicks))
         self._noise = np.empty((runs, self._block))
@@ -285,6 +308,15 @@ class Plant:
         """Measure with other noise, outliers or dropouts from the next sample on."""
         for item in fields(sensor):
             self._plant[0][item.name] = getattr(sensor, item.name)
+        runs, degrees = len(self._seeds), sensor.noise_degrees
+        if degrees != self._tail.shape[2]:
+            self._tail = np.empty((runs, self._block, degrees))
+            stream = RandomStream(self._seeds, Source.TAIL, (degrees,))
+            stream.fill(self._tail[:, self._drawn :])
+            self._tail_streams = [(stream, self._tail)] * (degrees > 0)
+        places = 1 + round(sensor.latency * self.scenario.rate)
+        if places != self._past.shape[1]:
+            self._past = self._runs["physical"][:, :1].repeat(places, axis=1)
 
     def step(self, torque: ArrayLike | None = None) -> Sample:
         """Measure at the present sample, move on to the next one and return the former.
@@ -357,10 +389,12 @@ class Plant:
         for other in self._others:
             injected = int(self._plant[0].injected)
             disturbances += [other.value(time) for time in self._times(samples, injected)]
+        times = self._times(samples) if self.scenario.torque_error else []
+        errors = [[each.value(time) for time in times] for each in self.scenario.torque_error]
         done = 0
         while True:
             if self._drawn == self._block:
-                for stream, block in self._streams + self._drift_streams:
+                for stream, block in self._streams + self._drift_streams + self._tail_streams:
                     stream.fill(block)
                 self._drawn = 0
             part = min(samples - done, self._block - self._drawn)
@@ -372,7 +406,9 @@ class Plant:
                 self._drifts,
                 self._kicks,
                 self._noise,
+                self._tail,
                 self._luck,
+                self._past,
                 self._drift_noise,
                 self._index,
                 self._drawn,
@@ -388,7 +424,10 @@ class Plant:
             self._drawn += part
             done += part
             if done == samples:
-                return physical, torques, disturbances, measurements
+                break
+        for error in errors:
+            torques += error
+        return physical, torques, disturbances, measurements
 
     def _times(self, samples: int, since: int = 0) -> list[float]:
         first, rate = self._index - since, self.scenario.rate
@@ -404,7 +443,9 @@ def _simulate(
     drifts: Array,
     kicks: Array,
     noise: Array,
+    tail: Array,
     luck: Array,
+    past: Array,
     drift_noise: Array,
     index: int,
     drawn: int,
@@ -426,7 +467,9 @@ def _simulate(
         drifts: Present values of the drifts, shape (runs, drifts), which are moved.
         kicks: Normal numbers of the process noise, shape (runs, block, 2 substeps or 0).
         noise: Normal numbers of the sensor, shape (runs, block).
+        tail: Further normal numbers, of noise with Student's t, shape (runs, block, degrees).
         luck: Numbers of [0, 1) that decide on outliers, shape (runs, block).
+        past: The last angles, in the places of a ring, shape (runs, 1 + samples of latency).
         drift_noise: Normal numbers of the drifts, shape (drifts, runs, block).
         index: Index of the first sample.
         drawn: Its place in the blocks of random numbers.
@@ -443,7 +486,9 @@ def _simulate(
         draw, place = drawn + step, first + step
         time, since = (index + step) / rate, index + step - injected
         elapsed = since / rate
-        lost = is_dropped(time, numbers.dropout_interval, numbers.dropout_duration)
+        lost = is_within(time, numbers.dropout_interval, numbers.dropout_duration)
+        loud = is_within(time, numbers.burst_interval, numbers.burst_duration)
+        loudness = float(numbers.burst_factor) if loud else 1.0
         added, stuck = disturbance_at(components, elapsed), is_stuck(components, elapsed)
         numbers.lost = lost
         torque = 0.0 if are_given else torque_at(numbers.excitation, time)
@@ -462,7 +507,16 @@ def _simulate(
                     drifts[run, drift] = value
                     disturbance += value
                     drift += 1
-            measured = angle + disturbance + float(numbers.noise_std) * float(noise[run, draw])
+            number = float(noise[run, draw])
+            if numbers.noise_degrees > 0:
+                number = student(number, tail[run, draw])
+            if numbers.noise_time_constant > 0.0 and index + step > 0:
+                before = float(runs[run].noise)
+                number = correlated(before, number, 1.0 / rate, float(numbers.noise_time_constant))
+            runs[run].noise = number
+            past[run, (index + step) % past.shape[1]] = angle
+            seen = float(past[run, (index + step + 1) % past.shape[1]])
+            measured = seen + disturbance + float(numbers.noise_std) * loudness * number
             if stuck:
                 if not runs[run].stuck:
                     runs[run].frozen = measured
@@ -471,8 +525,14 @@ def _simulate(
             runs[run].stuck = stuck
             if numbers.outlier_probability > 0.0:
                 measured += outlier(
-                    luck[run, draw], numbers.outlier_probability, float(numbers.outlier_size)
+                    luck[run, draw],
+                    numbers.outlier_probability,
+                    float(numbers.outlier_size),
+                    numbers.outlier_is_uniform,
                 )
+            resolution = float(numbers.resolution)
+            if resolution > 0.0 and math.isfinite(measured):
+                measured = resolution * math.floor(measured / resolution + 0.5)
             for item in range(4):
                 physical[run, place, item] = state[item]
             disturbances[run, place] = disturbance

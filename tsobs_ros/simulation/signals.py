@@ -26,7 +26,7 @@ ROW = 5
 """Length of a row."""
 
 _NO_TORQUE, _SINE, _MULTISINE, _SQUARE, _CHIRP = range(5)
-_BIAS_STEP, _SINUSOID, _RAMP, _TWO_TONE, GAUSS_MARKOV, STUCK = range(6)
+_BIAS_STEP, _SINUSOID, _RAMP, _TWO_TONE, GAUSS_MARKOV, STUCK, _PULSES = range(7)
 
 
 class Excitation(ABC):
@@ -281,9 +281,41 @@ class StuckSensor(_CompiledComponent):
             raise ModelError(f"stuck duration: expected at least 0 s, got {self.duration!r}")
 
 
+@dataclass(frozen=True)
+class Pulses(_CompiledComponent):
+    """d = a for a while from the start on, again and again, or once.
+
+    Attributes:
+        amplitude: a [rad].
+        start: Of the first pulse [s].
+        duration: Of a pulse [s].
+        interval: From the beginning of one to that of the next [s]; 0 for a single one.
+    """
+
+    kind: ClassVar[str] = "pulses"
+    code: ClassVar[int] = _PULSES
+    amplitude: float = 0.5
+    start: float = 8.0
+    duration: float = 1.5
+    interval: float = 8.0
+
+    def __post_init__(self) -> None:
+        non_negative("pulses duration", self.duration)
+        non_negative("pulses interval", self.interval)
+        super().__post_init__()
+
+
 KINDS: dict[str, Component] = {
     each.kind: each
-    for each in (BiasStep(), Sinusoid(), Ramp(), TwoTone(), GaussMarkov(), StuckSensor())
+    for each in (
+        BiasStep(),
+        Sinusoid(),
+        Ramp(),
+        TwoTone(),
+        GaussMarkov(),
+        StuckSensor(),
+        Pulses(),
+    )
 }
 """Every kind of component under its name, with its default numbers."""
 
@@ -362,7 +394,7 @@ def disturbance_at(rows: Array, time: float) -> float:
 
 @compiled
 def _value_at(row: Array, time: float) -> float:
-    code, a, b, c = int(row[0]), float(row[1]), float(row[2]), float(row[3])
+    code, a, b, c, d = int(row[0]), float(row[1]), float(row[2]), float(row[3]), float(row[4])
     if code == _BIAS_STEP:
         return a if time >= b else 0.0
     if code == _SINUSOID:
@@ -371,7 +403,19 @@ def _value_at(row: Array, time: float) -> float:
         return a * max(0.0, time - b)
     if code == _TWO_TONE:
         return a * (sine(2.0 * time) + cosine(3.0 * time)) if time >= b else 0.0
+    if code == _PULSES:
+        return a if recurs(time - b, c, d) else 0.0
     return 0.0
+
+
+@compiled
+def recurs(time: float, duration: float, interval: float) -> bool:
+    """Return whether a time [s] is in the first seconds of an interval, or of time itself if 0."""
+    # The margin keeps a sample that lies on a border on its side, whatever % rounds to.
+    since = time + 1e-9
+    if since < 0.0:
+        return False
+    return (since % interval if interval > 0.0 else since) < duration
 
 
 @compiled

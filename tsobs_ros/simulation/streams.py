@@ -27,6 +27,7 @@ class Source(enum.IntEnum):
     MEASUREMENT = 2
     OUTLIER = 3
     DISTURBANCE = 4
+    TAIL = 5
 
 
 class RandomStream:

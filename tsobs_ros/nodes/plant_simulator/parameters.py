@@ -11,6 +11,7 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import fixed_parameter, parameter, parameter_group
+from tsobs_ros.simulation.integrator import Friction
 from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
@@ -21,6 +22,7 @@ from tsobs_ros.simulation.signals import (
     GaussMarkov,
     Multisine,
     NoTorque,
+    Pulses,
     Ramp,
     Sine,
     Sinusoid,
@@ -49,7 +51,7 @@ class DisturbanceParameters:
 
     kind: str = parameter(
         "none",
-        "none, or a sum of bias_step, sinusoid, ramp, two_tone, gauss_markov and stuck, "
+        "none, or a sum of bias_step, sinusoid, ramp, two_tone, gauss_markov, stuck and pulses, "
         "such as bias_step+sinusoid; changing it injects a fault",
     )
     bias_step: BiasStep = parameter_group(
@@ -76,6 +78,15 @@ class DisturbanceParameters:
         start=_start(),
     )
     stuck: StuckParameters = parameter_group(StuckParameters)
+    pulses: Pulses = parameter_group(
+        Pulses,
+        amplitude=parameter(0.5, "Height of a pulse", unit="rad"),
+        start=_start(),
+        duration=parameter(1.5, "Length of a pulse", unit="s", minimum=0.0),
+        interval=parameter(
+            8.0, "Time between the beginnings of pulses; 0 for one", unit="s", minimum=0.0
+        ),
+    )
 
     def build(self) -> tuple[Component, ...]:
         """Return the components of the chosen kinds; the numbers of all kinds are checked."""
@@ -86,6 +97,7 @@ class DisturbanceParameters:
             self.two_tone,
             self.gauss_markov,
             StuckSensor(self.stuck.start, self.stuck.duration or math.inf),
+            self.pulses,
         )
         kinds = {component.kind: component for component in components}
         return tuple(kinds[name] for name in parse_kinds(self.kind))
@@ -123,6 +135,24 @@ class OutlierParameters:
 
     probability: float = parameter(0.0, "Probability of an outlier", minimum=0.0, maximum=1.0)
     size: float = parameter(1.0, "What an outlier adds, with either sign", unit="rad")
+    uniform: bool = parameter(False, "Outliers of any size up to this one")
+
+
+@dataclass(frozen=True)
+class NoiseParameters:
+    """What makes the measurement noise other than white and normal."""
+
+    time_constant: float = parameter(
+        0.0, "Time constant of its correlation; 0: white", unit="s", minimum=0.0
+    )
+    degrees_of_freedom: int = parameter(
+        0, "Of Student's t, which noise_std multiplies; 0: normal", minimum=0, maximum=1000
+    )
+    burst_interval: float = parameter(
+        0.0, "Time between the beginnings of bursts; 0 for none", unit="s", minimum=0.0
+    )
+    burst_duration: float = parameter(1.5, "Length of a burst", unit="s", minimum=0.0)
+    burst_factor: float = parameter(4.0, "What multiplies the noise in a burst", minimum=0.0)
 
 
 @dataclass(frozen=True)
@@ -190,6 +220,16 @@ class PlantSimulatorParameters(ManagedParameters):
     noise_std: float = parameter(
         0.028, "Standard deviation of the measurement noise", unit="rad", minimum=0.0
     )
+    latency: float = parameter(
+        0.0,
+        "Age of the measured angle at its stamp, in whole samples",
+        unit="s",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    resolution: float = parameter(
+        0.0, "Step of the measured angle; 0: none", unit="rad", minimum=0.0
+    )
     arm: ElasticJointArm = parameter_group(
         ElasticJointArm,
         link_inertia=fixed_parameter(1.0, "Link inertia J1", unit="kg m^2"),
@@ -210,11 +250,28 @@ class PlantSimulatorParameters(ManagedParameters):
         link_damping=fixed_parameter(0.0, "Relative change of b1"),
         motor_damping=fixed_parameter(0.0, "Relative change of b2"),
     )
+    friction: Friction = parameter_group(
+        Friction,
+        link_viscous=fixed_parameter(0.0, "Viscous friction of the link", unit="N m s/rad"),
+        link_coulomb=fixed_parameter(0.0, "Coulomb friction of the link", unit="N m"),
+        motor_viscous=fixed_parameter(0.0, "Viscous friction of the motor", unit="N m s/rad"),
+        motor_coulomb=fixed_parameter(0.0, "Coulomb friction of the motor", unit="N m"),
+    )
     process_noise: ProcessNoiseParameters = parameter_group(ProcessNoiseParameters)
     excitation: ExcitationParameters = parameter_group(ExcitationParameters)
     disturbance: DisturbanceParameters = parameter_group(DisturbanceParameters)
+    noise: NoiseParameters = parameter_group(NoiseParameters)
     outliers: OutlierParameters = parameter_group(OutlierParameters)
     dropouts: DropoutParameters = parameter_group(DropoutParameters)
+    effort_error: Pulses = parameter_group(
+        Pulses,
+        amplitude=fixed_parameter(0.0, "Error of the published effort; 0 for none", unit="N m"),
+        start=fixed_parameter(30.0, "Start of the first error", unit="s"),
+        duration=fixed_parameter(0.005, "Length of an error", unit="s", minimum=0.0),
+        interval=fixed_parameter(
+            0.0, "Time between the beginnings of errors; 0 for one", unit="s", minimum=0.0
+        ),
+    )
 
     def __post_init__(self) -> None:
         if not self.joint:
@@ -238,6 +295,7 @@ class PlantSimulatorParameters(ManagedParameters):
         return Scenario(
             arm=self.arm,
             mismatch=self.mismatch,
+            friction=self.friction,
             rate=self.rate,
             duration=self.duration,
             initial_state=start,
@@ -254,5 +312,14 @@ class PlantSimulatorParameters(ManagedParameters):
                 self.outliers.size,
                 self.dropouts.interval,
                 self.dropouts.duration,
+                self.outliers.uniform,
+                self.noise.time_constant,
+                self.noise.degrees_of_freedom,
+                self.noise.burst_interval,
+                self.noise.burst_duration,
+                self.noise.burst_factor,
+                self.latency,
+                self.resolution,
             ),
+            torque_error=(self.effort_error,) if self.effort_error.amplitude else (),
         )
