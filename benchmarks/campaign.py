@@ -20,7 +20,7 @@ from tsobs_ros.campaign import observe, run_all, score
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings, make_estimator
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -76,7 +76,7 @@ def main() -> None:
     made.add_argument("--runs", type=int, default=400)
     made.add_argument("--scenario", choices=list(SCENARIOS), default="stiff_bias_step")
     options = made.parse_args()
-    design = load_design(options.design or config_path(SHIPPED_ADAPTIVE_DESIGN))
+    design = load_design(options.design or config_path(SHIPPED_DESIGN))
     scenario = replace(SCENARIOS[options.scenario], duration=_DURATION, rate=design.request.rate)
     parts = _parts(design, scenario)
     cores = os.cpu_count() or 1

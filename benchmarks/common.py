@@ -16,7 +16,7 @@ from typing import IO, Any
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 # 102 and above may collide with the ports Linux hands out for outgoing connections.
 _DOMAINS = range(1, 102)
@@ -67,7 +67,7 @@ def claim_domain() -> int:
 
 def design_of(options: argparse.Namespace) -> Design:
     """Return the design a benchmark was asked to use, its certificate checked."""
-    return load_design(options.design or config_path("elastic_joint.design.yaml"))
+    return load_design(options.design or config_path(SHIPPED_DESIGN))
 
 
 def timed(action: Callable[[], object]) -> float:

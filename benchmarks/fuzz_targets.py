@@ -21,7 +21,7 @@ from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.file import load_request, parse_design, save_design
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.replay.log import LogSource
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 Mutate = Callable[[bytes, Sequence[bytes], random.Random], bytes]
 
@@ -149,7 +149,7 @@ TARGETS: Mapping[str, Callable[[Path], Target]] = {
 
 
 def _shipped(pattern: str) -> tuple[bytes, ...]:
-    folder = config_path("elastic_joint.design.yaml").parent
+    folder = config_path(SHIPPED_DESIGN).parent
     return tuple(path.read_bytes() for path in sorted(folder.glob(pattern)))
 
 

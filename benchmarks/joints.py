@@ -15,14 +15,14 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
 from tsobs_ros.estimation.tracker import JointTrackers, Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _JITTER = 20_000
 _TURN = 200
 _DESIGNS = {
-    "shipped": ("elastic_joint.design.yaml", "bias_step"),
-    "adaptive": ("elastic_joint_adaptive.design.yaml", "stiff"),
+    "fixed": (FIXED_DESIGN, "bias_step"),
+    "adaptive": (SHIPPED_DESIGN, "stiff"),
 }
 
 Row = list[Measurement]

@@ -32,15 +32,12 @@ from tsobs_ros.estimation.estimator import Estimator, correct_each, predict_each
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_tracker
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _TURN = 200
-_DESIGNS = {
-    "fixed": ("elastic_joint.design.yaml", "bias_step"),
-    "adaptive": ("elastic_joint_adaptive.design.yaml", "stiff"),
-}
+_SCENARIOS = {"fixed": "bias_step", "adaptive": "stiff"}
 
 Step = Callable[[int], object]
 
@@ -134,7 +131,7 @@ def _medians(contenders: dict[str, Step], samples: int) -> dict[str, float]:
 
 def _steps(kind: str, design: Design, seconds: float) -> dict[str, float]:
     """Return the median times of one step [µs]."""
-    runs = simulate(SCENARIOS[_DESIGNS[kind][1]], [1], seconds)
+    runs = simulate(SCENARIOS[_SCENARIOS[kind]], [1], seconds)
     y, u = runs.measurements[0], runs.torques[0]
     ekf: Any = (
         FilterpyAugmentedFilter(design, uncertainty_of(design))
@@ -240,9 +237,9 @@ def _measure(options: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
     parts = set(options.parts)
     results: dict[str, Any] = {}
     lines: list[str] = []
-    shipped, adaptive = design_of(options), load_design(config_path(_DESIGNS["adaptive"][0]))
+    fixed, adaptive = load_design(config_path(FIXED_DESIGN)), design_of(options)
     if "steps" in parts:
-        for kind, design in (("fixed", shipped), ("adaptive", adaptive)):
+        for kind, design in (("fixed", fixed), ("adaptive", adaptive)):
             found = results[f"step_us {kind}"] = _steps(kind, design, options.seconds)
             lines += _of_steps(kind, found)
     if "batch" in parts:
@@ -256,7 +253,7 @@ def _measure(options: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
         runs = simulate(SCENARIOS["stiff"], [1], 600.0)
         taken = {
             kind: _series(design, runs, options.turns)
-            for kind, design in (("fixed", shipped), ("adaptive", adaptive))
+            for kind, design in (("fixed", fixed), ("adaptive", adaptive))
         }
         results["ten_minutes_s"] = taken
         lines.append("ts.estimate of ten minutes:")

@@ -17,12 +17,12 @@ import pytest
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.options import GainMode
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.signals import BiasStep
 
-DESIGN = load_design(config_path("elastic_joint.design.yaml"))
+DESIGN = load_design(config_path(FIXED_DESIGN))
 SEEDS = [71, 72]
 DURATION = 18.0
 WINDOW = {"settled": (10.0, DURATION)}

@@ -36,7 +36,7 @@ def show(name, record):
             digest.update(np.ascontiguousarray(value).tobytes())
     print(name, digest.hexdigest()[:16])
 
-for file in ("elastic_joint.design.yaml", "elastic_joint_adaptive.design.yaml"):
+for file in ("elastic_joint_fixed.design.yaml", "elastic_joint.design.yaml"):
     design = ts.load_design(folder / file)
     request, X = design.request, design.covariance_bound
     show(f"design {file}", X)
@@ -81,7 +81,7 @@ CONFIG = Path(__file__).resolve().parents[1] / "config"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag and arrays with jitter, late and lost samples, an outlier, a gap and a jump."""
     folder = tmp_path_factory.mktemp("bits")
-    for name in ("elastic_joint.design.yaml", "elastic_joint_adaptive.design.yaml"):
+    for name in ("elastic_joint_fixed.design.yaml", "elastic_joint.design.yaml"):
         (folder / name).write_bytes((CONFIG / name).read_bytes())
     run = ts.simulate(duration=3.0, seed=5, mismatch={"stiffness": 0.2})
     keep = np.r_[0:120, 480:600]
@@ -92,7 +92,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows = np.column_stack([time, angle, torque])
     np.savetxt(folder / "log.csv", rows, delimiter=",", header="time,angle,torque", comments="")
     ts.estimate_bag(
-        folder / "log.csv", str(folder / "elastic_joint_adaptive.design.yaml"), rate=150.0,
+        folder / "log.csv", str(folder / "elastic_joint.design.yaml"), rate=150.0,
         output=folder / "bag",
     )  # fmt: skip
     order = np.arange(len(keep))

@@ -16,7 +16,7 @@ from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import QUANTITIES, MetricsOptions, measure
 from tsobs_ros.report.run import RecordedRun, Series
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -90,7 +90,7 @@ def test_scores_are_those_of_a_report() -> None:
 
 @pytest.mark.parametrize("method", ["certified", "ekf", "high_gain"])
 def test_what_is_observed_is_what_a_tracker_estimates(method: str) -> None:
-    learning = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
+    learning = load_design(config_path(SHIPPED_DESIGN))
     # A dropout is longer than what is bridged, and the first samples are lost.
     sensor = Sensor(outlier_probability=0.01, dropout_interval=8.0, dropout_duration=5.6)
     runs = simulate(replace(SCENARIO, sensor=sensor), [5, 6])

@@ -199,7 +199,7 @@ def test_arrays_that_do_not_fit_are_refused(design: Design, time, angle, torque,
 
 
 def test_an_adaptive_design_learns_its_parameters() -> None:
-    design = ts.load_design(str(ROOT / "config" / "elastic_joint_adaptive.design.yaml"))
+    design = ts.load_design(str(ROOT / "config" / "elastic_joint.design.yaml"))
     run = ts.simulate(design, duration=10.0, mismatch={"stiffness": 0.2})
 
     estimates = ts.estimate(design, run.time, run.angle, run.torque)

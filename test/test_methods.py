@@ -9,7 +9,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.methods import METHODS, ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 
 def test_the_defaults_are_those_of_the_node() -> None:
@@ -24,7 +24,7 @@ def test_the_defaults_are_those_of_the_node() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_only_the_certified_observer_learns(method: str) -> None:
-    design = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
+    design = load_design(config_path(SHIPPED_DESIGN))
     learnt = ObserverSettings(method=method).learnt(design)
 
     assert learnt == (tuple(design.request.uncertainty) if method == "certified" else ())

@@ -16,8 +16,10 @@ from pathlib import Path
 from tsobs_ros.errors import TsobsError
 
 SHIPPED_DESIGN = "elastic_joint.design.yaml"
-SHIPPED_ADAPTIVE_DESIGN = "elastic_joint_adaptive.design.yaml"
-"""Designs that come with the package, in its config folder."""
+"""The default design, in the package's config folder."""
+
+FIXED_DESIGN = "elastic_joint_fixed.design.yaml"
+"""The same without uncertain parameters: nothing is learnt."""
 
 _PACKAGE = "tsobs_ros"
 # <prefix>/local/lib/python3.12/dist-packages/tsobs_ros is the deepest known layout.

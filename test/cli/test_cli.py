@@ -18,10 +18,10 @@ import tsobs_ros
 from tsobs_ros.cli.common import progress
 from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import load_design
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 ROOT = Path(__file__).resolve().parents[2]
-SHIPPED = config_path("elastic_joint.design.yaml")
+SHIPPED = config_path(SHIPPED_DESIGN)
 VERTICES = ["(0.7317, 0.7317)", "(0.7317, 1)", "(1, 0.7317)", "(1, 1)"]
 Captured = pytest.CaptureFixture[str]
 

@@ -8,13 +8,13 @@ import pytest
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 
 @pytest.fixture(scope="session")
 def shipped_file() -> Path:
     """The design file in the package's config folder."""
-    return config_path("elastic_joint.design.yaml")
+    return config_path(SHIPPED_DESIGN)
 
 
 @pytest.fixture(scope="session")

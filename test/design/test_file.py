@@ -117,7 +117,7 @@ def test_a_file_of_the_first_format_is_what_saving_its_design_writes(
 
 
 def test_the_shipped_designs_are_as_they_were() -> None:
-    for shipped, old in (("elastic_joint", "arm"), ("elastic_joint_adaptive", "adaptive_arm")):
+    for shipped, old in (("elastic_joint_fixed", "arm"), ("elastic_joint", "adaptive_arm")):
         path = config_path(f"{shipped}.design.yaml")
         assert path.read_bytes() == (DATA / f"{old}.design.yaml").read_bytes()
 
@@ -165,7 +165,7 @@ def yaml_of(name: str) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def arm_data() -> dict[str, Any]:
     """An arm's design file as plain data; tests change copies of it."""
-    return yaml_of("arm.design.yaml")
+    return yaml_of("adaptive_arm.design.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -197,6 +197,7 @@ DEFAULTED = [
     ("arm",), ("disturbance",), ("process_noise",), ("measurement_std",), ("rate",), ("x_max",),
     ("decay_rate",), ("initial_std",), ("arm", "stiffness"), ("arm", "link_damping"),
     ("process_noise", "motor"), ("disturbance", 0, "density"), ("disturbance", 0, "initial_std"),
+    ("uncertainty",), ("certify_uncertainty",),
 ]  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from tsobs_ros.model.prediction import Flow
 from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 Array = NDArray[np.float64]
 OPTIONS = AdaptationOptions(initial_std=0.3, random_walk_density=1e-3, start=0.05, memory=0.5)
@@ -64,7 +64,7 @@ class Arm(System):
     """The arm of the shipped adaptive design: kick, linear flow, kick."""
 
     def __init__(self) -> None:
-        request = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN)).request
+        request = load_design(config_path(SHIPPED_DESIGN)).request
         self.flow, self.uncertainty = request.flow, request.uncertainty_model
         arm, T, n = request.arm, self.flow.period, self.flow.state_count
         self._gravity, self._effects = arm.gravity_gain, self.uncertainty.directions[:, 0]
@@ -273,7 +273,7 @@ def test_each_step_is_that_of_the_formulas(name: str) -> None:
 
 def test_learning_starts_over_under_strain_and_is_given_up_after_a_few_times() -> None:
     """Gain and regressor are reset; the parameters only with the last of these."""
-    design = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
+    design = load_design(config_path(SHIPPED_DESIGN))
     observer = design.supervised(options=SupervisionOptions(relearn_budget=1, strain=0.5))
     fresh = observer.initial()
     limits, eye = design.request.uncertainty_model.limits, np.eye(2)

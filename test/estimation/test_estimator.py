@@ -31,7 +31,7 @@ from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty
 from tsobs_ros.paper.observer import paper_observer
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 Array = NDArray[np.float64]
 ARM, T, STD = ElasticJointArm(), 0.005, 0.02
@@ -40,7 +40,7 @@ SAMPLES = 140
 
 def supervised_arm() -> Estimator:
     """The shipped adaptive design, that learns and reacts early."""
-    design = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
+    design = load_design(config_path(SHIPPED_DESIGN))
     estimator = design.adaptive(settle_time=0.0, options=AdaptationOptions(start=0.05, memory=0.3))
     estimator.supervise(
         SupervisionOptions(jump_quiet=0.1, jump_duration=0.05, jump_budget=2, lost=2.0, strain=0.03)

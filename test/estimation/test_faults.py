@@ -21,7 +21,7 @@ from tsobs_ros.estimation.faults import (
     new_watches,
 )
 from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.signals import Sinusoid
 
@@ -269,7 +269,7 @@ def test_the_status_has_the_fault_in_words_and_numbers() -> None:
 
 def observed(scenario: Scenario, seconds: float) -> Fault:
     """Return what is told of a simulated arm under the shipped observer."""
-    design = load_design(config_path("elastic_joint.design.yaml"))
+    design = load_design(config_path(FIXED_DESIGN))
     observer, plant = design.supervised(), Plant(scenario, 5)
     monitor, state = FaultMonitor(design.request.measurement_std), observer.initial()
     for _ in range(round(seconds * 200)):

@@ -15,11 +15,11 @@ from tsobs_ros.estimation.options import CertifiedGain
 from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.flow import GapFlow
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
-DESIGN = load_design(config_path(SHIPPED_DESIGN))
-ADAPTIVE = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
+DESIGN = load_design(config_path(FIXED_DESIGN))
+ADAPTIVE = load_design(config_path(SHIPPED_DESIGN))
 SCENARIO = SCENARIOS["noise"]
 STARTS = [1800, 1920, 2040, 2160]
 """Samples at which the gap begins in each run: at four parts of the torque's turn."""

@@ -11,10 +11,10 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.estimation.tracker import JointTrackers
 from tsobs_ros.methods import ObserverSettings, make_tracker
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
-DESIGNS = [load_design(config_path(name)) for name in (SHIPPED_DESIGN, SHIPPED_ADAPTIVE_DESIGN)]
+DESIGNS = [load_design(config_path(name)) for name in (FIXED_DESIGN, SHIPPED_DESIGN)]
 RUN = simulate(SCENARIOS["bias_step"], [0, 1, 2], 3.0)
 PERIOD, BEGIN, END = 5_000_000, 10**11, 10**18
 

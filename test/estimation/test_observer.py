@@ -28,7 +28,7 @@ from tsobs_ros.estimation.estimator import (
 )
 from tsobs_ros.estimation.options import CertifiedGain, GainMode, SupervisionOptions
 from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.signals import BiasStep
 
@@ -47,7 +47,7 @@ class Data(NamedTuple):
 
 @pytest.fixture(scope="module")
 def design() -> Design:
-    return load_design(config_path("elastic_joint.design.yaml"))
+    return load_design(config_path(FIXED_DESIGN))
 
 
 @pytest.fixture(scope="module")

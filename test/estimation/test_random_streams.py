@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import NANOSECONDS, Innovation, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
-DESIGN = load_design(config_path(SHIPPED_DESIGN))
-ADAPTIVE = load_design(config_path("elastic_joint_adaptive.design.yaml"))
+DESIGN = load_design(config_path(FIXED_DESIGN))
+ADAPTIVE = load_design(config_path(SHIPPED_DESIGN))
 BEGIN = 100 * NANOSECONDS
 TICK = 20_000_000
 PROPERTY = settings(max_examples=3)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.options import SupervisionOptions
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.signals import BiasStep, StuckSensor
@@ -20,7 +20,7 @@ from tsobs_ros.simulation.signals import BiasStep, StuckSensor
 Array = NDArray[np.float64]
 T = 0.005
 SCALE = np.array([0.226, 0.60, 3.55, 4.64])
-DESIGN = load_design(config_path("elastic_joint.design.yaml"))
+DESIGN = load_design(config_path(FIXED_DESIGN))
 ARM = DESIGN.request.arm
 
 

@@ -15,12 +15,12 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
 from tsobs_ros.estimation.options import MAX_JUMP_BUDGET, CertifiedGain, SupervisionOptions
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, config_path
 
 PROPERTY = settings(max_examples=80)
 PERIOD = 0.005
 LONG_AGO = 100.0
-DESIGN = load_design(config_path(SHIPPED_DESIGN))
+DESIGN = load_design(config_path(FIXED_DESIGN))
 # An innovation of exactly zero has no sign; it does not happen.
 innovations = st.floats(-1e6, 1e6).filter(bool)
 MEMORY = (

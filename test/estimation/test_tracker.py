@@ -25,7 +25,7 @@ from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Outcomes, Tracker, TrackerOptions
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 Array = NDArray[np.float64]
@@ -34,8 +34,8 @@ PERIOD = 5_000_000
 BEGIN = 100 * SECOND
 END = 10**18
 PROPERTY = settings(max_examples=40)
-DESIGN = load_design(config_path(SHIPPED_DESIGN))
-ADAPTIVE = load_design(config_path(SHIPPED_ADAPTIVE_DESIGN))
+DESIGN = load_design(config_path(FIXED_DESIGN))
+ADAPTIVE = load_design(config_path(SHIPPED_DESIGN))
 X_MAX = DESIGN.request.x_max
 
 

@@ -11,9 +11,9 @@ from scipy.linalg import block_diag, expm
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.model.flow import GAP_MEMORY, GapFlow
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, config_path
 
-FLOW = load_design(config_path(SHIPPED_DESIGN)).request.flow
+FLOW = load_design(config_path(FIXED_DESIGN)).request.flow
 RATE = 0.7
 GAP_FLOW = GapFlow(FLOW, RATE)
 N = FLOW.state_count

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, RECORDED_TOPICS
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 POLICY = config_path("sros2_policy.xml")
 EVERYTHING = [*RECORDED_TOPICS, *ADAPTIVE_TOPICS]
@@ -67,7 +67,7 @@ def test_each_node_is_allowed_what_it_has_and_nothing_else(
     # Simulated time for all but the player, which makes it, and whatever else adds names.
     configurations: dict[Any, dict[str, Any]] = {
         plant_simulator: {"publish_clock": True, "use_sim_time": True},
-        observer: {"design": str(config_path(SHIPPED_ADAPTIVE_DESIGN)), "use_sim_time": True},
+        observer: {"design": str(config_path(SHIPPED_DESIGN)), "use_sim_time": True},
         recorder: {
             "output": str(tmp_path / "recorded"),
             "topics": EVERYTHING,

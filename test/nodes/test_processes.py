@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.nodes.messages import to_nanoseconds
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import FIXED_DESIGN, config_path
 
 TIMEOUT = 60.0
 SECOND = 1_000_000_000
@@ -238,7 +238,7 @@ def test_a_signal_while_compiling_ends_cleanly_and_the_next_start_compiles_the_r
 
 
 def tampered(path: Path) -> Path:
-    data = yaml.safe_load(config_path("elastic_joint.design.yaml").read_text(encoding="utf-8"))
+    data = yaml.safe_load(config_path(FIXED_DESIGN).read_text(encoding="utf-8"))
     data["gain"]["K"][0] *= 20.0
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     return path

@@ -11,7 +11,7 @@ from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.cli.main import main
 from tsobs_ros.methods import METHODS
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_estimate_says_how_much_of_the_live_run_it_has_reproduced(bag: Path, cap
 
 
 def test_several_designs_and_methods_have_names_of_their_own(bag: Path, capsys) -> None:
-    designs = [str(config_path(name)) for name in (SHIPPED_DESIGN, SHIPPED_ADAPTIVE_DESIGN)]
+    designs = [str(config_path(name)) for name in (FIXED_DESIGN, SHIPPED_DESIGN)]
     new = f"{bag}_new"
 
     command = ["estimate", str(bag), "--output", new, "--design", *designs]
@@ -59,11 +59,11 @@ def test_several_designs_and_methods_have_names_of_their_own(bag: Path, capsys) 
     names = {topic.split("/")[1] for topic in BagReader(new).topics}
     observers = {
         f"{d}_{m}"
-        for d in ("elastic_joint", "elastic_joint_adaptive")
+        for d in ("elastic_joint_fixed", "elastic_joint")
         for m in ("certified", "high_gain")
     }
     assert names == {"joint_measurements", "ground_truth", *observers}
-    assert "/elastic_joint_adaptive_certified/parameters_estimate" in BagReader(new).topics
+    assert "/elastic_joint_certified/parameters_estimate" in BagReader(new).topics
     assert "too short to have a settled part" in capsys.readouterr().out
 
 
@@ -71,8 +71,8 @@ def test_joints_may_have_designs_of_their_own(arms, write_bag, capsys) -> None:
     bag = write_bag(arms.messages(50, joints=2))
     command = ["compare", str(bag), "--method", "certified", "--design"]
 
-    assert main([*command, f"wrist={config_path(SHIPPED_ADAPTIVE_DESIGN)}"]) == 0
-    assert main([*command, f"knee={config_path(SHIPPED_ADAPTIVE_DESIGN)}"]) == 1
+    assert main([*command, f"wrist={config_path(SHIPPED_DESIGN)}"]) == 0
+    assert main([*command, f"knee={config_path(SHIPPED_DESIGN)}"]) == 1
 
     assert "no such joint; joints: elbow, wrist" in capsys.readouterr().err
 
@@ -135,7 +135,7 @@ def test_compare_prints_all_observers_and_writes_nothing(bag: Path, capsys) -> N
 
 
 def test_compare_leaves_out_what_does_not_fit_the_arm_and_says_why(bag, tmp_path, capsys) -> None:
-    text = config_path(SHIPPED_DESIGN).read_text(encoding="utf-8")
+    text = config_path(FIXED_DESIGN).read_text(encoding="utf-8")
     other = tmp_path / "other.design.yaml"
     other.write_text(text.replace("stiffness: 10.0", "stiffness: 10.000000001"), encoding="utf-8")
     command = ["compare", str(bag), "--design", str(other)]

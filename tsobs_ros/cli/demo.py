@@ -18,7 +18,7 @@ from tsobs_ros.bag.estimate_topics import PARAMETER_TOPICS, TOPICS
 from tsobs_ros.cli.common import Commands, add_json, positive
 from tsobs_ros.cli.report import report_on
 from tsobs_ros.errors import NodeError
-from tsobs_ros.resources import SHIPPED_ADAPTIVE_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 RECORDED_TOPICS = (
     "/joint_measurements",
@@ -66,9 +66,7 @@ def run(options: argparse.Namespace) -> int:
     if options.domain_id is None:
         # Any domain from 1 to 101 keeps clear of the ports that outgoing connections use.
         options.domain_id = 1 + os.getpid() % 101
-    differs = options.stiffness != 0.0 or options.gravity != 0.0
-    shipped = SHIPPED_ADAPTIVE_DESIGN if differs else SHIPPED_DESIGN
-    options.design = options.design or config_path(shipped)
+    options.design = options.design or config_path(SHIPPED_DESIGN)
     print(
         f"plant, observer and recorder on ROS_DOMAIN_ID={options.domain_id} for "
         f"{options.duration:g} s",

@@ -167,7 +167,7 @@ class ArmRequest(DesignProblem):
     x_max: float = 0.75
     decay_rate: float = 0.0
     initial_std: Sequence[float] = (0.3, 0.6, 0.3, 0.4)
-    uncertainty: Mapping[str, float] = FrozenMapping({})
+    uncertainty: Mapping[str, float] = FrozenMapping({"stiffness": 0.4, "gravity": 0.4})
     certify_uncertainty: bool = False
 
     def __post_init__(self) -> None:

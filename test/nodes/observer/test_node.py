@@ -28,11 +28,11 @@ from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation.records import NANOSECONDS, Innovation
 from tsobs_ros.nodes.messages import to_stamp
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 JOINT = "elastic_joint"
-SHIPPED = config_path("elastic_joint.design.yaml")
-ADAPTIVE = str(config_path("elastic_joint_adaptive.design.yaml"))
+SHIPPED = config_path(SHIPPED_DESIGN)
+FIXED = str(config_path(FIXED_DESIGN))
 ARM = Arm(BEGIN)
 
 
@@ -220,7 +220,7 @@ def test_messages_of_any_joints_in_any_order_give_each_joint_what_it_has_alone(
 def test_a_joint_that_falls_silent_leaves_the_others_alone(stage: Stage) -> None:
     """One with a design of its own; and a message counts as a sample of the joints it names."""
     joints = JOINTS[:2]
-    observer = stage.add(joints=joints, joint_designs=["", ADAPTIVE], stale_after=0.2)
+    observer = stage.add(joints=joints, joint_designs=["", FIXED], stale_after=0.2)
     stage.step(BEGIN - PERIOD)
     events = [
         Event(at, ARM.message(at, name=names, position=[0.1 + at % 97 * 1e-4] * len(names),
@@ -247,7 +247,7 @@ def test_a_joint_that_falls_silent_leaves_the_others_alone(stage: Stage) -> None
     assert found["observer: joint_2: state"].hardware_id == "joint_2"
     assert found["observer: joints"].message == "joint_2: state: STALE"
     designs = [values(found[f"observer: {j}: certificate"])["design"] for j in joints]
-    assert designs == [str(SHIPPED), ADAPTIVE]
+    assert designs == [str(SHIPPED), FIXED]
     assert observer.count_publishers("/observer/parameters_estimate") == 1
 
 

@@ -12,9 +12,9 @@ from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import CertificateError, DesignFileError, ParameterError, TsobsError
 from tsobs_ros.nodes.observer import Observer, create
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
-SHIPPED = config_path("elastic_joint.design.yaml")
+SHIPPED = config_path(SHIPPED_DESIGN)
 TS_DESIGN = Path(__file__).parents[2] / "design/data/system.design.yaml"
 
 

@@ -17,9 +17,9 @@ from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
-from tsobs_ros.resources import config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
-ADAPTIVE = str(config_path("elastic_joint_adaptive.design.yaml"))
+FIXED = str(config_path(FIXED_DESIGN))
 ARM = Arm(BEGIN)
 
 
@@ -101,7 +101,7 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
         "certificate": (Level.OK, "bound along the estimate"),
     }
     identity = found["certificate"].values
-    assert identity["design"] == str(config_path("elastic_joint.design.yaml"))
+    assert identity["design"] == str(config_path(SHIPPED_DESIGN))
     assert (identity["disturbance model"], identity["bound"]) == ("bias", "along the estimate")
     assert float(identity["margin [1/s]"]) > 0.0
     assert found["state"].values["resets"] == "3"
@@ -110,7 +110,7 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
 
 
 def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -> None:
-    joints = joints_of(joints=("hip", "knee"), joint_designs=("", ADAPTIVE))
+    joints = joints_of(joints=("hip", "knee"), joint_designs=("", FIXED))
     feed(joints, 20)
     joints[1].reject(1)
     offer(joints[1], BEGIN + 19 * PERIOD)
@@ -135,7 +135,7 @@ def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -
     assert found["measurements"][1:3] == (
         Level.OK, "2 in the last minute rejected, most: wrong joint or shape"
     )  # fmt: skip
-    assert parts["knee"]["certificate"].values["design"] == ADAPTIVE
+    assert parts["knee"]["certificate"].values["design"] == FIXED
     assert "parameters" not in parts["hip"]
     learnt = parts["knee"]["parameters"]
     assert learnt.message == "not yet: the motion is too poor"
