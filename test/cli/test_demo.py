@@ -14,7 +14,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.cli.demo import RECORDED_TOPICS
+from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, RECORDED_TOPICS
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("tqdm")
@@ -74,13 +74,13 @@ def test_a_demo_leaves_a_bag_a_table_and_figures(demo: Demo, tmp_path: Path) -> 
     assert running(output) == []
 
     reader = BagReader(output / "bag")
-    assert set(reader.topics) == set(RECORDED_TOPICS)
+    assert set(reader.topics) == {*RECORDED_TOPICS, *ADAPTIVE_TOPICS}
     check_disturbance(reader)
 
 
 def check_disturbance(reader: BagReader) -> None:
     """What was asked for on the command line is what the simulated sensor suffered."""
-    recorded: dict[str, list[JointState]] = {topic: [] for topic in RECORDED_TOPICS}
+    recorded: dict[str, list[JointState]] = {topic: [] for topic in reader.topics}
     for item in reader.messages():
         if item.topic != "/diagnostics":
             recorded[item.topic].append(deserialize_message(item.data, JointState))

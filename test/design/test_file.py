@@ -271,7 +271,7 @@ ARM = [
     (("design", "uncertainty", "stiffness"), -1, "design.uncertainty.stiffness: .* above 0, got"),
     (("design", "uncertainty", "wind"), 0.1, "design.uncertainty: expected some of stiffness"),
     (("design", "certify_uncertainty"), 1, "design.certify_uncertainty: expected true or false"),
-    (("design", "certify_uncertainty"), True, "design.certify_uncertainty: expected at least one"),
+    (("design",), {"uncertainty": {}, "certify_uncertainty": True}, "at least one uncertain"),
     (("gain", "L"), 3.0, "gain: unknown entry 'L', expected some of K"),
     (("solver", "name"), [1], r"solver.name: expected text, got \[1\]"),
     (("gain",), ..., "gain: missing"),

@@ -212,7 +212,7 @@ def test_a_damped_arm_is_not_designed_as_clean_under_an_arbitrary_disturbance(
 
 def test_requests_are_equal_and_hashed_by_what_they_ask() -> None:
     spelled = DisturbanceTerm("bias", {"initial_std": 0.3, "density": 1e-4})
-    same = ArmRequest(disturbance=[spelled], uncertainty={})
+    same = ArmRequest(disturbance=[spelled], uncertainty={"gravity": 0.4, "stiffness": 0.4})
     other = ArmRequest(uncertainty={"stiffness": 0.2})
     assert same == ArmRequest() != other
     assert hash(same) == hash(ArmRequest())

@@ -95,8 +95,8 @@ class Scene:
 
     @staticmethod
     def _outputs(observer: Any) -> list[Any]:
-        return [each for each in observer.publishers if each.msg_type is JointState
-                and "restarts" not in each.topic_name]  # fmt: skip
+        return [each for each in observer.publishers
+                if each.topic_name.rpartition("/")[2] in OUTPUTS]  # fmt: skip
 
 
 @pytest.fixture
