@@ -14,7 +14,6 @@ import pytest
 from faults.arm import Arm
 from faults.stage import BEGIN, OUTPUTS, PERIOD, TOPIC, Event, Stage, good
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.bag import BagReader, BagWriter
