@@ -52,6 +52,8 @@ class AdaptationOptions:
     initial_std: float = 0.1
     random_walk_density: float = 1e-6
     start: float = 2.0
+    significance: float = 16.0
+    pass_time: float = 4.0
     memory: float = 10.0
     excitation: float = 400.0
 
@@ -90,6 +92,7 @@ class SupervisionOptions:
     reject: float = 50.0
     jump_std: float = 0.15
     jump_duration: float = 1.5
+    jump_gap: float = 0.5
     jump_quiet: float = 8.0
     jump_budget: int = 8
     jump_budget_window: float = 20.0

@@ -20,6 +20,7 @@ from tsobs_ros.estimation.options import (
     GainMode,
     SupervisionOptions,
 )
+from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model import stepping
 from tsobs_ros.model.matrices import congruent, inverse, joseph
 from tsobs_ros.model.prediction import Record, fill_matrix
@@ -76,6 +77,8 @@ _SIZES: dict[str, tuple[str, ...]] = {
     "gamma": ("k", "k"),
     "upsilon": ("k", "n"),
     "gram": ("k", "k"),
+    "pending": ("k",),
+    "anchor": ("k",),
     "gain": ("n", "p"),
     "innovation_covariance": ("p", "p"),
     "state": ("plant",),
@@ -119,6 +122,11 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("gamma", number, (k, k)),
             ("upsilon", number, (k, n)),
             ("gram", number, (k, k)),
+            ("pending", number, (k,)),
+            ("significant", count),
+            ("anchor", number, (k,)),
+            ("pass_age", number),
+            ("cause", count),
             ("age", number),
             ("recent", number, (WINDOW,)),
             ("calm", number, (WINDOW,)),
@@ -171,6 +179,9 @@ def correction_type(room: Room) -> np.dtype[Any]:
             ("factor", number, (p, p)),
             ("crossed", number, (p, n)),
             ("turned", number, (p, k)),
+            ("shift", number, (k, 1)),
+            ("scaled", number, (k, 1)),
+            ("root", number, (k, k)),
             ("nothing", number, (wide, wide)),
             ("squares", number, (3, n, wide)),
         ]
@@ -259,6 +270,9 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("limits", number, (k,)),
             ("theta_variance", number),
             ("random_walk", number),
+            ("significance", number),
+            ("pass_time", number),
+            ("pass_reach", number),
             ("adaptation_start", number),
             ("memory", number),
             ("excitation", number),
@@ -268,6 +282,7 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("reject", number),
             ("jump_std", number),
             ("jump_duration", number),
+            ("jump_gap", number),
             ("jump_quiet", number),
             ("jump_budget", count),
             ("jump_budget_window", number),
@@ -289,6 +304,7 @@ def new_model(room: Room, shape: Shape, period: float) -> Record:
     for name, size in zip(("n", "plant", "p", "m", "k", "n_gap"), shape, strict=True):
         model[name] = size
     model["period"] = period
+    model["initial"]["cause"] = Basis.STARTING
     for name in ("nis", "magnitude", "noise_scale"):
         model["initial"][name] = 1.0
     return model
@@ -320,6 +336,8 @@ def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, cove
     fill_matrix(model["limits"], limits)
     model["covered"] = covered
     model["theta_variance"] = options.initial_std * options.initial_std
+    model["significance"] = options.significance
+    model["pass_time"], model["pass_reach"] = options.pass_time, 0.5
     model["random_walk"] = options.random_walk_density
     model["adaptation_start"], model["memory"] = options.start, options.memory
     model["excitation"] = options.excitation

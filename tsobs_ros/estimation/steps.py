@@ -46,12 +46,12 @@ from tsobs_ros.model.stepping import advance
 from tsobs_ros.model.trigonometry import exponential
 
 _CERTIFIED, _LEARNT, _STARTING = Basis.CERTIFIED.value, Basis.LEARNT.value, Basis.STARTING.value
-_CONTRADICTED = Basis.CONTRADICTED.value
+_GAP, _JUMP, _CONTRADICTED = Basis.GAP.value, Basis.JUMP.value, Basis.CONTRADICTED.value
 _NONE, _YOUNG, _ACTIVE = Learning.NONE.value, Learning.STARTING.value, Learning.ACTIVE.value
 _AFTER_JUMP, _STRAINED = Learning.AFTER_JUMP.value, Learning.STRAINED.value
 
 _CLIP = 5.0
-_SAME_SIGN = 7
+_SAME_SIGN, _FAR = 7, 6
 _LEAN = 6.0 * math.sqrt(WINDOW)
 _LOST_CLIP = 4.0
 _CALM = 1.0
@@ -59,6 +59,8 @@ _STRAIN = 1.0
 _MAX_NIS = 3.0
 _MAX_COLOUR = 0.5
 _DOUBT = 3.0
+_WHITE = 0.15
+_ALIKE = 0.9
 _NEIGHBOURS = 10.0
 _MEDIAN = 0.6745
 
@@ -149,7 +151,7 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
         inflation = larger(total / n, 1.0)
     if model.supervised != 0:
         scale = larger(state.noise_scale, 1.0)
-        inflation *= scale * scale * larger(state.nis, 1.0)
+        inflation *= scale * scale * larger(state.nis, 1.0) * _repetition(state)
     for i in range(n):
         for j in range(p):
             x[i] += gain[i, j] * (weight * innovation[j])
@@ -194,17 +196,30 @@ def _learn(model: Any, state: Any, correction: Any, adapt: bool, inflation: floa
                 known[a, b] = known[a, b] * inflation + explained[a, b]
         solve(known, cross, factor, turned, p, k)  # the transposed gain of θ
         _add_square(gamma, cross, turned, -1.0, p, k)
+        shift, pending = correction.shift[:], state.pending[:]
         for i in range(k):
-            moved = theta[i]
-            for a in range(p):
-                moved += turned[a, i] * innovation[a]
-            if moved > limits[i]:
-                moved = limits[i]
-            elif moved < -limits[i]:
-                moved = -limits[i]
-            for j in range(n):
-                x[j] += upsilon[i, j] * (moved - theta[i])
-            theta[i] = moved
+            shift[i, 0] = 0.0
+        for a in range(p):
+            left = innovation[a] - dot(omega[a], pending, k)
+            for i in range(k):
+                shift[i, 0] += turned[a, i] * left
+        for i in range(k):
+            moved = theta[i] + pending[i] + shift[i, 0]
+            pending[i] = min(max(moved, -limits[i]), limits[i]) - theta[i]
+            shift[i, 0] = pending[i]
+        if state.significant == 0:
+            solve(gamma, shift, correction.root[:], correction.scaled[:], k, 1)
+            total = 0.0
+            for i in range(k):
+                total += pending[i] * correction.scaled[i, 0]
+            if total > model.significance:
+                state.significant = 1
+        if state.significant != 0:
+            for i in range(k):
+                for j in range(n):
+                    x[j] += upsilon[i, j] * pending[i]
+                theta[i] += pending[i]
+                pending[i] = 0.0
 
 
 @compiled
@@ -294,6 +309,13 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
 
 
 @compiled
+def _repetition(state: Any) -> float:
+    """Return how many coloured innovations say as much as one that is white."""
+    share = min(max(state.coloured_power / larger(state.nis, 1.0) - _WHITE, 0.0), _ALIKE)
+    return (1.0 + share) / (1.0 - share)
+
+
+@compiled
 def _scale_noise(model: Any, state: Any, innovation: float) -> None:
     """Follow the size of white noise by the running median of neighbouring differences.
 
@@ -337,11 +359,15 @@ def _forget(state: Any) -> None:
 def _leans(state: Any) -> bool:
     if state.watched < WINDOW:
         return False
-    total, positives, recent = 0.0, 0, state.recent[:]
+    total, positives, up, down, recent = 0.0, 0, 0, 0, state.recent[:]
     for i in range(WINDOW):
         total += recent[i]
         positives += 1 if recent[i] > 0.0 else 0
-    return abs(total) > _LEAN and max(positives, WINDOW - positives) >= _SAME_SIGN
+        up += 1 if recent[i] > 1.0 else 0
+        down += 1 if recent[i] < -1.0 else 0
+    # A few outliers can make the sum.
+    same = max(positives, WINDOW - positives) >= _SAME_SIGN and max(up, down) >= _FAR
+    return same and abs(total) > _LEAN
 
 
 @compiled
@@ -349,7 +375,7 @@ def _may_jump(model: Any, state: Any) -> bool:
     if model.jump_std == 0.0 or model.jump_budget == 0 or state.watch_age < model.jump_quiet:
         return False
     count = state.jump_count
-    if count > 0 and state.watch_age - state.jump_ages[count - 1] < model.jump_duration:
+    if count > 0 and state.watch_age - state.jump_ages[count - 1] < model.jump_gap:
         return False
     full = count >= model.jump_budget
     return not full or state.watch_age - state.jump_ages[0] > model.jump_budget_window
@@ -369,27 +395,52 @@ def _limit_disturbance(model: Any, state: Any) -> None:
 
 @compiled
 def _guard(model: Any, state: Any) -> None:
-    """Start learning over if it goes astray; let it rest if that happens too often."""
+    """Learn from the start if learning goes astray; let it rest if that happens too often."""
     k = model.k
     if k == 0:
         return
-    at_limit, theta, limits = False, state.theta[:], model.limits[:]
+    far, at_limit = False, False
+    theta, anchor, limits = state.theta[:], state.anchor[:], model.limits[:]
+    reach = model.pass_reach * math.sqrt(model.theta_variance)
     for i in range(k):
         at_limit = at_limit or abs(theta[i]) >= limits[i]
+        far = far or abs(theta[i] - anchor[i]) > reach
     state.pinned = state.pinned + model.period if at_limit else 0.0
-    astray = state.strained >= model.strain or state.pinned >= model.strain
     if state.resting != 0 and state.relearned <= model.relearn_budget - 1.0:
         state.resting = 0
+    if state.pass_age > model.pass_time:
+        # What was learnt far from the truth was learnt along wrong regressors.
+        if far and state.relearned <= model.relearn_budget - 1.0:
+            state.relearned += 1.0
+            _relearn(model, state)
+    if state.pass_age < model.pass_time:
+        state.strained, state.pinned = 0.0, 0.0
+    astray = state.strained >= model.strain or state.pinned >= model.strain
     if not astray or state.resting != 0:
         return
     state.pinned, state.strained = 0.0, 0.0
     if state.relearned > model.relearn_budget - 1.0:
         state.resting = 1
+        for i in range(k):
+            theta[i] = 0.0
+        copy(model.initial.gram[:], state.gram[:], k, k)
+        _relearn(model, state)
         return
     state.relearned += 1.0
     state.adaptation_resets += 1
+    _relearn(model, state)
+
+
+@compiled
+def _relearn(model: Any, state: Any) -> None:
+    """Forget how well the parameters are known, but not the parameters."""
+    k = model.k
     copy(model.initial.gamma[:], state.gamma[:], k, k)
     copy(model.initial.upsilon[:], state.upsilon[:], k, model.n)
+    theta, anchor, pending = state.theta[:], state.anchor[:], state.pending[:]
+    state.pass_age = 0.0
+    for i in range(k):
+        anchor[i], pending[i] = theta[i], 0.0
 
 
 @compiled
@@ -397,12 +448,13 @@ def restart(model: Any, state: Any) -> None:
     """Set the estimate and the adaptation to those before any measurement; the rest stays."""
     initial = model.initial
     state.settling, state.age = initial.settling, 0.0
-    state.certified, state.corrected, state.in_gap = 0, 0, 0
+    state.certified, state.corrected, state.in_gap, state.cause = 0, 0, 0, _STARTING
     n, k, x, theta = model.n, model.k, state.x[:], state.theta[:]
     for i in range(n):
         x[i] = 0.0
+    anchor, pending, state.significant, state.pass_age = state.anchor[:], state.pending[:], 0, 0.0
     for i in range(k):
-        theta[i] = 0.0
+        theta[i], anchor[i], pending[i] = 0.0, 0.0, 0.0
     copy(initial.covariance[:], state.covariance[:], n, n)
     copy(initial.gap[:], state.gap[:], model.n_gap, model.n_gap)
     copy(initial.gamma[:], state.gamma[:], k, k)
@@ -420,7 +472,7 @@ def _inflate(model: Any, state: Any, std: float, duration: float) -> None:
         std: 1σ of what is added to each state that the disturbance is read from.
         duration: Least time with Riccati gains [s].
     """
-    _leave_certified(model, state)
+    _leave_certified(model, state, _JUMP)
     h, covariance = model.disturbance_map[0], state.covariance[:]
     for i in range(model.n):
         if h[i] != 0.0:
@@ -431,8 +483,11 @@ def _inflate(model: Any, state: Any, std: float, duration: float) -> None:
 
 
 @compiled
-def _leave_certified(model: Any, state: Any) -> None:
+def _leave_certified(model: Any, state: Any, cause: int) -> None:
+    if cause != _GAP:
+        state.cause = cause
     if state.certified != 0:
+        state.cause = cause
         bound = model.posterior[:] if state.corrected != 0 else model.X[:]
         copy(bound, state.covariance[:], model.n, model.n)
         state.certified = 0
@@ -457,7 +512,7 @@ def predict(
     regular = shortest <= duration and duration <= model.longest
     simple = model.gain_mode == OPEN or (state.certified != 0 and state.corrected != 0 and regular)
     if not simple:
-        _leave_certified(model, state)
+        _leave_certified(model, state, _GAP)
     n, k = model.n, model.k
     x, upsilon, covariance = state.x[:], state.upsilon[:], state.covariance[:]
     in_gap = not simple and model.n_gap > 0 and (state.in_gap != 0 or duration > model.longest)
@@ -537,6 +592,8 @@ def _forget_slowly(model: Any, state: Any, duration: float) -> None:
                 gamma[i, j] *= shrink
                 gamma[j, i] *= shrink
     state.age += duration
+    if state.age >= model.adaptation_start:
+        state.pass_age += duration
 
 
 @compiled
@@ -555,6 +612,7 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
     )
     x, y, covariance = state.x[:], state.y[:], state.covariance[:]
     upsilon, gamma, theta = state.upsilon[:], state.gamma[:], state.theta[:]
+    pending = state.pending[:]
     share = work.small[0]
     noise = larger(state.noise_scale, 1.0) if model.supervised != 0 else 1.0
     uncertain = model.gain_mode != OPEN and state.certified == 0
@@ -566,7 +624,8 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         bound *= noise
         for a in range(k):
             share[a] = upsilon[a, i]
-        added = larger(quadratic(gamma, share, k), 0.0)
+        shift = dot(share, pending, k)
+        added = larger(quadratic(gamma, share, k), 0.0) + shift * shift
         states[i] = scale[i] * x[i]
         bounds[i] = scale[i] * _root(bound * bound + added)
         total += states[i] + bounds[i]
@@ -584,7 +643,8 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         bound *= noise
         for a in range(k):
             share[a] = dot(h, upsilon[a], n)
-        added = larger(quadratic(gamma, share, k), 0.0)
+        shift = dot(share, pending, k)
+        added = larger(quadratic(gamma, share, k), 0.0) + shift * shift
         omegas[i] = dot(h, x, n)
         if model.gain_mode == OPEN:
             omegas[i] += dot(model.disturbance_direct[i], y, p)
@@ -593,7 +653,7 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         total += omegas[i] + rates[i] + bounds[i]
     for i in range(k):
         readout.parameters[i] = theta[i]
-        readout.parameter_bound[i] = _root(gamma[i, i])
+        readout.parameter_bound[i] = _root(gamma[i, i] + pending[i] * pending[i])
         total += readout.parameters[i] + readout.parameter_bound[i]
     readout.basis = _basis(model, state)
     readout.noise_scale, readout.coloured_power = noise, state.coloured_power
@@ -611,7 +671,8 @@ def _basis(model: Any, state: Any) -> int:
     if state.doubt > 0.0 and state.watch_age > 0.0:
         return _CONTRADICTED
     if state.certified == 0:
-        return _STARTING
+        cause: int = state.cause
+        return cause
     return _LEARNT if model.k > 0 and model.covered == 0 else _CERTIFIED
 
 
