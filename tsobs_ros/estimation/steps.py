@@ -406,13 +406,13 @@ def _guard(model: Any, state: Any) -> None:
         at_limit = at_limit or abs(theta[i]) >= limits[i]
         far = far or abs(theta[i] - anchor[i]) > reach
     state.pinned = state.pinned + model.period if at_limit else 0.0
-    if state.resting != 0 and state.relearned <= model.relearn_budget - 1.0:
+    if state.relearned <= model.relearn_budget - 1.0:
         state.resting = 0
-    if state.pass_age > model.pass_time:
+    budget = state.relearned <= model.relearn_budget - 1.0
+    if far and budget and state.pass_age > model.pass_time:
         # What was learnt far from the truth was learnt along wrong regressors.
-        if far and state.relearned <= model.relearn_budget - 1.0:
-            state.relearned += 1.0
-            _relearn(model, state)
+        state.relearned += 1.0
+        _relearn(model, state)
     if state.pass_age < model.pass_time:
         state.strained, state.pinned = 0.0, 0.0
     astray = state.strained >= model.strain or state.pinned >= model.strain
