@@ -126,6 +126,10 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("significant", count),
             ("anchor", number, (k,)),
             ("pass_age", number),
+            ("theta_before", number, (2, k)),
+            ("pending_before", number, (2, k)),
+            ("gamma_before", number, (2, k, k)),
+            ("kept", count),
             ("cause", count),
             ("age", number),
             ("recent", number, (WINDOW,)),
@@ -341,7 +345,10 @@ def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, cove
     model["random_walk"] = options.random_walk_density
     model["adaptation_start"], model["memory"] = options.start, options.memory
     model["excitation"] = options.excitation
-    fill_matrix(model["initial"]["gamma"], np.eye(len(limits)) * model["theta_variance"])
+    gamma = np.eye(len(limits)) * model["theta_variance"]
+    fill_matrix(model["initial"]["gamma"], gamma)
+    for before in model["initial"]["gamma_before"]:
+        fill_matrix(before, gamma)
 
 
 def enter_supervision(model: Any, options: SupervisionOptions) -> None:

@@ -83,6 +83,7 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
     if used:
         _apply(model, state, correction, adapt)
         if jumped and model.disturbed != 0:
+            _unlearn(model, state)
             _inflate(model, state, model.jump_std, model.jump_duration)
             state.jumps += 1
             state.pause = model.jump_duration
@@ -312,7 +313,8 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
 def _repetition(state: Any) -> float:
     """Return how many coloured innovations say as much as one that is white."""
     share = min(max(state.coloured_power / larger(state.nis, 1.0) - _WHITE, 0.0), _ALIKE)
-    return (1.0 + share) / (1.0 - share)
+    samples: float = (1.0 + share) / (1.0 - share)
+    return samples
 
 
 @compiled
@@ -394,11 +396,46 @@ def _limit_disturbance(model: Any, state: Any) -> None:
 
 
 @compiled
+def _unlearn(model: Any, state: Any) -> None:
+    """Go back to the parameters of before a jump, of which the first samples were learnt from."""
+    k, theta, pending, upsilon = model.k, state.theta[:], state.pending[:], state.upsilon[:]
+    x = state.x[:]
+    for i in range(k):
+        change = state.theta_before[1, i] - theta[i]
+        theta[i] += change
+        pending[i] = state.pending_before[1, i]
+        for j in range(model.n):
+            x[j] += upsilon[i, j] * change
+        for j in range(k):
+            state.gamma[i, j] = state.gamma_before[1, i, j]
+    _keep_nothing_else(model, state)
+
+
+@compiled
+def _keep(model: Any, state: Any) -> None:
+    """Remember what was learnt, the last two times that as many samples as a window had passed."""
+    k = model.k
+    if state.kept > 0:
+        state.kept -= 1
+        return
+    state.kept = WINDOW
+    for i in range(k):
+        state.theta_before[1, i] = state.theta_before[0, i]
+        state.theta_before[0, i] = state.theta[i]
+        state.pending_before[1, i] = state.pending_before[0, i]
+        state.pending_before[0, i] = state.pending[i]
+        for j in range(k):
+            state.gamma_before[1, i, j] = state.gamma_before[0, i, j]
+            state.gamma_before[0, i, j] = state.gamma[i, j]
+
+
+@compiled
 def _guard(model: Any, state: Any) -> None:
     """Learn from the start if learning goes astray; let it rest if that happens too often."""
     k = model.k
     if k == 0:
         return
+    _keep(model, state)
     far, at_limit = False, False
     theta, anchor, limits = state.theta[:], state.anchor[:], model.limits[:]
     reach = model.pass_reach * math.sqrt(model.theta_variance)
@@ -441,6 +478,14 @@ def _relearn(model: Any, state: Any) -> None:
     state.pass_age = 0.0
     for i in range(k):
         anchor[i], pending[i] = theta[i], 0.0
+    _keep_nothing_else(model, state)
+
+
+@compiled
+def _keep_nothing_else(model: Any, state: Any) -> None:
+    for _ in range(2):
+        state.kept = 0
+        _keep(model, state)
 
 
 @compiled
@@ -460,6 +505,7 @@ def restart(model: Any, state: Any) -> None:
     copy(initial.gamma[:], state.gamma[:], k, k)
     copy(initial.upsilon[:], state.upsilon[:], k, n)
     copy(initial.gram[:], state.gram[:], k, k)
+    _keep_nothing_else(model, state)
 
 
 @compiled
