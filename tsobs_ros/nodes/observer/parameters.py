@@ -125,7 +125,7 @@ class ObserverParameters(ManagedParameters):
             8.0, "No jump is looked for so soon after a start", unit="s", minimum=0.0, maximum=600.0
         ),
         jump_budget=parameter(
-            3, "Jumps within 20 s before they are ignored", minimum=0, maximum=MAX_JUMP_BUDGET
+            8, "Jumps within 20 s before they are ignored", minimum=0, maximum=MAX_JUMP_BUDGET
         ),
         lost=parameter(
             6.0, "Average innovation in sigma that gives the estimate up", minimum=1.0, maximum=1e3
