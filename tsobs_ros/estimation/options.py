@@ -52,7 +52,7 @@ class AdaptationOptions:
     initial_std: float = 0.1
     random_walk_density: float = 1e-6
     start: float = 2.0
-    significance: float = 16.0
+    significance: float = 25.0
     pass_time: float = 4.0
     memory: float = 10.0
     excitation: float = 400.0

@@ -126,6 +126,7 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("significant", count),
             ("anchor", number, (k,)),
             ("pass_age", number),
+            ("passes", count),
             ("theta_before", number, (2, k)),
             ("pending_before", number, (2, k)),
             ("gamma_before", number, (2, k, k)),

@@ -51,7 +51,7 @@ _NONE, _YOUNG, _ACTIVE = Learning.NONE.value, Learning.STARTING.value, Learning.
 _AFTER_JUMP, _STRAINED = Learning.AFTER_JUMP.value, Learning.STRAINED.value
 
 _CLIP = 5.0
-_SAME_SIGN, _FAR = 7, 6
+_SAME_SIGN, _FAR, _CLOSE = 7, 6, 4
 _LEAN = 6.0 * math.sqrt(WINDOW)
 _LOST_CLIP = 4.0
 _CALM = 1.0
@@ -59,6 +59,8 @@ _STRAIN = 1.0
 _MAX_NIS = 3.0
 _MAX_COLOUR = 0.5
 _DOUBT = 3.0
+_PASSES = 4
+_CURVED = 0.3
 _WHITE = 0.15
 _ALIKE = 0.9
 _NEIGHBOURS = 10.0
@@ -369,7 +371,13 @@ def _leans(state: Any) -> bool:
         down += 1 if recent[i] < -1.0 else 0
     # A few outliers can make the sum.
     same = max(positives, WINDOW - positives) >= _SAME_SIGN and max(up, down) >= _FAR
-    return same and abs(total) > _LEAN
+    if not same or abs(total) <= _LEAN:
+        return False
+    # Nor is it a jump if the samples differ as much among themselves, as in a burst of noise.
+    close, reach = 0, 0.5 * abs(total) / WINDOW
+    for i in range(1, WINDOW):
+        close += 1 if abs(recent[i] - recent[i - 1]) < reach else 0
+    return close >= _CLOSE
 
 
 @compiled
@@ -445,10 +453,9 @@ def _guard(model: Any, state: Any) -> None:
     state.pinned = state.pinned + model.period if at_limit else 0.0
     if state.relearned <= model.relearn_budget - 1.0:
         state.resting = 0
-    budget = state.relearned <= model.relearn_budget - 1.0
-    if far and budget and state.pass_age > model.pass_time:
+    if far and state.passes < _PASSES and state.pass_age > model.pass_time:
         # What was learnt far from the truth was learnt along wrong regressors.
-        state.relearned += 1.0
+        state.passes += 1
         _relearn(model, state)
     if state.pass_age < model.pass_time:
         state.strained, state.pinned = 0.0, 0.0
@@ -465,6 +472,7 @@ def _guard(model: Any, state: Any) -> None:
         return
     state.relearned += 1.0
     state.adaptation_resets += 1
+    state.passes = 0
     _relearn(model, state)
 
 
@@ -498,6 +506,7 @@ def restart(model: Any, state: Any) -> None:
     for i in range(n):
         x[i] = 0.0
     anchor, pending, state.significant, state.pass_age = state.anchor[:], state.pending[:], 0, 0.0
+    state.passes = 0
     for i in range(k):
         theta[i], anchor[i], pending[i] = 0.0, 0.0, 0.0
     copy(initial.covariance[:], state.covariance[:], n, n)
@@ -699,14 +708,17 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         total += omegas[i] + rates[i] + bounds[i]
     for i in range(k):
         readout.parameters[i] = theta[i]
-        readout.parameter_bound[i] = _root(gamma[i, i] + pending[i] * pending[i])
+        # What was learnt over a distance is wrong by a share of it: regressors move with x̂.
+        moved = _CURVED * (theta[i] + pending[i] - state.anchor[i])
+        readout.parameter_bound[i] = _root(gamma[i, i] + pending[i] * pending[i] + moved * moved)
         total += readout.parameters[i] + readout.parameter_bound[i]
     readout.basis = _basis(model, state)
     readout.noise_scale, readout.coloured_power = noise, state.coloured_power
     readout.learning = _learning(model, state)
     readout.hypothesis = 0
     readout.parameters_valid = 0
-    if k > 0 and state.resting == 0 and _is_excited(model, state, work):
+    trusted = state.resting == 0 and state.coloured_power <= _MAX_COLOUR
+    if k > 0 and trusted and _is_excited(model, state, work):
         readout.parameters_valid = 1
     readout.finite = 1 if math.isfinite(total) else 0
 
