@@ -17,7 +17,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.history import EXTRA, USED
+from tsobs_ros.estimation.history import CORRECTING, EXTRA
 from tsobs_ros.estimation.records import NANOSECONDS, Basis
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
@@ -244,7 +244,7 @@ def estimate(
         series.advance(begin, end, rows[begin:end])
     rows[series.results.there == 0] = np.nan
     outputs_shape = y.shape[1:] if np.ndim(angle) == 2 else ()
-    used = series.results.outcomes == USED
+    used = np.isin(series.results.outcomes, CORRECTING)
     return Estimates(
         time=times,
         innovation=series.results.innovations[used].reshape(-1, *outputs_shape),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.checks import shown
+from tsobs_ros.checks import non_negative, shown
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
@@ -40,6 +40,8 @@ class ObserverSettings:
         gain_mode: Gain of the certified observer once it has settled.
         settle_time: Least time with Riccati gains after a start [s].
         torque_rate: 1σ of the rate at which the torque may move in a gap [N m/s]; 0: it is held.
+        torque_limit: Largest plausible torque [N m]; 0: the design's.
+        torque_rate_limit: Its largest plausible rate [N m/s]; 0: the design's.
         adapt: Whether to learn the parameters that the design calls uncertain.
         history: How late a measurement may come [s].
         future_tolerance: How far ahead of the clock a stamp may lie [s].
@@ -57,6 +59,8 @@ class ObserverSettings:
     gain_mode: GainMode = GainMode.CERTIFIED
     settle_time: float = 5.0
     torque_rate: float = TORQUE_RATE
+    torque_limit: float = 0.0
+    torque_rate_limit: float = 0.0
     adapt: bool = True
     history: float = 0.5
     future_tolerance: float = 0.1
@@ -67,6 +71,8 @@ class ObserverSettings:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ModelError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        for name in ("torque_limit", "torque_rate_limit"):
+            non_negative(name, getattr(self, name))
 
     def learnt(self, design: Design) -> tuple[str, ...]:
         """Return the names of the design's parameters that are learnt."""
@@ -152,6 +158,13 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     Raises:
         ModelError: The design is not for an arm, or the method cannot observe this one.
     """
+    estimator = _make_estimator(design, settings)
+    limits = design.arm_request.torque_limits(settings.torque_limit, settings.torque_rate_limit)
+    estimator.limit_torque(limits)
+    return estimator
+
+
+def _make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     request = design.arm_request
     common = (request.period, request.measurement_std)
     match settings.method:

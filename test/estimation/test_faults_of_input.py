@@ -50,6 +50,7 @@ class Kind(NamedTuple):
 FUTURE, OLD = RejectReason.FROM_FUTURE, RejectReason.TOO_OLD
 ZERO, NON_FINITE = RejectReason.ZERO_STAMP, RejectReason.NON_FINITE
 DUPLICATE, GATED = RejectReason.DUPLICATE, RejectReason.GATED
+IMPLAUSIBLE = RejectReason.IMPLAUSIBLE_TORQUE
 
 
 def changed(
@@ -160,10 +161,10 @@ KINDS: dict[str, Kind] = {
     "jittered stamps": Kind(stamped(lambda at, k: at + (k % 5 - 2) * MS, JUDGED)),
     "nan angle": Kind(angle(lambda y, k: math.nan, NON_FINITE)),
     "infinite angle": Kind(angle(lambda y, k: (-1) ** k * math.inf, NON_FINITE)),
-    "nan torque": Kind(torque(lambda u, k: math.nan, NON_FINITE)),
-    "infinite torque": Kind(torque(lambda u, k: (-1) ** k * math.inf, NON_FINITE)),
+    "nan torque": Kind(torque(lambda u, k: math.nan, IMPLAUSIBLE)),
+    "infinite torque": Kind(torque(lambda u, k: (-1) ** k * math.inf, IMPLAUSIBLE)),
     "largest angle": Kind(angle(lambda y, k: (-1) ** k * LARGEST)),
-    "largest torque": Kind(torque(lambda u, k: (-1) ** k * LARGEST, JUDGED, 0.05)),
+    "largest torque": Kind(torque(lambda u, k: (-1) ** k * LARGEST, IMPLAUSIBLE)),
     "denormal numbers": Kind(
         changed(
             lambda s, k: s._replace(y=np.array([SMALLEST]), u=np.array([-SMALLEST])), JUDGED, 0.025
@@ -181,8 +182,8 @@ KINDS: dict[str, Kind] = {
         lasts=1.0,
         recovery=5.0,
     ),
-    "torque steps": Kind(torque(lambda u, k: (-1) ** k * 1e6), recovery=5.0),
-    "torque in other units": Kind(torque(lambda u, k: 1e3 * u), recovery=5.0),
+    "torque steps": Kind(torque(lambda u, k: (-1) ** k * 1e6, IMPLAUSIBLE)),
+    "torque in other units": Kind(torque(lambda u, k: 1e3 * u, IMPLAUSIBLE)),
     "burst of 5000": Kind(burst, lasts=1.0),
     "held up": Kind(changed(same, USED, 1.0, lambda at, k, begin: begin + NANOSECONDS), lasts=1.0),
     "late by a second": Kind(

@@ -109,7 +109,7 @@ def test_without_gaps_nothing_of_it_is_computed() -> None:
         assert ends[0].state_bound.tobytes() == ends[1].state_bound.tobytes()
     assert moving.state is not None
     assert not moving.state.in_gap
-    assert not moving.state.gap.any()
+    assert not moving.state.records["covariance"][0, 5:].any()
 
 
 def test_a_torque_is_known_even_where_its_angle_is_not_believed() -> None:
@@ -134,7 +134,6 @@ def test_a_batch_goes_through_a_gap_as_each_of_it() -> None:
     batch = observer.initial((2,)).changed(x=x)
     batch = observer.predict(observer.predict(batch, u, 0.3), u, T)
     assert batch.in_gap.all()
-    assert (batch.covariance == batch.gap[:, :5, :5]).all()
     gap_flow = GapFlow(DESIGN.request.flow, 1.0)
     for place in range(2):
         alone = observer.initial().changed(x=x[place])
@@ -144,7 +143,8 @@ def test_a_batch_goes_through_a_gap_as_each_of_it() -> None:
         wide = gap_flow.predict_with_covariance(np.append(x[place], [0, 0]), start, u[place], 0.3)
         wide = gap_flow.predict_with_covariance(*wide, u[place], T)
         np.testing.assert_allclose(alone.x, wide[0][:5], rtol=1e-12, atol=1e-14)
-        np.testing.assert_allclose(alone.gap, wide[1], rtol=1e-12, atol=1e-16)
+        covariance = alone.records["covariance"][0, :7, :7]
+        np.testing.assert_allclose(covariance, wide[1], rtol=1e-12, atol=1e-16)
 
 
 def test_a_torque_rate_must_make_sense() -> None:

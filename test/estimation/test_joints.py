@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.design.file import load_design
+from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.estimation.tracker import JointTrackers
 from tsobs_ros.methods import ObserverSettings, make_tracker
@@ -48,6 +49,8 @@ def test_each_joint_is_its_tracker_alone() -> None:
 def test_numbers_beyond_all_bounds_are_the_business_of_one_joint(torque: float) -> None:
     """The second joint restarts, without a warning, and the others go on."""
     together = joints()
+    for tracker in together.trackers:
+        tracker.estimator.limit_torque(TorqueLimits.of(0.0, 0.0, 1.0))
     for index in (*range(60), *range(80, 120)):
         row = [sample(joint, index) for joint in range(3)]
         if index % 30 == 20:

@@ -50,7 +50,12 @@ def as_bytes(change: Callable[[bytes], bytes]) -> Make:
 NAMES = [f"joint_{index}" for index in range(100)]
 FLOODS: dict[str, tuple[Make, RejectReason | None]] = {
     "nan angle": (alone(position=[math.nan]), RejectReason.NON_FINITE),
-    "infinite torque": (alone(effort=[math.inf]), RejectReason.NON_FINITE),
+    "infinite torque": (
+        lambda arm, newest, number: arm.message(
+            newest + number, position=[0.01 * (number % 5)], effort=[math.inf]
+        ),
+        RejectReason.IMPLAUSIBLE_TORQUE,
+    ),
     "foreign joint": (alone(name=["elbow"]), WRONG),
     "no effort": (alone(effort=[]), WRONG),
     "many foreign joints": (alone(name=NAMES, position=[0.0] * 100, effort=[0.0] * 100), WRONG),

@@ -61,6 +61,9 @@ def save_design(design: Design, path: FilePath) -> None:
     gain = GainEntry(np.array(design.plain_gain))
     answer = AnswerEntries(gain, CertificateEntry(design.P), design.solver)
     data = {"format": kind, "version": VERSION, **encode(entries), **encode(answer)}
+    if isinstance(request, ArmRequest):
+        # An entry that is left open is none, as in files from before there was one.
+        data["design"] = {n: v for n, v in data["design"].items() if v is not None}
     write_yaml(path, _HEADERS[kind], data)
 
 

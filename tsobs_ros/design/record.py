@@ -190,7 +190,7 @@ class Design:
     ) -> Estimator:
         if torque_rate is None:
             torque_rate = TORQUE_RATE if isinstance(self.request, ArmRequest) else 0.0
-        return certified_estimator(
+        estimator = certified_estimator(
             self.request.flow,
             self.request.measurement_covariance,
             self.request.initial_covariance,
@@ -202,6 +202,9 @@ class Design:
             adaptation=options,
             covered=self.request.certify_uncertainty,
         )
+        if isinstance(self.request, ArmRequest):
+            estimator.limit_torque(self.request.torque_limits())
+        return estimator
 
     def summary(self) -> dict[str, Any]:
         """Return certificate, gain and bounds as plain data."""

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive, shown
 from tsobs_ros.design.problem import DesignProblem
 from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
@@ -154,6 +155,8 @@ class ArmRequest(DesignProblem):
         uncertainty: Bound on |θ| of each uncertain parameter, by its name in
             `model.uncertainty.ARM_DIRECTIONS`: relative, or N m s/rad for a damping.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
+        torque_limit: Largest plausible torque [N m]; 0: any is; None: see `torque_limits`.
+        torque_rate_limit: Its largest plausible rate [N m/s]; likewise.
 
     Raises:
         ModelError: A value is out of range or of the wrong shape.
@@ -169,6 +172,8 @@ class ArmRequest(DesignProblem):
     initial_std: Sequence[float] = (0.3, 0.6, 0.3, 0.4)
     uncertainty: Mapping[str, float] = FrozenMapping({"stiffness": 0.4, "gravity": 0.4})
     certify_uncertainty: bool = False
+    torque_limit: float | None = None
+    torque_rate_limit: float | None = None
 
     def __post_init__(self) -> None:
         checked: dict[str, Any] = {
@@ -185,6 +190,9 @@ class ArmRequest(DesignProblem):
                 }
             ),
         }
+        for name in ("torque_limit", "torque_rate_limit"):
+            value = getattr(self, name)
+            checked[name] = None if value is None else non_negative(name, value)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         if not 0.0 < self.x_max <= math.pi:
@@ -220,6 +228,24 @@ class ArmRequest(DesignProblem):
     def measurement_covariance(self) -> Array:
         """R, shape (1, 1) [rad²]."""
         return np.array([[self.measurement_std * self.measurement_std]])
+
+    def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits:
+        """Return which torques a drive of the arm can have.
+
+        What the request leaves open is generous for any arm: ten times the gravity torque and what
+        accelerates both inertias by 100 rad/s²; and from one end of this range to the other within
+        2 ms, so that no step of a command is refused at rates up to 500 Hz. A step is judged by the
+        time since the last torque in use, but at least by a period.
+
+        Args:
+            limit: Largest torque instead of the request's [N m]; 0 for that.
+            rate_limit: Largest rate instead of the request's [N m/s]; 0 for that.
+        """
+        arm = self.arm
+        largest = 10.0 * arm.gravity_torque + 100.0 * (arm.link_inertia + arm.motor_inertia)
+        return TorqueLimits.of(
+            limit or self.torque_limit, rate_limit or self.torque_rate_limit, largest
+        )
 
     @property
     def slope_range(self) -> tuple[float, float]:

@@ -17,9 +17,11 @@ from tsobs_ros.estimation.options import (
     CertifiedGain,
     GainMode,
     SupervisionOptions,
+    TorqueLimits,
 )
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import CONDITIONS, Shape
+from tsobs_ros.estimation.torque import take_torque
 from tsobs_ros.model.flow import ArmFlow, GapFlow
 from tsobs_ros.model.matrices import is_finite
 from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix
@@ -187,6 +189,10 @@ class Estimator:
                 f"supervised observer: expected a system of one output, got {self.shape.p}"
             )
         records.enter_supervision(self.model[0], options)
+
+    def limit_torque(self, limits: TorqueLimits) -> None:
+        """Use only plausible torques from now on."""
+        records.enter_torque_limits(self.model[0], limits)
 
     def new_work(self) -> Record:
         """Return a scratch record, for a thread of its own."""
@@ -485,7 +491,9 @@ def observe_each(
     for run in range(len(states)):
         for sample in range(y.shape[1]):
             if sample > 0:
-                steps.predict(model, states[run], u[run, sample - 1], duration, bool(0), work[0])
+                held = states[run].held[:]
+                steps.predict(model, states[run], held, duration, bool(0), work[0])
+            take_torque(model, states[run], u[run, sample])
             if is_finite(y[run, sample], model.p):
                 steps.correct(model, states[run], y[run, sample], corrections[0])
             steps.read(model, states[run], readouts[0], work[0])

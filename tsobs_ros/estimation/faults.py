@@ -27,7 +27,7 @@ from tsobs_ros.estimation.health import (
     Status,
     duration_text,
 )
-from tsobs_ros.estimation.history import GATED, USED
+from tsobs_ros.estimation.history import CORRECTING, GATED, USED
 
 __all__ = ["Fault", "FaultKind", "FaultMonitor", "add_estimates", "add_samples", "new_watches"]
 
@@ -149,9 +149,9 @@ def add_samples(
         watch = watches[place]
         for sample in range(stamps.shape[0]):
             code = codes[place, sample]
-            if code in (USED, GATED):
+            if code in CORRECTING or code == GATED:
                 _compare(watch, stamps[sample], y[place, sample])
-            if code == USED:
+            if code in CORRECTING:
                 innovation = innovations[place, sample]
                 _average(watch, stamps[sample], innovation / expected_std[place, sample])
                 watch.predicted = y[place, sample] - innovation

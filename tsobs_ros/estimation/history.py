@@ -18,6 +18,7 @@ from tsobs_ros.compiled import compiled, compiled_nogil, inlined
 from tsobs_ros.estimation.records import Basis, RejectReason
 from tsobs_ros.estimation.state import correction_type, readout_type, work_type
 from tsobs_ros.estimation.steps import correct, predict, read, write_row
+from tsobs_ros.estimation.torque import take_torque
 from tsobs_ros.model.matrices import is_finite
 from tsobs_ros.model.stepping import Room, record_type
 
@@ -25,7 +26,7 @@ REASONS = (None, *RejectReason)
 """Reasons of rejection by their codes; 0 is a measurement that was used."""
 
 USED = 0
-NON_FINITE, DUPLICATE, TOO_OLD, FROM_FUTURE, GATED, ZERO_STAMP = (
+NON_FINITE, DUPLICATE, TOO_OLD, FROM_FUTURE, GATED, ZERO_STAMP, IMPLAUSIBLE_TORQUE = (
     REASONS.index(reason)
     for reason in (
         RejectReason.NON_FINITE,
@@ -34,8 +35,12 @@ NON_FINITE, DUPLICATE, TOO_OLD, FROM_FUTURE, GATED, ZERO_STAMP = (
         RejectReason.FROM_FUTURE,
         RejectReason.GATED,
         RejectReason.ZERO_STAMP,
+        RejectReason.IMPLAUSIBLE_TORQUE,
     )
 )
+
+CORRECTING = (USED, IMPLAUSIBLE_TORQUE)
+"""Outcomes of measurements whose angle was used."""
 
 _OF_CERTIFICATE, _OUTSIDE = Basis.LEARNT.value, Basis.OUTSIDE.value
 
@@ -154,9 +159,9 @@ def offer(
             if again < late:
                 memory.rewinds += 1
             memory.accepted += 1
-        gated = _advance(model, memory, ring, stamp, sample, inputs)
+        code = _advance(model, memory, ring, stamp, sample, inputs)
         if not repeated:
-            outcomes[i] = GATED if gated else USED
+            outcomes[i] = code
             for j in range(model.p):
                 innovations[i, j] = memory.correction.innovation[j]
                 variance = memory.correction.innovation_covariance[j, j]
@@ -213,7 +218,7 @@ def estimate_at(models: Any, memories: Any, ring: Any, stamp: int, row: Array) -
                 # Two at once, so that it is no regular step for the estimator.
                 length = 2.0 * period
             if length > 0.0:
-                predict(model, ring[scratch], step.u[:], length, taken >= whole, memory.work)
+                predict(model, ring[scratch], step.held[:], length, taken >= whole, memory.work)
             if taken >= whole:
                 break
             taken += 2 if taken == 0 else 1
@@ -249,7 +254,7 @@ def follow(
     """
     model, memory = models[0], memories[0]
     for i in range(len(stamps)):
-        if is_finite(y[i], model.p) and is_finite(u[i], model.m):
+        if _is_readable(model, y[i], u[i]):
             memory.accepted += 1
             _advance(model, memory, ring, stamps[i], y[i], u[i])
         else:
@@ -278,18 +283,19 @@ def forget(memories: Any, ring: Any) -> None:
 
 
 @inlined
-def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array) -> bool:
+def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array) -> int:
     """Predict to a measurement from the newest state, correct, and remember.
 
     Returns:
-        Whether the measurement was gated.
+        The measurement's outcome.
     """
     place = slot_of(memory, ring, memory.length)
-    gated, restarts, failures = 0, 0, 0
+    gated, implausible, restarts, failures = 0, 0, 0, 0
     restart = memory.length == 0
     if memory.length > 0:
         last = ring[slot_of(memory, ring, memory.length - 1)]
-        gated, restarts, failures = last.gated, last.restarts, last.failures
+        gated, implausible = last.gated, last.implausible
+        restarts, failures = last.restarts, last.failures
         if stamp - last.stamp > memory.restart_after:
             restart = True
             restarts += 1
@@ -297,11 +303,12 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
             ring[place] = last
             duration = (stamp - last.stamp) / 1e9
             # bool(0) and not False, for which `predict` would be compiled once more.
-            predict(model, ring[place], last.u[:], duration, bool(0), memory.work)
+            predict(model, ring[place], last.held[:], duration, bool(0), memory.work)
     state, correction = ring[place], memory.correction
     for attempt in range(2):
         if restart:
             ring[place] = model.initial
+        take_torque(model, state, u)
         correct(model, state, y, correction)
         total = 0.0
         for i in range(model.p):
@@ -314,11 +321,14 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
         restart = True
         restarts += 1
         failures += 1
-    is_gated: bool = correction.weight == 0.0
+    code = IMPLAUSIBLE_TORQUE if state.torque_unknown != 0 else USED
+    if correction.weight == 0.0:
+        code = GATED
     state.stamp = stamp
     for i in range(model.m):
         state.u[i] = u[i]
-    state.gated = gated + 1 if is_gated else gated
+    state.gated = gated + 1 if code == GATED else gated
+    state.implausible = implausible + 1 if code == IMPLAUSIBLE_TORQUE else implausible
     state.restarts, state.failures = restarts, failures
     memory.length += 1
     memory.generation += 1
@@ -335,7 +345,7 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
             memory.first = slot_of(memory, ring, 1)
             memory.length -= 1
         memory.has_base = 1
-    return is_gated
+    return code
 
 
 @compiled
@@ -368,11 +378,17 @@ def _count_before(memory: Any, ring: Any, stamp: int) -> int:
 
 
 @compiled
+def _is_readable(model: Any, y: Array, u: Array) -> bool:
+    """Return whether a measurement's numbers are finite, but for a torque, which is judged."""
+    return is_finite(y, model.p) and (model.torque_limit > 0.0 or is_finite(u, model.m))
+
+
+@compiled
 def _refusal(
     model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array, now: int, newest: int
 ) -> int:
     """Return the code of the reason why a measurement cannot be used, or `USED`."""
-    if not (is_finite(y, model.p) and is_finite(u, model.m)):
+    if not _is_readable(model, y, u):
         return NON_FINITE
     if stamp <= 0:
         return ZERO_STAMP

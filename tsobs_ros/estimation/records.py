@@ -26,7 +26,10 @@ class Measurement(NamedTuple):
 
 
 class RejectReason(enum.Enum):
-    """Why a measurement was not used; the value is its name in reports."""
+    """Why a measurement was not used; the value is its name in reports.
+
+    Of one with an implausible torque the angle is used all the same.
+    """
 
     NON_FINITE = "non-finite"
     WRONG_JOINT = "wrong joint or shape"
@@ -35,6 +38,7 @@ class RejectReason(enum.Enum):
     FROM_FUTURE = "from the future"
     GATED = "gated"
     ZERO_STAMP = "zero stamp"
+    IMPLAUSIBLE_TORQUE = "implausible torque"
 
 
 class Basis(enum.IntEnum):

@@ -19,6 +19,7 @@ from tsobs_ros.estimation.options import (
     CertifiedGain,
     GainMode,
     SupervisionOptions,
+    TorqueLimits,
 )
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model import stepping
@@ -72,7 +73,6 @@ class Shape(NamedTuple):
 _SIZES: dict[str, tuple[str, ...]] = {
     "x": ("n",),
     "covariance": ("n", "n"),
-    "gap": ("gap", "gap"),
     "theta": ("k",),
     "gamma": ("k", "k"),
     "upsilon": ("k", "n"),
@@ -86,6 +86,7 @@ _SIZES: dict[str, tuple[str, ...]] = {
     "parameters": ("k",),
     "parameter_bound": ("k",),
     "u": ("m",),
+    "held": ("m",),
     **dict.fromkeys(
         ("y", "innovation", "disturbance", "disturbance_rate", "disturbance_bound"), ("p",)
     ),
@@ -96,10 +97,11 @@ _SIZES: dict[str, tuple[str, ...]] = {
 def state_type(room: Room) -> np.dtype[Any]:
     """Return the type of a state.
 
-    stamp, y, u: of the newest sample [ns]. x: estimate in design coordinates. covariance: of its
-    error; the certificate's bound while `certified`. gap: the same with the unknown torque's, while
-    `in_gap`. settling: least time with Riccati gains left [s]. corrected: whether a sample was used
-    since the last prediction. theta, gamma, upsilon (by rows), gram, age: of the adaptation. recent
+    stamp, y, u: of the newest sample [ns]. held: inputs in use, those of the newest sample with
+    plausible ones; torque_age: time since that [s]; torque_unknown: whether it is not the newest.
+    x: estimate in design coordinates. covariance: of its error; the certificate's bound while
+    `certified`. While `in_gap` both have the unknown torque's states too. settling: least time with
+    Riccati gains left [s]. corrected: whether a sample was used since the last prediction. theta, gamma, upsilon (by rows), gram, age: of the adaptation. recent
     to jump_count: the supervision's memory of the innovations, the newest last. pause: time for
     which the adaptation rests [s]. pinned: time for which a parameter has been at its limit [s].
     repeats: samples with the very same value. The others are counts.
@@ -111,9 +113,11 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("stamp", count),
             ("y", number, (p,)),
             ("u", number, (m,)),
+            ("held", number, (m,)),
+            ("torque_age", number),
+            ("torque_unknown", count),
             ("x", number, (n,)),
             ("covariance", number, (n, n)),
-            ("gap", number, (n, n)),
             ("settling", number),
             ("certified", count),
             ("corrected", count),
@@ -160,6 +164,7 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("losses", count),
             ("adaptation_resets", count),
             ("gated", count),
+            ("implausible", count),
             ("restarts", count),
             ("failures", count),
         ]
@@ -224,14 +229,11 @@ def readout_type(room: Room) -> np.dtype[Any]:
 @cache
 def work_type(room: Room) -> np.dtype[Any]:
     """Return the type of a prediction's scratch numbers."""
-    n, k = room.n, room.k
     return record_type(
         [
             ("flow", stepping.work_type(room)),
-            ("x", np.float64, (n,)),
-            ("upsilon", np.float64, (k, n)),
-            ("square", np.float64, (n, n)),
-            ("small", np.float64, (k, k)),
+            ("square", np.float64, (room.n, room.n)),
+            ("small", np.float64, (room.k, room.k)),
         ]
     )
 
@@ -256,6 +258,9 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("shortest", number),
             ("longest", number),
             ("rate_variance", number),
+            ("torque_limit", number),
+            ("torque_rate_limit", number),
+            ("torque_spread", number),
             ("gain_mode", count),
             ("C", number, (p, n)),
             ("D", number, (p, p)),
@@ -312,7 +317,14 @@ def new_model(room: Room, shape: Shape, period: float) -> Record:
     model["initial"]["cause"] = Basis.STARTING
     for name in ("nis", "magnitude", "noise_scale"):
         model["initial"][name] = 1.0
+    model["initial"]["torque_age"] = np.inf
     return model
+
+
+def enter_torque_limits(model: Any, limits: TorqueLimits) -> None:
+    """Enter which torques are plausible into one model record."""
+    for name, value in limits._asdict().items():
+        model[f"torque_{name}"] = value
 
 
 def enter_gain(

@@ -32,6 +32,7 @@ from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.options import MAX_JUMP_BUDGET
 from tsobs_ros.estimation.records import Basis, Learning
 from tsobs_ros.estimation.state import CERTIFIED, OPEN, WINDOW
+from tsobs_ros.estimation.torque import enter_gap
 from tsobs_ros.model.matrices import (
     congruence,
     copy,
@@ -39,6 +40,7 @@ from tsobs_ros.model.matrices import (
     is_below,
     is_nonnegative,
     joseph_form,
+    larger,
     quadratic,
     solve,
 )
@@ -77,6 +79,8 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
         y: Measurement, shape (p,).
         correction: Record of `correction_type`, written.
     """
+    if state.torque_unknown == 0:
+        state.in_gap = 0
     _expect(model, state, y, correction)
     used, adapt, jumped = model.gain_mode != OPEN, True, False
     if model.supervised != 0:
@@ -101,7 +105,7 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
 @compiled
 def _expect(model: Any, state: Any, y: Array, correction: Any) -> None:
     """Write the innovation of a measurement, its covariance and the gain for it."""
-    n, p, k = model.n, model.p, model.k
+    n, p, k = _width(model, state), model.p, model.k
     S, gain, C, R = correction.innovation_covariance[:], correction.gain[:], model.C[:], model.R[:]
     crossed, factor, omega = correction.crossed[:], correction.factor[:], correction.omega[:]
     innovation, D, x = correction.innovation[:], model.D[:], state.x[:]
@@ -136,12 +140,19 @@ def _expect(model: Any, state: Any, y: Array, correction: Any) -> None:
 
 
 @compiled
+def _width(model: Any, state: Any) -> int:
+    """Return the number of states, of the unknown torque too while it is."""
+    width: int = model.n_gap if state.in_gap != 0 else model.n
+    return width
+
+
+@compiled
 def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
     """Correct estimate and parameters by an innovation.
 
     The covariance shrinks as for all of it, since only outliers are downweighted.
     """
-    n, p, k = model.n, model.p, model.k
+    n, p, k = _width(model, state), model.p, model.k
     gain, weight, x = correction.gain[:], correction.weight, state.x[:]
     innovation = correction.innovation[:]
     adapt = adapt and weight >= 1.0 and state.age >= model.adaptation_start
@@ -149,9 +160,9 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
     if adapt and k > 0 and state.certified == 0:
         # κ ≥ 1, the mean of the error covariance relative to the certified bound, tr(PΣ)/n.
         total, P, covariance = 0.0, model.P[:], state.covariance[:]
-        for i in range(n):
-            total += dot(P[i], covariance[i], n)
-        inflation = larger(total / n, 1.0)
+        for i in range(model.n):
+            total += dot(P[i], covariance[i], model.n)
+        inflation = larger(total / model.n, 1.0)
     if model.supervised != 0:
         scale = larger(state.noise_scale, 1.0)
         inflation *= scale * scale * larger(state.nis, 1.0) * _repetition(state)
@@ -159,7 +170,6 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
         for j in range(p):
             x[i] += gain[i, j] * (weight * innovation[j])
     state.corrected = 1
-    state.in_gap = 0
     if state.certified != 0:
         state.settling = 0.0
     else:
@@ -181,7 +191,7 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
 @compiled
 def _learn(model: Any, state: Any, correction: Any, adapt: bool, inflation: float) -> None:
     """Correct the regressor and, if wanted, the parameters and with them the estimate."""
-    n, p, k = model.n, model.p, model.k
+    n, p, k = _width(model, state), model.p, model.k
     omega, known, explained = correction.omega[:], correction.known[:], correction.explained[:]
     turned, cross, gain = correction.turned[:], correction.cross[:], correction.gain[:]
     upsilon, gram, gamma, theta = state.upsilon[:], state.gram[:], state.gamma[:], state.theta[:]
@@ -246,7 +256,6 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
     """
     state.repeats = state.repeats + 1 if state.seen != 0 and y[0] == state.y[0] else 0
     if 0 < model.stuck_samples <= state.repeats:
-        state.in_gap = 0
         correction.weight = 0.0
         return False, False
     variance = correction.innovation_covariance[0, 0]
@@ -254,7 +263,6 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
     r = innovation / math.sqrt(variance) if variance >= 0.0 else math.nan
     if not math.isfinite(r):
         correction.weight = 0.0
-        state.in_gap = 0
         return False, False
     _scale_noise(model, state, innovation)
     r /= larger(state.noise_scale, 1.0)
@@ -296,8 +304,6 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
     if correction.weight < 1.0:
         state.outliers += 1
     used = correction.weight > 0.0
-    if not used:
-        state.in_gap = 0
     if _leans(state) and calm[0] < _CALM and _may_jump(model, state):
         # The averages start over: they belong to the time before the jump.
         _forget(state)
@@ -510,7 +516,6 @@ def restart(model: Any, state: Any) -> None:
     for i in range(k):
         theta[i], anchor[i], pending[i] = 0.0, 0.0, 0.0
     copy(initial.covariance[:], state.covariance[:], n, n)
-    copy(initial.gap[:], state.gap[:], model.n_gap, model.n_gap)
     copy(initial.gamma[:], state.gamma[:], k, k)
     copy(initial.upsilon[:], state.upsilon[:], k, n)
     copy(initial.gram[:], state.gram[:], k, k)
@@ -534,7 +539,6 @@ def _inflate(model: Any, state: Any, std: float, duration: float) -> None:
             covariance[i, i] += std * std
     state.settling = max(duration, state.settling)
     state.corrected = 1
-    state.in_gap = 0
 
 
 @compiled
@@ -564,21 +568,20 @@ def predict(
         work: Scratch record of the flow, and of the flow in a gap.
     """
     shortest = 0.0 if between_samples else model.shortest
-    regular = shortest <= duration and duration <= model.longest
+    regular = shortest <= duration and duration <= model.longest and state.torque_unknown == 0
     simple = model.gain_mode == OPEN or (state.certified != 0 and state.corrected != 0 and regular)
     if not simple:
         _leave_certified(model, state, _GAP)
     n, k = model.n, model.k
-    x, upsilon, covariance = state.x[:], state.upsilon[:], state.covariance[:]
-    in_gap = not simple and model.n_gap > 0 and (state.in_gap != 0 or duration > model.longest)
-    if in_gap:
-        _enter_gap(model, state, work)
-        x, upsilon, covariance = work.x[:], work.upsilon[:], state.gap[:]
+    unknown = state.in_gap != 0 or state.torque_unknown != 0 or duration > model.longest
+    in_gap = not simple and model.n_gap > 0 and unknown
+    if in_gap and state.in_gap == 0:
+        enter_gap(model, state)
     advance(
         model.gap if in_gap else model.flow,
-        x,
-        upsilon,
-        covariance,
+        state.x[:],
+        state.upsilon[:],
+        state.covariance[:],
         not simple,
         state.theta[:],
         state.y[:],
@@ -586,17 +589,12 @@ def predict(
         duration,
         work.flow,
     )
-    if in_gap:
-        copy(covariance, state.covariance[:], n, n)
-        copy(upsilon, state.upsilon[:], k, n)
-        for j in range(n):
-            state.x[j] = x[j]
     state.in_gap = 1 if in_gap else 0
     state.corrected = 0
     if not simple:
         state.settling = max(0.0, state.settling - duration)
         if (
-            not between_samples
+            not (between_samples or in_gap)
             and model.gain_mode == CERTIFIED
             and state.settling <= 0.0
             and is_below(state.covariance[:], model.X[:], work.square[:], n)
@@ -604,6 +602,7 @@ def predict(
             state.certified = 1
             copy(model.X[:], state.covariance[:], n, n)
     if not between_samples:
+        state.torque_age += duration
         state.pause = max(0.0, state.pause - duration)
         state.watch_age += duration
         state.since += duration
@@ -611,23 +610,6 @@ def predict(
         state.relearned = max(0.0, state.relearned - duration / model.relearn_time)
         if k > 0:
             _forget_slowly(model, state, duration)
-
-
-@compiled
-def _enter_gap(model: Any, state: Any, work: Any) -> None:
-    """Write the estimate with the unknown torque and its rate as two more states."""
-    n, k, wide = model.n, model.k, model.n_gap
-    gap, x, rows = state.gap[:], work.x[:], work.upsilon[:]
-    if state.in_gap == 0:
-        for i in range(wide):
-            for j in range(wide):
-                gap[i, j] = 0.0
-        copy(state.covariance[:], gap, n, n)
-        gap[wide - 1, wide - 1] = model.rate_variance
-    for j in range(wide):
-        x[j] = state.x[j] if j < n else 0.0
-        for i in range(k):
-            rows[i, j] = state.upsilon[i, j] if j < n else 0.0
 
 
 @compiled
@@ -744,12 +726,6 @@ def _learning(model: Any, state: Any) -> int:
     if state.pause > 0.0:
         return _AFTER_JUMP
     return _ACTIVE if state.age >= model.adaptation_start else _YOUNG
-
-
-@compiled
-def larger(value: float, least: float) -> float:
-    """Return the value, but at least so much; NaN stays."""
-    return least if value < least else value
 
 
 @compiled

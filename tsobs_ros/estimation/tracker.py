@@ -149,17 +149,15 @@ class Tracker:
 
     @property
     def used(self) -> int:
-        """Number of measurements that corrected the estimate."""
-        return int(self.memory["accepted"][0]) - self._gated
+        """Number of measurements that were used, angle and torque."""
+        return int(self.memory["accepted"][0]) - sum(self._judged.values())
 
     @property
     def rejected(self) -> Counter[RejectReason]:
         """Number of measurements not used, by reason."""
         refused = self.memory["refused"][0].tolist()
         counts = {r: n for r, n in zip(REASONS, refused, strict=True) if r is not None and n}
-        if self._gated:
-            counts[RejectReason.GATED] = self._gated
-        return Counter(counts)
+        return Counter(counts | {reason: n for reason, n in self._judged.items() if n})
 
     @property
     def rewinds(self) -> int:
@@ -368,8 +366,15 @@ class Tracker:
         return self.ring[self._place_of_last] if self.memory["length"][0] else None
 
     @property
-    def _gated(self) -> int:
-        return 0 if self._last is None else int(self._last["gated"])
+    def _judged(self) -> dict[RejectReason, int]:
+        """Numbers of measurements that the estimator itself refused, wholly or in part."""
+        last = self._last
+        if last is None:
+            return {}
+        return {
+            RejectReason.GATED: int(last["gated"]),
+            RejectReason.IMPLAUSIBLE_TORQUE: int(last["implausible"]),
+        }
 
 
 class JointTrackers:

@@ -34,6 +34,12 @@ def is_finite(a: Array, n: int) -> bool:
 
 
 @compiled
+def larger(value: float, least: float) -> float:
+    """Return the value, but at least so much; NaN stays."""
+    return least if value < least else value
+
+
+@compiled
 def quadratic(s: Array, a: Array, n: int) -> float:
     """Return aᵀ s a."""
     total = 0.0

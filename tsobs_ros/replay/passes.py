@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.estimation.history import (
+    CORRECTING,
     EXTRA,
-    USED,
     copy_history,
     estimate_at,
     forget,
@@ -314,7 +314,7 @@ class Pass:
         if undone or samples.begins[place]:
             _copy(tracker, self._spare[1])
         self._offer(tracker, place, now)
-        if undone and results.outcomes[place] == USED:
+        if undone and results.outcomes[place] in CORRECTING:
             _copy(self._spare[1], tracker)
             results.outcomes[place] = LEFT_OUT
         if samples.begins[place] and self._innovation(place) != samples.innovations[place]:
@@ -330,7 +330,7 @@ class Pass:
         return bool(self.samples.evidence[place] == POSSIBLE)
 
     def _innovation(self, place: int) -> float:
-        used = self.results.outcomes[place] == USED
+        used = self.results.outcomes[place] in CORRECTING
         return float(self.results.innovations[place, 0]) if used else math.nan
 
     def _offer(self, tracker: Tracker, place: int, now: int) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from tsobs_ros.bag.joint_series import Flags, Times
 from tsobs_ros.checks import Array
-from tsobs_ros.estimation.history import REASONS, USED
+from tsobs_ros.estimation.history import CORRECTING, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.passes import LEFT_OUT, Pass, Ticks
@@ -188,7 +188,7 @@ class _Joint:
         messages, places = self._messages[own], self._pass.samples.places[own]
         results = self._pass.results
         outcomes = results.outcomes[places]
-        used = outcomes == USED
+        used = np.isin(outcomes, CORRECTING)
         table.innovations[messages[used], joint] = results.innovations[places[used], 0]
         np.maximum.at(table.ticks_of_use, messages, results.ticks_of_use[places])
         table.left_out[messages[outcomes == LEFT_OUT]] = True

@@ -17,7 +17,7 @@ from tsobs_ros.errors import DesignFileError
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
 from tsobs_ros.estimation.health import LastMinute, Phase, phase_of
-from tsobs_ros.estimation.history import GATED, USED, offer
+from tsobs_ros.estimation.history import CORRECTING, GATED, offer
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -32,7 +32,7 @@ from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 _IDENTITY_LENGTH = 12
 _NOTHING = np.zeros(0)
 _OPEN = np.array([math.inf])
-_ACCEPTED = (USED, GATED)
+_ACCEPTED = (*CORRECTING, GATED)
 
 
 class LoadedDesign(NamedTuple):
@@ -133,7 +133,7 @@ class ObservedJoint:
 
         Returns:
             Outcomes by the codes of `history.REASONS`, and the innovations y − ŷ, NaN of a sample
-            that was not used [rad], shape (m,).
+            whose angle was not used [rad], shape (m,).
         """
         count = len(stamps)
         self.received += count
@@ -158,7 +158,7 @@ class ObservedJoint:
         if accepted:
             self._newest = max(self._newest, int(stamps[accepted[-1]]))
         if any(outcomes):
-            innovations[codes != USED] = math.nan
+            innovations[~np.isin(codes, CORRECTING)] = math.nan
         return outcomes, innovations[0]
 
     def count(self, steady: int) -> None:

@@ -67,6 +67,12 @@ class ObserverParameters(ManagedParameters):
         minimum=0.0,
         maximum=1e6,
     )
+    torque_limit: float = fixed_parameter(
+        0.0, "Largest plausible torque; 0: the design's", unit="N m", minimum=0.0
+    )
+    torque_rate_limit: float = fixed_parameter(
+        0.0, "Largest plausible rate of the torque; 0: the design's", unit="N m/s", minimum=0.0
+    )
     adapt: bool = fixed_parameter(True, "Learn the parameters that the design calls uncertain")
     history: float = fixed_parameter(
         0.5, "How late a measurement may come and be used", unit="s", minimum=0.0, maximum=60.0
@@ -169,6 +175,8 @@ class ObserverParameters(ManagedParameters):
             gain_mode=GainMode(self.gain_mode),
             settle_time=self.settle_time,
             torque_rate=self.torque_rate,
+            torque_limit=self.torque_limit,
+            torque_rate_limit=self.torque_rate_limit,
             adapt=self.adapt,
             history=self.history,
             future_tolerance=self.future_tolerance,
