@@ -56,6 +56,8 @@ REQUESTS = st.builds(
     ),
     disturbance=st.lists(TERMS, min_size=1, max_size=3),
     process_noise=st.builds(ProcessNoise, floats(0.0, 1.0), floats(0.0, 1.0)),
+    torque_limit=st.none() | floats(0.0, 1e3),
+    torque_rate_limit=st.none() | floats(0.0, 1e6),
     measurement_std=floats(1e-4, 1.0),
     rate=floats(25.0, 1000.0),
     x_max=floats(0.01, math.pi),

@@ -101,10 +101,11 @@ def state_type(room: Room) -> np.dtype[Any]:
     plausible ones; torque_age: time since that [s]; torque_unknown: whether it is not the newest.
     x: estimate in design coordinates. covariance: of its error; the certificate's bound while
     `certified`. While `in_gap` both have the unknown torque's states too. settling: least time with
-    Riccati gains left [s]. corrected: whether a sample was used since the last prediction. theta, gamma, upsilon (by rows), gram, age: of the adaptation. recent
-    to jump_count: the supervision's memory of the innovations, the newest last. pause: time for
-    which the adaptation rests [s]. pinned: time for which a parameter has been at its limit [s].
-    repeats: samples with the very same value. The others are counts.
+    Riccati gains left [s]. corrected: whether a sample was used since the last prediction. theta,
+    gamma, upsilon (by rows), gram, age: of the adaptation. recent to jump_count: the supervision's
+    memory of the innovations, the newest last. pause: time for which the adaptation rests [s].
+    pinned: time for which a parameter has been at its limit [s]. repeats: samples with the very
+    same value. The others are counts.
     """
     n, p, m, k = room[:4]
     number, count = np.float64, np.int64

@@ -76,7 +76,7 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
         "zero stamp": [0, 0],
     }
     # Of this one the angle is used.
-    dead = Event(now, ARM.message(now, effort=[nan]))
+    dead = Event(now, ARM.message(now + PERIOD, effort=[nan]))
     messages = [ARM.message(now, **changes) for kind in bad.values() for changes in kind]
     messages += [ARM.message(stamp) for kind in stamps.values() for stamp in kind]
     messages.append(dead.message)
@@ -287,7 +287,7 @@ def test_a_numerical_failure_is_an_error_and_a_fresh_start_of_its_joint(
 ) -> None:
     observer = stage.add(method="high_gain")
     events = samples(0, 33)
-    events[20] = Event(events[20].at, ARM.message(events[20].at, effort=[1.7e308]))
+    events[20] = Event(events[20].at, ARM.message(events[20].at, position=[1.7e308]))
     stage.step(BEGIN - PERIOD)
     stage.play(events)
     status = stage.statuses()["observer: state"]
