@@ -6,9 +6,10 @@ STATES, STATE_BOUNDS = "joint_states", "error_bound"
 DISTURBANCE, DISTURBANCE_BOUND = "disturbance", "disturbance_bound"
 INNOVATION = "innovation"
 RESTARTS = "restarts"
+HEALTH = "health"
 PARAMETERS, PARAMETER_BOUNDS = "parameters_estimate", "parameters_bound"
 
-TOPICS = (STATES, STATE_BOUNDS, DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS)
+TOPICS = (STATES, STATE_BOUNDS, DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS, HEALTH)
 """What every observer publishes.
 
 All but the restarts are published for those who listen at the time. A message about a restart, its
@@ -22,8 +23,18 @@ OF_JOINTS = (DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS)
 PARAMETER_TOPICS = (PARAMETERS, PARAMETER_BOUNDS)
 """What it publishes besides where it learns parameters."""
 
-PARAMETER_PERIOD = 100_000_000
-"""Parameters change slowly: they are published ten times a second [ns]."""
+SLOW_PERIOD = 100_000_000
+"""Parameters and health change slowly: they are published ten times a second [ns]."""
+
+CONDITIONS = (
+    "noise_scale",
+    "coloured_power",
+    "basis",
+    "learning",
+    "hypothesis",
+    "measurement_age",
+)
+"""Names of the numbers of a joint's health, as those of its parameters."""
 
 
 def sides(joint: str) -> tuple[str, str]:

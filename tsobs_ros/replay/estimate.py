@@ -27,6 +27,7 @@ from tsobs_ros.bag.writer import BagWriter, Message
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.events import COAST_AFTER, Condition, Event, EventLog
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.replay import Replay
@@ -97,7 +98,7 @@ class Run:
         self, observer: Observer, source: Source, schedule: Schedule, live: Live | None = None
     ) -> None:
         self.observer, self.schedule = observer, schedule
-        self._samples = source.samples
+        self._source, self._samples = source, source.samples
         estimators = {id(one): make_estimator(one, observer.settings) for one in observer.designs}
         trackers = [
             make_tracker(design, observer.settings, estimators[id(design)])
@@ -119,7 +120,8 @@ class Run:
         self._publisher = _Publisher(f"{source.namespace}/{observer.name}/", learnt)
         self.topics = self._publisher.topics
         self._restarts = None if live is None else live.others.get(topics.RESTARTS)
-        self._parameters_at = -topics.PARAMETER_PERIOD
+        self._parameters_due, self._health_due = _Due(), _Due()
+        self._health_ticks: list[NDArray[np.intp]] = []
 
     def restarts(self) -> list[Message]:
         """Return the messages of the start and of the restarts, those recorded if there are any."""
@@ -160,7 +162,7 @@ class Run:
         messages += publish(topics.DISTURBANCE, at, disturbances[..., :1], disturbances[..., 1:])
         messages += publish(topics.DISTURBANCE_BOUND, at, table.disturbance_bounds[ticks])
         valid = table.condition("parameters_valid")[ticks] == 1.0
-        due = self._parameters_due(at.stamps, valid)
+        due = self._parameters_due.among(at.stamps, valid.any(axis=1))
         for topic, values in (
             (topics.PARAMETERS, table.parameters[ticks]),
             (topics.PARAMETER_BOUNDS, table.parameter_bounds[ticks]),
@@ -168,6 +170,10 @@ class Run:
             if len(due):
                 known = np.where(valid[due, :, None], values[due], np.nan)
                 messages += publish(topic, at.take(due), known)
+        due = self._health_due.among(at.stamps, table.done[ticks])
+        if len(due):
+            self._health_ticks.append(ticks.start + due)
+            messages += publish(topics.HEALTH, at.take(due), table.health(ticks.start + due))
         return messages
 
     def _times_of_use(self, taken: slice) -> "_Times":
@@ -179,15 +185,31 @@ class Run:
             own[there] = theirs[ticks[there]]
         return at
 
-    def _parameters_due(self, stamps: Times, valid: Flags) -> NDArray[np.intp]:
-        """Return the places of the ticks at which learnt parameters are published."""
-        due = []
-        for place in np.flatnonzero(valid.any(axis=1)).tolist():
-            stamp = int(stamps[place])
-            if not 0 <= stamp - self._parameters_at < topics.PARAMETER_PERIOD:
-                due.append(place)
-                self._parameters_at = stamp
-        return np.array(due, np.intp)
+    def events(self, coast_after: float = COAST_AFTER) -> list["JointEvent"]:
+        """Return the events that the node would have logged, in order.
+
+        Args:
+            coast_after: The node's parameter [s].
+        """
+        ticks = np.concatenate([np.zeros(0, np.intp), *self._health_ticks])
+        schedule, same_clock = self.schedule, self._samples.same_clock
+        stamps, times = schedule.stamps[ticks].tolist(), schedule.log_times[ticks].tolist()
+        resets = np.flatnonzero(schedule.reset_after >= 0)
+        restarted = np.diff(np.searchsorted(resets, ticks, side="right"), prepend=0).tolist()
+        stale_after, topic = self.observer.settings.stale_after, self._source.topic
+        joints = self._source.joints
+        logs = [EventLog(topic, coast_after, stale_after) for _ in joints]
+        found: list[JointEvent] = []
+        for tick, rows in enumerate(self.table.health(ticks).tolist()):
+            stamp, time = stamps[tick], times[tick]
+            for joint, log, row in zip(joints, logs, rows, strict=True):
+                if restarted[tick]:
+                    log.restart()
+                if row[0] == row[0]:
+                    for event in log.update(Condition.of_numbers(stamp, row)):
+                        before = stamp - event.stamp if same_clock else 0
+                        found.append(JointEvent(joint, time - before, event))
+        return found
 
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if the run was made by them."""
@@ -306,6 +328,20 @@ def _blocks(
         yield horizon, list(chain.from_iterable(blocks))
 
 
+class JointEvent(NamedTuple):
+    """An event of a joint.
+
+    Attributes:
+        joint: The joint's name.
+        log_time: The time on the clock of the recording, ns since the epoch.
+        event: The event.
+    """
+
+    joint: str
+    log_time: int
+    event: Event
+
+
 class _Times(NamedTuple):
     """Header stamps, log times and publish times of m messages [ns], shape (m,) each."""
 
@@ -319,6 +355,23 @@ class _Times(NamedTuple):
 
     def take(self, places: NDArray[np.intp] | slice) -> "_Times":
         return _Times(*(array[places] for array in self))
+
+
+class _Due:
+    """Finds the ticks at which a node publishes what changes slowly."""
+
+    def __init__(self) -> None:
+        self._last = -topics.SLOW_PERIOD
+
+    def among(self, stamps: Times, there: Flags) -> NDArray[np.intp]:
+        """Return the places of those among the next ticks that have something to publish."""
+        due = []
+        for place in np.flatnonzero(there).tolist():
+            stamp = int(stamps[place])
+            if not 0 <= stamp - self._last < topics.SLOW_PERIOD:
+                due.append(place)
+                self._last = stamp
+        return np.array(due, np.intp)
 
 
 class _Publisher:
@@ -337,11 +390,16 @@ class _Publisher:
             topics.parameter_names(joint, names, alone=len(learnt) == 1)
             for joint, names in learnt.items()
         ]
+        health = [
+            topics.parameter_names(joint, topics.CONDITIONS, alone=len(learnt) == 1)
+            for joint in learnt
+        ]
         self._learns = any(learnt.values())
         self._names: dict[str, Sequence[tuple[str, ...]]] = {
             **dict.fromkeys((topics.STATES, topics.STATE_BOUNDS), arms),
             **dict.fromkeys(topics.OF_JOINTS, own),
             **dict.fromkeys(topics.PARAMETER_TOPICS, parameters),
+            topics.HEALTH: health,
         }
         self._encoders: dict[tuple[str, tuple[int, ...]], JointStateEncoder] = {}
 

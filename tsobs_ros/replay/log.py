@@ -98,7 +98,7 @@ class LogSource(Source):
         joints: Sequence[str] = (),
         assume_zero_torque: bool = False,
     ) -> None:
-        self.path = path
+        self.path, self.topic = path, path.name
         try:
             with path.open(encoding="utf-8-sig", newline="") as stream:
                 lines = _lines(stream.read())

@@ -167,6 +167,7 @@ class Source(ABC):
         path: The bag or the log.
         joints: Names of the joints.
         samples: The measurements.
+        topic: Name of the measurements' topic, or of the log's file.
         namespace: Begin of the topics' names: empty, or with a slash at its front only.
         live: Output of the observer that ran during the recording.
         damage: The error that ended reading early.
@@ -177,6 +178,7 @@ class Source(ABC):
     path: Path
     joints: tuple[str, ...]
     samples: Samples
+    topic: str
     namespace = ""
     live: Live | None = None
     damage: BagReadError | None = None
@@ -222,15 +224,16 @@ class BagSource(Source):
         require_joint_states(self._reader, self.topic)
         self.namespace = self.topic.rpartition("/")[0]
         self.joints = tuple(joints) or self._first_joints()
-        own = self._there({name: f"{observer}/{name}" for name in topics.TOPICS})
+        names = [name for name in topics.TOPICS if name != topics.HEALTH]
+        own = self._there({name: f"{observer}/{name}" for name in names})
         measured, others = self._read(own, assume_zero_torque)
         samples = measured.in_order_of_publishing()
         innovations = others.get(topics.INNOVATION)
         self.samples = samples if innovations is None else in_order_of_use(samples, innovations)
         states = others.pop(topics.STATES, None)
         self.live = None if states is None or not states.count else Live(states, others)
-        names = self.topic, *self._there({n: n for n in _TRUTH}).values()
-        self.topics = tuple(self._reader.topics[name] for name in names)
+        shown = self.topic, *self._there({n: n for n in _TRUTH}).values()
+        self.topics = tuple(self._reader.topics[name] for name in shown)
         if not self.samples.same_clock:
             self.remarks = (
                 "note: the bag's stamps and log times are of different clocks, so each measurement "

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import Flags, JointSeries
 from tsobs_ros.checks import Array
+from tsobs_ros.estimation.events import Condition
 from tsobs_ros.estimation.history import EXTRA
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.replay.schedule import Schedule
@@ -41,7 +43,8 @@ class EstimateTable:
         parameters: Learnt parameters, NaN without, shape (m, J, k).
         parameter_bounds: 1σ of each, shape (m, J, k).
         conditions: What an estimate's numbers are worth, NaN without one: the numbers of
-            `state.CONDITIONS`, and whether it is in the certificate's domain, shape (m, J, c).
+            `state.CONDITIONS`, whether it is in the certificate's domain, and the time since the
+            newest measurement behind it [s], shape (m, J, c).
     """
 
     def __init__(self, ticks: int, messages: int, joints: int, parameters: int = 0) -> None:
@@ -51,7 +54,7 @@ class EstimateTable:
         self.disturbance_bounds = np.full((ticks, joints, 1), np.nan)
         self.parameters = np.full((ticks, joints, parameters), np.nan)
         self.parameter_bounds = self.parameters.copy()
-        self.conditions = np.full((ticks, joints, len(CONDITIONS) + 1), np.nan)
+        self.conditions = np.full((ticks, joints, len(CONDITIONS) + EXTRA), np.nan)
         self.done = np.zeros(ticks, np.bool_)
         self.innovations = np.full((messages, joints), np.nan)
         self.ticks_of_use = np.full(messages, -1)
@@ -82,12 +85,17 @@ class EstimateTable:
             numbers = rows[:, parts[name]]
             width = numbers.shape[1]
             array[ticks, joint, :width] = np.where(there[:, np.newaxis], numbers, np.nan)
-        worth = rows[:, -len(CONDITIONS) - EXTRA : -1]
+        worth = rows[:, -len(CONDITIONS) - EXTRA :]
         self.conditions[ticks, joint] = np.where(there[:, np.newaxis], worth, np.nan)
+
+    def health(self, ticks: NDArray[np.intp]) -> Array:
+        """Return the numbers of `events.Condition` at n ticks, NaN without, shape (n, J, 6)."""
+        names = Condition._fields[1:]
+        return np.stack([self.condition(name)[ticks] for name in names], axis=-1)
 
     def condition(self, name: str) -> Array:
         """Return a condition of the estimates by its name, shape (m, J)."""
-        return self.conditions[..., (*CONDITIONS, "in_domain").index(name)]
+        return self.conditions[..., (*CONDITIONS, "in_domain", "age").index(name)]
 
 
 class Agreement(NamedTuple):

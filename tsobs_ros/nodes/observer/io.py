@@ -22,6 +22,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import MessageError
+from tsobs_ros.estimation.events import Condition
 from tsobs_ros.estimation.records import Estimate
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -202,6 +203,11 @@ class EstimatePublisher:
         self._disturbance_bound = _Output(node, topics.DISTURBANCE_BOUND, joints)
         self._innovation = _Output(node, topics.INNOVATION, joints)
         self._restarts = _Output(node, topics.RESTARTS, joints, _LATCHED)
+        own = [
+            topics.parameter_names(joint, topics.CONDITIONS, alone=len(learnt) == 1)
+            for joint in learnt
+        ]
+        self._health = _Output(node, topics.HEALTH, own)
         self._joint_count = len(joints)
         self._parameters: tuple[_Output, _Output] | None = None
         if any(learnt.values()):
@@ -256,7 +262,7 @@ class EstimatePublisher:
                 stamp, [(joint, each.parameter_bound.tolist(), ()) for joint, each in valid]
             )
             if valid:
-                self._parameters_due = stamp + topics.PARAMETER_PERIOD
+                self._parameters_due = stamp + topics.SLOW_PERIOD
         return True
 
     def publish_innovations(self, stamps: Stamps, innovations: Array) -> None:
@@ -273,6 +279,18 @@ class EstimatePublisher:
                 stamp,
                 [(joint, (each,), ()) for joint, each in enumerate(values) if each == each],
             )
+
+    def publish_health(self, stamp: int, conditions: Sequence[Condition | None]) -> None:
+        """Publish what the joints' estimates are worth.
+
+        Args:
+            stamp: Of the estimates [ns].
+            conditions: One entry a joint; None if it has no estimate.
+        """
+        self._health.publish(
+            stamp,
+            [(joint, each.numbers, ()) for joint, each in enumerate(conditions) if each],
+        )
 
     def publish_restart(self, stamp: int, number: int) -> None:
         """Publish that the joints have no past from now on, for those who come later too.

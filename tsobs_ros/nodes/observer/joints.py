@@ -15,6 +15,7 @@ from tsobs_ros.design.file import load_arm_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.events import EventLog
 from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
 from tsobs_ros.estimation.health import LastMinute, Phase, phase_of
 from tsobs_ros.estimation.history import CORRECTING, GATED, offer
@@ -68,6 +69,13 @@ def load(path: str) -> LoadedDesign:
 class ObservedJoint:
     """A joint with its tracker, monitors and counts.
 
+    Args:
+        name: The joint's name.
+        loaded: Its design.
+        estimator: The design's estimator.
+        parameters: Of the node.
+        source: Where its measurements come from, for events.
+
     Attributes:
         name: The joint's name.
         loaded: Its design.
@@ -76,6 +84,7 @@ class ObservedJoint:
         received: Number of its samples since the start: used + rejected.
         latest: The latest estimate, None before the first.
         faults: Recognises faults of its sensor.
+        events: Finds changes of what its estimates are worth.
         recent: Counts over the last minute: `received`, the reasons of rejection and the
             estimator's events, by name.
     """
@@ -86,6 +95,7 @@ class ObservedJoint:
         loaded: LoadedDesign,
         estimator: Estimator,
         parameters: ObserverParameters,
+        source: str = "joint_measurements",
     ) -> None:
         self.name = name
         self.loaded = loaded
@@ -94,11 +104,13 @@ class ObservedJoint:
         self.tracker: Tracker = make_tracker(loaded.design, settings, estimator)
         self._limits = parameters.fault
         self._coast_after, self._stale_after = parameters.coast_after, parameters.stale_after
+        self.events = EventLog(source, self._coast_after, self._stale_after)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything that was computed from data."""
         self.tracker.reset()
+        self.events.restart()
         self.received = 0
         self.recent = LastMinute()
         self._newest = 0
@@ -109,7 +121,7 @@ class ObservedJoint:
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
-        self._coast_after = parameters.coast_after
+        self._coast_after = self.events.coast_after = parameters.coast_after
         self._limits = self.faults.limits = parameters.fault
         if self.tracker.estimator.supervised:
             self.tracker.estimator.supervise(parameters.supervision)
@@ -214,8 +226,14 @@ def rehearse(joints: Sequence[ObservedJoint]) -> None:
         joint.reset()
 
 
-def observed_joints(parameters: ObserverParameters) -> list[ObservedJoint]:
+def observed_joints(
+    parameters: ObserverParameters, source: str = "joint_measurements"
+) -> list[ObservedJoint]:
     """Return the joints that the parameters name; those with the same design share estimators.
+
+    Args:
+        parameters: Of the node.
+        source: Where their measurements come from, for events.
 
     Raises:
         DesignFileError: A design file is missing or malformed.
@@ -227,6 +245,6 @@ def observed_joints(parameters: ObserverParameters) -> list[ObservedJoint]:
         path: make_estimator(each.design, parameters.settings) for path, each in loaded.items()
     }
     return [
-        ObservedJoint(joint, loaded[path], estimators[path], parameters)
+        ObservedJoint(joint, loaded[path], estimators[path], parameters, source)
         for joint, path in paths.items()
     ]

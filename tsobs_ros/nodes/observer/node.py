@@ -13,10 +13,12 @@ from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
+from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.checks import Array
+from tsobs_ros.estimation.events import Condition, Event
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.history import REASONS
-from tsobs_ros.estimation.records import RejectReason
+from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import WARNINGS
 from tsobs_ros.nodes.compiling import compile_ahead
@@ -61,7 +63,7 @@ class Observer(ManagedNode[ObserverParameters]):
     def configure(self) -> None:
         """Load the designs and make everything."""
         parameters = self.parameters
-        self._joints = observed_joints(parameters)
+        self._joints = observed_joints(parameters, self.resolve_topic_name("joint_measurements"))
         compile_ahead(self, lambda: rehearse(self._joints))
         self._resets = 0
         self._reported_failures = 0
@@ -69,6 +71,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._is_new = True
         self._last_now = 0
         self._last_output = 0
+        self._health_due = 0
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
         self._next_warning: dict[object, float] = {}
         self._meter = statuses.TickMeter(parameters.rate)
@@ -153,7 +156,7 @@ class Observer(ManagedNode[ObserverParameters]):
         if now < self._last_now:
             self._meter.restart()
             if self.parameters.reset_on_backward_jump:
-                self._last_output = 0
+                self._last_output = self._health_due = 0
                 self._publisher.restart()
                 self._restart(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
         self._last_now = now
@@ -217,15 +220,41 @@ class Observer(ManagedNode[ObserverParameters]):
             return False
         hold = self.parameters.when_stale == "hold"
         estimates = [joint.estimate(now, hold=hold) for joint in self._joints]
-        if not self._publisher.publish(now, estimates):
-            return False
-        self._last_output = now
-        if self._unanswered:
+        published = self._publisher.publish(now, estimates)
+        if published:
+            self._last_output = now
             done = time.time_ns()
             for arrived in self._unanswered:
                 self._meter.answered(done - arrived)
             self._unanswered.clear()
-        return True
+        self._report_health(now, estimates)
+        return published
+
+    def _report_health(self, now: int, estimates: Sequence[Estimate | None]) -> None:
+        """Publish what the estimates are worth, if that is due, and log what has changed."""
+        # One that is held is of an earlier time.
+        fresh = [each if each is not None and each.stamp == now else None for each in estimates]
+        due = now >= self._health_due and any(fresh)
+        conditions = [Condition.of(each) if due and each else None for each in fresh]
+        if due:
+            self._health_due = now + topics.SLOW_PERIOD
+            self._publisher.publish_health(now, conditions)
+        for joint, estimate, condition in zip(self._joints, fresh, conditions, strict=True):
+            if condition is not None:
+                self._log(joint, joint.events.update(condition))
+            elif estimate is None:
+                self._log(joint, joint.events.silence(now))
+
+    def _log(self, joint: ObservedJoint, events: Sequence[Event]) -> None:
+        for event in events:
+            text = f"{joint.name}: {event.text}"
+            # rclpy wants a line of code for each severity.
+            if event.level is Level.OK:
+                self.get_logger().info(text)
+            elif event.level is Level.WARN:
+                self.get_logger().warning(text)
+            else:
+                self.get_logger().error(text)
 
     def _may_warn(self, subject: object) -> bool:
         """Return whether the last warning of a subject was long enough ago."""

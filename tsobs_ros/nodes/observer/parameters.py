@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from tsobs_ros.errors import ParameterError
+from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
 from tsobs_ros.estimation.options import (
     MAX_JUMP_BUDGET,
@@ -84,7 +85,11 @@ class ObserverParameters(ManagedParameters):
         False, "Take measurements without effort as torque 0 instead of rejecting them"
     )
     coast_after: float = parameter(
-        0.1, "Age of the newest measurement for COASTING", unit="s", minimum=1e-3, maximum=60.0
+        COAST_AFTER,
+        "Age of the newest measurement for COASTING",
+        unit="s",
+        minimum=1e-3,
+        maximum=60.0,
     )
     stale_after: float = fixed_parameter(
         5.0,

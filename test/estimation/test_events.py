@@ -1,0 +1,227 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Events as a pure function of conditions: each change once, in words, and never a flood."""
+
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tsobs_ros.estimation.events import (
+    BOUNDS,
+    HYPOTHESES,
+    LEARNINGS,
+    Condition,
+    Event,
+    EventKind,
+    EventLog,
+)
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.estimation.records import Basis, Hypothesis, Learning
+
+SECOND = 1_000_000_000
+BEGIN = 1_700_000_000 * SECOND
+GOOD = Condition(
+    BEGIN, 1.0, 0.0, Basis.CERTIFIED, Learning.ACTIVE, Hypothesis.AS_DESIGNED, age=0.002
+)
+
+
+class Play:
+    """Conditions a tenth of a second apart, and the events they gave."""
+
+    def __init__(self) -> None:
+        self.log = EventLog("/sensor", coast_after=0.1, stale_after=5.0)
+        self.events: list[Event] = []
+        self.now = BEGIN - SECOND // 10
+
+    def goes_on(self, seconds: float, **changes: Any) -> list[Event]:
+        """Return the events of some seconds in which the condition is changed so."""
+        before = len(self.events)
+        for _ in range(round(10 * seconds)):
+            self.now += SECOND // 10
+            self.events += self.log.update(GOOD._replace(stamp=self.now, **changes))
+        return self.events[before:]
+
+    def settled(self) -> "Play":
+        """Let the start be over."""
+        self.goes_on(60.0)
+        return self
+
+    def silent(self, seconds: float, *, live: bool = True) -> list[Event]:
+        """Return the events of some seconds without measurements, as a recording has them or live.
+
+        A recording has estimates only.
+        """
+        newest = self.now - 2_000_000
+        end, before = self.now + round(seconds * SECOND), len(self.events)
+        while self.now + SECOND // 10 <= end:
+            self.now += SECOND // 10
+            if self.now - newest <= 5 * SECOND:
+                age = (self.now - newest) / SECOND
+                self.events += self.log.update(GOOD._replace(stamp=self.now, age=age))
+            elif live:
+                self.events += self.log.silence(self.now)
+        return self.events[before:]
+
+
+def seconds(event: Event) -> float:
+    return (event.stamp - BEGIN) / SECOND
+
+
+def test_a_start_is_reported_in_three_lines_and_then_nothing() -> None:
+    play = Play()
+    play.goes_on(4.0, basis=Basis.STARTING, learning=Learning.STARTING)
+    play.goes_on(3600.0)
+    assert [(seconds(each), each.level, each.text) for each in play.events] == [
+        (0.0, Level.OK, "TRACKING: measurements arrive on /sensor"),
+        (4.0, Level.OK, "the bound is certified"),
+        (4.0, Level.OK, "the parameters are being learnt"),
+    ]
+
+
+def test_silence_is_reported_when_it_begins_with_its_length_and_its_topic() -> None:
+    play = Play().settled()
+    last = seconds(Event(play.now, EventKind.STATE, Level.OK, "")) - 0.002
+    events = [*play.silent(60.0), *play.goes_on(1.0)]
+    assert [(round(seconds(each) - last, 3), each.level, each.text) for each in events] == [
+        (0.1, Level.WARN, "COASTING: no measurement on /sensor for 0.1 s; estimates are "
+                          "predictions"),
+        (5.0, Level.ERROR, "STALE: no measurement on /sensor for 5 s; the next one restarts the "
+                           "estimate"),
+        (60.102, Level.OK, "TRACKING again: measurements arrive on /sensor, after 60 s without"),
+    ]  # fmt: skip
+
+
+def test_a_recording_which_lacks_the_silence_gives_the_same_events() -> None:
+    plays = []
+    for live in (True, False):
+        plays.append(Play().settled())
+        for length in (20.0, 4.0, 6.0, 5.3, 7.0):
+            plays[-1].silent(length, live=live)
+            plays[-1].goes_on(0.5)
+    there, again = (play.events[3:] for play in plays)
+    assert len(there) >= 5
+    assert again == there
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "text"),
+    [
+        *(
+            (EventKind.BOUND, {"basis": basis}, text)
+            for basis, (_, text) in BOUNDS.items()
+            if basis is not Basis.CERTIFIED
+        ),
+        *(
+            (EventKind.LEARNING, {"learning": learning}, text)
+            for learning, (_, text) in LEARNINGS.items()
+            if learning not in (Learning.ACTIVE, Learning.NONE)
+        ),
+        *(
+            (EventKind.HYPOTHESIS, {"hypothesis": hypothesis}, text)
+            for hypothesis, (_, text) in HYPOTHESES.items()
+            if hypothesis is not Hypothesis.AS_DESIGNED
+        ),
+        (EventKind.NOISE, {"noise_scale": 1.5}, "the sensor's noise is 1.5 times the design's"),
+    ],
+)
+def test_what_lasts_is_reported_once_and_so_is_its_end(
+    kind: EventKind, changes: dict[str, Any], text: str
+) -> None:
+    play = Play().settled()
+    begin, event = play.now + SECOND // 10, play.goes_on(100.0, **changes)
+    assert [(each.stamp, each.kind, each.text) for each in event] == [(begin, kind, text)]
+    end, event = play.now + SECOND // 10, play.goes_on(100.0)
+    assert [(each.stamp, each.kind, each.level) for each in event] == [(end, kind, Level.OK)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "reported"),
+    [
+        ({"basis": Basis.GAP}, False),
+        ({"basis": Basis.CONTRADICTED}, True),
+        ({"hypothesis": Hypothesis.FORCE}, False),
+        ({"noise_scale": 9.0}, False),
+        ({"learning": Learning.AFTER_JUMP}, False),
+    ],
+)
+def test_what_is_over_at_once_is_not_reported_unless_the_bound_was_void(
+    changes: dict[str, Any], reported: bool
+) -> None:
+    play = Play().settled()
+    for _ in range(50):
+        play.goes_on(0.8, **changes)
+        play.goes_on(30.0)
+    assert bool(play.events[3:]) is reported
+
+
+def test_noise_between_the_two_limits_changes_nothing() -> None:
+    play = Play().settled()
+    assert play.goes_on(10.0, noise_scale=1.49) == []
+    assert len(play.goes_on(10.0, noise_scale=1.51)) == 1
+    assert play.goes_on(10.0, noise_scale=1.31) == []
+    assert len(play.goes_on(10.0, noise_scale=1.29)) == 1
+
+
+def test_a_node_that_waits_reports_it_once_after_a_second() -> None:
+    log = EventLog("/sensor", coast_after=0.1, stale_after=5.0)
+    found = [
+        (tick, event.text)
+        for tick in range(1000)
+        for event in log.silence(BEGIN + tick * SECOND // 10)
+    ]
+    assert found == [(10, "WAITING for the first measurement on /sensor")]
+    (event,) = log.update(GOOD._replace(basis=Basis.STARTING, learning=Learning.STARTING))
+    assert event.text == "TRACKING: measurements arrive on /sensor"
+
+
+def test_flickering_is_reported_at_intervals_with_the_number_of_changes() -> None:
+    play = Play().settled()
+    begin = len(play.events)
+    for _ in range(500):
+        play.goes_on(0.3, age=0.3)
+        play.goes_on(0.3)
+    events = play.events[begin:]
+    assert len(events) <= 5 + 300 / 10 + 1
+    counted = [each for each in events if "changes since the last report" in each.text]
+    assert len(counted) >= len(events) - 6
+    assert counted[-1].text.endswith("(33 changes since the last report)")
+
+
+CONDITIONS = st.builds(
+    GOOD._replace,
+    noise_scale=st.floats(1.0, 3.0),
+    basis=st.sampled_from(Basis),
+    learning=st.sampled_from(Learning),
+    hypothesis=st.sampled_from(Hypothesis),
+    age=st.floats(0.0, 5.0),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_whatever_happens_there_is_no_flood_and_it_can_be_repeated(data: st.DataObject) -> None:
+    some = data.draw(st.lists(CONDITIONS, min_size=1, max_size=8))
+    order = data.draw(st.lists(st.integers(0, len(some) - 1), min_size=300, max_size=300))
+    restarts = data.draw(st.sets(st.integers(0, 299), max_size=40))
+    runs = []
+    for _ in range(2):
+        log, events = EventLog("/sensor", 0.1, 5.0), []
+        for tick, which in enumerate(order):
+            if tick in restarts:
+                log.restart()
+            stamp = BEGIN + (tick % 150) * SECOND // 10  # time goes back once
+            if tick == 150:
+                log.restart()
+            events += log.update(some[which]._replace(stamp=stamp))
+        runs.append(events)
+    assert runs[0] == runs[1]
+    for kind in EventKind:
+        # The first five, and one every ten seconds of twice fifteen.
+        assert sum(each.kind is kind for each in runs[0]) <= 5 + 3
+
+
+@pytest.mark.parametrize("numbers", [GOOD, GOOD._replace(basis=Basis.OUTSIDE, noise_scale=2.25)])
+def test_a_condition_survives_as_numbers(numbers: Condition) -> None:
+    assert Condition.of_numbers(BEGIN, numbers.numbers) == numbers

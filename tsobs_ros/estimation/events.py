@@ -1,0 +1,339 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Events of an estimate: changes of what it is worth, once each, in words.
+
+They are a function of the conditions that an estimator reports ten times a second, so a node's log,
+an estimate over a recording and a report on it list the same ones.
+"""
+
+import enum
+from collections.abc import Mapping, Sequence
+from typing import Generic, NamedTuple, TypeVar
+
+from tsobs_ros.estimation.health import Debounce, Level, Phase, phase_of
+from tsobs_ros.estimation.records import NANOSECONDS, Basis, Estimate, Hypothesis, Learning
+
+S = TypeVar("S")
+
+COAST_AFTER = 0.1
+"""Default age of the newest measurement for COASTING [s]."""
+
+NOISY, NOT_NOISY = 1.5, 1.3
+"""Noise scales from which on the noise counts as larger than the design's, and below which as usual
+again."""
+
+_LASTING = 1.0
+_BURST, _INTERVAL = 5.0, 10.0
+_SHORTEST_SILENCE = 0.2
+
+
+class Condition(NamedTuple):
+    """What an estimate is worth at one instant.
+
+    Attributes:
+        stamp: The instant [ns].
+        noise_scale: Size of the sensor's noise relative to the design's, at least 1.
+        coloured_power: Mean product of neighbouring innovations relative to their expected power.
+        basis: What the bounds rest on.
+        learning: What the learning does.
+        hypothesis: What the arm and its sensor are taken for.
+        age: Time since the newest measurement [s].
+    """
+
+    stamp: int
+    noise_scale: float
+    coloured_power: float
+    basis: Basis
+    learning: Learning
+    hypothesis: Hypothesis
+    age: float
+
+    @property
+    def numbers(self) -> list[float]:
+        """All but the stamp, in their order."""
+        return list(map(float, self[1:]))
+
+    @classmethod
+    def of_numbers(cls, stamp: int, numbers: Sequence[float]) -> "Condition":
+        """Return the condition at a stamp [ns] that has these `numbers`."""
+        scale, coloured, basis, learning, hypothesis, age = numbers
+        return cls(
+            stamp,
+            scale,
+            coloured,
+            Basis(int(basis)),
+            Learning(int(learning)),
+            Hypothesis(int(hypothesis)),
+            age,
+        )
+
+    @classmethod
+    def of(cls, estimate: Estimate) -> "Condition":
+        """Return the condition of an estimate."""
+        return cls(
+            estimate.stamp,
+            estimate.noise_scale,
+            estimate.coloured_power,
+            estimate.basis,
+            estimate.learning,
+            estimate.hypothesis,
+            estimate.age,
+        )
+
+
+class EventKind(enum.Enum):
+    """What has changed; the value is its name in reports."""
+
+    STATE = "state"
+    BOUND = "bound"
+    NOISE = "noise"
+    LEARNING = "learning"
+    HYPOTHESIS = "hypothesis"
+
+
+class Event(NamedTuple):
+    """A change.
+
+    Attributes:
+        stamp: When it began [ns].
+        kind: What has changed.
+        level: How bad what follows is.
+        text: What follows, for people.
+    """
+
+    stamp: int
+    kind: EventKind
+    level: Level
+    text: str
+
+
+BOUNDS: Mapping[Basis, tuple[Level, str]] = {
+    Basis.CERTIFIED: (Level.OK, "the bound is certified"),
+    Basis.LEARNT: (
+        Level.OK,
+        "the bound holds: the certificate's, and for the learnt parameters their own uncertainty",
+    ),
+    Basis.STARTING: (
+        Level.OK,
+        "the bound is not certified yet: the estimate settles after a start",
+    ),
+    Basis.GAP: (Level.OK, "the bound is not certified: measurements or torques were missing"),
+    Basis.JUMP: (Level.OK, "the bound is not certified: the sensor has jumped"),
+    Basis.TORQUE: (Level.OK, "the bound is not certified: the torque made a doubtful step"),
+    Basis.CONTRADICTED: (
+        Level.WARN,
+        "the bound is void: the measurements contradict the design; the noise, the arm or the "
+        "disturbance is another",
+    ),
+    Basis.HYPOTHESIS: (
+        Level.WARN,
+        "the bound is not certified: it is a covariance for an arm or a sensor unlike the design's",
+    ),
+    Basis.OUTSIDE: (
+        Level.WARN,
+        "the bound is void: the link angle is outside of the certificate's domain",
+    ),
+}
+"""How bad it is that bounds have a basis, and what it means."""
+
+LEARNINGS: Mapping[Learning, tuple[Level, str]] = {
+    Learning.NONE: (Level.OK, "nothing is learnt"),
+    Learning.STARTING: (Level.OK, "learning waits until the estimate has settled"),
+    Learning.ACTIVE: (Level.OK, "the parameters are being learnt"),
+    Learning.AFTER_JUMP: (Level.OK, "learning rests: the sensor has jumped"),
+    Learning.STRAINED: (
+        Level.WARN,
+        "learning rests: the arm differs from its model in other ways than in the parameters",
+    ),
+}
+"""How bad it is that the learning does something, and what it means."""
+
+HYPOTHESES: Mapping[Hypothesis, tuple[Level, str]] = {
+    Hypothesis.AS_DESIGNED: (Level.OK, "arm and sensor behave as designed"),
+    Hypothesis.FORCE: (
+        Level.WARN,
+        "the arm is pushed by something the model lacks: friction, a payload?",
+    ),
+    Hypothesis.STRONG_FORCE: (
+        Level.WARN,
+        "the arm is pushed hard by something the model lacks: strong friction, a payload, contact?",
+    ),
+    Hypothesis.COLOURED_NOISE: (
+        Level.WARN,
+        "the sensor's noise is alike from sample to sample: a filter in the sensor?",
+    ),
+    Hypothesis.DELAY: (
+        Level.WARN,
+        "the sensor's angles are older than their stamps: a delay?",
+    ),
+}
+"""How bad it is that arm and sensor are taken for something, and what it means."""
+
+
+class EventLog:
+    """Finds the events of one joint's estimates.
+
+    A state of bounds, noise, learning or hypothesis must last a second to be reported, but void
+    bounds are reported at once. A state that flickers is reported five times, and then every ten
+    seconds with the number of its changes.
+
+    Args:
+        source: Where the measurements come from, such as a topic.
+        coast_after: Age of the newest measurement for COASTING [s].
+        stale_after: Age of it for STALE [s].
+
+    Attributes:
+        coast_after: May be changed at any time.
+
+    Example:
+        >>> log = EventLog("/joint_measurements", coast_after=0.1, stale_after=5.0)
+        >>> good = Condition(10**9, 1.0, 0.0, Basis.STARTING, Learning.NONE, Hypothesis(0), 0.002)
+        >>> [event.text for event in log.update(good)]
+        ['TRACKING: measurements arrive on /joint_measurements']
+        >>> silent = good._replace(stamp=2 * 10**9, age=0.15)
+        >>> [event.text for event in log.update(silent)]
+        ['COASTING: no measurement on /joint_measurements for 0.15 s; estimates are predictions']
+    """
+
+    def __init__(self, source: str, coast_after: float, stale_after: float) -> None:
+        self.coast_after = coast_after
+        self._source, self._stale_after = source, stale_after
+        self._began: int | None = None
+        self._newest: int | None = None
+        self._noisy = False
+        self._state = _Teller[Phase | None](EventKind.STATE, None)
+        self._bound = _Teller(EventKind.BOUND, Basis.STARTING)
+        self._noise = _Teller(EventKind.NOISE, False)
+        self._learning = _Teller(EventKind.LEARNING, Learning.STARTING)
+        self._hypothesis = _Teller(EventKind.HYPOTHESIS, Hypothesis.AS_DESIGNED)
+
+    def update(self, condition: Condition) -> list[Event]:
+        """Return what a condition gives occasion to report, in the order of its beginning.
+
+        Args:
+            condition: The next one, about a tenth of a second after the last.
+        """
+        stamp, scale = condition.stamp, condition.noise_scale
+        newest = stamp - round(condition.age * NANOSECONDS)
+        events = []
+        if self._newest is not None:
+            missing = newest - self._newest
+            if missing > max(self._stale_after, _SHORTEST_SILENCE) * NANOSECONDS:
+                events += self._go_stale(self._newest)
+        events += self._tell_phase(condition, newest)
+        self._newest = newest
+        basis = condition.basis
+        level, text = BOUNDS[basis]
+        lasting = 0.0 if level is Level.WARN else _LASTING
+        events += self._bound.update(stamp, basis, level, text, lasting)
+        self._noisy = scale >= (NOT_NOISY if self._noisy else NOISY)
+        if self._noisy:
+            level, text = Level.WARN, f"the sensor's noise is {scale:.2g} times the design's"
+        else:
+            level, text = Level.OK, f"the sensor's noise is below {NOT_NOISY} times the design's"
+        events += self._noise.update(stamp, self._noisy, level, text, _LASTING)
+        learning = condition.learning
+        if learning is not Learning.NONE:
+            events += self._learning.update(stamp, learning, *LEARNINGS[learning], _LASTING)
+        hypothesis = condition.hypothesis
+        events += self._hypothesis.update(stamp, hypothesis, *HYPOTHESES[hypothesis], _LASTING)
+        return sorted(events, key=lambda event: event.stamp)
+
+    def silence(self, now: int) -> list[Event]:
+        """Return what it gives occasion to report that there is no estimate.
+
+        Args:
+            now: Time on the clock of the stamps [ns].
+        """
+        if self._newest is not None:
+            late = now - self._newest > self._stale_after * NANOSECONDS
+            return [*(self._go_stale(self._newest) if late else ()), *self._state.due(now)]
+        if self._began is None:
+            self._began = now
+        if self._state.state is Phase.WAITING or now - self._began < _LASTING * NANOSECONDS:
+            return []
+        self._state.state = Phase.WAITING
+        text = f"WAITING for the first measurement on {self._source}"
+        return [Event(self._began, EventKind.STATE, Level.WARN, text)]
+
+    def restart(self) -> None:
+        """Forget the states, but not how much has been reported, as the estimate has no past."""
+        self._began = self._newest = None
+        self._noisy = False
+        for teller in (self._state, self._bound, self._noise, self._learning, self._hypothesis):
+            teller.restart()
+
+    def _tell_phase(self, condition: Condition, newest: int) -> list[Event]:
+        age, source = condition.age, self._source
+        if phase_of(age, self.coast_after, self._stale_after) is Phase.TRACKING:
+            text = f"TRACKING: measurements arrive on {source}"
+            if self._newest is not None:
+                gap = (condition.stamp - self._newest) / NANOSECONDS
+                text = f"TRACKING again: measurements arrive on {source}, after {gap:.2g} s without"
+            return self._state.update(condition.stamp, Phase.TRACKING, Level.OK, text)
+        text = f"COASTING: no measurement on {source} for {age:.2g} s; estimates are predictions"
+        at = newest + round(self.coast_after * NANOSECONDS)
+        return self._state.update(at, Phase.COASTING, Level.WARN, text)
+
+    def _go_stale(self, newest: int) -> list[Event]:
+        text = (
+            f"STALE: no measurement on {self._source} for {self._stale_after:g} s; the next one "
+            "restarts the estimate"
+        )
+        at = newest + round(self._stale_after * NANOSECONDS)
+        return self._state.update(at, Phase.STALE, Level.ERROR, text)
+
+
+class _Teller(Generic[S]):
+    """Reports the changes of one kind.
+
+    Args:
+        kind: The kind.
+        state: The state that needs no report.
+
+    Attributes:
+        state: The state that has lasted.
+    """
+
+    def __init__(self, kind: EventKind, state: S) -> None:
+        self.state = state
+        self._kind, self._initial = kind, state
+        self._credit = _BURST
+        self.restart()
+
+    def restart(self) -> None:
+        """Return to the state that needs no report."""
+        self.state = self._initial
+        self._lasting = Debounce(self._initial)
+        self._event = Event(0, self._kind, Level.OK, "")
+        self._changed = self._changes = 0
+        self._told: int | None = None
+
+    def update(
+        self, stamp: int, state: S, level: Level, text: str, lasting: float = 0.0
+    ) -> list[Event]:
+        """Take in the state at a stamp [ns], at or after the last; it must last so long [s]."""
+        events = self.due(stamp)
+        value = self._lasting.update(stamp, state, lasting)
+        if value != self.state:
+            self.state, self._changed = value, stamp
+            self._event = Event(self._lasting.since or stamp, self._kind, level, text)
+            self._changes += 1
+        return events + self.due(stamp)
+
+    def due(self, stamp: int) -> list[Event]:
+        """Return the report that is due by a stamp [ns], if any."""
+        if not self._changes:
+            return []
+        # Stamps may have gone back at a restart.
+        rested = 0 if self._told is None else self._changed - self._told
+        credit = self._credit + rested / (_INTERVAL * NANOSECONDS)
+        missing = max(0.0, 1.0 - credit)
+        at = self._changed + round(missing * _INTERVAL * NANOSECONDS)
+        if stamp < at:
+            return []
+        event, changes, self._changes = self._event, self._changes, 0
+        self._credit, self._told = min(_BURST, credit + missing) - 1.0, at
+        if changes > 1:
+            event = event._replace(text=f"{event.text} ({changes} changes since the last report)")
+        return [event]
