@@ -236,7 +236,7 @@ def estimate(
     stamps, tracker = _stamps(times), _tracker(design, settings or ObserverSettings())
     count = len(stamps)
     known, never = np.arange(1, count + 1), np.full(count, -1)
-    ticks = Ticks(stamps, np.maximum.accumulate(stamps), known, known, never, np.zeros((0, 4)))
+    ticks = Ticks(stamps, np.maximum.accumulate(stamps), known, known, never, np.zeros((0, 8)))
     series = Pass(tracker, stamps, y, u, ticks)
     rows = series.new_rows(count)
     for begin in range(0, count, _BLOCK):

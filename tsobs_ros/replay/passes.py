@@ -97,7 +97,8 @@ class Ticks(NamedTuple):
     """A schedule's ticks, m of them, with numbers of the samples that `Samples` has.
 
     Attributes:
-        states: Recorded estimates, NaN without, shape (m, 4); (0, 4) if no observer was recorded.
+        estimates: Recorded states and their bounds, NaN without, shape (m, 8); (0, 8) if no
+            observer was recorded. What was received last may show in the bounds alone.
     """
 
     stamps: Times
@@ -105,7 +106,7 @@ class Ticks(NamedTuple):
     min_known: Codes
     max_known: Codes
     reset_after: Codes
-    states: Array
+    estimates: Array
 
 
 class Results(NamedTuple):
@@ -287,12 +288,14 @@ class Pass:
 
     def _agrees(self, tick: int, row: Array) -> bool:
         """Return whether the estimate is the recorded one."""
-        if not len(self._ticks.states):
+        if not len(self._ticks.estimates):
             return False
-        recorded = self._ticks.states[tick]
+        recorded = self._ticks.estimates[tick]
         if not self.results.there[tick]:
             return bool(np.isnan(recorded).all())
-        return bool((row[:4] == recorded).all())
+        same = row[:8] == recorded
+        same[4:] |= np.isnan(recorded[4:])
+        return bool(same.all())
 
     def _take(self, end: int, tick: int, now: int, choice: _From) -> None:
         """Use the samples up to one that have not been used yet, in the order of their stamps."""
@@ -421,8 +424,11 @@ def _advance(
         results.there[tick] = there
         if ticks.max_known[tick] > known:
             # More may have been used, if the estimate is not the recorded one.
-            for i in range(4):
-                if not there or len(ticks.states) == 0 or row[i] != ticks.states[tick, i]:
+            if not there or len(ticks.estimates) == 0:
+                return tick
+            for i in range(8):
+                recorded = ticks.estimates[tick, i]
+                if row[i] != recorded and (i < 4 or recorded == recorded):
                     return tick
     return end
 

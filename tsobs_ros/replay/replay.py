@@ -20,7 +20,7 @@ from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Samples
 from tsobs_ros.replay.table import EstimateTable, Recorded
 
-_NOTHING = np.zeros((0, 4))
+_NOTHING = np.zeros((0, 8))
 
 
 class Replay:
@@ -151,7 +151,7 @@ class _Joint:
             self._count[schedule.min_known],
             self._count[schedule.max_known],
             np.where(resets >= 0, self._count[resets], -1),
-            _NOTHING if recorded is None else np.ascontiguousarray(recorded.states[:, joint]),
+            _NOTHING if recorded is None else np.ascontiguousarray(recorded.estimates[:, joint]),
         )
         self._pass = Pass(
             tracker,

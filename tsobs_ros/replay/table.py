@@ -171,7 +171,7 @@ class Recorded:
         samples: The measurements.
 
     Attributes:
-        states: At the ticks, NaN without, shape (m, J, 4).
+        estimates: States and their bounds at the ticks, NaN without, shape (m, J, 8).
         innovations: Those of each message, NaN without, shape (n, J).
     """
 
@@ -179,7 +179,11 @@ class Recorded:
         self._live = live
         self._schedule = schedule
         joints = live.states.values.shape[1] // 2
-        self.states = _by_tick(live.states, schedule).reshape(-1, joints, 4)
+        states = _by_tick(live.states, schedule).reshape(-1, joints, 4)
+        bounds = np.full_like(states, np.nan)
+        if topics.STATE_BOUNDS in live.others:
+            bounds = _by_tick(live.others[topics.STATE_BOUNDS], schedule).reshape(states.shape)
+        self.estimates = np.concatenate([states, bounds], axis=-1)
         own = live.others.get(topics.INNOVATION)
         self.innovations = np.full((samples.count, joints), np.nan)
         self._not_recorded = 0
@@ -190,7 +194,7 @@ class Recorded:
 
     def compare(self, table: EstimateTable) -> Agreement:
         """Compare a whole replay."""
-        same = _same(table.states, self.states)
+        same = _same(table.states, self.estimates[..., :4])
         for topic, values in (
             (topics.STATE_BOUNDS, table.state_bounds),
             (topics.DISTURBANCE, table.disturbances),
