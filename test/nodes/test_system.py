@@ -40,8 +40,8 @@ ESTIMATES = (
     "/observer/disturbance_bound",
 )
 INNOVATION = "/observer/innovation"
-RESTARTS = "/observer/restarts"
-TOPICS = (MEASUREMENTS, *TRUTH, *ESTIMATES, INNOVATION, RESTARTS)
+RESTARTS, HEALTH = "/observer/restarts", "/observer/health"
+TOPICS = (MEASUREMENTS, *TRUTH, *ESTIMATES, INNOVATION, RESTARTS, HEALTH)
 SAMPLES = 701
 
 

@@ -8,7 +8,7 @@ an estimate over a recording and a report on it list the same ones.
 
 import enum
 from collections.abc import Mapping, Sequence
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from tsobs_ros.estimation.health import Debounce, Level, Phase, phase_of
 from tsobs_ros.estimation.records import NANOSECONDS, Basis, Estimate, Hypothesis, Learning
@@ -206,6 +206,13 @@ class EventLog:
         self._noise = _Teller(EventKind.NOISE, False)
         self._learning = _Teller(EventKind.LEARNING, Learning.STARTING)
         self._hypothesis = _Teller(EventKind.HYPOTHESIS, Hypothesis.AS_DESIGNED)
+        self._tellers: dict[EventKind, _Teller[Any]] = {
+            EventKind.STATE: self._state,
+            EventKind.BOUND: self._bound,
+            EventKind.NOISE: self._noise,
+            EventKind.LEARNING: self._learning,
+            EventKind.HYPOTHESIS: self._hypothesis,
+        }
 
     def update(self, condition: Condition) -> list[Event]:
         """Return what a condition gives occasion to report, in the order of its beginning.
@@ -256,11 +263,15 @@ class EventLog:
         text = f"WAITING for the first measurement on {self._source}"
         return [Event(self._began, EventKind.STATE, Level.WARN, text)]
 
+    def since(self, kind: EventKind) -> int | None:
+        """Return the stamp at which something became what it is [ns], None if it never changed."""
+        return self._tellers[kind].since
+
     def restart(self) -> None:
         """Forget the states, but not how much has been reported, as the estimate has no past."""
         self._began = self._newest = None
         self._noisy = False
-        for teller in (self._state, self._bound, self._noise, self._learning, self._hypothesis):
+        for teller in self._tellers.values():
             teller.restart()
 
     def _tell_phase(self, condition: Condition, newest: int) -> list[Event]:
@@ -308,6 +319,11 @@ class _Teller(Generic[S]):
         self._event = Event(0, self._kind, Level.OK, "")
         self._changed = self._changes = 0
         self._told: int | None = None
+
+    @property
+    def since(self) -> int | None:
+        """Stamp at which the state began [ns], None if it is the first."""
+        return self._lasting.since
 
     def update(
         self, stamp: int, state: S, level: Level, text: str, lasting: float = 0.0

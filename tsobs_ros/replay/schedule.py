@@ -131,8 +131,12 @@ def as_recorded(
         used_at = times_of_use(samples, innovations)
         tick = np.searchsorted(published, used_at, side="left")
         evidence[used_at == UNKNOWN] = POSSIBLE
-        following = np.append(published, UNKNOWN)[np.searchsorted(published, samples.publish_times)]
-        silent = following - samples.publish_times > _SILENCE * _usual_interval(published)
+        # On both clocks: simulated time goes on unevenly.
+        following = np.searchsorted(published, samples.publish_times)
+        silent = np.ones(n, np.bool_)
+        for theirs, own in ((published, samples.publish_times), (stamps, samples.stamps)):
+            waited = np.append(theirs, UNKNOWN)[following] - own
+            silent &= waited > _SILENCE * _usual_interval(theirs)
         evidence[(used_at == UNKNOWN) & silent & samples.usable] = NO_EVIDENCE
     used = np.flatnonzero(tick < m)
     known, beyond = np.zeros(m, np.intp), np.full(m + 1, n)

@@ -12,8 +12,9 @@ import pytest
 from faults.arm import Arm
 from faults.stage import BEGIN, MS, PERIOD
 
+from tsobs_ros.estimation.events import BOUNDS, Condition
 from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status
-from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis, Learning
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
@@ -98,7 +99,8 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
         "premise domain": (Level.OK, "inside the certificate's domain"),
         "innovation": (Level.OK, found["innovation"].message),
         "sensor fault": (Level.OK, found["sensor fault"].message),
-        "certificate": (Level.OK, "bound along the estimate"),
+        "certificate": (Level.OK, BOUNDS[Basis.STARTING][1]),
+        "hypothesis": (Level.OK, "arm and sensor behave as designed"),
         "parameters": (Level.OK, "not yet: the motion is too poor"),
     }
     identity = found["certificate"].values
@@ -140,7 +142,7 @@ def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -
     assert "parameters" not in parts["hip"]
     learnt = parts["knee"]["parameters"]
     assert learnt.message == "not yet: the motion is too poor"
-    assert set(learnt.values) == {"stiffness", "gravity"}
+    assert set(learnt.values) == {"stiffness", "gravity", "learning"}
 
 
 def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
@@ -163,6 +165,38 @@ def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
         assert (status.level, status.message) == (level, message)
         assert status.values["rejected: duplicate stamp"] == "8"
     assert status.values["last minute: received"] == "0"
+
+
+@pytest.mark.parametrize(
+    ("concern", "changes", "text"),
+    [
+        ("certificate", {"basis": Basis.CONTRADICTED}, "the bound is void: the measurements"),
+        ("certificate", {"basis": Basis.HYPOTHESIS}, "the bound is not certified: it is a"),
+        ("certificate", {"basis": Basis.OUTSIDE}, "the bound is void: the link angle"),
+        ("innovation", {"noise_scale": 1.8}, "the noise is 1.8 times the design's"),
+        ("hypothesis", {"hypothesis": Hypothesis.FORCE}, "the arm is pushed by something"),
+        ("parameters", {"learning": Learning.STRAINED}, "learning rests: the arm differs"),
+    ],
+)
+def test_what_an_estimate_is_not_worth_is_a_warning_with_its_reason(
+    concern: str, changes: dict[str, Any], text: str
+) -> None:
+    joints = joints_of()
+    now = feed(joints, 300)
+    (joint,) = joints
+    assert joint.latest is not None
+    before = statuses(joints, now)[0]
+    good = Condition.of(joint.latest)
+    for tick in range(60):
+        stamp = now + (tick - 59) * 100 * MS
+        joint.events.update(good._replace(stamp=stamp, **(changes if tick >= 20 else {})))
+    joint.latest = joint.latest._replace(**changes)
+    found = statuses(joints, now)[0]
+    assert {name for name, each in found.items() if each.level != before[name].level} == {concern}
+    assert found[concern].level == Level.WARN
+    assert found[concern].message.startswith(text)
+    if concern != "innovation":
+        assert found[concern].values["since"] == "for 3.9 s"
 
 
 def test_a_large_disturbance_is_reported_at_levels_that_can_be_tuned() -> None:

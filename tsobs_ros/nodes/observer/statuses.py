@@ -2,14 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node's diagnostics, as functions of its joints and a meter of its ticks."""
 
+import enum
 import math
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from tsobs_ros.estimation.health import LastMinute, Level, Phase, Status
-from tsobs_ros.estimation.records import Estimate, RejectReason
-from tsobs_ros.nodes.observer.joints import LoadedDesign, ObservedJoint
+from tsobs_ros.estimation.events import BOUNDS, HYPOTHESES, LEARNINGS, NOISY, EventKind
+from tsobs_ros.estimation.health import LastMinute, Level, Phase, Status, duration_text
+from tsobs_ros.estimation.records import Estimate, Learning, RejectReason
+from tsobs_ros.nodes.observer.joints import ObservedJoint
 
 _LEVEL_OF_PHASE = {
     Phase.TRACKING: Level.OK,
@@ -131,16 +133,52 @@ def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Stat
     estimate = joint.latest
     statuses = [
         _domain_status(estimate, joint.loaded.design.arm_request.x_max),
-        joint.faults.innovation_status(),
+        _innovation_status(joint),
         joint.faults.status(now),
-        _certificate_status(joint.loaded, method, estimate),
+        _certificate_status(joint, method, now),
     ]
-    if joint.learnt and estimate is not None:
+    if estimate is None:
+        return statuses
+    level, message = HYPOTHESES[estimate.hypothesis]
+    values = {"hypothesis": _words(estimate.hypothesis)}
+    values |= _since(joint, EventKind.HYPOTHESIS, now)
+    statuses.append(Status("hypothesis", level, message, values))
+    if joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
-        message = "learnt" if estimate.parameters_valid else "not yet: the motion is too poor"
-        statuses.append(Status("parameters", Level.OK, message, values))
+        values["learning"] = _words(estimate.learning)
+        values |= _since(joint, EventKind.LEARNING, now)
+        level, message = LEARNINGS[estimate.learning]
+        if estimate.learning in (Learning.ACTIVE, Learning.STARTING):
+            valid = estimate.parameters_valid
+            message = "learnt" if valid else "not yet: the motion is too poor"
+        statuses.append(Status("parameters", level, message, values))
     return statuses
+
+
+def _words(code: enum.Enum) -> str:
+    return code.name.lower().replace("_", " ")
+
+
+def _since(joint: ObservedJoint, kind: EventKind, now: int) -> dict[str, str]:
+    """Return for how long something has been as it is, if it has changed."""
+    since = joint.events.since(kind)
+    return {} if since is None else {"since": duration_text(now - since)}
+
+
+def _innovation_status(joint: ObservedJoint) -> Status:
+    """Return whether the innovations are as the design expects, and how large the noise is."""
+    name, level, message, values = joint.faults.innovation_status()
+    if joint.latest is not None:
+        scale = joint.latest.noise_scale
+        values["noise scale"] = f"{scale:.3f}"
+        values["coloured power"] = f"{joint.latest.coloured_power:.3f}"
+        if scale >= NOISY:
+            level, message = Level.WARN, f"the noise is {scale:.2g} times the design's"
+    recent = joint.recent.growth
+    for event in ("outliers downweighted", "sensor jumps"):
+        values[f"last minute: {event}"] = str(recent[event])
+    return Status(name, level, message, values)
 
 
 def _domain_status(estimate: Estimate | None, x_max: float) -> Status:
@@ -153,10 +191,10 @@ def _domain_status(estimate: Estimate | None, x_max: float) -> Status:
     return Status("premise domain", Level.WARN, "outside: the bound is not certified", values)
 
 
-def _certificate_status(loaded: LoadedDesign, method: str, estimate: Estimate | None) -> Status:
+def _certificate_status(joint: ObservedJoint, method: str, now: int) -> Status:
     if method != "certified":
         return Status("certificate", Level.WARN, f"method {method}: nothing is certified", {})
-    certified = estimate is not None and estimate.certified
+    loaded, estimate = joint.loaded, joint.latest
     request = loaded.design.request
     values = {
         "design": str(loaded.path),
@@ -164,10 +202,15 @@ def _certificate_status(loaded: LoadedDesign, method: str, estimate: Estimate | 
         "disturbance model": request.disturbance_model.label,
         "design rate [Hz]": f"{request.rate:g}",
         "margin [1/s]": f"{loaded.design.certificate.worst.margin:.3e}",
-        "bound": "certified" if certified else "along the estimate",
     }
-    message = "certified bound" if certified else "bound along the estimate"
-    return Status("certificate", Level.OK, message, values)
+    if estimate is None:
+        return Status("certificate", Level.OK, "no estimate yet", values)
+    level, message = BOUNDS[estimate.basis]
+    along = "certified" if estimate.certified else "along the estimate"
+    values["bound"] = "void" if level is Level.WARN else along
+    values["basis"] = _words(estimate.basis)
+    values |= _since(joint, EventKind.BOUND, now)
+    return Status("certificate", level, message, values)
 
 
 def _summary_status(statuses: Mapping[str, Sequence[Status]]) -> Status:
