@@ -1,20 +1,24 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The extended Kalman filters that the acceptance benchmark compares with, all of them plain.
+"""The extended Kalman filter that the acceptance benchmark compares with, plain or with a gate.
 
-Plain: the Kalman gain along the estimate for ever; no gates, no search for jumps, no projection.
+Its states are [x; w], or [x; w; θ] with θ of stiffness and gravity. Plain, it has the Kalman gain
+along its estimate for ever. With a gate, it leaves samples out that are further off than so many
+sigmas, and starts its covariance again if it left most of the last half second out: what somebody
+writes who knows about outliers.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.options import CertifiedGain, GainMode
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.model.trigonometry import cosine, sine
 from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
 
 THETA_STD = 0.2
@@ -23,100 +27,212 @@ THETA_STD = 0.2
 THETA_WANDER = 1e-6
 """Growth of each θ's variance [1/s]."""
 
-_ROWS = [LINK_VELOCITY, MOTOR_VELOCITY]
+GATE = 5.0
+"""Sigmas of the innovation beyond which a filter with a gate leaves a sample out."""
+
+MOST = 0.6
+"""Share of the last samples that have to be left out for the covariance to start again."""
+
+_WINDOW = 100
 
 
-class KalmanState(NamedTuple):
-    """Estimates, shape (..., n), and their error covariances, shape (..., n, n)."""
-
-    x: Array
-    covariance: Array
-
-
-def knowing_filter(design: Design, arm: ElasticJointArm) -> Estimator:
-    """Return the EKF that predicts with the true arm, in that arm's design coordinates."""
-    request = design.request
-    flow = ArmFlow(arm, request.disturbance_model, request.process_noise, request.period)
-    std = np.concatenate(
-        [arm.from_physical(request.initial_std), request.disturbance_model.initial_std]
-    )
-    n = flow.state_count
-    return certified_estimator(
-        flow,
-        request.measurement_covariance,
-        np.diag(std**2),
-        # Never used: with Riccati gains no constant one takes over.
-        CertifiedGain(np.zeros((n, 1)), np.eye(n)),
-        gain_mode=GainMode.RICCATI,
-    )
-
-
-class AugmentedFilter:
-    """The EKF with the states [x; w; θ], for a batch of arms.
+class Filtered(NamedTuple):
+    """Estimates after each sample of some runs.
 
     Attributes:
-        flow: Prediction model of the nominal arm.
-        uncertainty: Directions of θ.
+        x: [x; w; θ], shape (runs, samples, n + k).
+        std: 1σ of the arm's four states and of the disturbance, shape (runs, samples, 5).
     """
 
-    def __init__(self, design: Design, uncertainty: Uncertainty) -> None:
-        self.flow = design.request.flow
-        self.uncertainty = uncertainty
-        n, k = self.flow.state_count, uncertainty.count
-        self._R = design.request.measurement_covariance
-        self._C = np.hstack([self.flow.output_matrix, np.zeros((1, k))])
-        self._identity = np.eye(n + k)
-        self._initial = THETA_STD**2 * np.eye(n + k)
-        self._initial[:n, :n] = design.request.initial_covariance
-        step = self.flow.nominal
-        self.phi = np.eye(n + k)
-        self.phi[:n, :n] = step.phi
+    x: Array
+    std: Array
+
+
+class KalmanFilter:
+    """The filter of one design.
+
+    Args:
+        design: Disturbance, noise and start.
+        arm: The arm to predict with, if it is not the design's.
+        uncertainty: Parameters to have as states; none if None.
+        gate: `GATE`, or infinite for the plain filter.
+
+    Attributes:
+        flow: Prediction model without the parameters.
+        phi, gamma, noise: The linear flow over a nominal step, with the parameters.
+        output: States to measured angle, shape (n + k,).
+        covariance: Before any measurement.
+        effects: Accelerations of link and motor by each θ, from [x, sin x₁, u], shape (k, 2, 6).
+    """
+
+    def __init__(
+        self,
+        design: Design,
+        arm: ElasticJointArm | None = None,
+        uncertainty: Uncertainty | None = None,
+        gate: float = math.inf,
+    ) -> None:
+        request = design.arm_request
+        arm = arm or request.arm
+        self.flow = ArmFlow(arm, request.disturbance_model, request.process_noise, request.period)
+        self.effects = np.zeros((0, 2, TORQUE + 1))
+        if uncertainty is not None:
+            self.effects = np.ascontiguousarray(uncertainty.directions[:, 0, [1, 3]])
+        step, n, k = self.flow.nominal, self.flow.state_count, len(self.effects)
+        std = np.concatenate(
+            [
+                arm.from_physical(request.initial_std),
+                request.disturbance_model.initial_std,
+                np.full(k, THETA_STD),
+            ]
+        )
+        self.covariance = np.diag(std**2)
+        self.phi, self.noise = np.eye(n + k), THETA_WANDER * step.duration * np.eye(n + k)
+        self.phi[:n, :n], self.noise[:n, :n] = step.phi, step.noise
         self.gamma = np.concatenate([step.gamma[:, 0], np.zeros(k)])
-        self.noise = THETA_WANDER * step.duration * np.eye(n + k)
-        self.noise[:n, :n] = step.noise
+        self.output = np.concatenate([self.flow.output_matrix[0], np.zeros(k)])
+        self._disturbance = np.zeros(n + k)
+        self._disturbance[4:n] = self.flow.disturbance.H[0]
+        self._variance = float(request.measurement_covariance[0, 0])
+        self._gate = gate
 
-    def initial(self, batch: tuple[int, ...]) -> KalmanState:
-        """Return the state before any measurement."""
-        size = len(self._identity)
-        covariance = np.broadcast_to(self._initial, (*batch, size, size)).copy()
-        return KalmanState(np.zeros((*batch, size)), covariance)
+    def observe(self, y: Array, u: Array) -> Filtered:
+        """Return the estimates from measurements and torques, shape (runs, samples, 1) each."""
+        shape = y.shape[:2]
+        found = Filtered(np.empty((*shape, len(self.phi))), np.empty((*shape, 5)))
+        step = self.flow.nominal
+        numbers = np.array([step.duration, step.half_kick, self._variance, self._gate])
+        _observe(
+            numbers,
+            self.phi,
+            self.gamma,
+            self.noise,
+            self.output,
+            self._disturbance,
+            self.effects,
+            self.covariance,
+            np.ascontiguousarray(y[..., 0]),
+            np.ascontiguousarray(u[..., 0]),
+            *found,
+        )
+        return found
 
-    def correct(self, state: KalmanState, y: Array) -> KalmanState:
-        """Use a sample [rad], shape (..., 1)."""
-        cross = state.covariance @ self._C.T
-        spread = self._C @ cross + self._R
-        gain = cross / spread
-        closed = self._identity - gain @ self._C
-        covariance = closed @ state.covariance @ np.swapaxes(closed, -1, -2)
-        covariance = covariance + gain @ self._R @ np.swapaxes(gain, -1, -2)
-        innovation = y - state.x @ self._C.T
-        return KalmanState(state.x + gain[..., 0] * innovation, covariance)
 
-    def predict(self, state: KalmanState, u: Array) -> KalmanState:
-        """Predict over a nominal step with the torque u (..., 1) held [N m]."""
-        x, first = self._kicked(state.x, u)
-        onward = self.phi @ first
-        covariance = onward @ state.covariance @ np.swapaxes(onward, -1, -2) + self.noise
-        x, second = self._kicked(x @ self.phi.T + u * self.gamma, u)
-        return KalmanState(x, second @ covariance @ np.swapaxes(second, -1, -2))
+@compiled_nogil
+def _observe(
+    numbers: Array,
+    phi: Array,
+    gamma: Array,
+    noise: Array,
+    output: Array,
+    disturbance: Array,
+    effects: Array,
+    initial: Array,
+    y: Array,
+    u: Array,
+    estimates: Array,
+    std: Array,
+) -> None:
+    """Filter every run; `numbers` are the step [s], half a kick [1/s], R and the gate."""
+    duration, half_kick, variance, gate = numbers
+    size, half = phi.shape[0], 0.5 * duration
+    x, P = np.empty(size), np.empty((size, size))
+    cross, jacobian, scratch = np.empty(size), np.empty((size, size)), np.empty((size, size))
+    left_out = np.empty(_WINDOW)
+    for run in range(y.shape[0]):
+        x[:], P[:], left_out[:] = 0.0, initial, 0.0
+        seen = 0
+        for sample in range(y.shape[1]):
+            if math.isfinite(y[run, sample]):
+                spread, innovation = variance, y[run, sample]
+                for i in range(size):
+                    cross[i] = 0.0
+                    for j in range(size):
+                        cross[i] += P[i, j] * output[j]
+                    spread += output[i] * cross[i]
+                    innovation -= output[i] * x[i]
+                is_out = abs(innovation) > gate * math.sqrt(spread)
+                left_out[seen % _WINDOW] = 1.0 if is_out else 0.0
+                seen += 1
+                if seen >= _WINDOW and left_out.sum() > MOST * _WINDOW:
+                    P[:], left_out[:] = initial, 0.0
+                    seen = 0
+                elif not is_out:
+                    for i in range(size):
+                        x[i] += cross[i] / spread * innovation
+                        for j in range(size):
+                            P[i, j] -= cross[i] * cross[j] / spread
+            total = 0.0
+            for i in range(size):
+                estimates[run, sample, i] = x[i]
+                for j in range(size):
+                    total += disturbance[i] * P[i, j] * disturbance[j]
+            for i in range(5):
+                power = P[i, i] if i < 4 else total
+                std[run, sample, i] = math.sqrt(power) if power >= 0.0 else math.nan
+            _kick(effects, half, half_kick, u[run, sample], x, jacobian)
+            _spread(jacobian, P, scratch)
+            for i in range(size):
+                cross[i] = gamma[i] * u[run, sample]
+                for j in range(size):
+                    cross[i] += phi[i, j] * x[j]
+            x[:] = cross
+            _spread(phi, P, scratch)
+            for i in range(size):
+                for j in range(size):
+                    P[i, j] += noise[i, j]
+            _kick(effects, half, half_kick, u[run, sample], x, jacobian)
+            _spread(jacobian, P, scratch)
 
-    def _kicked(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return the state after half a kick, and the kick's Jacobian."""
-        step, n = self.flow.nominal, self.flow.state_count
-        effects = self.uncertainty.directions[:, 0, _ROWS]
-        linear, sine, torque = effects[..., :4], effects[..., SINE], effects[..., TORQUE]
-        half, angle, theta = 0.5 * step.duration, x[..., LINK_ANGLE, np.newaxis], x[..., n:]
-        # Accelerations a(x, u) of each θ, shape (..., 2, k).
-        push = np.einsum("kij,...j->...ik", linear, x[..., :4])
-        push += sine.T * np.sin(angle)[..., np.newaxis]
-        push += torque.T * u[..., np.newaxis]
-        jacobian = np.broadcast_to(self._identity, (*x.shape, x.shape[-1])).copy()
-        slope = np.einsum("...k,kij->...ij", theta, linear)
-        slope[..., LINK_ANGLE] += (theta @ sine) * np.cos(angle)
-        jacobian[..., _ROWS, :4] += half * slope
-        jacobian[..., _ROWS, n:] = half * push
-        jacobian[..., LINK_VELOCITY, LINK_ANGLE] -= step.half_kick * np.cos(angle[..., 0])
-        kicked = x.copy()
-        kicked[..., _ROWS] += half * np.einsum("...ik,...k->...i", push, theta)
-        kicked[..., LINK_VELOCITY] -= step.half_kick * np.sin(angle[..., 0])
-        return kicked, jacobian
+
+@compiled
+def _kick(
+    effects: Array, half: float, half_kick: float, u: float, x: Array, jacobian: Array
+) -> None:
+    """Give half a kick by gravity and by the parameters; write its Jacobian."""
+    size, k = x.shape[0], effects.shape[0]
+    angle, slope = sine(x[0]), cosine(x[0])
+    for i in range(size):
+        for j in range(size):
+            jacobian[i, j] = 1.0 if i == j else 0.0
+    jacobian[1, 0] -= half_kick * slope
+    link, motor = -half_kick * angle, 0.0
+    for row in range(2):
+        place = 1 + 2 * row
+        for i in range(k):
+            theta, effect = x[size - k + i], effects[i, row]
+            push = effect[SINE] * angle + effect[TORQUE] * u
+            for j in range(4):
+                push += effect[j] * x[j]
+                jacobian[place, j] += half * theta * effect[j]
+            jacobian[place, 0] += half * theta * effect[SINE] * slope
+            jacobian[place, size - k + i] = half * push
+            if row == 0:
+                link += half * theta * push
+            else:
+                motor += half * theta * push
+    x[1] += link
+    x[3] += motor
+
+
+@compiled
+def _spread(matrix: Array, P: Array, scratch: Array) -> None:
+    """Move a covariance: P becomes M P Mᵀ."""
+    size = P.shape[0]
+    for i in range(size):
+        for j in range(size):
+            scratch[i, j] = 0.0
+        for m in range(size):
+            factor = matrix[i, m]
+            if factor != 0.0:
+                for j in range(size):
+                    scratch[i, j] += factor * P[m, j]
+    for i in range(size):
+        for j in range(size):
+            P[i, j] = 0.0
+    for m in range(size):
+        for j in range(size):
+            factor = matrix[j, m]
+            if factor != 0.0:
+                for i in range(size):
+                    P[i, j] += scratch[i, m] * factor

@@ -10,31 +10,26 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from acceptance_ekf import AugmentedFilter, knowing_filter
+from acceptance_ekf import GATE, KalmanFilter
 from numpy.typing import NDArray
 
 from tsobs_ros import campaign
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.options import (
-    TORQUE_RATE,
-    CertifiedGain,
-    GainMode,
-    SupervisionOptions,
-)
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.options import GainMode
+from tsobs_ros.estimation.records import Basis, Hypothesis
+from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
+from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.simulation.plant import Scenario, Trajectories
+from tsobs_ros.simulation.signals import BiasStep
 
 SCALE = np.array([0.226, 0.60, 3.55, 4.64])
 """Typical size of the motion in design coordinates, by which errors are divided."""
 
 WINDOWS = {"settled": (45.0, 60.0), "full": (20.0, 60.0)}
 """Parts of a run [s]."""
-
-BOUNDS = {"stiffness": 0.4, "gravity": 0.4}
-"""What the adaptive contenders are told to be uncertain."""
 
 GRID = np.geomspace(0.7, 20.0, 12)
 """θ of the PO and the PIO [1/s]."""
@@ -51,44 +46,64 @@ Without a step, 5 of 30 runs pass three times it within nine seconds, and none f
 STEP_SIZE = 0.1
 """What the disturbance's error is divided by when that is judged [rad]."""
 
+CLAIMS = (Basis.CERTIFIED, Basis.LEARNT)
+"""Bounds that rest on these are said to be the certificate's."""
+
+VOID = (Basis.CONTRADICTED, Basis.OUTSIDE)
+"""Bounds that rest on these are said to be none."""
+
+
+class Found(NamedTuple):
+    """Estimates of a contender, at each sample of some runs.
+
+    Attributes:
+        estimates: Four states in design coordinates and the disturbance, shape (runs, samples, 5).
+        bounds: 1σ of them.
+        thetas: Relative changes of stiffness and gravity, shape (runs, samples, k).
+        theta_bounds: 1σ of them.
+        conditions: What ours says about its estimates; see `campaign.Observed`.
+        events: What the supervision counted in each run.
+    """
+
+    estimates: Array
+    bounds: Array
+    thetas: Array | None = None
+    theta_bounds: Array | None = None
+    conditions: dict[str, Array] | None = None
+    events: list[dict[str, int]] | None = None
+
 
 class Outcome(NamedTuple):
     """What one contender did in a scenario, each run by itself.
 
+    Shares are of the samples of the full window.
+
     Attributes:
         errors: Normalised RMSE by window, shape (runs,).
+        inside: Shares of errors within three bounds, of the states and the disturbance, (runs, 5).
+        claimed: Share of samples whose bounds are said to be the certificate's, shape (runs,).
+        broken: Share of them in which an error is beyond three bounds, 0 if there are none.
+        honest: Share of samples with every error within three bounds, or with bounds said to be
+            none.
+        foreign: Longest time with another hypothesis than the design's, from the start on [s].
         theta: RMS error of each parameter over the settled window, shape (runs, k).
+        theta_inside: Share of valid parameters within three bounds, NaN if none is valid, (runs,).
         settled_after: Time after the step of the sensor until settled again [s], shape (runs,).
         events: What the supervision counted in each run.
         tuning: θ of a PO or a PIO by window.
     """
 
     errors: dict[str, Array]
+    inside: Array | None = None
+    claimed: Array | None = None
+    broken: Array | None = None
+    honest: Array | None = None
+    foreign: Array | None = None
     theta: Array | None = None
+    theta_inside: Array | None = None
     settled_after: Array | None = None
     events: list[dict[str, int]] | None = None
     tuning: dict[str, float] | None = None
-
-
-def uncertainty_of(design: Design) -> Uncertainty:
-    """Return what the adaptive contenders learn."""
-    return arm_uncertainty(design.request.arm, BOUNDS)
-
-
-def supervised(design: Design, mode: GainMode, adaptive: bool = True) -> Estimator:
-    """Return the observer under test."""
-    request = design.request
-    observer = certified_estimator(
-        request.flow,
-        request.measurement_covariance,
-        request.initial_covariance,
-        CertifiedGain(design.K, design.covariance_bound),
-        gain_mode=mode,
-        torque_rate=TORQUE_RATE,
-        uncertainty=uncertainty_of(design) if adaptive else None,
-    )
-    observer.supervise(SupervisionOptions())
-    return observer
 
 
 def true_theta(scenario: Scenario) -> Array:
@@ -96,42 +111,56 @@ def true_theta(scenario: Scenario) -> Array:
     return np.array([scenario.mismatch.stiffness, scenario.mismatch.gravity_torque])
 
 
-def observe(
-    design: Design, make: Callable[[], Estimator], runs: Trajectories
-) -> tuple[Array, Array | None, list[dict[str, int]]]:
-    """Return estimates (runs, samples, 5), parameters (runs, samples, k) if any, and events.
-
-    The fifth estimate is the disturbance.
-    """
-    found = campaign.observe(design, runs, estimator=make())
-    states = design.arm_request.arm.from_physical(found.states)
-    estimates = np.concatenate([states, found.disturbances], axis=2)
+def ours(
+    design: Design, runs: Trajectories, mode: GainMode = GainMode.CERTIFIED, adapt: bool = True
+) -> Found:
+    """Return what the node would estimate."""
+    settings = ObserverSettings(gain_mode=mode, adapt=adapt)
+    found = campaign.observe(design, runs, settings)
+    to_design = design.arm_request.arm.from_physical
     learns = found.parameters.shape[2] > 0
-    return estimates, found.parameters if learns else None, list(found.events)
+    return Found(
+        np.concatenate([to_design(found.states), found.disturbances], axis=2),
+        np.concatenate([to_design(found.state_bounds), found.disturbance_bounds], axis=2),
+        found.parameters if learns else None,
+        found.parameter_bounds if learns else None,
+        found.conditions,
+        list(found.events),
+    )
 
 
-def knowing(design: Design, scenario: Scenario, runs: Trajectories) -> Array:
-    """Return the estimates of the EKF that knows the true arm."""
-    found = knowing_filter(design, scenario.true_arm).observe(runs.measurements, runs.torques)
-    return np.concatenate([scenario.arm.from_physical(found.state), found.disturbance], axis=2)
+def kalman(
+    design: Design,
+    runs: Trajectories,
+    arm: ElasticJointArm | None = None,
+    *,
+    learns: bool = False,
+    gated: bool = False,
+) -> Found:
+    """Return the estimates of an EKF.
 
+    Args:
+        design: Model, noise and start.
+        runs: What it measures.
+        arm: The arm that it knows; the nominal one if None.
+        learns: Whether stiffness and gravity are states.
+        gated: Whether it has a gate.
+    """
+    nominal = design.arm_request.arm
+    uncertainty = design.request.uncertainty_model if learns else None
+    ekf = KalmanFilter(design, arm, uncertainty, GATE if gated else np.inf)
+    x, std = ekf.observe(runs.measurements, runs.torques)
+    n, known = ekf.flow.state_count, arm or nominal
+    disturbance = x[..., 4:n] @ ekf.flow.disturbance.H[0]
 
-def augmented(design: Design, runs: Trajectories) -> tuple[Array, Array]:
-    """Return the estimates and parameters of the EKF that has them as states."""
-    ekf = AugmentedFilter(design, uncertainty_of(design))
-    state = ekf.initial(runs.states.shape[:1])
-    n, H = ekf.flow.state_count, ekf.flow.disturbance.H[0]
-    estimates = _room(runs)
-    thetas = np.empty((*runs.states.shape[:2], ekf.uncertainty.count))
-    with np.errstate(all="ignore"):  # a filter that diverges is a result
-        for sample in range(estimates.shape[1]):
-            y = runs.measurements[:, sample]
-            if np.isfinite(y).all():
-                state = ekf.correct(state, y)
-            estimates[:, sample, :4], thetas[:, sample] = state.x[:, :4], state.x[:, n:]
-            estimates[:, sample, 4] = state.x[:, 4:n] @ H
-            state = ekf.predict(state, runs.torques[:, sample])
-    return estimates, thetas
+    def changed(parts: Array) -> Array:
+        return nominal.from_physical(known.to_physical(parts))
+
+    return Found(
+        np.concatenate([changed(x[..., :4]), disturbance[..., np.newaxis]], axis=2),
+        np.concatenate([changed(std[..., :4]), std[..., 4:]], axis=2),
+        x[..., n:] if learns else None,
+    )
 
 
 def high_gain(
@@ -156,28 +185,60 @@ def high_gain(
     return Outcome(errors, tuning=tuning)
 
 
-def outcome(
-    scenario: Scenario,
-    runs: Trajectories,
-    estimates: Array,
-    thetas: Array | None = None,
-    events: list[dict[str, int]] | None = None,
-) -> Outcome:
-    """Return the errors of estimates (runs, samples, 5)."""
-    with np.errstate(all="ignore"):
-        squares = _squares(estimates[..., :4], runs)
-        disturbed = ((estimates[..., 4] - runs.disturbances[..., 0]) / STEP_SIZE) ** 2
+def outcome(scenario: Scenario, runs: Trajectories, found: Found) -> Outcome:
+    """Return how good estimates are."""
+    settled, full = (_inside(runs.times, WINDOWS[name]) for name in ("settled", "full"))
+    with np.errstate(all="ignore"):  # a filter that diverges is a result
+        squares = _squares(found.estimates[..., :4], runs)
+        wrong = found.estimates[..., 4] - runs.disturbances[..., 0]
         errors = {
             name: np.sqrt(squares[:, _inside(runs.times, window)].mean(axis=1))
             for name, window in WINDOWS.items()
         }
-    theta = None
-    if thetas is not None:
-        wrong = (thetas - true_theta(scenario))[:, _inside(runs.times, WINDOWS["settled"])]
-        theta = np.sqrt((wrong**2).mean(axis=1))
-    steps = any(one.kind == "bias_step" for one in scenario.disturbance)
-    after = settled_after(runs.times, np.sqrt(0.8 * squares + 0.2 * disturbed)) if steps else None
-    return Outcome(errors, theta, after, events)
+        truth = np.concatenate([runs.states, runs.disturbances], axis=2)
+        kept = np.abs(found.estimates - truth)[:, full] <= SIGMAS * found.bounds[:, full]
+    worth = {} if found.conditions is None else _worth(found.conditions, kept, full, runs.times)
+    theta = theta_inside = after = None
+    if found.thetas is not None:
+        away = np.abs(found.thetas - true_theta(scenario))
+        theta = np.sqrt((away[:, settled] ** 2).mean(axis=1))
+        if found.theta_bounds is not None and found.conditions is not None:
+            valid = found.conditions["parameters_valid"][:, full] > 0.0
+            near = (away <= SIGMAS * found.theta_bounds)[:, full].all(axis=2)
+            with np.errstate(invalid="ignore"):
+                theta_inside = (near & valid).sum(axis=1) / valid.sum(axis=1)
+    if any(isinstance(one, BiasStep) for one in scenario.disturbance):
+        size = np.sqrt(0.8 * squares + 0.2 * (wrong / STEP_SIZE) ** 2)
+        after = settled_after(runs.times, size)
+    return Outcome(
+        errors,
+        inside=kept.mean(axis=1),
+        theta=theta,
+        theta_inside=theta_inside,
+        settled_after=after,
+        events=found.events,
+        **worth,
+    )
+
+
+def _worth(
+    conditions: dict[str, Array], kept: NDArray[np.bool_], full: NDArray[np.bool_], times: Array
+) -> dict[str, Array]:
+    """Return what an outcome says about claims, by the names of its fields."""
+    basis, every = conditions["basis"][:, full], kept.all(axis=2)
+    claims = np.isin(basis, CLAIMS)
+    foreign = conditions["hypothesis"] != Hypothesis.AS_DESIGNED
+    longest = np.zeros(len(foreign))
+    length = np.zeros(len(foreign))
+    for sample in foreign.T:
+        length = np.where(sample, length + 1.0, 0.0)
+        longest = np.maximum(longest, length)
+    return {
+        "claimed": claims.mean(axis=1),
+        "broken": (claims & ~every).sum(axis=1) / np.maximum(claims.sum(axis=1), 1),
+        "honest": (every | np.isin(basis, VOID)).mean(axis=1),
+        "foreign": longest * (times[1] - times[0]),
+    }
 
 
 def settled_after(times: Array, errors: Array) -> Array:
@@ -204,10 +265,6 @@ def settled_after(times: Array, errors: Array) -> Array:
 def _squares(states: Array, runs: Trajectories) -> Array:
     """Return the mean of the four squared errors of a sample, shape (runs, samples)."""
     return np.asarray((((states - runs.states) / SCALE) ** 2).mean(axis=2))
-
-
-def _room(runs: Trajectories) -> Array:
-    return np.empty((*runs.states.shape[:2], 5))
 
 
 def _inside(times: Array, window: tuple[float, float]) -> NDArray[np.bool_]:

@@ -19,8 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from acceptance_cost import FilterpyAugmentedFilter
-from acceptance_runs import uncertainty_of
+from acceptance_ekf import KalmanFilter
 from common import design_of, parser, show, timed, use_one_thread
 from filterpy.kalman import ExtendedKalmanFilter
 
@@ -32,11 +31,14 @@ from tsobs_ros.estimation.estimator import Estimator, correct_each, predict_each
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_tracker
+from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
+from tsobs_ros.model.uncertainty import SINE
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _TURN = 200
+_ROWS = [LINK_VELOCITY, MOTOR_VELOCITY]
 _SCENARIOS = {"fixed": "bias_step", "adaptive": "stiff"}
 
 Step = Callable[[int], object]
@@ -74,6 +76,53 @@ class _FilterpyEkf(ExtendedKalmanFilter):  # type: ignore[misc]
         matrix = np.eye(self.dim_x)
         matrix[1, 0] = -gain
         return matrix
+
+
+class _FilterpyAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
+    """The same with θ as states, from the parts that `KalmanFilter` is made of."""
+
+    def __init__(self, design: Design) -> None:
+        twin = KalmanFilter(design, uncertainty=design.request.uncertainty_model)
+        size = len(twin.phi)
+        super().__init__(dim_x=size, dim_z=1, dim_u=1)
+        self.flow, self.effects, self.phi, self.gamma = (
+            twin.flow,
+            twin.effects,
+            twin.phi,
+            twin.gamma,
+        )
+        self.x = np.zeros((size, 1))
+        self.P, self.Q, self.R = twin.covariance, twin.noise, design.request.measurement_covariance
+        self.H = twin.output[np.newaxis]
+        self._identity = np.eye(size)
+
+    def predict_x(self, u: Array) -> None:  # type: ignore[override]
+        """Predict as the observer does, and linearise there."""
+        torque = float(u[0])
+        x, first = self._kick(self.x[:, 0], torque)
+        x, second = self._kick(self.phi @ x + self.gamma * torque, torque)
+        self.x = x[:, np.newaxis]
+        self.F = second @ self.phi @ first
+
+    def step(self, y: Array, u: Array) -> None:
+        """Correct by a sample y (1,) and predict with the torque u (1,) held."""
+        self.update(y[:, np.newaxis], lambda _: self.H, lambda x: self.H @ x)
+        self.predict(u)
+
+    def _kick(self, x: Array, torque: float) -> tuple[Array, Array]:
+        step, n = self.flow.nominal, self.flow.state_count
+        half, theta = 0.5 * step.duration, x[n:]
+        push = (self.effects @ [*x[:4], np.sin(x[LINK_ANGLE]), torque]).T
+        change = np.tensordot(theta, self.effects, 1)
+        jacobian = self._identity.copy()
+        jacobian[_ROWS, :4] += half * change[:, :4]
+        jacobian[_ROWS, LINK_ANGLE] += half * change[:, SINE] * np.cos(x[LINK_ANGLE])
+        jacobian[_ROWS, n:] = half * push
+        jacobian[LINK_VELOCITY, LINK_ANGLE] -= step.half_kick * np.cos(x[LINK_ANGLE])
+        kicked = x.copy()
+        kicked[_ROWS] += half * (push @ theta)
+        kicked[LINK_VELOCITY] -= step.half_kick * np.sin(x[LINK_ANGLE])
+        return kicked, jacobian
 
 
 def _pure(estimator: Estimator, y: Array, u: Array) -> Step:
@@ -129,15 +178,11 @@ def _medians(contenders: dict[str, Step], samples: int) -> dict[str, float]:
     return {name: float(np.median(each[len(each) // 2 :])) / 1e3 for name, each in times.items()}
 
 
-def _steps(kind: str, design: Design, seconds: float) -> dict[str, float]:
+def step_costs(kind: str, design: Design, seconds: float) -> dict[str, float]:
     """Return the median times of one step [µs]."""
     runs = simulate(SCENARIOS[_SCENARIOS[kind]], [1], seconds)
     y, u = runs.measurements[0], runs.torques[0]
-    ekf: Any = (
-        FilterpyAugmentedFilter(design, uncertainty_of(design))
-        if kind == "adaptive"
-        else _FilterpyEkf(design)
-    )
+    ekf: Any = _FilterpyAugmentedEkf(design) if kind == "adaptive" else _FilterpyEkf(design)
     contenders: dict[str, Step] = {
         "in place": _in_place(design.supervised(), y, u),
         "pure functions": _pure(design.supervised(), y, u),
@@ -240,7 +285,7 @@ def _measure(options: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
     fixed, adaptive = load_design(config_path(FIXED_DESIGN)), design_of(options)
     if "steps" in parts:
         for kind, design in (("fixed", fixed), ("adaptive", adaptive)):
-            found = results[f"step_us {kind}"] = _steps(kind, design, options.seconds)
+            found = results[f"step_us {kind}"] = step_costs(kind, design, options.seconds)
             lines += _of_steps(kind, found)
     if "batch" in parts:
         runs = simulate(SCENARIOS["stiff"], list(range(16)), 20.0)

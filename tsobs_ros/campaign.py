@@ -16,6 +16,7 @@ from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.report.metrics import SAME_JUMP, SIGMAS, MetricsOptions
@@ -36,6 +37,8 @@ class Observed(NamedTuple):
         disturbance_bounds: 1σ bound of it [rad], shape (runs, samples, 1).
         parameters: Learnt changes θ of the model's parameters, shape (runs, samples, k).
         parameter_bounds: 1σ of each, shape (runs, samples, k).
+        conditions: What the numbers are worth, by the names of `state.CONDITIONS`, each of shape
+            (runs, samples).
         events: What the supervision counted in each run.
     """
 
@@ -45,6 +48,7 @@ class Observed(NamedTuple):
     disturbance_bounds: Array
     parameters: Array
     parameter_bounds: Array
+    conditions: dict[str, Array]
     events: tuple[dict[str, int], ...]
 
 
@@ -157,6 +161,10 @@ def observe(
         field("disturbance_bound", 1),
         field("parameters", 0),
         field("parameter_bound", 0),
+        {
+            name: np.stack([row[:, place] for row in rows])
+            for place, name in enumerate(CONDITIONS, estimator.row_width - len(CONDITIONS))
+        },
         tuple(events),
     )
 

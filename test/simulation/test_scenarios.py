@@ -2,9 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The shipped scenarios and their Monte Carlo runs, by their statistics."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.plant import Plant
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -18,7 +21,8 @@ def test_every_scenario_lasts_a_minute_at_200_hz(name: str) -> None:
     assert runs.states.shape == (2, 21, 4)
     for array in (runs.disturbances, runs.measurements, runs.torques):
         assert array.shape == (2, 21, 1)
-    np.testing.assert_allclose(runs.torques[1, :, 0], np.sin(runs.times))
+    if name not in ("rest", "held"):
+        np.testing.assert_allclose(runs.torques[1, :, 0], np.sin(runs.times))
 
 
 def test_start_and_noise_have_the_stated_statistics() -> None:
@@ -54,6 +58,11 @@ def test_dropouts_last_half_a_second_every_ten() -> None:
     lost = runs.times[np.isnan(runs.measurements[0, :, 0])]
     expected = np.concatenate([np.arange(2000, 2100), np.arange(4000, 4100)]) / 200.0
     assert lost.tolist() == expected.tolist()
+
+
+def test_an_arm_is_held_where_it_is() -> None:
+    runs = simulate(replace(SCENARIOS["held"], process_noise=ProcessNoise(0.0, 0.0)), [0], 10.0)
+    assert runs.physical[0, -1] == pytest.approx([0.5, 0.0, 0.5 + np.sin(0.5), 0.0], abs=1e-9)
 
 
 def test_arrays_are_the_samples_of_a_plant() -> None:

@@ -25,7 +25,7 @@ from tsobs_ros.model.trigonometry import cosine, exponential, sine
 ROW = 5
 """Length of a row."""
 
-_NO_TORQUE, _SINE, _MULTISINE, _SQUARE, _CHIRP = range(5)
+_NO_TORQUE, _SINE, _MULTISINE, _SQUARE, _CHIRP, _CONSTANT = range(6)
 _BIAS_STEP, _SINUSOID, _RAMP, _TWO_TONE, GAUSS_MARKOV, STUCK, _PULSES = range(7)
 
 
@@ -49,6 +49,21 @@ class NoTorque(_CompiledExcitation):
     """The motor is not driven."""
 
     code: ClassVar[int] = _NO_TORQUE
+
+
+@dataclass(frozen=True)
+class Constant(_CompiledExcitation):
+    """u = a.
+
+    Attributes:
+        amplitude: a [N m].
+    """
+
+    code: ClassVar[int] = _CONSTANT
+    amplitude: float = 1.0
+
+    def __post_init__(self) -> None:
+        finite("constant amplitude", self.amplitude)
 
 
 @dataclass(frozen=True)
@@ -380,7 +395,7 @@ def torque_at(row: Array, time: float) -> float:
     if code == _CHIRP:
         within = time % d
         return a * sine((b + 0.5 * ((c - b) / d) * within) * within)
-    return 0.0
+    return a if code == _CONSTANT else 0.0
 
 
 @compiled

@@ -18,6 +18,7 @@ from tsobs_ros.simulation.signals import (
     BiasStep,
     Chirp,
     Component,
+    Constant,
     Excitation,
     GaussMarkov,
     Multisine,
@@ -108,7 +109,9 @@ class ExcitationParameters:
     """The torque in the absence of a command."""
 
     kind: str = parameter(
-        "sine", "Torque signal", choices=("none", "sine", "multisine", "square", "chirp")
+        "sine",
+        "Torque signal",
+        choices=("none", "constant", "sine", "multisine", "square", "chirp"),
     )
     amplitude: float = parameter(1.0, "Amplitude; of a multisine, of all its tones", unit="N m")
     frequency: float = parameter(1.0, "Frequency of sine and square", unit="rad/s")
@@ -121,6 +124,7 @@ class ExcitationParameters:
         """Return the excitation; every kind is checked, the chosen one is returned."""
         kinds: dict[str, Excitation] = {
             "none": NoTorque(),
+            "constant": Constant(self.amplitude),
             "sine": Sine(self.amplitude, self.frequency),
             "square": Square(self.amplitude, self.frequency),
             "multisine": Multisine(self.amplitude, self.lowest, self.highest, self.tones),
