@@ -3,7 +3,8 @@
 """The contenders of the acceptance benchmark on simulated runs, and the errors that they make.
 
 Errors are those of the estimate at a sample, after its correction if it was not lost, in design
-coordinates. PO and PIO hold a sample until the next one, so theirs is the estimate before it.
+coordinates. PO and PIO hold a sample until the next one, so theirs is the estimate before it. A
+lost sample is lost with its torque: ours knows that, and the others hold the torque before it.
 """
 
 from collections.abc import Callable
@@ -149,7 +150,7 @@ def kalman(
     nominal = design.arm_request.arm
     uncertainty = design.request.uncertainty_model if learns else None
     ekf = KalmanFilter(design, arm, uncertainty, GATE if gated else np.inf)
-    x, std = ekf.observe(runs.measurements, runs.torques)
+    x, std = ekf.observe(runs.measurements, received(runs))
     n, known = ekf.flow.state_count, arm or nominal
     disturbance = x[..., 4:n] @ ekf.flow.disturbance.H[0]
 
@@ -163,6 +164,16 @@ def kalman(
     )
 
 
+def received(runs: Trajectories) -> Array:
+    """Return the torques that are known, shape (runs, samples, 1).
+
+    A sample that is lost is lost with its torque; the one before it is held.
+    """
+    there = np.isfinite(runs.measurements)
+    places = np.maximum.accumulate(np.where(there, np.arange(there.shape[1])[:, np.newaxis], 0), 1)
+    return np.take_along_axis(runs.torques, places, 1)
+
+
 def high_gain(
     kind: Callable[[ElasticJointArm, float, float, float], Estimator],
     design: Design,
@@ -173,7 +184,7 @@ def high_gain(
     found: dict[str, list[Array]] = {name: [] for name in WINDOWS}
     for theta in GRID.tolist():
         observer = kind(request.arm, theta, request.period, request.measurement_std)
-        states = observer.observe(runs.measurements, runs.torques).state
+        states = observer.observe(runs.measurements, received(runs)).state
         squares = _squares(request.arm.from_physical(states), runs)
         for name, window in WINDOWS.items():
             part = squares[:, _inside(runs.times, window)]

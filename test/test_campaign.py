@@ -65,6 +65,7 @@ def test_scores_are_those_of_a_report() -> None:
         bounds[..., 4:],
         nothing,
         nothing,
+        {},
         ({},) * 3,
     )
     options = MetricsOptions(start_settle_time=3.0, jump_settle_time=1.0)
