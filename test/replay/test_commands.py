@@ -5,6 +5,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tsobs_ros.bag import BagReader
@@ -12,6 +13,8 @@ from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.cli.main import main
 from tsobs_ros.methods import METHODS
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+
+START, PERIOD, LATENCY = 1_700_000_000_000_000_000, 5_000_000, 300_000
 
 
 @pytest.fixture
@@ -47,6 +50,43 @@ def test_estimate_says_how_much_of_the_live_run_it_has_reproduced(bag: Path, cap
     result = json.loads(capsys.readouterr().out)
     assert result["live"]["recorded"] == result["live"]["reproduced"] > 200
     assert "/joint_measurements" not in BagReader(again).topics
+
+
+def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) -> None:
+    """Noise of three times the design's, a silence, and good measurements after it."""
+    encode, random = JointStateEncoder(["elbow"]), np.random.default_rng(4)
+    messages = []
+    for k in range(600):
+        late = 0 if k < 300 else 8_000_000_000
+        stamp = START + k * PERIOD + late
+        y = float(arms.y[k, 0]) + (0.0 if late else 0.08 * random.normal())
+        data = encode(stamp, [y], (), [float(arms.u[k, 0])])
+        messages.append(("/joint_measurements", data, stamp + LATENCY))
+    command = ["estimate", str(write_bag(messages)), "--rate", "100"]
+
+    assert main(command) == 0
+    out = capsys.readouterr().out
+    assert main([*command, "--output", f"{command[1]}_other", "--json"]) == 0
+    (observer,) = json.loads(capsys.readouterr().out)["observers"]
+
+    events = observer["events"]
+    lines = out[out.index("events, in seconds since") :].splitlines()[1 : 1 + len(events)]
+    for event, line in zip(events, lines, strict=True):
+        shown = f"{event['time']:9.1f} s  {event['level']:<5}  elbow: {event['text']}"
+        assert line == shown
+        assert event["stamp"] == pytest.approx(START + event["time"] * 1e9, abs=1e7)
+    assert observer["events_left_out"] == 0
+    found = [(round(one["time"], 1), one["kind"], one["level"]) for one in events]
+    for expected in (
+        (0.0, "state", "OK"), (1.6, "state", "WARN"), (6.5, "state", "ERROR"), (9.5, "state", "OK")
+    ):  # fmt: skip
+        assert expected in found
+    assert [level for _, kind, level in found if kind == "noise"] == ["WARN", "OK"]
+    health = observer["health"]["elbow"]
+    assert health["noise_scale"]["max"] >= health["noise_scale"]["median"] > 1.5
+    assert (health["learning"], health["certified"]) == ("starting", 0.0)
+    assert "bounds 100 % not certified" in out
+    assert "at the end learning waits until the estimate has settled; arm and sensor behave" in out
 
 
 def test_several_designs_and_methods_have_names_of_their_own(bag: Path, capsys) -> None:

@@ -17,10 +17,13 @@ if TYPE_CHECKING:
     from tsobs_ros.design.record import Design
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import Observer, Run
+    from tsobs_ros.replay.health import JointEvent
     from tsobs_ros.replay.source import Source
 
 # Repeated here, so that the parser needs no numpy.
 METHODS = ("certified", "ekf", "high_gain", "proportional_integral", "paper")
+
+_MAX_LINES = 20
 
 
 def add_parser(commands: Commands) -> None:
@@ -217,7 +220,8 @@ def _result(
     """Return the result for programs and for people."""
     from tsobs_ros.report.comparison import compare_runs, render_comparison
 
-    duration = float(source.samples.log_times.max() - source.samples.log_times.min()) * 1e-9
+    begin = int(source.samples.log_times.min())
+    duration = float(source.samples.log_times.max() - begin) * 1e-9
     # At most one of several observers was the live one.
     agreements = [one for one in (run.agreement() for run in runs) if one is not None]
     agreement = max(agreements, key=lambda one: one.reproduced, default=None)
@@ -233,8 +237,18 @@ def _result(
             f"{run.observer.name:<{width}}  {run.table.done.sum():,} estimates from "
             f"{run.replay.used:,} measurements; rejected: {rejected or 'none'}"
         )
+        if run.observer.settings.method == "certified":
+            for joint, health in run.health().items():
+                whose = f"{joint}: " if len(source.joints) > 1 else ""
+                lines += [f"{'':<{width}}  {whose}{line}" for line in health.lines()]
     lines += remarks
     lines += [] if agreement is None else [agreement.text()]
+    if len(runs) == 1:
+        events = [one.line(begin) for one in _in_order(runs[0])]
+        lines += ["events, in seconds since the first measurement:"] if events else []
+        lines += events[:_MAX_LINES]
+        if len(events) > _MAX_LINES:
+            lines.append(f"and {len(events) - _MAX_LINES} more, of which --json has some")
     lines += ["", render_comparison(errors)] if errors else []
     lines += [] if output is None else [f"wrote {output}"]
     mapping = {
@@ -253,6 +267,8 @@ def _result(
                 "rejected": {r.value: n for r, n in run.replay.rejected.items()},
                 "rewinds": run.replay.rewinds,
                 "failures": run.replay.failures,
+                "health": {joint: one.as_mapping() for joint, one in run.health().items()},
+                **_listed(_in_order(run), begin),
             }
             for run in runs
         ],
@@ -262,3 +278,16 @@ def _result(
         "damage": None if source.damage is None else str(source.damage),
     }
     return mapping, "\n".join(lines)
+
+
+def _in_order(run: "Run") -> "list[JointEvent]":
+    return sorted(run.events(), key=lambda one: one.log_time)
+
+
+def _listed(events: "list[JointEvent]", begin: int) -> dict[str, Any]:
+    from tsobs_ros.replay.health import MAX_EVENTS
+
+    return {
+        "events": [one.as_mapping(begin) for one in events[:MAX_EVENTS]],
+        "events_left_out": max(0, len(events) - MAX_EVENTS),
+    }

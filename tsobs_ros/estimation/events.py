@@ -111,13 +111,16 @@ BOUNDS: Mapping[Basis, tuple[Level, str]] = {
     Basis.CERTIFIED: (Level.OK, "the bound is certified"),
     Basis.LEARNT: (
         Level.OK,
-        "the bound holds: the certificate's, and for the learnt parameters their own uncertainty",
+        "the bound holds: it is certified but for the uncertainty of the learnt parameters",
     ),
     Basis.STARTING: (
         Level.OK,
         "the bound is not certified yet: the estimate settles after a start",
     ),
-    Basis.GAP: (Level.OK, "the bound is not certified: measurements or torques were missing"),
+    Basis.GAP: (
+        Level.OK,
+        "the bound is not certified: measurements or torques are missing or rejected",
+    ),
     Basis.JUMP: (Level.OK, "the bound is not certified: the sensor has jumped"),
     Basis.TORQUE: (Level.OK, "the bound is not certified: the torque made a doubtful step"),
     Basis.CONTRADICTED: (

@@ -27,8 +27,9 @@ from tsobs_ros.bag.writer import BagWriter, Message
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.events import COAST_AFTER, Condition, Event, EventLog
+from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
+from tsobs_ros.replay.health import Health, JointEvent, find_events, sum_up
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.replay import Replay
 from tsobs_ros.replay.schedule import Schedule, as_recorded, at_rate, at_samples
@@ -185,31 +186,31 @@ class Run:
             own[there] = theirs[ticks[there]]
         return at
 
-    def events(self, coast_after: float = COAST_AFTER) -> list["JointEvent"]:
+    def events(self, coast_after: float = COAST_AFTER) -> list[JointEvent]:
         """Return the events that the node would have logged, in order.
 
         Args:
             coast_after: The node's parameter [s].
         """
         ticks = np.concatenate([np.zeros(0, np.intp), *self._health_ticks])
-        schedule, same_clock = self.schedule, self._samples.same_clock
-        stamps, times = schedule.stamps[ticks].tolist(), schedule.log_times[ticks].tolist()
-        resets = np.flatnonzero(schedule.reset_after >= 0)
-        restarted = np.diff(np.searchsorted(resets, ticks, side="right"), prepend=0).tolist()
-        stale_after, topic = self.observer.settings.stale_after, self._source.topic
-        joints = self._source.joints
-        logs = [EventLog(topic, coast_after, stale_after) for _ in joints]
-        found: list[JointEvent] = []
-        for tick, rows in enumerate(self.table.health(ticks).tolist()):
-            stamp, time = stamps[tick], times[tick]
-            for joint, log, row in zip(joints, logs, rows, strict=True):
-                if restarted[tick]:
-                    log.restart()
-                if row[0] == row[0]:
-                    for event in log.update(Condition.of_numbers(stamp, row)):
-                        before = stamp - event.stamp if same_clock else 0
-                        found.append(JointEvent(joint, time - before, event))
-        return found
+        resets = np.flatnonzero(self.schedule.reset_after >= 0)
+        return find_events(
+            self._source.joints,
+            self.schedule.stamps[ticks],
+            self.schedule.log_times[ticks],
+            self.table.health(ticks),
+            source=self._source.topic,
+            stale_after=self.observer.settings.stale_after,
+            coast_after=coast_after,
+            restarted=np.diff(np.searchsorted(resets, ticks, side="right"), prepend=0) > 0,
+            same_clock=self._samples.same_clock,
+        )
+
+    def health(self) -> dict[str, Health]:
+        """Return the health of each joint that has estimates."""
+        conditions = self.table.health(np.arange(self.schedule.count))
+        found = {joint: sum_up(conditions[:, k]) for k, joint in enumerate(self._source.joints)}
+        return {joint: one for joint, one in found.items() if one is not None}
 
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if the run was made by them."""
@@ -326,20 +327,6 @@ def _blocks(
         following = times[number * _BLOCK :]
         horizon = float(following[0]) if len(following) else math.inf
         yield horizon, list(chain.from_iterable(blocks))
-
-
-class JointEvent(NamedTuple):
-    """An event of a joint.
-
-    Attributes:
-        joint: The joint's name.
-        log_time: The time on the clock of the recording, ns since the epoch.
-        event: The event.
-    """
-
-    joint: str
-    log_time: int
-    event: Event
 
 
 class _Times(NamedTuple):

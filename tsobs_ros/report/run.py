@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
@@ -27,7 +27,7 @@ MAX_GAP = 0.1
 """Series are not interpolated across longer gaps [s]: messages were lost there."""
 
 
-_OPTIONAL = ("innovations", "truth", "true_disturbance")
+_OPTIONAL = ("innovations", "truth", "true_disturbance", "health")
 
 
 class Series(NamedTuple):
@@ -67,6 +67,9 @@ class RecordedRun:
         innovations: y − ŷ [rad] at the measurements' stamps, values (n', 1); None if not recorded.
         truth: True [q₁, q̇₁, q₂, q̇₂] at the sampling stamps, values (k, 4); None on a robot.
         true_disturbance: [rad] at the sampling stamps, values (k', 1); None on a robot.
+        health: Numbers of `estimation.events.Condition` at their stamps, values (h, 6); None if
+            not recorded.
+        topic: Name of the measurements' topic.
         passes: Number of passes over the recorded time; this is the longest one.
     """
 
@@ -81,6 +84,8 @@ class RecordedRun:
     innovations: Series | None = None
     truth: Series | None = None
     true_disturbance: Series | None = None
+    health: Series | None = None
+    topic: str = "joint_measurements"
     passes: int = 1
 
     @cached_property
@@ -139,6 +144,8 @@ def read_run(
         raise BagReadError(f"{bag}: no topic ends in {', '.join(missing)}; topics: {has}")
     there = {key: name for key, name in names.items() if name is not None}
     read = read_joint_series(reader, {name: wanted[key][1] for key, name in there.items()})
+    if "health" in there:
+        read[there["health"]] = _as_named(read[there["health"]])
     streams = {key: _passes(read[name]) for key, name in there.items()}
     if empty := [str(name) for key, name in required.items() if not streams[key]]:
         raise BagReadError(f"{bag}: no message about joint '{joint}' on {', '.join(empty)}")
@@ -159,6 +166,7 @@ def read_run(
         state_bounds=align(chosen["bounds"], states.stamps),
         disturbance=align(chosen["disturbance"], states.stamps)[:, 0],
         disturbance_bounds=align(chosen["disturbance_bound"], states.stamps)[:, 0],
+        topic=str(names["measurements"]),
         passes=len(streams["states"]),
         **{key: chosen[key].ordered() for key in _OPTIONAL if key in chosen},
     )
@@ -168,6 +176,7 @@ def _wanted(joint: str, observer: str) -> dict[str, tuple[str, Wanted]]:
     """Return for each part of a run the end of its topic's name, and what to read of it."""
     motion = Wanted(topics.sides(joint), ("position", "velocity"))
     angle = Wanted((joint,), ("position",))
+    health = [*topics.CONDITIONS, *topics.parameter_names(joint, topics.CONDITIONS, alone=False)]
     return {
         "measurements": ("joint_measurements", Wanted((joint,), ("position", "effort"))),
         "states": (f"{observer}/{topics.STATES}", motion),
@@ -175,6 +184,7 @@ def _wanted(joint: str, observer: str) -> dict[str, tuple[str, Wanted]]:
         "disturbance": (f"{observer}/{topics.DISTURBANCE}", angle),
         "disturbance_bound": (f"{observer}/{topics.DISTURBANCE_BOUND}", angle),
         "innovations": (f"{observer}/{topics.INNOVATION}", angle),
+        "health": (f"{observer}/{topics.HEALTH}", Wanted(health, ("position",))),
         "truth": ("ground_truth/joint_states", motion),
         "true_disturbance": ("ground_truth/disturbance", angle),
     }
@@ -194,6 +204,14 @@ def _find(reader: BagReader, suffix: str, namespace: str | None) -> str | None:
     if matches and (type_ := reader.topics[matches[0]].type) != JOINT_STATE:
         raise BagReadError(f"{reader.path}: {matches[0]} is {type_}, expected {JOINT_STATE}")
     return matches[0] if matches else None
+
+
+def _as_named(health: JointSeries) -> JointSeries:
+    """Return the numbers of a joint that is alone or, if there are such, of one among several."""
+    begin = len(topics.CONDITIONS) if health.named[:, len(topics.CONDITIONS) :].any() else 0
+    own = slice(begin, begin + len(topics.CONDITIONS))
+    given = health.given[:, own]
+    return replace(health, values=health.values[:, own], named=health.named[:, own], given=given)
 
 
 def _passes(series: JointSeries) -> list[tuple[int, Series]]:

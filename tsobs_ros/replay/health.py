@@ -1,0 +1,165 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The health of recorded estimates: their events in order, and a summary."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsobs_ros.bag.joint_series import Times
+from tsobs_ros.checks import Array
+from tsobs_ros.estimation.events import (
+    COAST_AFTER,
+    HYPOTHESES,
+    LEARNINGS,
+    Condition,
+    Event,
+    EventLog,
+)
+from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis, Learning
+
+_BOUNDS = {
+    Basis.CERTIFIED: "certified",
+    Basis.LEARNT: "certified but for the learnt parameters",
+    Basis.CONTRADICTED: "void",
+    Basis.OUTSIDE: "void",
+    Basis.HYPOTHESIS: "of another hypothesis",
+}
+
+MAX_EVENTS = 200
+"""Events of an observer that are listed at most."""
+
+
+class JointEvent(NamedTuple):
+    """An event of a joint.
+
+    Attributes:
+        joint: The joint's name.
+        log_time: The time on the clock of the recording, ns since the epoch.
+        event: The event.
+    """
+
+    joint: str
+    log_time: int
+    event: Event
+
+    def as_mapping(self, begin: int) -> dict[str, Any]:
+        """Return the event as plain data, its time in seconds since a log time [ns]."""
+        stamp, kind, level, text = self.event
+        return {
+            "joint": self.joint,
+            "time": (self.log_time - begin) / NANOSECONDS,
+            "stamp": stamp,
+            "kind": kind.value,
+            "level": level.name,
+            "text": text,
+        }
+
+    def line(self, begin: int) -> str:
+        """Return the event for a terminal, its time in seconds since a log time [ns]."""
+        time = (self.log_time - begin) / NANOSECONDS
+        return f"{time:9.1f} s  {self.event.level.name:<5}  {self.joint}: {self.event.text}"
+
+
+class Health(NamedTuple):
+    """The health of a joint's estimates, summed up.
+
+    Attributes:
+        noise_scale: Median of the noise's scale.
+        max_noise_scale: Largest one.
+        bases: Shares of the estimates by what their bounds rest on, without those that are zero.
+        learning: What the learning does at the end.
+        hypothesis: What arm and sensor are taken for at the end.
+    """
+
+    noise_scale: float
+    max_noise_scale: float
+    bases: dict[Basis, float]
+    learning: Learning
+    hypothesis: Hypothesis
+
+    @property
+    def certified(self) -> float:
+        """Share of the estimates with a certified bound."""
+        return self.bases.get(Basis.CERTIFIED, 0.0)
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {
+            "noise_scale": {"median": self.noise_scale, "max": self.max_noise_scale},
+            "certified": self.certified,
+            "bases": {basis.name.lower(): share for basis, share in self.bases.items()},
+            "learning": self.learning.name.lower(),
+            "learning_text": LEARNINGS[self.learning][1],
+            "hypothesis": self.hypothesis.name.lower(),
+        }
+
+    def lines(self) -> tuple[str, ...]:
+        """Return it for a terminal."""
+        shares: dict[str, float] = {}
+        for basis, share in self.bases.items():
+            name = _BOUNDS.get(basis, "not certified")
+            shares[name] = shares.get(name, 0.0) + share
+        bounds = ", ".join(f"{100.0 * share:.3g} % {name}" for name, share in shares.items())
+        return (
+            f"noise {self.noise_scale:.2f} times the design's, at most {self.max_noise_scale:.2f}",
+            f"bounds {bounds}",
+            f"at the end {LEARNINGS[self.learning][1]}; {HYPOTHESES[self.hypothesis][1]}",
+        )
+
+
+def sum_up(conditions: Array) -> Health | None:
+    """Return the health in conditions' numbers, NaN without an estimate, shape (n, 6)."""
+    known = conditions[~np.isnan(conditions[:, 0])]
+    if not len(known):
+        return None
+    last = Condition.of_numbers(0, known[-1].tolist())
+    scale, basis = known[:, 0], known[:, 2]
+    return Health(
+        noise_scale=float(np.median(scale)),
+        max_noise_scale=float(scale.max()),
+        bases={one: float(share) for one in Basis if (share := (basis == one).mean())},
+        learning=last.learning,
+        hypothesis=last.hypothesis,
+    )
+
+
+def find_events(
+    joints: Sequence[str],
+    stamps: Times,
+    log_times: Times,
+    conditions: Array,
+    *,
+    source: str,
+    stale_after: float,
+    coast_after: float = COAST_AFTER,
+    restarted: NDArray[Any] | None = None,
+    same_clock: bool = True,
+) -> list[JointEvent]:
+    """Return the events that a node would have logged, in order.
+
+    Args:
+        joints: Names of J joints.
+        stamps: Of the conditions [ns], shape (n,).
+        log_times: Of the same, ns since the epoch, shape (n,).
+        conditions: Their numbers, NaN without an estimate, shape (n, J, 6).
+        source: Where the measurements come from.
+        stale_after: Age of the newest measurement for STALE [s].
+        coast_after: Age of it for COASTING [s].
+        restarted: Whether the observer was restarted before a condition, shape (n,); never if None.
+        same_clock: Whether stamps and log times are of the same clock.
+    """
+    logs = [EventLog(source, coast_after, stale_after) for _ in joints]
+    found: list[JointEvent] = []
+    times = zip(stamps.tolist(), log_times.tolist(), strict=True)
+    for place, ((stamp, log_time), rows) in enumerate(zip(times, conditions.tolist(), strict=True)):
+        for joint, log, row in zip(joints, logs, rows, strict=True):
+            if restarted is not None and restarted[place]:
+                log.restart()
+            if row[0] == row[0]:
+                for event in log.update(Condition.of_numbers(stamp, row)):
+                    before = stamp - event.stamp if same_clock else 0
+                    found.append(JointEvent(joint, log_time - before, event))
+    return found
