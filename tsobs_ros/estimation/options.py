@@ -117,10 +117,9 @@ class SupervisionOptions:
 
     gate: float = 5.0
     reject: float = 50.0
-    jump_std: float = 0.15
-    jump_duration: float = 1.5
-    jump_gap: float = 0.5
-    jump_quiet: float = 8.0
+    jump_std: float = 0.05
+    jump_duration: float = 0.5
+    jump_quiet: float = 2.5
     jump_budget: int = 8
     jump_budget_window: float = 20.0
     lost: float = 6.0

@@ -28,7 +28,7 @@ from tsobs_ros.model.prediction import Record, fill_matrix
 from tsobs_ros.model.stepping import Room, flow_type, record_type
 from tsobs_ros.model.trigonometry import exponential
 
-WINDOW = 8
+WINDOW = 24
 """Innovations that are looked at together for a jump."""
 
 CONDITIONS = (
@@ -136,9 +136,12 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("pending_before", number, (2, k)),
             ("gamma_before", number, (2, k, k)),
             ("kept", count),
+            ("mean", number, (n,)),
+            ("spread", number, (n,)),
             ("cause", count),
             ("age", number),
             ("recent", number, (WINDOW,)),
+            ("sizes", number, (WINDOW,)),
             ("calm", number, (WINDOW,)),
             ("watched", count),
             ("nis", number),
@@ -146,6 +149,7 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("noise_scale", number),
             ("scale_age", number),
             ("previous", number),
+            ("leap", number),
             ("paired", count),
             ("since", number),
             ("coloured_power", number),
@@ -280,6 +284,7 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("disturbance_std", number, (p,)),
             ("limits", number, (k,)),
             ("theta_variance", number),
+            ("motion_share", number),
             ("random_walk", number),
             ("significance", number),
             ("pass_time", number),
@@ -293,7 +298,6 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("reject", number),
             ("jump_std", number),
             ("jump_duration", number),
-            ("jump_gap", number),
             ("jump_quiet", number),
             ("jump_budget", count),
             ("jump_budget_window", number),
@@ -354,6 +358,7 @@ def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, cove
     fill_matrix(model["limits"], limits)
     model["covered"] = covered
     model["theta_variance"] = options.initial_std * options.initial_std
+    model["motion_share"] = 1.0 - exponential(-0.5 * float(model["period"]))
     model["significance"] = options.significance
     model["pass_time"], model["pass_reach"] = options.pass_time, 0.5
     model["random_walk"] = options.random_walk_density

@@ -54,18 +54,24 @@ _AFTER_JUMP, _STRAINED = Learning.AFTER_JUMP.value, Learning.STRAINED.value
 
 _CLIP = 5.0
 _SAME_SIGN, _FAR, _CLOSE = 7, 6, 4
-_LEAN = 6.0 * math.sqrt(WINDOW)
+_LEANING = 8
+_LEAN = 6.0 * math.sqrt(_LEANING)
+_SUDDEN = 0.4
 _LOST_CLIP = 4.0
-_CALM = 1.0
+_CALM = 0.7
 _STRAIN = 1.0
 _MAX_NIS = 3.0
 _MAX_COLOUR = 0.5
 _DOUBT = 3.0
+_EVEN = 0.3
 _PASSES = 4
+_SMOOTH = 2.0
 _CURVED = 0.3
 _WHITE = 0.15
 _ALIKE = 0.9
 _NEIGHBOURS = 10.0
+_REGULAR, _OUTLIER = 1, 2
+_MOVING = 3.0
 _MEDIAN = 0.6745
 
 
@@ -90,6 +96,7 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
         _apply(model, state, correction, adapt)
         if jumped and model.disturbed != 0:
             _unlearn(model, state)
+            _leap(model, state)
             _inflate(model, state, model.jump_std, model.jump_duration)
             state.jumps += 1
             state.pause = model.jump_duration
@@ -185,7 +192,26 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
             p,
         )
     if k > 0:
-        _learn(model, state, correction, adapt, inflation)
+        moves = _moves(model, state)
+        _learn(model, state, correction, adapt and moves, inflation)
+
+
+@compiled
+def _moves(model: Any, state: Any) -> bool:
+    """Return whether the plant has moved by more than its bounds in the last seconds.
+
+    At rest, regressors follow the noise of the estimate: what they show is false.
+    """
+    moves, mean, spread, x = False, state.mean[:], state.spread[:], state.x[:]
+    share = model.motion_share if state.age >= model.adaptation_start else 1.0
+    noise = larger(state.noise_scale, 1.0)
+    for i in range(model.plant):
+        off = x[i] - mean[i]
+        mean[i] += share * off
+        spread[i] = (1.0 - share) * (spread[i] + share * off * off)
+        least = _MOVING * noise * model.state_std[i]
+        moves = moves or spread[i] > least * least
+    return moves
 
 
 @compiled
@@ -266,7 +292,7 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
         return False, False
     _scale_noise(model, state, innovation)
     r /= larger(state.noise_scale, 1.0)
-    size, recent, calm = abs(r), state.recent[:], state.calm[:]
+    size, recent, calm, sizes = abs(r), state.recent[:], state.calm[:], state.sizes[:]
     limit = model.gate * math.sqrt(larger(state.coloured_power, 1.0))
     if size > limit:
         correction.weight = (limit / size) * (limit / size)
@@ -279,16 +305,17 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
         coloured += model.second_share * (product - coloured)
     if state.watched == WINDOW:
         for i in range(WINDOW - 1):
-            recent[i], calm[i] = recent[i + 1], calm[i + 1]
+            recent[i], calm[i], sizes[i] = recent[i + 1], calm[i + 1], sizes[i + 1]
     else:
         state.watched += 1
     recent[state.watched - 1] = clipped
+    sizes[state.watched - 1] = abs(innovation)
     calm[state.watched - 1] = state.coloured_power
     nis = state.nis + model.second_share * (clipped * clipped - state.nis)
     # A lone value of any size must not give the estimate up.
     bounded = min(size, _LOST_CLIP * model.lost)
     magnitude = state.magnitude + model.magnitude_share * (bounded - state.magnitude)
-    if magnitude > model.lost:
+    if magnitude > model.lost and coloured > _SMOOTH:
         # This sample is not used: it may be the worst of those that gave the estimate up. The
         # disturbance is wide open, as the sensor is lost more often than the arm.
         restart(model, state)
@@ -305,6 +332,10 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
         state.outliers += 1
     used = correction.weight > 0.0
     if _leans(state) and calm[0] < _CALM and _may_jump(model, state):
+        least = abs(innovation)
+        for i in range(WINDOW - _CLOSE, WINDOW):
+            least = min(least, sizes[i])
+        state.leap = math.copysign(least, innovation)
         # The averages start over: they belong to the time before the jump.
         _forget(state)
         _note_jump(model, state)
@@ -332,7 +363,12 @@ def _scale_noise(model: Any, state: Any, innovation: float) -> None:
     It is a stochastic approximation in the logarithm of the scale.
     """
     elapsed = state.since
-    if state.paired != 0 and elapsed <= _NEIGHBOURS * model.period:
+    limit = larger(state.noise_scale, 1.0) * model.gate
+    kind = _REGULAR
+    if abs(innovation) > limit * math.sqrt(model.innovation_covariance[0, 0]):
+        kind = _OUTLIER
+    # An outlier and its neighbour show nothing; if most are outliers, the noise is larger.
+    if state.paired == kind and elapsed <= _NEIGHBOURS * model.period:
         expected = math.sqrt(2.0 * model.innovation_covariance[0, 0]) * _MEDIAN
         rate = larger(20.0 / (1.0 + 20.0 * state.scale_age), 1.0)
         step = 1.0 + 0.5 * rate * elapsed
@@ -341,7 +377,7 @@ def _scale_noise(model: Any, state: Any, innovation: float) -> None:
         else:
             state.noise_scale /= step
         state.scale_age += elapsed
-    state.previous, state.paired = innovation, 1
+    state.previous, state.paired = innovation, kind
 
 
 @compiled
@@ -367,21 +403,33 @@ def _forget(state: Any) -> None:
 
 @compiled
 def _leans(state: Any) -> bool:
+    """Return whether the newest innovations lean to one side, of a sudden and all alike."""
     if state.watched < WINDOW:
         return False
-    total, positives, up, down, recent = 0.0, 0, 0, 0, state.recent[:]
-    for i in range(WINDOW):
+    total, before, positives, up, down, recent = 0.0, 0.0, 0, 0, 0, state.recent[:]
+    for i in range(_LEANING):
+        before += recent[i]
+    for i in range(WINDOW - _LEANING, WINDOW):
         total += recent[i]
         positives += 1 if recent[i] > 0.0 else 0
         up += 1 if recent[i] > 1.0 else 0
         down += 1 if recent[i] < -1.0 else 0
     # A few outliers can make the sum.
-    same = max(positives, WINDOW - positives) >= _SAME_SIGN and max(up, down) >= _FAR
+    same = max(positives, _LEANING - positives) >= _SAME_SIGN and max(up, down) >= _FAR
     if not same or abs(total) <= _LEAN:
         return False
+    # A wrong model makes them lean little by little.
+    if before * math.copysign(1.0, total) > _SUDDEN * abs(total):
+        return False
+    # All of the newest must be from after the jump, since they show its size.
+    least, most = _CLIP, 0.0
+    for i in range(WINDOW - _CLOSE, WINDOW):
+        least, most = min(least, abs(recent[i])), max(most, abs(recent[i]))
+    if least < _EVEN * most:
+        return False
     # Nor is it a jump if the samples differ as much among themselves, as in a burst of noise.
-    close, reach = 0, 0.5 * abs(total) / WINDOW
-    for i in range(1, WINDOW):
+    close, reach = 0, 0.5 * abs(total) / _LEANING
+    for i in range(WINDOW - _LEANING + 1, WINDOW):
         close += 1 if abs(recent[i] - recent[i - 1]) < reach else 0
     return close >= _CLOSE
 
@@ -391,7 +439,7 @@ def _may_jump(model: Any, state: Any) -> bool:
     if model.jump_std == 0.0 or model.jump_budget == 0 or state.watch_age < model.jump_quiet:
         return False
     count = state.jump_count
-    if count > 0 and state.watch_age - state.jump_ages[count - 1] < model.jump_gap:
+    if count > 0 and state.watch_age - state.jump_ages[count - 1] < model.jump_duration:
         return False
     full = count >= model.jump_budget
     return not full or state.watch_age - state.jump_ages[0] > model.jump_budget_window
@@ -407,6 +455,15 @@ def _limit_disturbance(model: Any, state: Any) -> None:
     excess = omega - math.copysign(model.disturbance_limit, omega)
     for j in range(n):
         x[j] -= excess * (h[j] / square)
+
+
+@compiled
+def _leap(model: Any, state: Any) -> None:
+    """Move the disturbance by the least of the innovations that lean, by the smallest change."""
+    h, x = model.disturbance_map[0], state.x[:]
+    square = dot(h, h, model.n)
+    for j in range(model.n):
+        x[j] += state.leap * (h[j] / square)
 
 
 @compiled
@@ -432,7 +489,7 @@ def _keep(model: Any, state: Any) -> None:
     if state.kept > 0:
         state.kept -= 1
         return
-    state.kept = WINDOW
+    state.kept = _LEANING
     for i in range(k):
         state.theta_before[1, i] = state.theta_before[0, i]
         state.theta_before[0, i] = state.theta[i]
