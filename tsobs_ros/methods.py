@@ -12,6 +12,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.events import STALE_AFTER
 from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.paper.observer import PAPER_WARNING, paper_observer
@@ -64,7 +65,7 @@ class ObserverSettings:
     adapt: bool = True
     history: float = 0.5
     future_tolerance: float = 0.1
-    stale_after: float = 5.0
+    stale_after: float = STALE_AFTER
     assume_zero_torque: bool = False
     supervision: SupervisionOptions = field(default_factory=SupervisionOptions)
 

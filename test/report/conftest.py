@@ -3,7 +3,7 @@
 """Runs to report on: a simulated one, and bags written without ROS."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag.definitions import MessageDefinition
+from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design
 from tsobs_ros.report.comparison import rerun
@@ -138,6 +139,11 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
     if run.true_disturbance is not None:
         stamps, values = run.true_disturbance
         topics["ground_truth/disturbance"] = scalar(stamps, values[:, 0])
+    if run.health is not None:
+        topics["observer/health"] = [
+            Row(s, CONDITIONS, v)
+            for s, v in zip(run.health.stamps.tolist(), run.health.values, strict=True)
+        ]
     return {f"{namespace}/{name}": rows for name, rows in topics.items()}
 
 
@@ -157,6 +163,18 @@ def shortened(run: RecordedRun, count: int) -> RecordedRun:
 def short(simulated: RecordedRun) -> RecordedRun:
     """The first second of the simulated run."""
     return shortened(simulated, 200)
+
+
+@pytest.fixture
+def troubled(simulated: RecordedRun) -> RecordedRun:
+    """The simulated run, with noise above the design's from 5 s to 12 s and a void bound at 8 s."""
+    stamps = simulated.stamps[::20]
+    health = np.tile([1.0, 0.1, 0.0, 0.0, 0.0, 0.002], (len(stamps), 1))
+    times = (stamps - stamps[0]) * 1e-9
+    health[(times > 5.0) & (times < 12.0), 0] = 1.8
+    health[(times > 8.0) & (times < 10.0), 2] = 6.0
+    health[times > 15.0, 4] = 1.0
+    return replace(simulated, health=Series(stamps, health))
 
 
 @pytest.fixture

@@ -36,6 +36,23 @@ def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, 
     )
 
 
+def test_a_report_lists_what_happened_to_the_estimates(
+    troubled, messages_of, write_bag, tmp_path
+) -> None:
+    report = make_bag_report(write_bag(messages_of(troubled)), tmp_path, None, ekf=False)
+
+    health = json.loads((tmp_path / "report.json").read_text())["health"]
+    assert [(round(one["time"], 1), one["kind"], one["level"]) for one in health["events"]] == [
+        (0.0, "state", "OK"), (0.0, "bound", "OK"), (5.1, "noise", "WARN"), (8.1, "bound", "WARN"),
+        (10.0, "bound", "OK"), (12.0, "noise", "OK"), (15.0, "hypothesis", "WARN"),
+    ]  # fmt: skip
+    assert health["noise_scale"] == {"median": 1.0, "max": 1.8}
+    assert health["bases"] == {"certified": 0.905, "contradicted": 0.095}
+    text = report.text()
+    assert "bounds 90.5 % certified, 9.5 % void" in text
+    assert all(one["text"] in text for one in health["events"])
+
+
 def test_a_report_of_a_robot_without_design(short, messages_of, write_bag, tmp_path) -> None:
     bag = write_bag(messages_of(replace(short, truth=None, true_disturbance=None)))
     (tmp_path / "report.json").write_text("old")

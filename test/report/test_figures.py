@@ -120,6 +120,25 @@ def test_panels_hold_the_run_in_its_units(simulated) -> None:
     assert all(panel.values.dots is None for panel in shown[1:5])
 
 
+def test_noise_and_void_bounds_have_a_panel(troubled, tmp_path) -> None:
+    panel = panels(troubled, measure(troubled))[-1]
+
+    plot, (coloured, name) = panel.values, panel.values.other
+    assert (plot.label, name) == ("noise scale", "coloured power")
+    np.testing.assert_array_equal(plot.estimate.values, troubled.health.values[:, 0])
+    np.testing.assert_array_equal(coloured.values, troubled.health.values[:, 1])
+    (span,) = plot.spans
+    assert span == pytest.approx((8.1, 10.0), abs=0.01)
+    assert "25 % force" in panel.remark
+    run = replace(troubled, truth=None, true_disturbance=None)
+    draw_run(run, measure(run), tmp_path / "run.png")
+    pixels = imread(tmp_path / "run.png")[..., :3]
+    marked = 0.13 * np.array(to_rgb(content.EVENT_COLOUR)) + 0.87
+    assert (np.abs(pixels - marked).max(axis=-1) < 0.02).sum() > 1000
+    write_html(run, measure(run), tmp_path / "run.html")
+    assert "coloured power" in (tmp_path / "run.html").read_text(encoding="utf-8")
+
+
 def test_wild_first_guesses_do_not_flatten_the_rest(simulated) -> None:
     states = simulated.states.copy()
     states[:20] = 1e3

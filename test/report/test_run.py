@@ -28,6 +28,28 @@ def test_a_run_comes_back_from_its_bag(short, messages_of, write_bag, namespace)
     assert run.name.endswith("/bag")
 
 
+@pytest.mark.parametrize("alone", [True, False])
+def test_the_health_of_one_joint_is_read_whoever_else_is_in_it(
+    troubled, messages_of, write_bag, alone
+) -> None:
+    topics = messages_of(troubled)
+    if not alone:
+        topics["/observer/health"] = [
+            one._replace(
+                names=[
+                    f"{joint}/{name}" for joint in ("other", troubled.joint) for name in one.names
+                ],
+                position=[*np.full(6, np.nan), *one.position],
+            )
+            for one in topics["/observer/health"]
+        ]
+
+    health = read_run(write_bag(topics)).health
+
+    np.testing.assert_array_equal(health.stamps, troubled.health.stamps)
+    np.testing.assert_array_equal(health.values, troubled.health.values)
+
+
 def test_missing_topics_are_named_with_the_bag(short, messages_of, write_bag) -> None:
     topics = messages_of(short)
     del topics["/observer/error_bound"], topics["/joint_measurements"]

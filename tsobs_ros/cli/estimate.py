@@ -17,13 +17,10 @@ if TYPE_CHECKING:
     from tsobs_ros.design.record import Design
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import Observer, Run
-    from tsobs_ros.replay.health import JointEvent
     from tsobs_ros.replay.source import Source
 
 # Repeated here, so that the parser needs no numpy.
 METHODS = ("certified", "ekf", "high_gain", "proportional_integral", "paper")
-
-_MAX_LINES = 20
 
 
 def add_parser(commands: Commands) -> None:
@@ -218,6 +215,7 @@ def _result(
     remarks: Sequence[str],
 ) -> tuple[dict[str, Any], str]:
     """Return the result for programs and for people."""
+    from tsobs_ros.replay.health import list_events, map_events
     from tsobs_ros.report.comparison import compare_runs, render_comparison
 
     begin = int(source.samples.log_times.min())
@@ -244,11 +242,7 @@ def _result(
     lines += remarks
     lines += [] if agreement is None else [agreement.text()]
     if len(runs) == 1:
-        events = [one.line(begin) for one in _in_order(runs[0])]
-        lines += ["events, in seconds since the first measurement:"] if events else []
-        lines += events[:_MAX_LINES]
-        if len(events) > _MAX_LINES:
-            lines.append(f"and {len(events) - _MAX_LINES} more, of which --json has some")
+        lines += list_events(runs[0].events(), begin)
     lines += ["", render_comparison(errors)] if errors else []
     lines += [] if output is None else [f"wrote {output}"]
     mapping = {
@@ -268,7 +262,7 @@ def _result(
                 "rewinds": run.replay.rewinds,
                 "failures": run.replay.failures,
                 "health": {joint: one.as_mapping() for joint, one in run.health().items()},
-                **_listed(_in_order(run), begin),
+                **map_events(run.events(), begin),
             }
             for run in runs
         ],
@@ -278,16 +272,3 @@ def _result(
         "damage": None if source.damage is None else str(source.damage),
     }
     return mapping, "\n".join(lines)
-
-
-def _in_order(run: "Run") -> "list[JointEvent]":
-    return sorted(run.events(), key=lambda one: one.log_time)
-
-
-def _listed(events: "list[JointEvent]", begin: int) -> dict[str, Any]:
-    from tsobs_ros.replay.health import MAX_EVENTS
-
-    return {
-        "events": [one.as_mapping(begin) for one in events[:MAX_EVENTS]],
-        "events_left_out": max(0, len(events) - MAX_EVENTS),
-    }

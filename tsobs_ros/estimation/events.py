@@ -15,8 +15,8 @@ from tsobs_ros.estimation.records import NANOSECONDS, Basis, Estimate, Hypothesi
 
 S = TypeVar("S")
 
-COAST_AFTER = 0.1
-"""Default age of the newest measurement for COASTING [s]."""
+COAST_AFTER, STALE_AFTER = 0.1, 5.0
+"""Default ages of the newest measurement for COASTING and for STALE [s]."""
 
 NOISY, NOT_NOISY = 1.5, 1.3
 """Noise scales from which on the noise counts as larger than the design's, and below which as usual

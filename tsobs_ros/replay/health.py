@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The health of recorded estimates: their events in order, and a summary."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from tsobs_ros.estimation.events import (
     COAST_AFTER,
     HYPOTHESES,
     LEARNINGS,
+    STALE_AFTER,
     Condition,
     Event,
     EventLog,
@@ -28,8 +29,7 @@ _BOUNDS = {
     Basis.HYPOTHESIS: "of another hypothesis",
 }
 
-MAX_EVENTS = 200
-"""Events of an observer that are listed at most."""
+_MAX_EVENTS, _MAX_LINES = 200, 20
 
 
 class JointEvent(NamedTuple):
@@ -45,22 +45,44 @@ class JointEvent(NamedTuple):
     log_time: int
     event: Event
 
-    def as_mapping(self, begin: int) -> dict[str, Any]:
-        """Return the event as plain data, its time in seconds since a log time [ns]."""
-        stamp, kind, level, text = self.event
-        return {
-            "joint": self.joint,
-            "time": (self.log_time - begin) / NANOSECONDS,
-            "stamp": stamp,
-            "kind": kind.value,
-            "level": level.name,
-            "text": text,
-        }
 
-    def line(self, begin: int) -> str:
-        """Return the event for a terminal, its time in seconds since a log time [ns]."""
-        time = (self.log_time - begin) / NANOSECONDS
-        return f"{time:9.1f} s  {self.event.level.name:<5}  {self.joint}: {self.event.text}"
+def map_events(events: Iterable[JointEvent], begin: int) -> dict[str, Any]:
+    """Return the first events by their times, and the number of the others, as plain data.
+
+    Args:
+        events: The events.
+        begin: Log time that times count from, ns since the epoch.
+    """
+    ordered = sorted(events, key=lambda one: one.log_time)
+    mappings = [
+        {
+            "joint": joint,
+            "time": (log_time - begin) / NANOSECONDS,
+            "stamp": event.stamp,
+            "kind": event.kind.value,
+            "level": event.level.name,
+            "text": event.text,
+        }
+        for joint, log_time, event in ordered[:_MAX_EVENTS]
+    ]
+    return {"events": mappings, "events_left_out": len(ordered) - len(mappings)}
+
+
+def list_events(events: Iterable[JointEvent], begin: int) -> list[str]:
+    """Return the same for a terminal, fewer of them, and nothing if there are none."""
+    ordered = sorted(events, key=lambda one: one.log_time)
+    if not ordered:
+        return []
+    lines = [
+        f"{(log_time - begin) / NANOSECONDS:9.1f} s  {event.level.name:<5}  {joint}: {event.text}"
+        for joint, log_time, event in ordered[:_MAX_LINES]
+    ]
+    more = len(ordered) - len(lines)
+    return [
+        "events, in seconds since the first measurement:",
+        *lines,
+        *([f"and {more} more; JSON has up to {_MAX_EVENTS}"] if more else []),
+    ]
 
 
 class Health(NamedTuple):
@@ -133,7 +155,7 @@ def find_events(
     conditions: Array,
     *,
     source: str,
-    stale_after: float,
+    stale_after: float = STALE_AFTER,
     coast_after: float = COAST_AFTER,
     restarted: NDArray[Any] | None = None,
     same_clock: bool = True,

@@ -8,8 +8,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import TsobsError
+from tsobs_ros.replay.health import Health, JointEvent, find_events, list_events, map_events, sum_up
 from tsobs_ros.report.comparison import (
     EkfComparison,
     compare_with_ekf,
@@ -17,7 +20,7 @@ from tsobs_ros.report.comparison import (
     render_metrics,
 )
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
-from tsobs_ros.report.run import read_run
+from tsobs_ros.report.run import RecordedRun, read_run
 
 
 class ReportError(TsobsError, RuntimeError):
@@ -31,6 +34,9 @@ class BagReport:
     Attributes:
         bag: The bag it is on.
         metrics: Of the recorded estimates.
+        health: Of the estimates, None if it was not recorded.
+        events: Changes of their health.
+        begin: Stamp that times count from [ns].
         comparison: With an EKF on the same measurements, if asked for.
         files: The files that were written, in order of interest.
         remarks: Limits of the report itself.
@@ -38,6 +44,9 @@ class BagReport:
 
     bag: Path
     metrics: RunMetrics
+    health: Health | None
+    events: tuple[JointEvent, ...]
+    begin: int
     comparison: EkfComparison | None
     files: tuple[Path, ...]
     remarks: tuple[str, ...]
@@ -45,6 +54,9 @@ class BagReport:
     def text(self) -> str:
         """Return the report for a terminal."""
         parts = [f"{self.bag}: {render_metrics(self.metrics, self.comparison)}"]
+        if self.health is not None:
+            events = list_events(self.events, self.begin)
+            parts.append("\n".join([*self.health.lines(), *events]))
         if self.remarks:
             parts.append("\n".join(f"note: {remark}" for remark in self.remarks))
         parts.append("\n".join(f"wrote {path}" for path in self.files))
@@ -55,6 +67,9 @@ class BagReport:
         return {
             "bag": str(self.bag),
             **self.metrics.as_mapping(),
+            "health": None
+            if self.health is None
+            else {**self.health.as_mapping(), **map_events(self.events, self.begin)},
             "ekf": None if self.comparison is None else self.comparison.as_mapping(),
             "files": [str(path) for path in self.files],
             "remarks": list(self.remarks),
@@ -107,7 +122,9 @@ def make_bag_report(
         remarks.append("no report.html: the Python package plotly is not installed")
     names = ["report.png", *(["report.html"] if page else []), "report.json"]
     files = tuple(output / name for name in names)
-    report = BagReport(bag, metrics, comparison, files, tuple(remarks))
+    health = None if run.health is None else sum_up(run.health.values)
+    events = tuple(_events(run))
+    report = BagReport(bag, metrics, health, events, run.origin, comparison, files, tuple(remarks))
     try:
         output.mkdir(parents=True, exist_ok=True)
         # Here, so that matplotlib and plotly are needed only for what they draw.
@@ -123,3 +140,10 @@ def make_bag_report(
     except OSError as error:
         raise ReportError(f"cannot write the report: {error}") from error
     return report
+
+
+def _events(run: RecordedRun) -> list[JointEvent]:
+    if run.health is None:
+        return []
+    stamps, values = run.health
+    return find_events([run.joint], stamps, stamps, values[:, np.newaxis], source=run.topic)

@@ -157,6 +157,10 @@ def _draw(axes: Axes, plot: Plot, unit: str) -> None:
         axes.axhline(0.0, color=content.TRUTH_COLOUR, lw=1.6, zorder=4)
     if plot.estimate is not None:
         axes.plot(*plot.estimate, color=blue, lw=1.0, zorder=5)
+    if plot.other is not None:
+        axes.plot(*plot.other[0], color=MUTED, lw=1.0, ls=(0, (5, 3)), zorder=4)
+    for begin, end in plot.spans:
+        axes.axvspan(begin, end, color=content.EVENT_COLOUR, alpha=_FAINT, lw=0, zorder=1)
     if plot.level is not None:
         for sign in (-1.0, 1.0):
             axes.axhline(sign * plot.level[0], color=MUTED, lw=0.9, ls=(0, (5, 3)), zorder=4)
@@ -164,8 +168,9 @@ def _draw(axes: Axes, plot: Plot, unit: str) -> None:
 
 def _write_beside(axes: Axes, panel: Panel) -> None:
     lines = list(panel.remark)
-    if panel.values.level is not None:
-        lines.insert(0, f"– – {panel.values.level[1]}")
+    for dashed in (panel.values.level, panel.values.other):
+        if dashed is not None:
+            lines.insert(0, f"– – {dashed[1]}")
     axes.text(
         1.02,
         0.5,

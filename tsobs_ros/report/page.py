@@ -135,6 +135,14 @@ def _add_plot(figure: Any, plot: Plot, unit: str, place: tuple[int, int]) -> Non
         name = ERROR if plot.label == ERROR else "estimated"
         line = {"color": content.ESTIMATE_COLOUR, "width": 1.5}
         _add(figure, name, *plot.estimate, place, line=line)
+    if plot.other is not None:
+        curve, name = plot.other
+        _add(figure, name, *curve, place, line={"color": MUTED, "dash": "dash", "width": 1})
+    for begin, end in plot.spans:
+        figure.add_vrect(
+            begin, end, fillcolor=content.EVENT_COLOUR, opacity=0.15, line_width=0,
+            layer="below", row=row, col=column,
+        )  # fmt: skip
     if plot.level is not None:
         line = {"color": MUTED, "dash": "dash", "width": 1}
         for sign in (-1.0, 1.0):

@@ -6,8 +6,12 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
+from tsobs_ros.estimation.events import BOUNDS
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.report.metrics import (
     QUANTITIES,
     SIGMAS,
@@ -16,7 +20,7 @@ from tsobs_ros.report.metrics import (
     errors,
     inside_windows,
 )
-from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.report.run import RecordedRun, Series
 
 MAX_CURVE = 5000
 """Longer curves are thinned: more points than pixels only make files large."""
@@ -38,6 +42,9 @@ EVENT_COLOUR = "#D55E00"
 SETTLING_COLOUR = "#F1F3F5"
 
 
+_NOT_VOID = [basis for basis, (level, _) in BOUNDS.items() if level is Level.OK]
+
+
 class Curve(NamedTuple):
     """Points of one curve: times [s] and values, both (n,)."""
 
@@ -56,6 +63,8 @@ class Plot(NamedTuple):
         estimate: Estimated values, or their error.
         bound: 1σ bound at the estimate's times, shape (n,).
         level: A constant ± line, e.g. what is expected of noise, and what to call it.
+        other: Values of a second quantity, and what to call it.
+        spans: Parts of the time that are marked, (begin, end) in seconds.
     """
 
     label: str
@@ -65,6 +74,8 @@ class Plot(NamedTuple):
     estimate: Curve | None = None
     bound: Array | None = None
     level: tuple[float, str] | None = None
+    other: tuple[Curve, str] | None = None
+    spans: tuple[tuple[float, float], ...] = ()
 
     def bands(self) -> Iterator[tuple[float, Array, Array, Array]]:
         """Yield the bands of 3σ and 1σ as (σ, times, lower edge, upper edge), thinned."""
@@ -96,7 +107,7 @@ class Panel(NamedTuple):
 def panels(
     run: RecordedRun, metrics: RunMetrics, innovation_std: float | None = None
 ) -> list[Panel]:
-    """Return the panels of a run: four states, the disturbance and, if recorded, innovations.
+    """Return a run's panels: four states, disturbance and, if recorded, innovations and health.
 
     Args:
         run: The recorded run.
@@ -110,6 +121,8 @@ def panels(
     ]
     if run.innovations is not None and len(run.innovations.stamps):
         made.append(_innovation_panel(run, metrics, innovation_std))
+    if run.health is not None and len(run.health.stamps):
+        made.append(_health_panel(run.health, run.origin))
     return made
 
 
@@ -189,6 +202,45 @@ def _innovation_panel(run: RecordedRun, metrics: RunMetrics, std: float | None) 
     level = None if std is None else (SIGMAS * std, f"±{SIGMAS:g}σ expected")
     remark = () if metrics.nis is None else (f"mean square {metrics.nis:.2f} × expected",)
     return Panel("rad", remark, Plot("innovation", (-size, size), dots=thin(curve), level=level))
+
+
+def _health_panel(health: Series, origin: int) -> Panel:
+    """Return the history of noise scale and coloured power; void bounds are marked."""
+    times, values = health.seconds(origin), health.values
+    scale, coloured = Curve(times, values[:, 0]), Curve(times, values[:, 1])
+    void = ~np.isin(values[:, 2], _NOT_VOID)
+    low, high = min(0.0, float(coloured.values.min())), float(max(scale.values.max(), 1.5))
+    high = max(high, float(coloured.values.max()))
+    margin = 0.08 * (high - low)
+    taken_for = [
+        f"{100.0 * share:.3g} % {_words(one)}"
+        for one in Hypothesis
+        if (share := (values[:, 4] == one).mean())
+    ]
+    remark = (
+        f"median {np.median(scale.values):.2f}, at most {scale.values.max():.2f}",
+        f"marked: void bound, {100.0 * void.mean():.3g} %",
+        *taken_for,
+    )
+    plot = Plot(
+        "noise scale",
+        (low - margin, high + margin),
+        estimate=thin(scale),
+        other=(thin(coloured), "coloured power"),
+        spans=tuple(_spans(times, void)),
+    )
+    return Panel("design's = 1", remark, plot)
+
+
+def _words(code: Hypothesis) -> str:
+    return code.name.lower().replace("_", " ")
+
+
+def _spans(times: Array, marked: NDArray[np.bool_]) -> Iterator[tuple[float, float]]:
+    """Yield begin and end of each run of marked times."""
+    edges = np.flatnonzero(np.diff(marked.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
+    for begin, end in edges.tolist():
+        yield float(times[begin]), float(times[min(end, len(times) - 1)])
 
 
 def _remark(metrics: RunMetrics, quantity: Quantity) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from tsobs_ros.errors import ParameterError
-from tsobs_ros.estimation.events import COAST_AFTER
+from tsobs_ros.estimation.events import COAST_AFTER, STALE_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
 from tsobs_ros.estimation.options import (
     MAX_JUMP_BUDGET,
@@ -92,7 +92,7 @@ class ObserverParameters(ManagedParameters):
         maximum=60.0,
     )
     stale_after: float = fixed_parameter(
-        5.0,
+        STALE_AFTER,
         "Age of the newest measurement to stop publishing and restart",
         unit="s",
         minimum=1e-2,
