@@ -176,8 +176,10 @@ def _summary(
             outside.append((share, f"{name} {share:.2f} (of the claimed ones {1.0 - broken:.2f})"))
     listed = "; ".join(text for _, text in sorted(outside)) or "none"
     yield f"\nLess than 0.97 of the samples lie within three bounds in: {listed}."
-    failed = [f"{one.scenario}: {one.text} {one.value:.3g}" for one in found if not one.passed]
-    yield f"\n{len(failed)} of {len(found)} demands are missed: {'; '.join(failed) or 'none'}."
+    failed = [one for one in found if not one.passed]
+    listed = ", ".join(dict.fromkeys(one.scenario for one in failed))
+    missed = f", in {listed}" if failed else ""
+    yield f"\n{len(failed)} of {len(found)} demands are missed{missed}; they are bold below."
 
 
 def _fair_table(
@@ -203,7 +205,7 @@ def _fair_table(
         inside = _shown(by_place.get((name, "inside")), float(mine.inside.mean(axis=0).min()))
         honest = by_place.get((name, "honest"))
         if honest is not None:
-            inside += f"; or void {_shown(honest, 0.0)}"
+            inside += f"; all or void {_shown(honest, 0.0)}"
         yield _row(
             name, _mean(mine), _number(float(mine.errors["settled"].max())),
             _mean(one["ekf_gated"]), _mean(one["ekf_gated_augmented"]), ratio_text, inside,
