@@ -11,8 +11,12 @@ import yaml
 from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import ParameterError
+from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.plant_simulator import create
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
+from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import Constant, Pulses
 
 CONFIG = Path(__file__).parents[3] / "config" / "plant_simulator.yaml"
 
@@ -82,6 +86,67 @@ def test_senseless_overrides_are_refused(ros: Any, overrides: dict[str, Any], re
     parameters = [Parameter(name.replace("__", "."), value=v) for name, v in overrides.items()]
     with pytest.raises(ParameterError, match=reason):
         create(context=ros.context, parameter_overrides=parameters)
+
+
+def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(ros: Any) -> None:
+    given: dict[str, Any] = {
+        "noise_std": 0.05,
+        "latency": 0.015,
+        "resolution": 0.006,
+        "friction.link_viscous": 0.1,
+        "friction.link_coulomb": 0.05,
+        "friction.motor_viscous": 0.3,
+        "friction.motor_coulomb": 0.15,
+        "excitation.kind": "constant",
+        "excitation.amplitude": 4.5,
+        "disturbance.kind": "pulses",
+        "disturbance.pulses.amplitude": 0.4,
+        "disturbance.pulses.start": 3.0,
+        "disturbance.pulses.duration": 0.7,
+        "disturbance.pulses.interval": 6.0,
+        "noise.time_constant": 0.04,
+        "noise.degrees_of_freedom": 3,
+        "noise.burst_interval": 7.0,
+        "noise.burst_duration": 1.2,
+        "noise.burst_factor": 5.0,
+        "outliers.probability": 0.02,
+        "outliers.size": 3.0,
+        "outliers.uniform": True,
+        "dropouts.interval": 9.0,
+        "dropouts.duration": 0.3,
+        "effort_error.amplitude": 50.0,
+        "effort_error.start": 2.0,
+        "effort_error.duration": 0.01,
+        "effort_error.interval": 4.0,
+    }
+    overrides = [Parameter(name, value=value) for name, value in given.items()]
+    node = ros.node(
+        "described",
+        parameter_overrides=overrides,
+        automatically_declare_parameters_from_overrides=True,
+    )
+    scenario = ParameterBinding(node, PlantSimulatorParameters).value.scenario()
+    sensor = Sensor(
+        noise_std=0.05,
+        outlier_probability=0.02,
+        outlier_size=3.0,
+        dropout_interval=9.0,
+        dropout_duration=0.3,
+        outlier_is_uniform=True,
+        noise_time_constant=0.04,
+        noise_degrees=3,
+        burst_interval=7.0,
+        burst_duration=1.2,
+        burst_factor=5.0,
+        latency=0.015,
+        resolution=0.006,
+    )
+    assert scenario.sensor == sensor
+    assert scenario.friction == Friction(0.1, 0.05, 0.3, 0.15)
+    assert scenario.excitation == Constant(4.5)
+    assert scenario.disturbance == (Pulses(0.4, 3.0, 0.7, 6.0),)
+    assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
+    assert PlantSimulatorParameters().scenario().torque_error == ()
 
 
 def test_the_shipped_parameter_file_is_the_defaults() -> None:
