@@ -3,6 +3,7 @@
 """Which fault is told from repeats, innovations and the history of the estimated disturbance."""
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -17,13 +18,17 @@ from tsobs_ros.estimation.faults import (
     Fault,
     FaultKind,
     FaultMonitor,
+    add_estimates,
     add_samples,
     new_watches,
 )
 from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level
-from tsobs_ros.resources import FIXED_DESIGN, config_path
+from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
-from tsobs_ros.simulation.signals import Sinusoid
+from tsobs_ros.simulation.scenarios import simulate
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import BiasStep, Sinusoid
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 200
@@ -293,6 +298,41 @@ def test_on_a_simulated_arm_a_disturbed_sensor_and_a_wrong_arm_are_told_apart() 
     arm = observed(replace(scenario, mismatch=Mismatch(stiffness=0.2)), 15.0)
     assert arm.kind is FaultKind.UNKNOWN
     assert observed(scenario, 15.0).kind is FaultKind.NONE
+
+
+@pytest.mark.parametrize(
+    ("kind", "scenario"),
+    [
+        (FaultKind.NONE, Scenario(sensor=Sensor(outlier_probability=0.01))),
+        (FaultKind.NOISE, Scenario(sensor=Sensor(outlier_probability=0.04))),
+        # Most of them are gated.
+        (FaultKind.NOISE, Scenario(sensor=Sensor(outlier_probability=0.04, outlier_size=3.0))),
+        (FaultKind.NOISE, Scenario(sensor=Sensor(0.028, 0.06, 3.14, outlier_is_uniform=True))),
+        # So are many in a row, before the estimate is given up.
+        (FaultKind.BIAS, Scenario(disturbance=(BiasStep(2.0, 15.0),))),
+    ],
+)
+def test_from_four_percent_of_outliers_on_the_sensor_is_noisy(
+    kind: FaultKind, scenario: Scenario
+) -> None:
+    """As the node has it, which the gated samples do not pass by."""
+    design = load_design(config_path(SHIPPED_DESIGN))
+    tracker, std = make_tracker(design, ObserverSettings()), design.request.measurement_std
+    watch = new_watches([std])
+    monitor, run = FaultMonitor(std, watch=watch), simulate(scenario, [3], 40.0)
+    kinds: Counter[FaultKind] = Counter()
+    for k, (y, u) in enumerate(zip(run.measurements[0], run.torques[0], strict=False)):
+        stamp = SECOND + k * PERIOD
+        codes, innovations, deviations = tracker.offer_many([stamp], [y], [u], stamp)
+        samples = (codes[np.newaxis], innovations.T, deviations.T)
+        add_samples(watch, np.array([stamp]), np.array([y]), *samples)
+        known = tracker.estimate(stamp)
+        assert known is not None
+        if add_estimates(watch, stamp, known.disturbance, known.disturbance_bound):
+            monitor.judge(float(known.disturbance[0]), float(known.disturbance_bound[0]))
+        if k >= 4000:
+            kinds[monitor.fault.kind] += 1
+    assert kinds[kind] == kinds.total()
 
 
 def innovate(monitor: FaultMonitor, stamp: int, normalised: float) -> None:

@@ -38,6 +38,8 @@ _STUCK_SAMPLES = 10
 _MEMORY = 1.0
 _CLIP = 5.0
 _LARGE = 2.0
+_OUTLIER_MEMORY = 5.0
+_MANY_OUTLIERS, _FEW_OUTLIERS = 0.03, 0.02
 _COLOURED = 0.3
 
 _BLOCK = 100_000_000
@@ -87,6 +89,9 @@ _WATCH = np.dtype(
             ("square", np.float64),
             ("product", np.float64),
             ("period", np.float64),
+            ("seen", np.int64),
+            ("last", np.float64),
+            ("outliers", np.float64),
             ("predicted", np.float64),
             ("estimated", np.int64),
             ("begun", np.int64),
@@ -108,7 +113,9 @@ the same samples, its stamp [ns] and their number. stuck: whether the samples of
 second, at least ten, are the same. stamp: of the latest innovation in order [ns], 0 before it.
 normalised: that one in σ, clipped at 5σ. square, product: averages over a second of its square, 1
 if the model fits, and of its product with the one before. period: between the last two [s].
-predicted: latest predicted output [rad]. estimated: stamp of the latest estimate [ns], 0 before it.
+seen, last: stamp of the latest sample in order, gated or not [ns], and its innovation as
+`normalised`. outliers: share of lone samples beyond 5σ, an average over five seconds. predicted:
+latest predicted output [rad]. estimated: stamp of the latest estimate [ns], 0 before it.
 begun: stamp of the history's first estimate [ns], 0 before it. block, in_block, sums: the tenth of
 a second since then, its estimates' number and sums of disturbance, motion and bound. blocks, count:
 the last quarter of a minute, a row a tenth of a second: its end [s] and the means. least: number of
@@ -151,10 +158,11 @@ def add_samples(
             code = codes[place, sample]
             if code in CORRECTING or code == GATED:
                 _compare(watch, stamps[sample], y[place, sample])
+                normalised = innovations[place, sample] / expected_std[place, sample]
+                _count_outlier(watch, stamps[sample], normalised)
             if code in CORRECTING:
-                innovation = innovations[place, sample]
-                _average(watch, stamps[sample], innovation / expected_std[place, sample])
-                watch.predicted = y[place, sample] - innovation
+                _average(watch, stamps[sample], normalised)
+                watch.predicted = y[place, sample] - innovations[place, sample]
 
 
 @compiled
@@ -184,6 +192,19 @@ def _average(watch: Any, stamp: int, normalised: float) -> None:
         watch.square += weight * (value * value - watch.square)
         watch.product += weight * (value * watch.normalised - watch.product)
     watch.stamp, watch.normalised = stamp, value
+
+
+@compiled
+def _count_outlier(watch: Any, stamp: int, normalised: float) -> None:
+    """Take in whether a sample is an outlier: far off, and not as those of a jump all are."""
+    if stamp <= watch.seen:
+        return
+    value = max(-_CLIP, min(_CLIP, normalised))
+    outlier = 1.0 if abs(value) == _CLIP and value != watch.last else 0.0
+    if watch.seen != 0:
+        weight = -math.expm1((watch.seen - stamp) * 1e-9 / _OUTLIER_MEMORY)
+        watch.outliers += weight * (outlier - watch.outliers)
+    watch.seen, watch.last = stamp, value
 
 
 @compiled
@@ -273,6 +294,7 @@ class FaultMonitor:
         self._shape = Shape(FaultKind.NONE, 0.0)
         self._kind, self._level = Debounce(FaultKind.NONE), Debounce(Level.OK)
         self._wrong = Debounce(False)
+        self._many_outliers = False
         self._candidates: dict[FaultKind, Fault] = {}
 
     def measured(self, stamp: int, y: float, innovation: float, expected_std: float) -> None:
@@ -400,7 +422,9 @@ class FaultMonitor:
             return Fault(
                 shape.kind, level, shape.magnitude, certain, None, shape.rate, shape.frequency
             )
-        if self.large and self.white:
+        limit = _FEW_OUTLIERS if self._many_outliers else _MANY_OUTLIERS
+        self._many_outliers = bool(watch.outliers > limit)
+        if self.white and (self.large or self._many_outliers):
             std = math.sqrt(self.square) * self._std
             # 2·`_MEMORY` of samples are in the average.
             relative_error = math.sqrt(0.25 * watch.period / _MEMORY)
