@@ -4,6 +4,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.simulation.signals import Square
 
 FIXED = load_design(config_path("elastic_joint_fixed.design.yaml"))
 DESIGNS = [FIXED, load_design(config_path(SHIPPED_DESIGN))]
@@ -89,6 +91,80 @@ def test_an_implausible_torque_is_a_gap_and_its_angle_is_used(name: str, design:
         assert np.sqrt(np.mean(got.sigmas**2)) < 1.5
         events = got.tracker.events
         assert events["sensor jumps"] == events["losses of track"] == 0
+
+
+@pytest.mark.parametrize("design", DESIGNS, ids=["fixed", "learning"])
+@pytest.mark.parametrize("size", [0.5, -1.5, 3.0, -10.0, 30.0, -100.0, 390.0])
+def test_a_wrong_torque_of_any_plausible_size_stays_inside_three_bounds(
+    size: float, design: Design
+) -> None:
+    """For one sample or for a tenth of a second, at any part of the torque's turn."""
+    moments = np.random.default_rng(abs(round(size)))
+    for samples in (1, 2, 5, 20):
+        for run in range(3):
+            torques = with_torque(run, moments.uniform(26, 32), samples / RATE, lambda u: u + size)
+            got = course(design, run, torques)
+            # The angle has to reveal twenty times .5 N m, which is no step that can be told.
+            assert got.holds() or samples * abs(size) > 400.0
+            assert (got.sigmas < 3.5).all()
+            assert not got.tracker.rejected
+            events = got.tracker.events
+            assert events["sensor jumps"] == events["losses of track"] == 0
+            assert np.isin(got.bases, (Basis.CERTIFIED, Basis.LEARNT, Basis.TORQUE)).all()
+
+
+def test_garbage_in_the_torque_is_taken_back() -> None:
+    garbage = np.random.default_rng(7)
+    for run in range(3):
+        torques = with_torque(run, 30.0, 0.5, lambda u: garbage.uniform(-300.0, 300.0, u.shape))
+        assert (course(FIXED, run, torques).sigmas < 3.5).all()
+
+
+@pytest.mark.parametrize(("level", "seconds"), [(3.0, 0.5), (-10.0, 0.5), (5.0, 3.0)])
+def test_a_wrong_level_is_the_torques_fault_and_not_the_sensors(
+    level: float, seconds: float
+) -> None:
+    """The level is believed until the angle contradicts it, but nothing is certified till then."""
+    for run in range(3):
+        got = course(FIXED, run, with_torque(run, 28.0, seconds, lambda u: u + level))
+        wrong = got.sigmas > 3.0
+        assert not np.isin(got.bases[wrong], (Basis.CERTIFIED, Basis.LEARNT)).any()
+        # It takes the angle so long to show a torque: the fourth power of time.
+        assert np.flatnonzero(wrong).max(initial=0) < (3.0 + 1.0) * RATE
+        events = got.tracker.events
+        assert events["sensor jumps"] == events["losses of track"] == 0
+
+
+@pytest.mark.parametrize("amplitude", [0.3, 1.0, 1.2])
+def test_legal_steps_cost_no_accuracy(amplitude: float) -> None:
+    """The estimates are, bit for bit, those of an observer that suspects no torque."""
+    scenario = replace(SCENARIO, excitation=Square(amplitude))
+    run = simulate(scenario, [5], 30.0)
+    rows = []
+    for suspicious in (True, False):
+        tracker = make_tracker(FIXED, ObserverSettings(history=0.0))
+        if not suspicious:
+            tracker.estimator.model["torque_doubt"] = 0.0
+        rows.append(tracker.follow(STAMPS[: len(run.times)], run.measurements[0], run.torques[0]))
+        assert not tracker.rejected
+    parts = tracker.estimator.row_parts
+    state, bound = parts["state"], parts["state_bound"]
+    assert rows[0][:, state].tobytes() == rows[1][:, state].tobytes()
+    assert (rows[0][:, bound] >= rows[1][:, bound]).all()
+    certified = rows[0][SETTLED:, -len(CONDITIONS) - 2] == Basis.CERTIFIED
+    assert 0.7 < certified.mean() < 1.0 or amplitude == 0.3
+
+
+@pytest.mark.parametrize("after", [0.05, 0.3, 0.6, 2.0])
+def test_a_jump_of_the_sensor_after_a_step_of_the_torque_is_the_sensors(after: float) -> None:
+    run = simulate(replace(SCENARIO, excitation=Square(1.0)), [6], 32.0)
+    # Steps are at multiples of π s.
+    first = round((9 * math.pi + after) * RATE)
+    angles = run.measurements[0] + 0.3 * (np.arange(len(run.times)) >= first)[:, np.newaxis]
+    tracker = make_tracker(FIXED, ObserverSettings(history=0.0))
+    tracker.follow(STAMPS[: len(run.times)], angles, run.torques[0])
+    assert tracker.events["sensor jumps"] == 1
+    assert not tracker.rejected
 
 
 def test_a_lasting_new_level_is_used_again_once_its_rate_is_plausible() -> None:

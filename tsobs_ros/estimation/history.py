@@ -228,7 +228,7 @@ def estimate_at(models: Any, memories: Any, ring: Any, stamp: int, row: Array) -
         memory.bad_outputs += 1
         return False
     inside = abs(memory.readout.state[0]) <= memory.x_max
-    if not inside and memory.readout.basis <= _OF_CERTIFICATE:
+    if not inside and (memory.readout.basis <= _OF_CERTIFICATE or shown.certified != 0):
         memory.readout.basis = _OUTSIDE
     end = write_row(model, memory.readout, row)
     row[end] = 1.0 if inside else 0.0

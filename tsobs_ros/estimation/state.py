@@ -7,6 +7,7 @@ bytes are, an array of them is a batch, a history or a checkpoint. The shapes of
 on the numbers of states n, outputs p, inputs m and parameters k. Flags are integers, 0 or 1.
 """
 
+import math
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -87,6 +88,7 @@ _SIZES: dict[str, tuple[str, ...]] = {
     "parameter_bound": ("k",),
     "u": ("m",),
     "held": ("m",),
+    "response": ("n",),
     **dict.fromkeys(
         ("y", "innovation", "disturbance", "disturbance_rate", "disturbance_bound"), ("p",)
     ),
@@ -99,6 +101,7 @@ def state_type(room: Room) -> np.dtype[Any]:
 
     stamp, y, u: of the newest sample [ns]. held: inputs in use, those of the newest sample with
     plausible ones; torque_age: time since that [s]; torque_unknown: whether it is not the newest.
+    torque_change to distrust: of `torque`, as what was suspected of it, and since when.
     x: estimate in design coordinates. covariance: of its error; the certificate's bound while
     `certified`. While `in_gap` both have the unknown torque's states too. settling: least time with
     Riccati gains left [s]. corrected: whether a sample was used since the last prediction. theta,
@@ -117,6 +120,13 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("held", number, (m,)),
             ("torque_age", number),
             ("torque_unknown", count),
+            ("torque_change", number),
+            ("torque_step", number),
+            ("step_age", number),
+            ("departure", number),
+            ("response", number, (n,)),
+            ("evidence", number),
+            ("distrust", number),
             ("x", number, (n,)),
             ("covariance", number, (n, n)),
             ("settling", number),
@@ -266,6 +276,7 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("torque_limit", number),
             ("torque_rate_limit", number),
             ("torque_spread", number),
+            ("torque_doubt", number),
             ("gain_mode", count),
             ("C", number, (p, n)),
             ("D", number, (p, p)),
@@ -322,7 +333,7 @@ def new_model(room: Room, shape: Shape, period: float) -> Record:
     model["initial"]["cause"] = Basis.STARTING
     for name in ("nis", "magnitude", "noise_scale"):
         model["initial"][name] = 1.0
-    model["initial"]["torque_age"] = np.inf
+    model["initial"]["torque_age"] = model["initial"]["step_age"] = np.inf
     return model
 
 
@@ -375,6 +386,11 @@ def enter_supervision(model: Any, options: SupervisionOptions) -> None:
     for name, value in vars(options).items():
         model[name] = value
     model["supervised"] = 1
+    # The step of the torque whose effect over a sample is a third of the certified bound.
+    n, flow = int(model["n"]), model["flow"]
+    effect = congruent(flow["gamma"][:n, :1].T, model["P"][:n, :n]).item()
+    if flow["kind"] == stepping.ARM and effect > 0.0:
+        model["torque_doubt"] = 1.0 / (3.0 * math.sqrt(effect))
     # Shares of a sample in the averages over one second, and over half a second.
     period = float(model["period"])
     model["second_share"] = 1.0 - exponential(-period)

@@ -32,7 +32,17 @@ from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.options import MAX_JUMP_BUDGET
 from tsobs_ros.estimation.records import Basis, Learning
 from tsobs_ros.estimation.state import CERTIFIED, OPEN, WINDOW
-from tsobs_ros.estimation.torque import enter_gap
+from tsobs_ros.estimation.torque import (
+    begin_step,
+    correct_response,
+    distrust_torque,
+    enter_gap,
+    follow_step,
+    forget_step,
+    is_open,
+    is_suspected,
+    weigh_step,
+)
 from tsobs_ros.model.matrices import (
     congruence,
     copy,
@@ -48,6 +58,7 @@ from tsobs_ros.model.stepping import advance
 from tsobs_ros.model.trigonometry import exponential
 
 _CERTIFIED, _LEARNT, _STARTING = Basis.CERTIFIED.value, Basis.LEARNT.value, Basis.STARTING.value
+_TORQUE, _SUSPICION, _MATTERS = Basis.TORQUE.value, 4.0, 1.0 / 9.0
 _GAP, _JUMP, _CONTRADICTED = Basis.GAP.value, Basis.JUMP.value, Basis.CONTRADICTED.value
 _NONE, _YOUNG, _ACTIVE = Learning.NONE.value, Learning.STARTING.value, Learning.ACTIVE.value
 _AFTER_JUMP, _STRAINED = Learning.AFTER_JUMP.value, Learning.STRAINED.value
@@ -87,9 +98,15 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
     """
     if state.torque_unknown == 0:
         state.in_gap = 0
+    if state.torque_step != 0.0:
+        if is_suspected(state):
+            _leave_certified(model, state, _TORQUE)
+        begin_step(model, state)
     _expect(model, state, y, correction)
     used, adapt, jumped = model.gain_mode != OPEN, True, False
+    suspected = False
     if model.supervised != 0:
+        suspected = weigh_step(model, state, correction)
         used, jumped = _judge(model, state, y, correction)
         adapt = state.pause <= 0.0 and state.resting == 0
     if used:
@@ -101,6 +118,10 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
             state.jumps += 1
             state.pause = model.jump_duration
         if model.supervised != 0:
+            correct_response(model, state, correction)
+            if suspected:
+                _leave_certified(model, state, _TORQUE)
+                distrust_torque(model, state)
             _limit_disturbance(model, state)
             _guard(model, state)
     sample = state.y[:]
@@ -331,7 +352,8 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
     if correction.weight < 1.0:
         state.outliers += 1
     used = correction.weight > 0.0
-    if _leans(state) and calm[0] < _CALM and _may_jump(model, state):
+    leans = _leans(state) and calm[0] < _CALM and state.evidence < _SUSPICION
+    if leans and _may_jump(model, state):
         least = abs(innovation)
         for i in range(WINDOW - _CLOSE, WINDOW):
             least = min(least, sizes[i])
@@ -577,6 +599,7 @@ def restart(model: Any, state: Any) -> None:
     copy(initial.upsilon[:], state.upsilon[:], k, n)
     copy(initial.gram[:], state.gram[:], k, k)
     _keep_nothing_else(model, state)
+    forget_step(model, state)
 
 
 @compiled
@@ -600,7 +623,7 @@ def _inflate(model: Any, state: Any, std: float, duration: float) -> None:
 
 @compiled
 def _leave_certified(model: Any, state: Any, cause: int) -> None:
-    if cause != _GAP:
+    if cause == _JUMP:
         state.cause = cause
     if state.certified != 0:
         state.cause = cause
@@ -659,7 +682,9 @@ def predict(
             state.certified = 1
             copy(model.X[:], state.covariance[:], n, n)
     if not between_samples:
+        follow_step(model, state, duration, work)
         state.torque_age += duration
+        state.distrust = max(0.0, state.distrust - duration)
         state.pause = max(0.0, state.pause - duration)
         state.watch_age += duration
         state.since += duration
@@ -710,6 +735,7 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
     share = work.small[0]
     noise = larger(state.noise_scale, 1.0) if model.supervised != 0 else 1.0
     uncertain = model.gain_mode != OPEN and state.certified == 0
+    response, open_torque = state.response[:], is_open(model, state)
     total = 0.0
     for i in range(plant):
         bound = std[i]
@@ -720,6 +746,8 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
             share[a] = upsilon[a, i]
         shift = dot(share, pending, k)
         added = larger(quadratic(gamma, share, k), 0.0) + shift * shift
+        if open_torque:
+            added += response[i] * response[i]
         states[i] = scale[i] * x[i]
         bounds[i] = scale[i] * _root(bound * bound + added)
         total += states[i] + bounds[i]
@@ -739,6 +767,9 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
             share[a] = dot(h, upsilon[a], n)
         shift = dot(share, pending, k)
         added = larger(quadratic(gamma, share, k), 0.0) + shift * shift
+        if open_torque:
+            shift = dot(h, response, n)
+            added += shift * shift
         omegas[i] = dot(h, x, n)
         if model.gain_mode == OPEN:
             omegas[i] += dot(model.disturbance_direct[i], y, p)
@@ -770,6 +801,8 @@ def _basis(model: Any, state: Any) -> int:
     if state.certified == 0:
         cause: int = state.cause
         return cause
+    if is_suspected(state) and quadratic(model.P[:], state.response[:], model.n) > _MATTERS:
+        return _TORQUE
     return _LEARNT if model.k > 0 and model.covered == 0 else _CERTIFIED
 
 
