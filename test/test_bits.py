@@ -89,6 +89,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     time = np.round(time + 1e-3 * np.sin(17.0 * np.arange(len(keep))), 6)
     angle[60] += 1.0
     angle[170:] += 0.3
+    torque[[40, 90]] += 30.0, np.inf
+    torque[100:110] -= 5.0
     rows = np.column_stack([time, angle, torque])
     np.savetxt(folder / "log.csv", rows, delimiter=",", header="time,angle,torque", comments="")
     ts.estimate_bag(

@@ -256,7 +256,8 @@ def test_bad_samples_have_their_outcome_and_the_estimate_recovers(name: str) -> 
     assert {
         (wanted, outcome)
         for wanted, outcome in seen
-        if wanted != outcome and not (judged and {wanted, outcome} <= {JUDGED, USED, GATED, IMPLAUSIBLE})
+        if wanted != outcome
+        and not (judged and {wanted, outcome} <= {JUDGED, USED, GATED, IMPLAUSIBLE})
     } == set()
     assert tracker.used + tracker.rejected.total() == len(events)
     assert estimate is not None

@@ -26,7 +26,7 @@ from faults.stage import (
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
-from tsobs_ros.estimation.records import NANOSECONDS, Innovation
+from tsobs_ros.estimation.records import NANOSECONDS, Innovation, RejectReason
 from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
@@ -105,6 +105,18 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
     stage.play(after)
     assert observer.tracker.used == 28
     assert replayed(stage.watcher, observer, [*before, dead, *after]) >= 28
+
+
+def test_wrong_torques_do_live_what_they_do_offline(stage: Stage) -> None:
+    observer = stage.add(torque_limit=50.0)
+    stage.step(BEGIN - PERIOD)
+    events = samples(0, 60)
+    for place, effort in ((20, 51.0), (21, float("nan")), (22, -1e9), (30, 40.0), (45, -49.0)):
+        at = events[place].at
+        events[place] = Event(at, ARM.message(at, effort=[effort]))
+    stage.play(events)
+    assert observer.tracker.rejected == {RejectReason.IMPLAUSIBLE_TORQUE: 3}
+    assert replayed(stage.watcher, observer, events) >= 60
 
 
 def test_without_effort_the_torque_may_be_taken_as_zero(stage: Stage) -> None:
