@@ -122,6 +122,13 @@ def test_joints_keep_their_columns_whatever_their_order(export, tmp_path) -> Non
     assert [second[column] for column in columns] == ["", "3.0", "nan"]
 
 
+def test_an_observers_health_is_no_angle(export, tmp_path) -> None:
+    export(health=[joint_state(["noise_scale", "hip/measurement_age"], [1.5, 0.25])])
+
+    (row,) = rows(tmp_path / "health.csv")
+    assert (row["position.noise_scale"], row["position.hip/measurement_age [s]"]) == ("1.5", "0.25")
+
+
 def test_arrays_have_a_column_each_entry_or_one_if_ever_long(export, tmp_path) -> None:
     export(short=[array(length) for length in (2, 0, 3)], long=[array(2), array(65)])
     export_bag(tmp_path / "bag", tmp_path, topics=["/long"], format="parquet")

@@ -20,6 +20,7 @@ Counts = NDArray[np.intp]
 
 # Without an estimate for so many of the usual times between two, an observer was not at work.
 _SILENCE = 5
+_LONG_SILENCE = NANOSECONDS
 
 
 @dataclass(frozen=True)
@@ -131,12 +132,16 @@ def as_recorded(
         used_at = times_of_use(samples, innovations)
         tick = np.searchsorted(published, used_at, side="left")
         evidence[used_at == UNKNOWN] = POSSIBLE
-        # On both clocks: simulated time goes on unevenly.
         following = np.searchsorted(published, samples.publish_times)
-        silent = np.ones(n, np.bool_)
-        for theirs, own in ((published, samples.publish_times), (stamps, samples.stamps)):
-            waited = np.append(theirs, UNKNOWN)[following] - own
-            silent &= waited > _SILENCE * _usual_interval(theirs)
+        waited = np.append(published, UNKNOWN)[following] - samples.publish_times
+        silent = waited > _SILENCE * _usual_interval(published)
+        # Simulated time goes on unevenly: a short silence is one on the clock of the stamps too.
+        waited_there = np.append(stamps, UNKNOWN)[following] - samples.stamps
+        silent &= (
+            (waited > _LONG_SILENCE)
+            | (waited_there > _SILENCE * _usual_interval(stamps))
+            | (waited_there < 0)
+        )
         evidence[(used_at == UNKNOWN) & silent & samples.usable] = NO_EVIDENCE
     used = np.flatnonzero(tick < m)
     known, beyond = np.zeros(m, np.intp), np.full(m + 1, n)

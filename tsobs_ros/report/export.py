@@ -17,6 +17,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import BagReadError, ExportError, MessageError
@@ -94,6 +95,9 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
         "effort": "N m",
     },
 }
+
+# An observer's health is no angle.
+_HEALTH_UNITS = {**dict.fromkeys(CONDITIONS, ""), "measurement_age": "s"}
 
 
 class Cell(NamedTuple):
@@ -241,10 +245,11 @@ def _flatten_joint_state(message: JointState) -> Iterator[Cell]:
     yield Cell("header.frame_id", "", message.frame_id)
     names = message.names
     for field in ("position", "velocity", "effort"):
-        unit = _unit_of("sensor_msgs/JointState", field)
+        usual = _unit_of("sensor_msgs/JointState", field)
         for place, value in enumerate(getattr(message, field)):
-            column = f"{field}.{names[place]}" if place < len(names) else f"{field}[{place}]"
-            yield Cell(column, unit, value)
+            name = names[place] if place < len(names) else ""
+            column = f"{field}.{name}" if place < len(names) else f"{field}[{place}]"
+            yield Cell(column, _HEALTH_UNITS.get(name.rpartition("/")[2], usual), value)
 
 
 def _flatten(value: Any, column: str, unit: str, whole: Collection[str]) -> Iterator[Cell]:

@@ -209,8 +209,10 @@ class Observer(ManagedNode[ObserverParameters]):
     def _warn(self, joint: ObservedJoint, code: int, data: bytes, now: int) -> None:
         reason = REASONS[code]
         assert reason is not None
+        # With a torque that no drive can have the angle is used all the same.
+        what = "torque" if reason is RejectReason.IMPLAUSIBLE_TORQUE else "measurement"
         self.get_logger().warning(
-            f"measurement of {joint.name} rejected: {reason.value} "
+            f"{what} of {joint.name} rejected: {reason.value} "
             f"({self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f})"
         )
 
