@@ -125,8 +125,8 @@ BOUNDS: Mapping[Basis, tuple[Level, str]] = {
     Basis.TORQUE: (Level.OK, "the bound is not certified: the torque made a doubtful step"),
     Basis.CONTRADICTED: (
         Level.WARN,
-        "the bound is void: the measurements contradict the design; the noise, the arm or the "
-        "disturbance is another",
+        "the bound is void: the measurements contradict the design; the arm, the noise or the "
+        "disturbance differs from it",
     ),
     Basis.HYPOTHESIS: (
         Level.WARN,
