@@ -7,7 +7,10 @@ with an error drawn from N(0, X), as wide as the certificate allows, and its bia
 design assumes. The arms are integrated by Runge-Kutta; the premise is the estimate, which depends
 on the noise, so that here is checked what the certificate does not prove.
 
-Printed is the largest eigenvalue of X⁻¹cov(e) just before a sample. The largest eigenvalue of a
+At the design's own rate all that is repeated with a sensor that is s times as noisy, with process
+noise as designed and s times as large, and errors of N(0, s²X) at the start.
+
+Printed is the largest eigenvalue of X⁻¹cov(e)/s² just before a sample. The largest eigenvalue of a
 sample covariance leans upwards: if cov(e) were X itself, it would lie where the first line says.
 """
 
@@ -20,6 +23,7 @@ from common import design_of, parser, show, use_one_thread
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import GaussMarkov, Multisine, Sine
@@ -42,11 +46,18 @@ _MOTIONS: dict[str, dict[str, Any]] = {
 }
 
 
+class _Noise(NamedTuple):
+    """How much larger the deviations of the sensor's and of the process noise are than designed."""
+
+    sensor: float = 1.0
+    process: float = 1.0
+
+
 class _Spread(NamedTuple):
     """What one campaign found.
 
     Attributes:
-        largest: Largest eigenvalue of X⁻¹cov(e) at each instant, shape (instants,).
+        largest: Largest eigenvalue of X⁻¹cov(e)/s² at each instant, shape (instants,).
         deviation: 1σ of each, from resampling normal errors with the covariance found.
         widest: Largest |q₁| and |q̂₁| of all runs [rad].
     """
@@ -56,17 +67,17 @@ class _Spread(NamedTuple):
     widest: float
 
 
-def _scenario(design: Design, motion: dict[str, Any]) -> Scenario:
-    """Return what the design assumes, moved otherwise."""
-    request = design.request
-    density = request.disturbance[0]["density"]
+def _scenario(design: Design, motion: dict[str, Any], scale: _Noise) -> Scenario:
+    """Return what the design assumes, moved otherwise, with larger noise."""
+    request, square = design.request, scale.process * scale.process
+    density = square * request.disturbance[0]["density"]
     noise = request.process_noise
     return Scenario(
         arm=request.arm,
         rate=request.rate,
-        process_noise=noise,
+        process_noise=ProcessNoise(square * noise.link, square * noise.motor),
         disturbance=(GaussMarkov(np.sqrt(0.5 * density * _WALK), _WALK),),
-        sensor=Sensor(noise_std=request.measurement_std),
+        sensor=Sensor(noise_std=scale.sensor * request.measurement_std),
         **motion,
     )
 
@@ -77,11 +88,13 @@ def _largest(errors: Array, root: Array) -> float:
     return float(np.linalg.eigvalsh(scaled.T @ scaled / len(scaled))[-1])
 
 
-def _campaign(design: Design, motion: dict[str, Any], runs: int, first_seed: int) -> _Spread:
-    """Observe all runs at once with the certified gain, from errors as wide as X."""
+def _campaign(
+    design: Design, motion: dict[str, Any], scale: _Noise, runs: int, first_seed: int
+) -> _Spread:
+    """Observe all runs at once with the certified gain, from errors as wide as s²X."""
     observer, arm, X = design.observer(), design.arm_request.arm, design.covariance_bound
     root, rng = np.linalg.cholesky(design.P), np.random.default_rng(first_seed)
-    scenario, widest = _scenario(design, motion), 0.0
+    scenario, widest = _scenario(design, motion, scale), 0.0
     instants = [round(time * design.request.rate) for time in _INSTANTS]
     found: list[list[Array]] = [[] for _ in instants]
     block = max(1, _SAMPLES // instants[-1])
@@ -89,9 +102,9 @@ def _campaign(design: Design, motion: dict[str, Any], runs: int, first_seed: int
         seeds = range(begin, min(begin + block, first_seed + runs))
         part = Plant(scenario, seeds).run(instants[-1] + 1)
         truth = np.concatenate([part.states, part.disturbances], axis=2)
-        error = rng.standard_normal(truth[:, 0].shape) @ np.linalg.cholesky(X).T
+        drawn = rng.standard_normal(truth[:, 0].shape) @ np.linalg.cholesky(X).T
         start = observer.initial((len(seeds),)).changed(
-            x=truth[:, 0] - error,
+            x=truth[:, 0] - scale.sensor * drawn,
             covariance=np.broadcast_to(X, (len(seeds), *X.shape)),
             settling=np.zeros(len(seeds)),
             certified=np.ones(len(seeds)),
@@ -103,7 +116,7 @@ def _campaign(design: Design, motion: dict[str, Any], runs: int, first_seed: int
             known = observer.observe(y, part.torques[:, : index + 1], start=start)
             assert known.certified.all()
             last = [arm.from_physical(known.state[:, index]), known.disturbance[:, index]]
-            errors.append(truth[:, index] - np.hstack(last))
+            errors.append((truth[:, index] - np.hstack(last)) / scale.sensor)
             angles = (truth[:, : index + 1, 0], known.state[..., 0])
             widest = max(widest, *(float(np.abs(each).max()) for each in angles))
     joined = [np.concatenate(errors) for errors in found]
@@ -133,6 +146,7 @@ def main() -> None:
     made.add_argument("--runs", type=int, default=1500)
     made.add_argument("--first-seed", type=int, default=7000)
     made.add_argument("--rates", type=float, nargs="+", default=[100.0, 200.0, 500.0, 1000.0])
+    made.add_argument("--scales", type=float, nargs="*", default=[1.5, 3.0], metavar="S")
     options = made.parse_args()
     if options.runs < 100:
         made.error("runs: expected at least 100, fewer say nothing")
@@ -141,25 +155,29 @@ def main() -> None:
         made.error("design: expected one whose disturbance is a bias, which is what is simulated")
     tight = _if_tight(options.runs, request.flow.state_count)
     lines = [
-        f"largest eigenvalue of X⁻¹cov(e) over {options.runs} runs; for cov(e) = X: median "
+        f"largest eigenvalue of X⁻¹cov(e)/s² over {options.runs} runs; for cov(e) = X: median "
         f"{tight['median']:.3f}, 99 % below {tight['quantile_99']:.3f}, "
         f"Marchenko-Pastur edge {tight['edge']:.3f}\n",
-        "rate [Hz]  motion         widest [rad]  "
+        "rate [Hz]  noise, process  motion         widest [rad]  "
         + "".join(f"{f't = {t:g} s':>16s}" for t in _INSTANTS),
     ]
     campaigns, seed = [], options.first_seed
-    for rate in options.rates:
+    scales = [_Noise(s, process) for s in options.scales for process in (1.0, s)]
+    cases = [(rate, _Noise()) for rate in options.rates] + [(request.rate, one) for one in scales]
+    for rate, scale in cases:
         design = synthesise(replace(request, rate=rate))
         for name, motion in _MOTIONS.items():
             # Seeds of its own for each campaign, so that chance does not repeat itself.
-            found = _campaign(design, motion, options.runs, seed)
+            found = _campaign(design, motion, scale, options.runs, seed)
             seed += options.runs
             pairs = zip(found.largest, found.deviation, strict=True)
             cells = "".join(f"{f'{value:.3f} ± {std:.3f}':>16s}" for value, std in pairs)
-            lines.append(f"{rate:9g}  {name:13s}  {found.widest:12.2f}  {cells}")
+            times = f"x {scale.sensor:g}, x {scale.process:g}"
+            lines.append(f"{rate:9g}  {times:14s}  {name:13s}  {found.widest:12.2f}  {cells}")
             campaigns.append(
                 {
                     "rate": rate,
+                    "scales": scale,
                     "motion": name,
                     "widest": found.widest,
                     "x_max": request.x_max,

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which fault the monitor names, how soon, and how often where there is none.
 
-The observer is the one the node runs, with the shipped design: its disturbance is a bias. Faults
+The observer is the one the node runs, with the default design: its disturbance is a bias, and it
+learns stiffness and gravity. Faults
 set in at 30 s of a minute; the share of the time that each kind is reported is taken from 5 s
 later on, for a stuck sensor until it is free again.
 """
@@ -33,6 +34,7 @@ from tsobs_ros.simulation.signals import (
 
 _ONSET, _SETTLED, _STUCK = 30.0, 5.0, 20.0
 _NOISE = Scenario()
+_ENCODER = Sensor(noise_std=0.0, resolution=math.tau / 1024)
 
 
 class _Case(NamedTuple):
@@ -47,9 +49,16 @@ def _fault(expected: FaultKind, component: Component) -> _Case:
     return _Case(expected, replace(_NOISE, disturbance=(component,)))
 
 
+def _noise(**changes: Any) -> _Case:
+    return _Case(FaultKind.NOISE, sensor=replace(Sensor(), **changes))
+
+
 _CASES = {
     "noise": _Case(FaultKind.NONE),
     "1 % outliers": _Case(FaultKind.NONE, replace(_NOISE, sensor=Sensor(outlier_probability=0.01))),
+    "4 % outliers": _noise(outlier_probability=0.04),
+    "10 % outliers": _noise(outlier_probability=0.1, outlier_size=math.pi, outlier_is_uniform=True),
+    "10-bit encoder": _Case(FaultKind.NONE, replace(_NOISE, sensor=_ENCODER)),
     "bias .1": _fault(FaultKind.BIAS, BiasStep(0.1, _ONSET)),
     "bias .03": _fault(FaultKind.BIAS, BiasStep(0.03, _ONSET)),
     "ramp .02/s": _fault(FaultKind.DRIFT, Ramp(0.02, _ONSET)),
@@ -60,9 +69,13 @@ _CASES = {
     "tone .5 rad/s": _fault(FaultKind.OSCILLATION, Sinusoid(0.2, 0.5, _ONSET)),
     "tone 1.4 rad/s": _fault(FaultKind.OSCILLATION, Sinusoid(0.2, 1.4, _ONSET)),
     "stuck": _fault(FaultKind.STUCK, StuckSensor(_ONSET, _STUCK)),
-    "noise x 3": _Case(FaultKind.NOISE, sensor=Sensor(noise_std=0.084)),
-    "noise x 1.3": _Case(FaultKind.NOISE, sensor=Sensor(noise_std=0.0364)),
-    "stiffness +20 %": _Case(FaultKind.UNKNOWN, replace(_NOISE, mismatch=Mismatch(stiffness=0.2))),
+    "stuck encoder": _Case(
+        FaultKind.STUCK,
+        replace(_NOISE, sensor=_ENCODER, disturbance=(StuckSensor(_ONSET, _STUCK),)),
+    ),
+    "noise x 3": _noise(noise_std=0.084),
+    "noise x 1.3": _noise(noise_std=0.0364),
+    "stiffness +20 %": _Case(FaultKind.NONE, replace(_NOISE, mismatch=Mismatch(stiffness=0.2))),
 }
 
 
@@ -76,7 +89,7 @@ class _Run(NamedTuple):
 def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
     scenario = replace(case.scenario, rate=design.request.rate)
     plant = Plant(scenario, seed)
-    observer = design.supervised(adapt=False)
+    observer = design.supervised()
     monitor = FaultMonitor(design.request.measurement_std)
     state, kinds, costs = observer.initial(), [], []
     period = observer.period

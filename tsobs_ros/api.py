@@ -112,7 +112,7 @@ class Estimates:
 
     @property
     def certified(self) -> Flags:
-        """Whether the bounds are the certificate's, shape (n,)."""
+        """Whether the bounds are the certificate's, times the noise's scale, shape (n,)."""
         return np.asarray(self.basis == Basis.CERTIFIED)
 
 

@@ -308,11 +308,13 @@ def test_on_a_simulated_arm_a_disturbed_sensor_and_a_wrong_arm_are_told_apart() 
         # Most of them are gated.
         (FaultKind.NOISE, Scenario(sensor=Sensor(outlier_probability=0.04, outlier_size=3.0))),
         (FaultKind.NOISE, Scenario(sensor=Sensor(0.028, 0.06, 3.14, outlier_is_uniform=True))),
+        (FaultKind.NOISE, Scenario(sensor=Sensor(0.01, 0.04, 0.3))),
+        (FaultKind.NONE, Scenario(sensor=Sensor(0.0, resolution=math.tau / 1024))),
         # So are many in a row, before the estimate is given up.
         (FaultKind.BIAS, Scenario(disturbance=(BiasStep(2.0, 15.0),))),
     ],
 )
-def test_from_four_percent_of_outliers_on_the_sensor_is_noisy(
+def test_frequent_outliers_are_noise_and_the_steps_of_an_encoder_are_not(
     kind: FaultKind, scenario: Scenario
 ) -> None:
     """As the node has it, which the gated samples do not pass by."""
@@ -340,25 +342,54 @@ def innovate(monitor: FaultMonitor, stamp: int, normalised: float) -> None:
     monitor.measured(stamp, stamp * 1e-9, normalised * STD, STD)
 
 
+STEP = math.tau / 1024
+TIMES = np.arange(2000) * 1e-3
+SWEEP = 0.3 * np.sin(5.0 * TIMES)
+WHITE = np.random.default_rng(2).standard_normal(2000)
+
+
+def coarse(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what a 10-bit encoder reads."""
+    return STEP * np.round(angle / STEP)
+
+
 @pytest.mark.parametrize(
-    ("spread", "period", "samples", "stuck"),
+    ("reading", "predicted", "stuck_after"),
     [
-        (0.0, 5, 100, 80),
+        (np.full(2000, 0.2), np.full(2000, 0.2), None),
+        (coarse(SWEEP), SWEEP, None),
+        (coarse(np.where(TIMES < 0.5, SWEEP, SWEEP[500])), np.full(2000, SWEEP[500]), None),
+        (coarse(SWEEP + 0.1 * (TIMES > 1.0)), SWEEP + 0.1 * (TIMES > 1.02), None),
+        # One odd value, between two steps.
+        (coarse(SWEEP) + 0.001 * STEP * (np.arange(2000) == 700), SWEEP, None),
         # 50 new values a second in 1000 messages: a sensor slower than its messages.
-        (1.0, 1, 1000, 0),
-        # Few samples that repeat are chance.
-        (0.0, 100, 12, 3),
+        (np.repeat(STD * WHITE[::20], 20), np.zeros(2000), None),
+        (np.where(TIMES < 1.0, STD * WHITE, 0.01), np.zeros(2000), 1.1),
+        (np.where(TIMES < 1.0, coarse(STD * WHITE), STEP), np.zeros(2000), 1.1),
+        (coarse(np.where(TIMES < 1.3, SWEEP, SWEEP[1300])), SWEEP, 1.4),
+        (np.zeros(2000), SWEEP, 0.1),
     ],
-)
-def test_samples_that_repeat_long_and_often_enough_are_stuck(
-    spread: float, period: int, samples: int, stuck: int
+    ids=[
+        "encoder at rest", "encoder", "encoder that comes to rest", "encoder that jumps",
+        "odd value", "slow sensor", "noisy sensor at rest sticks",
+        "noisy encoder at rest sticks", "moving encoder sticks", "stuck from the start",
+    ],
+)  # fmt: skip
+def test_a_sensor_is_stuck_if_its_noise_is_gone_or_its_arm_moves(
+    reading: NDArray[np.float64], predicted: NDArray[np.float64], stuck_after: float | None
 ) -> None:
-    watches, seen = new_watches([0.05]), []
-    for k in range(samples):
-        y, stamp = np.array([[spread * (k // 20)]]), SECOND + k * period * SECOND // 1000
-        add_samples(watches, np.array([stamp]), y, np.zeros((1, 1), np.int64), 0.0 * y, 1.0 + y)
+    watches, seen = new_watches([STD]), []
+    for time, y, innovation in zip(TIMES, reading, reading - predicted, strict=True):
+        stamp = SECOND + round(time * SECOND)
+        given = np.array([[[y]], [[innovation]], [[1.05 * STD]]])
+        codes = np.zeros((1, 1), np.int64)
+        add_samples(watches, np.array([stamp]), given[0], codes, given[1], given[2])
         seen.append(bool(watches[0].stuck))
-    assert seen == [False] * (samples - stuck) + [True] * stuck
+    if stuck_after is None:
+        assert not any(seen)
+    else:
+        assert all(seen[round(1000.0 * stuck_after) + 10 :])
+        assert not any(seen[: round(1000.0 * stuck_after) - 5])
 
 
 @pytest.mark.parametrize(
@@ -427,23 +458,22 @@ def test_innovations_are_averaged_over_a_second_of_stamps() -> None:
     assert monitor.square == before
 
 
-STEP = np.arange(150)
-WHITE = np.random.default_rng(2).standard_normal(150)
+BLOCKS = np.arange(150)
 
 
 @pytest.mark.parametrize(
     ("values", "kind"),
     [
-        (0.2 * (STEP >= 30), FaultKind.BIAS),
-        (0.2 * (STEP >= 75), FaultKind.BIAS),
-        (0.2 * (STEP >= 140), FaultKind.BIAS),
-        (0.2 * (STEP < 75), FaultKind.NONE),
-        (0.3 * np.sin(0.02 * STEP - 1.5), FaultKind.DRIFT),  # less than half a slow swing
-        (0.1 * WHITE, FaultKind.UNKNOWN),
+        (0.2 * (BLOCKS >= 30), FaultKind.BIAS),
+        (0.2 * (BLOCKS >= 75), FaultKind.BIAS),
+        (0.2 * (BLOCKS >= 140), FaultKind.BIAS),
+        (0.2 * (BLOCKS < 75), FaultKind.NONE),
+        (0.3 * np.sin(0.02 * BLOCKS - 1.5), FaultKind.DRIFT),  # less than half a slow swing
+        (0.1 * WHITE[:150], FaultKind.UNKNOWN),
     ],
 )
 def test_a_history_has_a_shape(values: NDArray[np.float64], kind: FaultKind) -> None:
-    shape = shape_of(0.1 * STEP, values, np.zeros(150), BOUND)
+    shape = shape_of(0.1 * BLOCKS, values, np.zeros(150), BOUND)
     assert shape.kind is kind
     if kind is FaultKind.BIAS:
         assert shape.magnitude == pytest.approx(0.2)

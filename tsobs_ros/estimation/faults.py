@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fault monitor of a sensor: stuck, too noisy, biased, drifting or oscillating.
 
-There are three signs of a fault. Raw samples repeat although they are noisy: the sensor is stuck.
-Innovations are too large: it is noise if they are white; if not, the model does not fit and the
-disturbance has no bound. The last seconds of the estimated disturbance have a shape, see
-`fault_shapes`. A level is about size, a kind about shape; both must last to be reported.
+There are three signs of a fault. Raw samples repeat although they are noisy or the arm moves: the
+sensor is stuck. Innovations are too large, or too many of them are: it is noise if they are white;
+if not, the model does not fit and the disturbance has no bound. The last seconds of the estimated
+disturbance have a shape, see `fault_shapes`. A level is about size, a kind about shape; both must
+last to be reported.
 
 What is added up at each sample and estimate is a record in an array of them, one a sensor, for
 compiled code; the rest is done ten times a second.
@@ -28,6 +29,7 @@ from tsobs_ros.estimation.health import (
     duration_text,
 )
 from tsobs_ros.estimation.history import CORRECTING, GATED, USED
+from tsobs_ros.estimation.repeats import REPEAT_FIELDS, count_repeats
 
 __all__ = ["Fault", "FaultKind", "FaultMonitor", "add_estimates", "add_samples", "new_watches"]
 
@@ -79,10 +81,9 @@ _WATCH = np.dtype(
     (
         np.record,
         [
-            ("tolerance", np.float64),
-            ("anchor", np.float64),
+            ("std", np.float64),
+            *REPEAT_FIELDS,
             ("since", np.int64),
-            ("repeats", np.int64),
             ("stuck", np.int64),
             ("stamp", np.int64),
             ("normalised", np.float64),
@@ -108,10 +109,9 @@ _WATCH = np.dtype(
 )
 """What is remembered of a sensor.
 
-tolerance: raw samples that differ by no more are the same [rad]. anchor, since, repeats: first of
-the same samples, its stamp [ns] and their number. stuck: whether the samples of the last tenth of a
-second, at least ten, are the same. stamp: of the latest innovation in order [ns], 0 before it.
-normalised: that one in σ, clipped at 5σ. square, product: averages over a second of its square, 1
+std: 1σ of the noise [rad]. since: stamp of the first sample with the present value [ns]. stuck:
+whether it has come for a tenth of a second, with ten repetitions that count. stamp: of the latest
+innovation in order [ns], 0 before it. normalised: that one in σ, clipped at 5σ. square, product: averages over a second of its square, 1
 if the model fits, and of its product with the one before. period: between the last two [s].
 seen, last: stamp of the latest sample in order, gated or not [ns], and its innovation as
 `normalised`. outliers: share of lone samples beyond 5σ, an average over five seconds. predicted:
@@ -127,8 +127,8 @@ complete: whether the latest estimate ended a tenth of a second.
 def new_watches(measurement_std: list[float]) -> Any:
     """Return records for sensors whose samples have these 1σ of noise [rad]."""
     watches = np.zeros(len(measurement_std), _WATCH)
-    watches["tolerance"] = [_SAME_SIGMAS * std for std in measurement_std]
-    watches["anchor"], watches["square"], watches["least"] = math.nan, 1.0, _LEAST_BLOCKS
+    watches["std"] = measurement_std
+    watches["value"], watches["square"], watches["least"] = math.nan, 1.0, _LEAST_BLOCKS
     return watches
 
 
@@ -155,26 +155,26 @@ def add_samples(
     for place in range(watches.shape[0]):
         watch = watches[place]
         for sample in range(stamps.shape[0]):
-            code = codes[place, sample]
+            code, stamp = codes[place, sample], stamps[sample]
+            innovation, expected = innovations[place, sample], expected_std[place, sample]
             if code in CORRECTING or code == GATED:
-                _compare(watch, stamps[sample], y[place, sample])
-                normalised = innovations[place, sample] / expected_std[place, sample]
-                _count_outlier(watch, stamps[sample], normalised)
+                _compare(watch, stamp, y[place, sample], innovation, expected)
+                _count_outlier(watch, stamp, innovation / expected)
             if code in CORRECTING:
-                _average(watch, stamps[sample], normalised)
-                watch.predicted = y[place, sample] - innovations[place, sample]
+                _average(watch, stamp, innovation / expected)
+                watch.predicted = y[place, sample] - innovation
 
 
 @compiled
-def _compare(watch: Any, stamp: int, y: float) -> None:
+def _compare(watch: Any, stamp: int, y: float, innovation: float, expected_std: float) -> None:
     """Look whether a raw sample repeats those before it."""
-    before = watch.stuck
-    if abs(y - watch.anchor) <= watch.tolerance:
-        watch.repeats += 1
-        lasted = stamp - watch.since >= _STUCK_TIME
-        watch.stuck = 1 if lasted and watch.repeats >= _STUCK_SAMPLES else 0
-    else:
-        watch.anchor, watch.since, watch.repeats, watch.stuck = y, stamp, 1, 0
+    before, value = watch.stuck, watch.value
+    noise, tolerance = watch.std * watch.std, _SAME_SIGMAS * watch.std
+    count_repeats(watch, y, innovation, expected_std * expected_std, noise, tolerance)
+    if watch.value != value:
+        watch.since, watch.stuck = stamp, 0
+    elif watch.repeats >= _STUCK_SAMPLES and stamp - watch.since >= _STUCK_TIME:
+        watch.stuck = 1
     if before and not watch.stuck:
         # The past is no guide to the future, and the estimate was led astray.
         _renew(watch, 2, _RECOVERY_BLOCKS)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of a run's estimates, and the validity of their certified bounds.
+"""Errors of a run's estimates, and the validity of their published bounds.
 
 Errors are judged over the *settled* parts of a run: what remains without some seconds after the
 start and after each jump of the true disturbance, which no estimator can know at once.

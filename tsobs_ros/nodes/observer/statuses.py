@@ -188,7 +188,7 @@ def _domain_status(estimate: Estimate | None, x_max: float) -> Status:
     values["link angle [rad]"] = f"{estimate.state[0]:.4f}"
     if estimate.in_domain:
         return Status("premise domain", Level.OK, "inside the certificate's domain", values)
-    return Status("premise domain", Level.WARN, "outside: the bound is not certified", values)
+    return Status("premise domain", Level.WARN, "outside: the bound is void", values)
 
 
 def _certificate_status(joint: ObservedJoint, method: str, now: int) -> Status:
