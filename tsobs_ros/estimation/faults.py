@@ -111,16 +111,16 @@ _WATCH = np.dtype(
 
 std: 1σ of the noise [rad]. since: stamp of the first sample with the present value [ns]. stuck:
 whether it has come for a tenth of a second, with ten repetitions that count. stamp: of the latest
-innovation in order [ns], 0 before it. normalised: that one in σ, clipped at 5σ. square, product: averages over a second of its square, 1
-if the model fits, and of its product with the one before. period: between the last two [s].
-seen, last: stamp of the latest sample in order, gated or not [ns], and its innovation as
-`normalised`. outliers: share of lone samples beyond 5σ, an average over five seconds. predicted:
-latest predicted output [rad]. estimated: stamp of the latest estimate [ns], 0 before it.
-begun: stamp of the history's first estimate [ns], 0 before it. block, in_block, sums: the tenth of
-a second since then, its estimates' number and sums of disturbance, motion and bound. blocks, count:
-the last quarter of a minute, a row a tenth of a second: its end [s] and the means. least: number of
-rows to judge by. renewed: whether the history was forgotten, after a gap 1, after a stuck sensor 2.
-complete: whether the latest estimate ended a tenth of a second.
+innovation in order [ns], 0 before it. normalised: that one in σ, clipped at 5σ. square, product:
+averages over a second of its square, 1 if the model fits, and of its product with the one before.
+period: between the last two [s]. seen, last: stamp of the latest sample in order, gated or not
+[ns], and its innovation as `normalised`. outliers: share of lone samples beyond 5σ, an average over
+five seconds. predicted: latest predicted output [rad]. estimated: stamp of the latest estimate
+[ns], 0 before it. begun: stamp of the history's first estimate [ns], 0 before it. block, in_block,
+sums: the tenth of a second since then, its estimates' number and sums of disturbance, motion and
+bound. blocks, count: the last quarter of a minute, a row a tenth of a second: its end [s] and the
+means. least: number of rows to judge by. renewed: whether the history was forgotten, after a gap 1,
+after a stuck sensor 2. complete: whether the latest estimate ended a tenth of a second.
 """
 
 

@@ -107,8 +107,8 @@ class SupervisionOptions:
             innovation leans, and unbudgeted reactions make the error worse.
         jump_budget_window: [s].
         lost: Half-second average of |r| beyond which the estimate is given up.
-        stuck_samples: From so many repetitions of the very same value on, samples of the sensor
-            are not used; 0 for a sensor whose steps are larger than its noise.
+        stuck_samples: From so many repetitions of the very same value on that count, see
+            `estimation.repeats`, samples of the sensor are not used; 0: never.
         disturbance_limit: The estimated disturbance is kept within so much [rad]; beyond π the arm
             and its sensor turned together look the same.
         strain: `nis` above 2, or a parameter at its limit, for so long resets the adaptation [s].

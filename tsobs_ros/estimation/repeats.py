@@ -15,15 +15,17 @@ the differences of successive innovations, as the arm's motion is not in them.
 import math
 from typing import Any
 
+import numpy as np
+
 from tsobs_ros.compiled import compiled
 
 REPEAT_FIELDS = (
-    ("value", float),
-    ("step", float),
-    ("rough", float),
-    ("before", float),
-    ("nearest", float),
-    ("repeats", int),
+    ("value", np.float64),
+    ("step", np.float64),
+    ("rough", np.float64),
+    ("before", np.float64),
+    ("nearest", np.float64),
+    ("repeats", np.int64),
 )
 """Fields of a record that `count_repeats` works on.
 
@@ -73,3 +75,9 @@ def count_repeats(
                 record.rough /= _RATE
         record.value, record.nearest, record.repeats = y, distance, 0
     record.before = innovation
+
+
+@compiled
+def forget_value(record: Any) -> None:
+    """Take the next sample for a new value: the prediction has moved for another reason."""
+    record.value, record.before, record.repeats = math.nan, math.nan, 0

@@ -23,6 +23,7 @@ from tsobs_ros.estimation.options import (
     TorqueLimits,
 )
 from tsobs_ros.estimation.records import Basis
+from tsobs_ros.estimation.repeats import REPEAT_FIELDS
 from tsobs_ros.model import stepping
 from tsobs_ros.model.matrices import congruent, inverse, joseph
 from tsobs_ros.model.prediction import Record, fill_matrix
@@ -107,8 +108,8 @@ def state_type(room: Room) -> np.dtype[Any]:
     Riccati gains left [s]. corrected: whether a sample was used since the last prediction. theta,
     gamma, upsilon (by rows), gram, age: of the adaptation. recent to jump_count: the supervision's
     memory of the innovations, the newest last. pause: time for which the adaptation rests [s].
-    pinned: time for which a parameter has been at its limit [s]. repeats: samples with the very
-    same value. The others are counts.
+    pinned: time for which a parameter has been at its limit [s]. Then the
+    fields of `repeats.REPEAT_FIELDS`. The others are counts.
     """
     n, p, m, k = room[:4]
     number, count = np.float64, np.int64
@@ -172,8 +173,7 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("jump_count", count),
             ("pause", number),
             ("pinned", number),
-            ("seen", count),
-            ("repeats", count),
+            *REPEAT_FIELDS,
             ("outliers", count),
             ("jumps", count),
             ("losses", count),
@@ -331,6 +331,7 @@ def new_model(room: Room, shape: Shape, period: float) -> Record:
         model[name] = size
     model["period"] = period
     model["initial"]["cause"] = Basis.STARTING
+    model["initial"]["value"] = np.nan
     for name in ("nis", "magnitude", "noise_scale"):
         model["initial"][name] = 1.0
     model["initial"]["torque_age"] = model["initial"]["step_age"] = np.inf

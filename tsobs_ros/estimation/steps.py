@@ -31,6 +31,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.options import MAX_JUMP_BUDGET
 from tsobs_ros.estimation.records import Basis, Learning
+from tsobs_ros.estimation.repeats import count_repeats, forget_value
 from tsobs_ros.estimation.state import CERTIFIED, OPEN, WINDOW
 from tsobs_ros.estimation.torque import (
     begin_step,
@@ -127,7 +128,7 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
     sample = state.y[:]
     for i in range(model.p):
         sample[i] = y[i]
-    state.seen, state.since = 1, 0.0
+    state.since = 0.0
 
 
 @compiled
@@ -301,12 +302,12 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
     Returns:
         Whether it is used, and whether the sensor jumped.
     """
-    state.repeats = state.repeats + 1 if state.seen != 0 and y[0] == state.y[0] else 0
+    variance = correction.innovation_covariance[0, 0]
+    innovation = correction.innovation[0]
+    count_repeats(state, y[0], innovation, variance, model.R[0, 0], 0.0)
     if 0 < model.stuck_samples <= state.repeats:
         correction.weight = 0.0
         return False, False
-    variance = correction.innovation_covariance[0, 0]
-    innovation = correction.innovation[0]
     r = innovation / math.sqrt(variance) if variance >= 0.0 else math.nan
     if not math.isfinite(r):
         correction.weight = 0.0
@@ -587,6 +588,7 @@ def restart(model: Any, state: Any) -> None:
     initial = model.initial
     state.settling, state.age = initial.settling, 0.0
     state.certified, state.corrected, state.in_gap, state.cause = 0, 0, 0, _STARTING
+    forget_value(state)
     n, k, x, theta = model.n, model.k, state.x[:], state.theta[:]
     for i in range(n):
         x[i] = 0.0

@@ -142,7 +142,7 @@ class ObserverParameters(ManagedParameters):
             6.0, "Average innovation in sigma that gives the estimate up", minimum=1.0, maximum=1e3
         ),
         stuck_samples=parameter(
-            10, "Repetitions of the same value from which samples are not used; 0: never", minimum=0
+            10, "Signs of a stuck sensor from which samples are not used; 0: never", minimum=0
         ),
         disturbance_limit=parameter(
             math.pi, "Largest disturbance estimated", unit="rad", minimum=1e-3, maximum=100.0
