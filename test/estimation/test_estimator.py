@@ -24,6 +24,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import high_gain, proportional_integral
 from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
 from tsobs_ros.estimation.options import AdaptationOptions, CertifiedGain, SupervisionOptions
+from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, per_channel
 from tsobs_ros.model.fuzzy import RuleBase, membership
@@ -41,10 +42,16 @@ SAMPLES = 140
 def supervised_arm() -> Estimator:
     """The shipped adaptive design, that learns and reacts early."""
     design = load_design(config_path(SHIPPED_DESIGN))
-    estimator = design.adaptive(settle_time=0.0, options=AdaptationOptions(start=0.05, memory=0.3))
-    estimator.supervise(
-        SupervisionOptions(jump_quiet=0.1, jump_duration=0.05, jump_budget=2, lost=2.0, strain=0.03)
+    learning = AdaptationOptions(
+        initial_std=0.3, start=0.05, significance=1e-3, pass_time=0.02, memory=0.3
     )
+    estimator = design.adaptive(settle_time=0.0, options=learning)
+    estimator.supervise(
+        SupervisionOptions(
+            jump_quiet=0.1, jump_duration=0.05, jump_gap=0.1, jump_budget=2, lost=4.0, strain=0.02,
+            relearn_budget=1, relearn_time=0.2,
+        )
+    )  # fmt: skip
     return estimator
 
 
@@ -65,7 +72,7 @@ def gyroscope() -> Estimator:
         CertifiedGain(np.array([[0.3, 0.0], [0.0, 0.2], [0.0, 0.1]]), np.diag([0.3, 1.0, 0.02])),
         settle_time=0.2,
         uncertainty=Uncertainty({"gravity": 0.2}, directions),
-        adaptation=AdaptationOptions(start=0.05),
+        adaptation=AdaptationOptions(start=0.05, significance=1e-3),
     )
 
 
@@ -92,6 +99,7 @@ def series(estimator: Estimator) -> tuple[Array, Array]:
     y[60:] += 0.6
     y[85:105] += 30.0
     y[110:125] = y[110]
+    y[125:] += 30.0
     return y, np.sin(7.0 * times) * rng.uniform(1.0, 2.0, (1, shape.m))
 
 
@@ -204,12 +212,18 @@ def test_what_the_runs_go_through() -> None:
     estimator = estimator_of("supervised arm")
     states = stepped(estimator)
     last = states[-1]
+    bases = {Basis(estimator.readout(state).basis) for state in states}
+    assert bases >= {Basis.LEARNT, Basis.GAP, Basis.CONTRADICTED}
     assert any(state.in_gap for state in states)
     assert any(state.certified for state in states)
     assert last.outliers > 0
-    assert last.jumps > 0
+    assert last.jumps > 1
     assert last.losses > 0
-    assert any(state.theta.any() for state in states)
+    assert last.adaptation_resets > 0
+    assert last.resting
+    learnt = [bool(state.theta.any()) for state in states]
+    assert learnt.index(True) < [int(state.jumps) for state in states].index(2)
+    assert any(state.pending.any() and not state.theta.any() for state in states)
     assert any(state.repeats >= 10 for state in states)
     pendulum = stepped(estimator_of("gyroscope"))
     assert {int(state.certified) for state in pendulum} == {0, 1}
@@ -233,14 +247,14 @@ def test_whole_runs_are_their_steps_one_by_one(estimator: Estimator) -> None:
             batch = estimator.predict(batch, inputs[:, k - 1], estimator.period)
         batch, _ = estimator.correct(batch, runs[:, k])
         for part, own in zip(together, estimator.readout(batch), strict=True):
-            assert part[:, k].tobytes() == own.tobytes()
+            assert part[:, k].tobytes() == own.astype(part.dtype).tobytes()
         for run in range(3):
             if k > 0:
                 alone[run] = estimator.predict(alone[run], inputs[run, k - 1], estimator.period)
             if np.isfinite(samples[run, k]).all():
                 alone[run], _ = estimator.correct(alone[run], samples[run, k])
             for part, own in zip(whole, estimator.readout(alone[run]), strict=True):
-                assert part[run, k].tobytes() == np.asarray(own).tobytes()
+                assert part[run, k].tobytes() == np.asarray(own, part.dtype).tobytes()
         assert batch.records[:1].tobytes() == alone[0].records.tobytes()
     assert np.isfinite(whole.state).all()
 

@@ -84,6 +84,7 @@ _ALIKE = 0.9
 _NEIGHBOURS = 10.0
 _REGULAR, _OUTLIER = 1, 2
 _MOVING = 3.0
+_LEAST_SCALE = 0.5
 _MEDIAN = 0.6745
 
 
@@ -398,7 +399,7 @@ def _scale_noise(model: Any, state: Any, innovation: float) -> None:
         if abs(innovation - state.previous) > state.noise_scale * expected:
             state.noise_scale *= step
         else:
-            state.noise_scale /= step
+            state.noise_scale = larger(state.noise_scale / step, _LEAST_SCALE)
         state.scale_age += elapsed
     state.previous, state.paired = innovation, kind
 
