@@ -314,7 +314,7 @@ def test_the_readout_is_in_physical_units(design: Design) -> None:
 def test_a_jump_of_the_sensor_reopens_the_disturbance(design: Design) -> None:
     observer = design.supervised(options=SupervisionOptions(jump_std=0.15, jump_duration=1.5))
     start = settled(observer, design, np.zeros(5)).changed(
-        recent=np.full(8, 3.0), calm_nis=np.ones(8), watched=8, watch_age=60.0
+        recent=np.full(8, 3.0), watched=8, watch_age=60.0
     )
     y = 3.0 * np.sqrt(observer.correct(start, [0.0])[1].innovation_covariance[0])
     state, correction = observer.correct(start, y)

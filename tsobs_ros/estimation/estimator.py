@@ -88,7 +88,7 @@ class Correction(NamedTuple):
     Attributes:
         innovation: y − ŷ before the correction, shape (..., p).
         innovation_covariance: Expected covariance of the innovation, shape (..., p, p).
-        gain: The gain for the estimate, shape (..., n, p).
+        gain: The gain for the estimate, times the weight, shape (..., n, p).
         weight: The share of the correction that was applied; 0 if the measurement was not used.
     """
 

@@ -166,6 +166,7 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("coloured_power", number),
             ("strained", number),
             ("doubt", number),
+            ("doubted", count),
             ("resting", count),
             ("relearned", number),
             ("watch_age", number),

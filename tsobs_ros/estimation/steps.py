@@ -116,6 +116,7 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
         if jumped and model.disturbed != 0:
             _unlearn(model, state)
             _leap(model, state)
+            _leave_certified(model, state, _JUMP)
             _inflate(model, state, model.jump_std, model.jump_duration)
             state.jumps += 1
             state.pause = model.jump_duration
@@ -178,9 +179,10 @@ def _width(model: Any, state: Any) -> int:
 
 @compiled
 def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
-    """Correct estimate and parameters by an innovation.
+    """Correct estimate and parameters by an innovation, as far as it is believed.
 
-    The covariance shrinks as for all of it, since only outliers are downweighted.
+    What is not believed tells the covariance nothing either: otherwise an estimate that is wrong
+    takes sample after sample for an outlier, and grows the more certain.
     """
     n, p, k = _width(model, state), model.p, model.k
     gain, weight, x = correction.gain[:], correction.weight, state.x[:]
@@ -198,7 +200,8 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
         inflation *= scale * scale * larger(state.nis, 1.0) * _repetition(state)
     for i in range(n):
         for j in range(p):
-            x[i] += gain[i, j] * (weight * innovation[j])
+            gain[i, j] *= weight
+            x[i] += gain[i, j] * innovation[j]
     state.corrected = 1
     if state.certified != 0:
         state.settling = 0.0
@@ -345,7 +348,7 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
         _inflate(model, state, model.disturbance_limit, 0.0)
         _forget(state)
         state.watch_age, state.jump_count, state.losses = 0.0, 0, state.losses + 1
-        state.doubt = _DOUBT
+        _doubt(state, _STARTING)
         jump_ages = state.jump_ages[:]
         for i in range(MAX_JUMP_BUDGET):
             jump_ages[i] = 0.0
@@ -363,13 +366,18 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
         # The averages start over: they belong to the time before the jump.
         _forget(state)
         _note_jump(model, state)
-        state.doubt = _DOUBT
+        _doubt(state, _JUMP)
         return used, True
     state.nis, state.magnitude, state.coloured_power = nis, magnitude, coloured
     if nis > _MAX_NIS or coloured > _MAX_COLOUR:
-        state.doubt = _DOUBT
+        _doubt(state, _CONTRADICTED)
     state.strained = state.strained + model.period if coloured > _STRAIN else 0.0
     return used, False
+
+
+@compiled
+def _doubt(state: Any, basis: int) -> None:
+    state.doubt, state.doubted = _DOUBT, basis
 
 
 @compiled
@@ -471,14 +479,17 @@ def _may_jump(model: Any, state: Any) -> bool:
 
 @compiled
 def _limit_disturbance(model: Any, state: Any) -> None:
-    """Keep the disturbance ω = h w within its limit, by the smallest change of w that does it."""
-    n, h, x = model.n, model.disturbance_map[0], state.x[:]
-    omega, square = dot(h, x, n), dot(h, h, n)
-    if abs(omega) <= model.disturbance_limit or not square > 0.0:
+    """Keep the disturbance ω = h w within its limit, by the likeliest change of all states.
+
+    A change of w alone would leave the innovation unexplained.
+    """
+    h, x, covariance = model.disturbance_map[0], state.x[:], state.covariance[:]
+    omega, variance = dot(h, x, model.n), quadratic(covariance, h, model.n)
+    if abs(omega) <= model.disturbance_limit or not variance > 0.0:
         return
     excess = omega - math.copysign(model.disturbance_limit, omega)
-    for j in range(n):
-        x[j] -= excess * (h[j] / square)
+    for j in range(_width(model, state)):
+        x[j] -= excess * (dot(h, covariance[j], model.n) / variance)
 
 
 @compiled
@@ -611,11 +622,10 @@ def _inflate(model: Any, state: Any, std: float, duration: float) -> None:
 
     Args:
         model: Model record.
-        state: After a correction.
+        state: After a correction, with a Riccati gain.
         std: 1σ of what is added to each state that the disturbance is read from.
         duration: Least time with Riccati gains [s].
     """
-    _leave_certified(model, state, _JUMP)
     h, covariance = model.disturbance_map[0], state.covariance[:]
     for i in range(model.n):
         if h[i] != 0.0:
@@ -799,8 +809,9 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
 @compiled
 def _basis(model: Any, state: Any) -> int:
     """Return the code of `Basis` that a state's bounds have."""
-    if state.doubt > 0.0 and state.watch_age > 0.0:
-        return _CONTRADICTED
+    if state.doubt > 0.0:
+        doubted: int = state.doubted
+        return doubted
     if state.certified == 0:
         cause: int = state.cause
         return cause
