@@ -27,6 +27,7 @@ from tsobs_ros.estimation.estimator import (
     certified_estimator,
 )
 from tsobs_ros.estimation.options import CertifiedGain, GainMode, SupervisionOptions
+from tsobs_ros.estimation.state import WINDOW
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Plant, Scenario
@@ -313,15 +314,19 @@ def test_the_readout_is_in_physical_units(design: Design) -> None:
 
 def test_a_jump_of_the_sensor_reopens_the_disturbance(design: Design) -> None:
     observer = design.supervised(options=SupervisionOptions(jump_std=0.15, jump_duration=1.5))
+    # Seven innovations that lean already, after many of nothing.
     start = settled(observer, design, np.zeros(5)).changed(
-        recent=np.full(8, 3.0), watched=8, watch_age=60.0
+        recent=np.repeat([0.0, 3.0], [WINDOW - 7, 7]), watched=WINDOW, watch_age=60.0
     )
     y = 3.0 * np.sqrt(observer.correct(start, [0.0])[1].innovation_covariance[0])
+    start = start.changed(sizes=y[0])
     state, correction = observer.correct(start, y)
     assert correction.weight == 1.0
     assert (int(state.jumps), state.certified, state.corrected) == (1, 0, 1)
     assert (state.settling, state.pause) == (1.5, 1.5)
-    np.testing.assert_allclose(state.x, y * design.K[:, 0], rtol=1e-12)
+    # What they lean by is taken for the step of the sensor.
+    moved = y * design.K[:, 0] + [0.0, 0.0, 0.0, 0.0, y[0]]
+    np.testing.assert_allclose(state.x, moved, rtol=1e-12)
     expected = posterior(design) + np.diag([0.0, 0.0, 0.0, 0.0, 0.15**2])
     np.testing.assert_allclose(state.covariance, expected, rtol=1e-9, atol=1e-16)
     # The next gain trusts the measurement of the bias more than the certified one does.

@@ -147,7 +147,7 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("pending_before", number, (2, k)),
             ("gamma_before", number, (2, k, k)),
             ("kept", count),
-            ("mean", number, (n,)),
+            ("centre", number, (n,)),
             ("spread", number, (n,)),
             ("cause", count),
             ("age", number),

@@ -228,12 +228,12 @@ def _moves(model: Any, state: Any) -> bool:
 
     At rest, regressors follow the noise of the estimate: what they show is false.
     """
-    moves, mean, spread, x = False, state.mean[:], state.spread[:], state.x[:]
+    moves, centre, spread, x = False, state.centre[:], state.spread[:], state.x[:]
     share = model.motion_share if state.age >= model.adaptation_start else 1.0
     noise = larger(state.noise_scale, 1.0)
     for i in range(model.plant):
-        off = x[i] - mean[i]
-        mean[i] += share * off
+        off = x[i] - centre[i]
+        centre[i] += share * off
         spread[i] = (1.0 - share) * (spread[i] + share * off * off)
         least = _MOVING * noise * model.state_std[i]
         moves = moves or spread[i] > least * least
