@@ -18,6 +18,7 @@ from typing import Any
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled
 from tsobs_ros.model.matrices import apply, dot, larger, quadratic
+from tsobs_ros.model.stepping import LINK_SINE, LINK_TORQUE, MOTOR_SINE, MOTOR_TORQUE
 from tsobs_ros.model.trigonometry import cosine
 
 _SMALL_STEP = 0.25
@@ -118,12 +119,28 @@ def follow_step(model: Any, state: Any, duration: float, work: Any) -> None:
         return
     n, flow, response = model.n, model.flow, state.response[:]
     moved, phi, gamma = work.flow.vectors[0], flow.phi[:], flow.gamma[:]
-    kick = 0.5 * flow.period * flow.gravity_gain * cosine(state.x[0])
-    response[1] -= kick * response[0]
-    apply(phi, response, moved, n, n)
-    for i in range(n):
-        response[i] = moved[i] + gamma[i, 0] * state.departure
-    response[1] -= kick * response[0]
+    for part in range(2):
+        if part == 1:
+            apply(phi, response, moved, n, n)
+            for i in range(n):
+                response[i] = moved[i] + gamma[i, 0] * state.departure
+        # Half a kick, by gravity and by what θ̂ adds to both accelerations.
+        angle = cosine(state.x[0]) * response[0]
+        link, motor = -flow.gravity_gain * angle, 0.0
+        for i in range(model.k):
+            effect, theta = flow.effects[i], state.theta[i]
+            link += theta * (
+                dot(effect, response, 4)
+                + effect[LINK_SINE] * angle
+                + effect[LINK_TORQUE] * state.departure
+            )
+            motor += theta * (
+                dot(effect[4:], response, 4)
+                + effect[MOTOR_SINE] * angle
+                + effect[MOTOR_TORQUE] * state.departure
+            )
+        response[1] += 0.5 * flow.period * link
+        response[3] += 0.5 * flow.period * motor
     state.step_age += duration
     if state.step_age >= _SUSPECT:
         over = state.departure == 0.0 and state.step_age < _LONGEST_SUSPECT

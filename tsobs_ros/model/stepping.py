@@ -24,7 +24,7 @@ from tsobs_ros.model.trigonometry import cosine, sine
 EFFECTS = 12
 """What θ = 1 adds to both accelerations of an arm: by x (4 each), by sin x₁ and by u."""
 
-_LINK_SINE, _MOTOR_SINE, _LINK_TORQUE, _MOTOR_TORQUE = 8, 9, 10, 11
+LINK_SINE, MOTOR_SINE, LINK_TORQUE, MOTOR_TORQUE = 8, 9, 10, 11
 
 ARM, SYSTEM, INTEGRATED = 0, 1, 2
 """Kinds of models."""
@@ -246,7 +246,7 @@ def _step_arm(
         total[place] = 0.0
         for i in range(k):
             total[place] += half * (theta[i] * effects[i, place])
-    total[_LINK_SINE] -= half * flow.gravity_gain
+    total[LINK_SINE] -= half * flow.gravity_gain
     for part in range(2):
         if part == 1:
             if with_covariance:
@@ -266,24 +266,24 @@ def _step_arm(
         before = moved
         for j in range(n):
             before[j] = x[j]
-        x[1] += dot(link, before, 4) + total[_LINK_SINE] * sin + total[_LINK_TORQUE] * torque
-        x[3] += dot(motor, before, 4) + total[_MOTOR_SINE] * sin + total[_MOTOR_TORQUE] * torque
-        link[0] += total[_LINK_SINE] * cos
-        motor[0] += total[_MOTOR_SINE] * cos
+        x[1] += dot(link, before, 4) + total[LINK_SINE] * sin + total[LINK_TORQUE] * torque
+        x[3] += dot(motor, before, 4) + total[MOTOR_SINE] * sin + total[MOTOR_TORQUE] * torque
+        link[0] += total[LINK_SINE] * cos
+        motor[0] += total[MOTOR_SINE] * cos
         if unknown > 0:
             # What θ̂ does to the torque, it does to its unknown part.
-            link[unknown], motor[unknown] = total[_LINK_TORQUE], total[_MOTOR_TORQUE]
+            link[unknown], motor[unknown] = total[LINK_TORQUE], total[MOTOR_TORQUE]
         for i in range(k):
             effect = effects[i]
             on_link = dot(link, upsilon[i], n)
             on_motor = dot(motor, upsilon[i], n)
             upsilon[i, 1] += on_link + half * (
-                dot(effect, before, 4) + effect[_LINK_SINE] * sin + effect[_LINK_TORQUE] * torque
+                dot(effect, before, 4) + effect[LINK_SINE] * sin + effect[LINK_TORQUE] * torque
             )
             upsilon[i, 3] += on_motor + half * (
                 dot(effect[4:], before, 4)
-                + effect[_MOTOR_SINE] * sin
-                + effect[_MOTOR_TORQUE] * torque
+                + effect[MOTOR_SINE] * sin
+                + effect[MOTOR_TORQUE] * torque
             )
         if with_covariance:
             _shear(covariance, link, motor, n)
