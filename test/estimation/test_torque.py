@@ -20,6 +20,7 @@ from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.simulation.plant import Mismatch
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.signals import Square
 
@@ -111,6 +112,22 @@ def test_a_wrong_torque_of_any_plausible_size_stays_inside_three_bounds(
             events = got.tracker.events
             assert events["sensor jumps"] == events["losses of track"] == 0
             assert np.isin(got.bases, (Basis.CERTIFIED, Basis.LEARNT, Basis.TORQUE)).all()
+
+
+@pytest.mark.parametrize("size", [20.0, -350.0])
+def test_what_was_learnt_of_the_arm_tells_what_a_torque_would_have_done(size: float) -> None:
+    """An arm 20 % stiffer than believed, whose response to the torque is another."""
+    scenario = replace(SCENARIO, mismatch=Mismatch(stiffness=0.2))
+    run = simulate(scenario, [0, 1, 2], 40.0)
+    truth = run.physical
+    for place in range(3):
+        torques = run.torques[place].copy()
+        torques[30 * RATE] += size
+        tracker = make_tracker(DESIGNS[1], ObserverSettings(history=0.0))
+        rows = tracker.follow(STAMPS, run.measurements[place], torques)
+        parts = tracker.estimator.row_parts
+        errors = np.abs(rows[:, parts["state"]] - truth[place]) / rows[:, parts["state_bound"]]
+        assert (errors[SETTLED:] < 3.0).all()
 
 
 def test_garbage_in_the_torque_is_taken_back() -> None:
