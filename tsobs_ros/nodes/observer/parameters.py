@@ -127,13 +127,13 @@ class ObserverParameters(ManagedParameters):
             50.0, "Innovations beyond so many sigma are not used", minimum=1.0, maximum=1e6
         ),
         jump_std=parameter(
-            0.15, "Uncertainty added after a sensor jump", unit="rad", minimum=0.0, maximum=10.0
+            0.05, "Uncertainty left after a sensor jump", unit="rad", minimum=0.0, maximum=10.0
         ),
         jump_duration=parameter(
-            1.5, "Riccati gains for so long after a jump", unit="s", minimum=0.0, maximum=60.0
+            0.5, "Riccati gains for so long after a jump", unit="s", minimum=0.0, maximum=60.0
         ),
         jump_quiet=parameter(
-            8.0, "No jump is looked for so soon after a start", unit="s", minimum=0.0, maximum=600.0
+            2.5, "No jump is looked for so soon after a start", unit="s", minimum=0.0, maximum=600.0
         ),
         jump_budget=parameter(
             8, "Jumps within 20 s before they are ignored", minimum=0, maximum=MAX_JUMP_BUDGET
