@@ -161,7 +161,7 @@ def test_claims_are_held_against_errors(bench: ModuleType) -> None:
     basis[0, second] = Basis.CONTRADICTED
     basis[0, third] = Basis.STARTING
     hypothesis[1, third] = Hypothesis.FORCE
-    hypothesis[1, first[:7]] = Hypothesis.DELAY
+    hypothesis[1, first[:7]] = Hypothesis.DRIFT
     conditions = {"basis": basis, "hypothesis": hypothesis}
     found = bench.Found(estimates, np.ones(estimates.shape), conditions=conditions)
     outcome = bench.outcome(SCENARIOS["noise"], runs, found)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Sine, cosine, exponential: as near to the true values as the system's, the same everywhere."""
+"""Sine, cosine, exponential, logarithm: as near to the true as the system's, everywhere alike."""
 
 import hashlib
 import math
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tsobs_ros.model.trigonometry import cosine, exponential, sine
+from tsobs_ros.model.trigonometry import cosine, exponential, logarithm, sine
 
 DIGEST = "a3f4288d51aed99f"
 """Of the values at ten thousand angles; independent of machine, interpreter and C library."""
@@ -32,6 +32,14 @@ def test_the_exponential_is_within_two_units_in_the_last_place() -> None:
         assert abs(exponential(x) - math.exp(x)) <= 2.0 * math.ulp(math.exp(x))
     assert exponential(-800.0) == exponential(-math.inf) == 0.0
     assert math.isnan(exponential(math.nan))
+
+
+def test_the_logarithm_is_within_two_units_in_the_last_place() -> None:
+    near_one = 1.0 + np.linspace(-0.3, 0.3, 10_001)
+    for x in [*near_one.tolist(), *np.geomspace(1e-320, 1e308, 20_000).tolist()]:
+        assert abs(logarithm(x) - math.log(x)) <= 2.0 * math.ulp(math.log(x))
+    for x in (0.0, -1.0, math.inf, math.nan):
+        assert math.isnan(logarithm(x))
 
 
 def test_of_huge_angles_as_exact_as_the_angle_and_of_infinite_ones_nan() -> None:

@@ -12,6 +12,7 @@ from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation import state as records
 from tsobs_ros.estimation import steps
+from tsobs_ros.estimation.hypotheses import alternatives, enter_alternatives
 from tsobs_ros.estimation.options import (
     AdaptationOptions,
     CertifiedGain,
@@ -409,13 +410,19 @@ def certified_estimator(
     scale = flow.to_physical(np.ones(n))
     wide = 0 if gap_flow is None else gap_flow.state_count
     shape = Shape(n, len(scale), p, flow.input_count, k, wide)
-    room = Room.fitting(max(n, wide), p, shape.m, k, *flow.rule_counts)
+    bank = []
+    if isinstance(flow, ArmFlow):
+        bank = alternatives(flow, float(measurement_covariance[0, 0]))
+    widest = max(n, wide, *(each.flow.state_count for each in bank))
+    room = Room.fitting(widest, p, shape.m, k, *flow.rule_counts)
     model = records.new_model(room, shape, flow.period)
     one, q = model[0], flow.disturbance.state_count
     flow.fill(one["flow"], uncertainty)
     if gap_flow is not None:
         gap_flow.fill(one["gap"], uncertainty)
         one["rate_variance"] = gap_flow.rate_variance
+    if bank:
+        enter_alternatives(one, bank, uncertainty)
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period
     one["longest"] = (1.0 + PERIOD_TOLERANCE) * flow.period
     one["disturbed"] = int(flow.disturbance.H.any())

@@ -155,19 +155,28 @@ HYPOTHESES: Mapping[Hypothesis, tuple[Level, str]] = {
     Hypothesis.AS_DESIGNED: (Level.OK, "arm and sensor behave as designed"),
     Hypothesis.FORCE: (
         Level.WARN,
-        "the arm is pushed by something the model lacks: friction, a payload?",
+        "the arm is pushed by something the model lacks: friction, a payload? Damping among the "
+        "design's uncertain parameters, or in the arm's, may explain it",
     ),
     Hypothesis.STRONG_FORCE: (
         Level.WARN,
-        "the arm is pushed hard by something the model lacks: strong friction, a payload, contact?",
+        "the arm is pushed hard by something the model lacks: strong friction, a payload? Damping "
+        "and inertia among the design's uncertain parameters may explain it",
+    ),
+    Hypothesis.CONTACT: (
+        Level.WARN,
+        "the arm is pushed very hard by something the model lacks: a contact, a wrong torque or "
+        "payload?",
     ),
     Hypothesis.COLOURED_NOISE: (
         Level.WARN,
-        "the sensor's noise is alike from sample to sample: a filter in the sensor?",
+        "the sensor's noise is alike from sample to sample: a filter in the sensor? A gauss_markov "
+        "disturbance of 0.02 to 0.1 s in the design would estimate it",
     ),
-    Hypothesis.DELAY: (
+    Hypothesis.DRIFT: (
         Level.WARN,
-        "the sensor's angles are older than their stamps: a delay?",
+        "the sensor's disturbance moves faster than designed: a larger density in the design would "
+        "follow it",
     ),
 }
 """How bad it is that arm and sensor are taken for something, and what it means."""

@@ -91,17 +91,19 @@ class Hypothesis(enum.IntEnum):
 
     Attributes:
         AS_DESIGNED: What the design says.
-        FORCE: An arm that is pushed by an unknown force.
-        STRONG_FORCE: One that is pushed harder.
+        FORCE: An arm that is pushed by an unknown force, about a hundredth of its weight.
+        STRONG_FORCE: One that is pushed five times as hard.
+        CONTACT: One that is pushed twenty times as hard.
         COLOURED_NOISE: A sensor with noise that is alike from sample to sample.
-        DELAY: A sensor that is late.
+        DRIFT: A sensor with a disturbance that moves faster than designed.
     """
 
     AS_DESIGNED = 0
     FORCE = 1
     STRONG_FORCE = 2
-    COLOURED_NOISE = 3
-    DELAY = 4
+    CONTACT = 3
+    COLOURED_NOISE = 4
+    DRIFT = 5
 
 
 class Innovation(NamedTuple):

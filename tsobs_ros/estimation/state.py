@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.estimation.hypotheses import ALTERNATIVES
 from tsobs_ros.estimation.options import (
     MAX_JUMP_BUDGET,
     AdaptationOptions,
@@ -97,6 +98,28 @@ _SIZES: dict[str, tuple[str, ...]] = {
 
 
 @cache
+def alternative_type(room: Room) -> np.dtype[Any]:
+    """Return the type of a filter under another hypothesis.
+
+    x, covariance, upsilon: as of the estimator, with states of its own behind the design's. score:
+    logarithm of its likelihood relative to the best. nis: one-second average of the squares of its
+    innovations in sigmas. variance: expected of the newest innovation [rad²].
+    """
+    n, _, _, k = room[:4]
+    number = np.float64
+    return record_type(
+        [
+            ("x", number, (n,)),
+            ("covariance", number, (n, n)),
+            ("upsilon", number, (k, n)),
+            ("score", number),
+            ("nis", number),
+            ("variance", number),
+        ]
+    )
+
+
+@cache
 def state_type(room: Room) -> np.dtype[Any]:
     """Return the type of a state.
 
@@ -108,8 +131,10 @@ def state_type(room: Room) -> np.dtype[Any]:
     Riccati gains left [s]. corrected: whether a sample was used since the last prediction. theta,
     gamma, upsilon (by rows), gram, age: of the adaptation. recent to jump_count: the supervision's
     memory of the innovations, the newest last. pause: time for which the adaptation rests [s].
-    pinned: time for which a parameter has been at its limit [s]. Then the
-    fields of `repeats.REPEAT_FIELDS`. The others are counts.
+    pinned: time for which a parameter has been at its limit [s]. slow: low-passed innovation in
+    sigmas; slow_power: power of it relative to a white one's. awake, awake_time [s]: of the
+    alternatives, which are in the order of `Hypothesis`. hypothesis: its code. score: of the
+    design. Then the fields of `repeats.REPEAT_FIELDS`. The others are counts.
     """
     n, p, m, k = room[:4]
     number, count = np.float64, np.int64
@@ -169,6 +194,13 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("doubted", count),
             ("resting", count),
             ("relearned", number),
+            ("slow", number),
+            ("slow_power", number),
+            ("awake", count),
+            ("awake_time", number),
+            ("hypothesis", count),
+            ("score", number),
+            ("alternatives", alternative_type(room), (ALTERNATIVES,)),
             ("watch_age", number),
             ("jump_ages", number, (MAX_JUMP_BUDGET,)),
             ("jump_count", count),
@@ -255,6 +287,28 @@ def work_type(room: Room) -> np.dtype[Any]:
 
 
 @cache
+def alternative_model_type(room: Room) -> np.dtype[Any]:
+    """Return the type of a hypothesis' model.
+
+    n: number of its states, the last of them a torque. C: output. variance: of the white noise of
+    one sample [rad²]. added: initial variances of its own states. prior: by how much its score must
+    exceed the design's. hysteresis: by how much less, once it is selected.
+    """
+    number = np.float64
+    return record_type(
+        [
+            ("flow", flow_type(room)),
+            ("n", np.int64),
+            ("C", number, (room.n,)),
+            ("variance", number),
+            ("prior", number),
+            ("hysteresis", number),
+            ("added", number, (room.n,)),
+        ]
+    )
+
+
+@cache
 def model_type(room: Room) -> np.dtype[Any]:
     """Return the type of a model: flows, output, gains, bounds, options and the initial state."""
     n, p, _, k = room[:4]
@@ -263,6 +317,8 @@ def model_type(room: Room) -> np.dtype[Any]:
         [
             ("flow", flow_type(room)),
             ("gap", flow_type(room)),
+            ("alternatives", alternative_model_type(room), (ALTERNATIVES,)),
+            ("has_alternatives", count),
             ("initial", state_type(room)),
             ("n", count),
             ("plant", count),
@@ -321,6 +377,9 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("relearn_time", number),
             ("second_share", number),
             ("magnitude_share", number),
+            ("sign_share", number),
+            ("sign_power_share", number),
+            ("score_fade", number),
         ]
     )
 

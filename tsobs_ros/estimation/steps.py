@@ -29,8 +29,9 @@ from typing import Any
 
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled
+from tsobs_ros.estimation.hypotheses import adopt, predict_alternatives, sleep, weigh
 from tsobs_ros.estimation.options import MAX_JUMP_BUDGET
-from tsobs_ros.estimation.records import Basis, Learning
+from tsobs_ros.estimation.records import Basis, Hypothesis, Learning
 from tsobs_ros.estimation.repeats import count_repeats, forget_value
 from tsobs_ros.estimation.state import CERTIFIED, OPEN, WINDOW
 from tsobs_ros.estimation.torque import (
@@ -61,6 +62,9 @@ from tsobs_ros.model.trigonometry import exponential
 _CERTIFIED, _LEARNT, _STARTING = Basis.CERTIFIED.value, Basis.LEARNT.value, Basis.STARTING.value
 _TORQUE, _SUSPICION, _MATTERS = Basis.TORQUE.value, 4.0, 1.0 / 9.0
 _GAP, _JUMP, _CONTRADICTED = Basis.GAP.value, Basis.JUMP.value, Basis.CONTRADICTED.value
+_HYPOTHESIS = Basis.HYPOTHESIS.value
+_AS_DESIGNED = Hypothesis.AS_DESIGNED.value
+_COLOURED_NOISE = Hypothesis.COLOURED_NOISE.value
 _NONE, _YOUNG, _ACTIVE = Learning.NONE.value, Learning.STARTING.value, Learning.ACTIVE.value
 _AFTER_JUMP, _STRAINED = Learning.AFTER_JUMP.value, Learning.STRAINED.value
 
@@ -125,8 +129,22 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
             if suspected:
                 _leave_certified(model, state, _TORQUE)
                 distrust_torque(model, state)
-            _limit_disturbance(model, state)
+            _limit_disturbance(model, state.x[:], state.covariance[:], _width(model, state))
             _guard(model, state)
+        if (jumped or suspected) and state.hypothesis == _AS_DESIGNED:
+            sleep(state)
+    if model.supervised != 0 and model.has_alternatives != 0:
+        stuck = 0 < model.stuck_samples <= state.repeats
+        if not stuck:
+            weigh(model, state, y, correction)
+        if state.hypothesis != _AS_DESIGNED:
+            chosen = state.alternatives[state.hypothesis - 1]
+            _limit_disturbance(
+                model,
+                chosen.x[:],
+                chosen.covariance[:],
+                model.alternatives[state.hypothesis - 1].n,
+            )
     sample = state.y[:]
     for i in range(model.p):
         sample[i] = y[i]
@@ -344,8 +362,12 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
     if magnitude > model.lost and coloured > _SMOOTH:
         # This sample is not used: it may be the worst of those that gave the estimate up. The
         # disturbance is wide open, as the sensor is lost more often than the arm.
-        restart(model, state)
-        _inflate(model, state, model.disturbance_limit, 0.0)
+        if state.hypothesis != _AS_DESIGNED:
+            adopt(model, state)
+        else:
+            sleep(state)
+            restart(model, state)
+            _inflate(model, state, model.disturbance_limit, 0.0)
         _forget(state)
         state.watch_age, state.jump_count, state.losses = 0.0, 0, state.losses + 1
         _doubt(state, _STARTING)
@@ -384,7 +406,11 @@ def _doubt(state: Any, basis: int) -> None:
 def _repetition(state: Any) -> float:
     """Return how many coloured innovations say as much as one that is white."""
     share = min(max(state.coloured_power / larger(state.nis, 1.0) - _WHITE, 0.0), _ALIKE)
+    if state.hypothesis == _COLOURED_NOISE:
+        share = _ALIKE
     samples: float = (1.0 + share) / (1.0 - share)
+    if _AS_DESIGNED < state.hypothesis < _COLOURED_NOISE:
+        samples = larger(state.slow_power, samples)
     return samples
 
 
@@ -478,17 +504,17 @@ def _may_jump(model: Any, state: Any) -> bool:
 
 
 @compiled
-def _limit_disturbance(model: Any, state: Any) -> None:
+def _limit_disturbance(model: Any, x: Array, covariance: Array, n: int) -> None:
     """Keep the disturbance ω = h w within its limit, by the likeliest change of all states.
 
     A change of w alone would leave the innovation unexplained.
     """
-    h, x, covariance = model.disturbance_map[0], state.x[:], state.covariance[:]
+    h = model.disturbance_map[0]
     omega, variance = dot(h, x, model.n), quadratic(covariance, h, model.n)
     if abs(omega) <= model.disturbance_limit or not variance > 0.0:
         return
     excess = omega - math.copysign(model.disturbance_limit, omega)
-    for j in range(_width(model, state)):
+    for j in range(n):
         x[j] -= excess * (dot(h, covariance[j], model.n) / variance)
 
 
@@ -558,7 +584,7 @@ def _guard(model: Any, state: Any) -> None:
     if state.pass_age < model.pass_time:
         state.strained, state.pinned = 0.0, 0.0
     astray = state.strained >= model.strain or state.pinned >= model.strain
-    if not astray or state.resting != 0:
+    if state.hypothesis != _AS_DESIGNED or not astray or state.resting != 0:
         return
     state.pinned, state.strained = 0.0, 0.0
     if state.relearned > model.relearn_budget - 1.0:
@@ -694,6 +720,8 @@ def predict(
         ):
             state.certified = 1
             copy(model.X[:], state.covariance[:], n, n)
+    if state.awake != 0:
+        predict_alternatives(model, state, u, duration, work)
     if not between_samples:
         follow_step(model, state, duration, work)
         state.torque_age += duration
@@ -745,16 +773,26 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
     x, y, covariance = state.x[:], state.y[:], state.covariance[:]
     upsilon, gamma, theta = state.upsilon[:], state.gamma[:], state.theta[:]
     pending = state.pending[:]
-    share = work.small[0]
     noise = larger(state.noise_scale, 1.0) if model.supervised != 0 else 1.0
     uncertain = model.gain_mode != OPEN and state.certified == 0
     response, open_torque = state.response[:], is_open(model, state)
+    spread = noise
+    if state.hypothesis != _AS_DESIGNED:
+        alternative = state.alternatives[state.hypothesis - 1]
+        x, covariance, upsilon = (
+            alternative.x[:],
+            alternative.covariance[:],
+            alternative.upsilon[:],
+        )
+        spread *= math.sqrt(larger(alternative.nis, 1.0))
+        uncertain = bool(1)
+    share = work.small[0]
     total = 0.0
     for i in range(plant):
         bound = std[i]
         if uncertain:
             bound = larger(_root(covariance[i, i]), bound)
-        bound *= noise
+        bound *= spread
         for a in range(k):
             share[a] = upsilon[a, i]
         shift = dot(share, pending, k)
@@ -775,7 +813,7 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         bound = std[i]
         if uncertain:
             bound = larger(_root(quadratic(covariance, h, n)), bound)
-        bound *= noise
+        bound *= spread
         for a in range(k):
             share[a] = dot(h, upsilon[a], n)
         shift = dot(share, pending, k)
@@ -798,9 +836,10 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
     readout.basis = _basis(model, state)
     readout.noise_scale, readout.coloured_power = noise, state.coloured_power
     readout.learning = _learning(model, state)
-    readout.hypothesis = 0
+    readout.hypothesis = state.hypothesis
     readout.parameters_valid = 0
-    trusted = state.resting == 0 and state.coloured_power <= _MAX_COLOUR
+    designed = state.hypothesis == _AS_DESIGNED
+    trusted = designed and state.resting == 0 and state.coloured_power <= _MAX_COLOUR
     if k > 0 and trusted and _is_excited(model, state, work):
         readout.parameters_valid = 1
     readout.finite = 1 if math.isfinite(total) else 0
@@ -809,6 +848,9 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
 @compiled
 def _basis(model: Any, state: Any) -> int:
     """Return the code of `Basis` that a state's bounds have."""
+    if state.hypothesis != _AS_DESIGNED:
+        nis = state.alternatives[state.hypothesis - 1].nis
+        return _CONTRADICTED if nis > _MAX_NIS else _HYPOTHESIS
     if state.doubt > 0.0:
         doubted: int = state.doubted
         return doubted

@@ -215,7 +215,44 @@ class ArmFlow(Flow):
         return self.arm.to_physical(np.asarray(x, dtype=np.float64)[..., :4])
 
 
-class GapFlow(ArmFlow):
+class TorqueFlow(ArmFlow):
+    """Prediction of an arm with an unknown torque of the motor besides the known one.
+
+    The torque is the first of some states behind the others, which move on their own.
+
+    Args:
+        flow: Of the arm.
+        matrix: Continuous state matrix of the torque's states, shape (q, q).
+        density: White noise density of them, shape (q, q).
+    """
+
+    def __init__(self, flow: ArmFlow, matrix: Array, density: Array) -> None:
+        self._matrix, self._density = matrix, density
+        super().__init__(flow.arm, flow.disturbance, flow.process_noise, flow.period)
+
+    @property
+    def state_count(self) -> int:
+        """Length of the augmented state with those of the unknown torque."""
+        return super().state_count + len(self._matrix)
+
+    @cached_property
+    def output_matrix(self) -> Array:
+        """Augmented state to measured angle, shape (1, n)."""
+        own = np.hstack([self.arm.output_matrix, self.disturbance.H])
+        return np.pad(own, ((0, 0), (0, len(self._matrix))))
+
+    @cached_property
+    def drift(self) -> Array:
+        """Continuous augmented matrix without gravity, shape (n, n)."""
+        drift = block_diag(super().drift, self._matrix)
+        drift[:4, -len(self._matrix)] = self.arm.input_matrix[:, 0]
+        return np.asarray(drift)
+
+    def _noise_density(self) -> Array:
+        return np.asarray(block_diag(super()._noise_density(), self._density))
+
+
+class GapFlow(TorqueFlow):
     """Prediction of an arm through a gap, in which the torque is unknown.
 
     The torque is u + δ there, u being the last known one: δ begins at zero and moves at a rate that
@@ -229,39 +266,27 @@ class GapFlow(ArmFlow):
     """
 
     def __init__(self, flow: ArmFlow, torque_rate: float) -> None:
-        self._torque_rate = torque_rate
-        super().__init__(flow.arm, flow.disturbance, flow.process_noise, flow.period)
-
-    @property
-    def state_count(self) -> int:
-        """Length of the augmented state with the unknown torque and its rate."""
-        return super().state_count + UNKNOWN_TORQUE
-
-    @cached_property
-    def output_matrix(self) -> Array:
-        """Augmented state to measured angle, shape (1, n)."""
-        own = np.hstack([self.arm.output_matrix, self.disturbance.H])
-        return np.pad(own, ((0, 0), (0, UNKNOWN_TORQUE)))
-
-    @cached_property
-    def drift(self) -> Array:
-        """Continuous augmented matrix without gravity, shape (n, n)."""
-        drift = block_diag(super().drift, np.array([[0.0, 1.0], [0.0, -1.0 / GAP_MEMORY]]))
-        drift[:4, -UNKNOWN_TORQUE] = self.arm.input_matrix[:, 0]
-        return np.asarray(drift)
-
-    def _noise_density(self) -> Array:
-        own = np.diag([0.0, 2.0 * self.rate_variance / GAP_MEMORY])
-        return np.asarray(block_diag(super()._noise_density(), own))
-
-    @property
-    def rate_variance(self) -> float:
-        """Variance of the torque's rate at the start of a gap [N²m²/s²]."""
-        return self._torque_rate * self._torque_rate
+        self.rate_variance = torque_rate * torque_rate
+        density = np.diag([0.0, 2.0 * self.rate_variance / GAP_MEMORY])
+        super().__init__(flow, np.array([[0.0, 1.0], [0.0, -1.0 / GAP_MEMORY]]), density)
 
     @property
     def _unknown_torque(self) -> int:
         return self.state_count - UNKNOWN_TORQUE
+
+
+class ForceFlow(TorqueFlow):
+    """Prediction of an arm with an unknown Gauss–Markov torque at its motor: f' = −f/τ + noise.
+
+    Args:
+        flow: Of the arm.
+        std: Stationary 1σ of the torque [N m].
+        time_constant: τ [s].
+    """
+
+    def __init__(self, flow: ArmFlow, std: float, time_constant: float) -> None:
+        density = np.array([[2.0 * std * std / time_constant]])
+        super().__init__(flow, np.array([[-1.0 / time_constant]]), density)
 
 
 def slope_range(x_max: float) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Sine, cosine and the falling exponential with the same bits on every CPU.
+"""Sine, cosine, the falling exponential and the logarithm with the same bits on every CPU.
 
 The system's differ: glibc has variants with and without fused multiplication and addition, which
 disagree in the last bit of one sine in 1,300. These are products and sums in a fixed order (the
@@ -74,3 +74,23 @@ def exponential(x: float) -> float:
     )
     c = r - t * (1.66666666666666019037e-01 + t * (-2.77777777770155933842e-03 + t * c))
     return math.ldexp(1.0 - ((low - r * c / (2.0 - c)) - high), int(whole))
+
+
+@compiled
+def logarithm(x: float) -> float:
+    """Return the natural logarithm of x > 0; NaN of other numbers."""
+    if not 0.0 < x < math.inf:
+        return math.nan
+    mantissa, power = math.frexp(x)
+    if mantissa < 0.70710678118654752440:
+        mantissa, power = 2.0 * mantissa, power - 1
+    f = mantissa - 1.0
+    s = f / (2.0 + f)
+    z = s * s
+    w = z * z
+    even = w * (0.3999999999940941908 + w * (0.2222219843214978396 + w * 0.1531383769920937332))
+    odd = 0.1818357216161805012 + w * 0.1479819860511658591
+    odd = z * (0.6666666666666735130 + w * (0.2857142874366239149 + w * odd))
+    half = 0.5 * f * f
+    low = power * 1.90821492927058770002e-10
+    return power * 6.93147180369123816490e-01 - ((half - (s * (half + even + odd) + low)) - f)

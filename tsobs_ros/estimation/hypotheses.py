@@ -1,0 +1,296 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A bank of hypotheses about what the design lacks, each an extended Kalman filter, compiled.
+
+The certified gain answers slow innovations at once, so a low-passed one stays small if the model is
+right, and grows if the arm is pushed by a force that the model lacks, long before single
+innovations look odd. Noise that is alike from sample to sample shows in the product of neighbours.
+Either sign wakes the alternatives, which begin from the estimate. Each has the design's states and
+a Gauss–Markov torque of the motor besides, which is large in a *force*; *coloured noise* has a
+Gauss–Markov part of the noise too, and in a *drift* the disturbance moves faster than designed.
+
+They take θ̂ and Γ of the estimator, with a regressor Υ of their own. The logarithm of each
+innovation's likelihood adds up to a score that is forgotten slowly. The best hypothesis is
+selected, if its score exceeds the design's clearly; its estimate and covariance are published. The
+estimator goes on as designed meanwhile. While the design is selected and the signs are gone, the
+bank sleeps and costs nothing.
+"""
+
+import math
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from tsobs_ros.checks import Array
+from tsobs_ros.compiled import compiled
+from tsobs_ros.estimation.records import Hypothesis
+from tsobs_ros.model.disturbance import gauss_markov
+from tsobs_ros.model.flow import ArmFlow, ForceFlow
+from tsobs_ros.model.matrices import copy, dot, quadratic
+from tsobs_ros.model.prediction import Flow, fill_matrix
+from tsobs_ros.model.stepping import advance
+from tsobs_ros.model.trigonometry import exponential, logarithm
+from tsobs_ros.model.uncertainty import Uncertainty
+
+ALTERNATIVES = len(Hypothesis) - 1
+"""Hypotheses besides the design, in the order of `Hypothesis`."""
+
+FORCES = (0.01, 0.05, 0.2)
+"""1σ of the torques of the three forces, relative to the gravity torque."""
+
+OTHER_FORCES = (0.005, 0.002)
+"""The same of coloured noise and of a drift."""
+
+FORCE_TIME = 1.0
+"""Correlation time of an unknown torque [s]."""
+
+COLOUR_TIME = 0.1
+"""Correlation time of coloured noise [s]."""
+
+WHITE_SHARE = 0.1
+"""White part of the variance of coloured noise."""
+
+DRIFT_SPEED = 4.0
+"""How much faster than designed the disturbance drifts."""
+
+_PRIORS, _HYSTERESES = (2.5, 2.5, 2.5, 7.0, 3.0), (1.0, 1.0, 1.0, 6.0, 1.0)
+_SIGN_TIME, _SIGN_POWER_TIME, _SCORE_TIME = 0.4, 5.0, 20.0
+_WAKING_SLOW, _WAKING_COLOUR = 0.7, 0.3
+_CALM_SLOW, _CALM_COLOUR = 0.5, 0.2
+_LEAST_TIME = 5.0
+_CLIP = 3.0
+_HYSTERESIS, _MAX_SCORE = 1.0, 9.0
+_MAX_WHITE = 2.0
+_LEARNT, _PASS = 10.0, 2.5
+_DESIGNED_COLOUR = 0.6
+_AS_DESIGNED, _LAST_FORCE = Hypothesis.AS_DESIGNED.value, Hypothesis.CONTACT.value
+_COLOURED = Hypothesis.COLOURED_NOISE.value
+
+
+class Alternative(NamedTuple):
+    """What another hypothesis assumes.
+
+    Attributes:
+        flow: Prediction model, whose states are the design's and then those of its own.
+        variance: Of the white noise of one sample [rad²].
+        initial_std: 1σ of its own states before any measurement.
+        prior: By how much its score must exceed the design's.
+        hysteresis: By how much less, once it is selected.
+    """
+
+    flow: Flow
+    variance: float
+    initial_std: tuple[float, ...]
+    prior: float
+    hysteresis: float
+
+
+def alternatives(flow: ArmFlow, variance: float) -> list[Alternative]:
+    """Return what the hypotheses assume, in the order of `Hypothesis`.
+
+    Args:
+        flow: The design's prediction model.
+        variance: Of the white noise of one sample [rad²].
+    """
+    std, gravity = math.sqrt(variance), flow.arm.gravity_torque
+    forces = [share * gravity for share in (*FORCES, *OTHER_FORCES)]
+    faster = replace(flow.disturbance, G=DRIFT_SPEED * flow.disturbance.G)
+    coloured, drifting = (
+        ArmFlow(flow.arm, disturbance, flow.process_noise, flow.period)
+        for disturbance in (flow.disturbance + gauss_markov(std, COLOUR_TIME), faster)
+    )
+    flows = [
+        ForceFlow(base, force, FORCE_TIME)
+        for base, force in zip((flow, flow, flow, coloured, drifting), forces, strict=True)
+    ]
+    own: list[tuple[float, ...]] = [(force,) for force in forces]
+    variances = [variance] * ALTERNATIVES
+    variances[_COLOURED - 1] *= WHITE_SHARE
+    own[_COLOURED - 1] = (std, *own[_COLOURED - 1])
+    numbers = zip(flows, variances, own, _PRIORS, _HYSTERESES, strict=True)
+    return [Alternative(*each) for each in numbers]
+
+
+def enter_alternatives(
+    model: Any, bank: list[Alternative], uncertainty: Uncertainty | None
+) -> None:
+    """Enter the hypotheses into one model record, whose period is there already."""
+    model["has_alternatives"] = 1
+    for record, assumed in zip(model["alternatives"], bank, strict=True):
+        n = assumed.flow.state_count
+        assumed.flow.fill(record["flow"], uncertainty)
+        fill_matrix(record["C"], assumed.flow.output_matrix[0])
+        for place, std in enumerate(assumed.initial_std, n - len(assumed.initial_std)):
+            record["added"][place] = std * std
+        record["n"], record["variance"] = n, assumed.variance
+        record["prior"], record["hysteresis"] = assumed.prior, assumed.hysteresis
+    period = float(model["period"])
+    model["sign_share"] = 1.0 - exponential(-period / _SIGN_TIME)
+    model["sign_power_share"] = 1.0 - exponential(-period / _SIGN_POWER_TIME)
+    model["score_fade"] = exponential(-period / _SCORE_TIME)
+
+
+@compiled
+def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
+    """Weigh the hypotheses by one measurement, and correct those that are awake.
+
+    Args:
+        model: Model record.
+        state: Corrected by the measurement.
+        y: Measurement, shape (1,).
+        correction: Its effect.
+    """
+    scale = max(state.noise_scale, 1.0)
+    variance = scale * scale * correction.innovation_covariance[0, 0]
+    innovation = correction.innovation[0]
+    if not (variance > 0.0 and math.isfinite(innovation)):
+        return
+    # White noise that has just grown is not in the scale yet, and a jump not in the estimate.
+    bursting = state.nis - max(state.coloured_power, 0.0) > _MAX_WHITE
+    if state.awake == 0 and (bursting or state.pause > 0.0):
+        return
+    r = min(max(innovation / math.sqrt(variance), -_CLIP), _CLIP)
+    share = model.sign_share
+    state.slow += share * (r - state.slow)
+    power = state.slow * state.slow * ((2.0 - share) / share)
+    state.slow_power += model.sign_power_share * (power - state.slow_power)
+    if state.awake == 0:
+        if state.slow_power > _WAKING_SLOW or state.coloured_power > _WAKING_COLOUR:
+            _wake(model, state)
+        return
+    # A wrong θ̂ looks like a force until it is learnt.
+    young = model.k > 0 and (state.age < _LEARNT or state.pass_age < _PASS)
+    forced = 0 < state.hypothesis <= _LAST_FORCE
+    designed = -0.5 * (r * r + logarithm(variance))
+    state.score = state.score * model.score_fade + designed
+    best, finite = state.score, True
+    for i in range(ALTERNATIVES):
+        alternative, own_scale = state.alternatives[i], scale
+        if i == _COLOURED - 1:
+            # The white scale is of differences, which coloured noise hardly has.
+            own_scale *= math.sqrt(max(state.coloured_power / _DESIGNED_COLOUR, 1.0))
+        ratio = _correct(model, state, i, y[0], own_scale, correction)
+        gain = -0.5 * (ratio + logarithm(alternative.variance))
+        if bursting or (young and not forced and i != _COLOURED - 1):
+            gain = designed
+        alternative.nis += model.second_share * (ratio - alternative.nis)
+        alternative.score = alternative.score * model.score_fade + gain
+        finite = finite and math.isfinite(alternative.score)
+        best = max(best, alternative.score)
+    if not finite:
+        sleep(state)
+        return
+    state.score = max(state.score - best, -_MAX_SCORE)
+    selected, most = _AS_DESIGNED, state.score
+    if state.hypothesis == _AS_DESIGNED:
+        most += _HYSTERESIS
+    for i in range(ALTERNATIVES):
+        alternative = state.alternatives[i]
+        alternative.score = max(alternative.score - best, -_MAX_SCORE)
+        value = alternative.score - model.alternatives[i].prior
+        if state.hypothesis == i + 1:
+            value += model.alternatives[i].hysteresis
+        if value > most:
+            selected, most = i + 1, value
+    state.hypothesis = selected
+    calm = state.slow_power < _CALM_SLOW and state.coloured_power < _CALM_COLOUR
+    if calm and selected == _AS_DESIGNED and state.awake_time > _LEAST_TIME:
+        sleep(state)
+
+
+@compiled
+def _correct(model: Any, state: Any, place: int, y: float, scale: float, correction: Any) -> float:
+    """Correct an alternative; return the square of its innovation in sigmas, clipped."""
+    assumed, alternative = model.alternatives[place], state.alternatives[place]
+    n, k, C = assumed.n, model.k, assumed.C[:]
+    x, covariance, upsilon = alternative.x[:], alternative.covariance[:], alternative.upsilon[:]
+    crossed, omega = correction.crossed[0], correction.turned[0]
+    for i in range(n):
+        crossed[i] = dot(covariance[i], C, n)
+    known = dot(C, crossed, n) + assumed.variance
+    for a in range(k):
+        omega[a] = dot(C, upsilon[a], n)
+    alternative.variance = scale * scale * (known + quadratic(state.gamma[:], omega, k))
+    innovation = y - dot(C, x, n)
+    ratio, weight = innovation * innovation / alternative.variance, 1.0
+    if ratio > model.gate * model.gate:
+        weight = model.gate * model.gate / ratio
+    for i in range(n):
+        gain = crossed[i] / known
+        x[i] += gain * (weight * innovation)
+        for j in range(n):
+            covariance[i, j] -= crossed[i] * crossed[j] / known
+        for a in range(k):
+            upsilon[a, i] -= omega[a] * gain
+    clipped: float = min(ratio, _CLIP * _CLIP)
+    return clipped
+
+
+@compiled
+def _wake(model: Any, state: Any) -> None:
+    """Begin the alternatives from the estimate."""
+    n, k = model.n, model.k
+    for i in range(ALTERNATIVES):
+        assumed, alternative = model.alternatives[i], state.alternatives[i]
+        x, covariance, upsilon = alternative.x[:], alternative.covariance[:], alternative.upsilon[:]
+        for a in range(assumed.n):
+            x[a] = state.x[a] if a < n else 0.0
+            for b in range(assumed.n):
+                covariance[a, b] = 0.0
+            covariance[a, a] = assumed.added[a]
+            for b in range(k):
+                upsilon[b, a] = state.upsilon[b, a] if a < n else 0.0
+        copy(model.posterior[:] if state.certified != 0 else state.covariance[:], covariance, n, n)
+        alternative.score, alternative.nis = 0.0, 1.0
+    state.awake, state.awake_time, state.score = 1, 0.0, 0.0
+
+
+@compiled
+def sleep(state: Any) -> None:
+    """Take arm and sensor for what the design says, until there are new signs."""
+    state.awake, state.hypothesis = 0, _AS_DESIGNED
+    state.slow, state.slow_power = 0.0, 0.0
+
+
+@compiled
+def adopt(model: Any, state: Any) -> None:
+    """Take the selected hypothesis' estimate and covariance for those of the estimator."""
+    alternative = state.alternatives[state.hypothesis - 1]
+    for i in range(model.n):
+        state.x[i] = alternative.x[i]
+    copy(alternative.covariance[:], state.covariance[:], model.n, model.n)
+    state.certified, state.corrected, state.in_gap = 0, 1, 0
+
+
+@compiled
+def predict_alternatives(model: Any, state: Any, u: Array, duration: float, work: Any) -> None:
+    """Predict the alternatives over a time.
+
+    Args:
+        model: Model record.
+        state: Predicted over the time, which is not in its ages yet.
+        u: Inputs held over the time, shape (m,).
+        duration: [s].
+        work: Scratch record of a prediction.
+    """
+    begin = state.torque_age if state.torque_unknown != 0 else state.since
+    wider = 0.0
+    if state.in_gap != 0 and math.isfinite(begin):
+        # The known torque moves unseen.
+        wider = model.rate_variance * (2.0 * begin + duration) * duration
+    for i in range(ALTERNATIVES):
+        assumed, alternative = model.alternatives[i], state.alternatives[i]
+        covariance, force = alternative.covariance[:], assumed.n - 1
+        covariance[force, force] += wider
+        advance(
+            assumed.flow,
+            alternative.x[:],
+            alternative.upsilon[:],
+            covariance,
+            bool(1),
+            state.theta[:],
+            state.y[:],
+            u,
+            duration,
+            work.flow,
+        )
+    state.awake_time += duration
