@@ -368,7 +368,7 @@ class FaultMonitor:
         return Status(
             "innovation",
             Level.WARN if self.large else Level.OK,
-            "larger than the design expects: noise, model or disturbance differ"
+            "larger than the design expects: noise, model, torque or disturbance differ"
             if self.large
             else "consistent with the design",
             {"normalised innovation squared": f"{self.square:.3g}"},
