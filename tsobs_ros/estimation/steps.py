@@ -69,27 +69,49 @@ _NONE, _YOUNG, _ACTIVE = Learning.NONE.value, Learning.STARTING.value, Learning.
 _AFTER_JUMP, _STRAINED = Learning.AFTER_JUMP.value, Learning.STRAINED.value
 
 _CLIP = 5.0
-_SAME_SIGN, _FAR, _CLOSE = 7, 6, 4
-_LEANING = 8
-_LEAN = 6.0 * math.sqrt(_LEANING)
-_SUDDEN = 0.4
-_LOST_CLIP = 4.0
-_CALM = 0.7
-_STRAIN = 1.0
-_MAX_NIS = 3.0
-_MAX_COLOUR = 0.5
-_DOUBT = 3.0
-_EVEN = 0.3
-_PASSES = 4
-_SMOOTH = 2.0
-_CURVED = 0.3
-_WHITE = 0.15
-_ALIKE = 0.9
-_NEIGHBOURS = 10.0
-_REGULAR, _OUTLIER = 1, 2
-_MOVING = 3.0
-_LEAST_SCALE = 0.5
+"""Innovations count up to so many σ in averages, so that outliers do not make them."""
+
 _MEDIAN = 0.6745
+"""Median of a normal variable's size."""
+
+_NEIGHBOURS = 10.0
+"""Innovations are neighbours if at most so many periods lie between them."""
+
+_LEAST_SCALE = 0.5
+"""The noise's scale is kept above it, so that it grows in seconds if a quiet sensor gets noisy."""
+
+_REGULAR, _OUTLIER = 1, 2
+"""Kinds of an innovation for the noise's scale, 0 for none."""
+
+_LEANING, _SAME_SIGN, _FAR, _CLOSE = 8, 7, 6, 4
+"""A jump: of the newest eight innovations, seven have one sign, six are beyond 1σ, and four
+differences of neighbours are small. The newest four have its size."""
+
+_LEAN = 6.0 * math.sqrt(_LEANING)
+"""Their least sum: 6σ of white noise."""
+
+_SUDDEN, _EVEN = 0.4, 0.3
+"""Largest share of that sum before them, and least ratio of sizes among the newest four."""
+
+_CALM, _STRAIN, _MAX_COLOUR, _SMOOTH = 0.7, 1.0, 0.5, 2.0
+"""Coloured powers: the largest before a jump, the least of a wrong model, the largest under a
+certified bound, the least of a lost arm. That of white noise has a 1σ of 0.07."""
+
+_MAX_NIS, _DOUBT = 3.0, 3.0
+"""A larger `nis` contradicts a certified bound, which then comes back after so long [s]."""
+
+_LOST_CLIP = 4.0
+"""A lone innovation counts up to so many times `lost`."""
+
+_WHITE, _ALIKE = 0.15, 0.9
+"""Correlation of neighbours that white noise has by chance, and the largest that is believed."""
+
+_MOVING = 6.0
+"""A state moves if its deviation over some seconds exceeds so many bounds."""
+
+_PASSES, _CURVED = 4, 0.3
+"""How often parameters are learnt again along better regressors, and which share of a distance
+regressors are wrong by."""
 
 
 @compiled
