@@ -67,10 +67,10 @@ ENVIRONMENTS = {
         core: {"OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": str(1 + number % 2)}
         for number, core in enumerate(CORES)
     },
-    "numpy": {"NPY_DISABLE_CPU_FEATURES": "FEATURES"},
-    "glibc": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-FMA4"},
     "interpreter": {"NUMBA_DISABLE_JIT": "1"},
 }
+ENVIRONMENTS["Prescott"]["NPY_DISABLE_CPU_FEATURES"] = "FEATURES"
+ENVIRONMENTS["Nehalem"]["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-FMA4"
 if "TSOBS_OTHER_CPU" in os.environ:
     # It has to compile everything, which takes a minute.
     ENVIRONMENTS["generic CPU"] = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
@@ -106,7 +106,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def numbers_of(folder: Path, environment: dict[str, str]) -> str:
     if "NPY_DISABLE_CPU_FEATURES" in environment:
         features = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
-        environment = {"NPY_DISABLE_CPU_FEATURES": " ".join(features)}
+        environment = {**environment, "NPY_DISABLE_CPU_FEATURES": " ".join(features)}
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", PROGRAM, folder],
         env={**os.environ, **environment},
