@@ -61,7 +61,7 @@ _CLIP = 3.0
 _HYSTERESIS, _MAX_SCORE = 1.0, 9.0
 _MAX_WHITE = 2.0
 _LEARNT, _PASS = 10.0, 2.5
-_DESIGNED_COLOUR = 0.6
+_DESIGNED_COLOUR, _SMOOTH = 0.6, 0.8
 _AS_DESIGNED, _LAST_FORCE = Hypothesis.AS_DESIGNED.value, Hypothesis.CONTACT.value
 _COLOURED = Hypothesis.COLOURED_NOISE.value
 
@@ -157,9 +157,11 @@ def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
         if state.slow_power > _WAKING_SLOW or state.coloured_power > _WAKING_COLOUR:
             _wake(model, state)
         return
-    # A wrong θ̂ looks like a force until it is learnt.
+    # A wrong θ̂ looks like a force until it is learnt, and like noise if that is not small between
+    # neighbours.
     young = model.k > 0 and (state.age < _LEARNT or state.pass_age < _PASS)
-    forced = 0 < state.hypothesis <= _LAST_FORCE
+    young = young and not 0 < state.hypothesis <= _LAST_FORCE
+    smooth = state.noise_scale < _SMOOTH
     designed = -0.5 * (r * r + logarithm(variance))
     state.score = state.score * model.score_fade + designed
     best, finite = state.score, True
@@ -170,7 +172,7 @@ def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
             own_scale *= math.sqrt(max(state.coloured_power / _DESIGNED_COLOUR, 1.0))
         ratio = _correct(model, state, i, y[0], own_scale, correction)
         gain = -0.5 * (ratio + logarithm(alternative.variance))
-        if bursting or (young and not forced and i != _COLOURED - 1):
+        if bursting or (young and not (smooth and i == _COLOURED - 1)):
             gain = designed
         alternative.nis += model.second_share * (ratio - alternative.nis)
         alternative.score = alternative.score * model.score_fade + gain
