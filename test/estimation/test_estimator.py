@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,12 +140,17 @@ def bad_numbers(estimator: Estimator) -> list[State]:
 def digest(states: list[State], estimator: Estimator) -> str:
     """Return a digest of the bytes of states and of what is read of them; every NaN is alike."""
     found = hashlib.sha256()
-    for state in states:
-        records = state.copy().records
+
+    def liken(records: Any) -> None:
         for name in records.dtype.names or ():
             values = records[name]
             if values.dtype == np.float64:
                 values[np.isnan(values)] = np.nan
+            liken(values)
+
+    for state in states:
+        records = state.copy().records
+        liken(records)
         found.update(records.tobytes())
         for part in estimator.readout(state):
             numbers = np.array(part, np.float64)
