@@ -213,6 +213,8 @@ class EventLog:
         self._began: int | None = None
         self._newest: int | None = None
         self._noisy = False
+        self._basis = Basis.STARTING
+        self._gap_since: int | None = None
         self._state = _Teller[Phase | None](EventKind.STATE, None)
         self._bound = _Teller(EventKind.BOUND, Basis.STARTING)
         self._noise = _Teller(EventKind.NOISE, False)
@@ -241,10 +243,7 @@ class EventLog:
                 events += self._go_stale(self._newest)
         events += self._tell_phase(condition, newest)
         self._newest = newest
-        basis = condition.basis
-        level, text = BOUNDS[basis]
-        lasting = 0.0 if level is Level.WARN else _LASTING
-        events += self._bound.update(stamp, basis, level, text, lasting)
+        events += self._tell_bound(stamp, condition.basis)
         self._noisy = scale >= (NOT_NOISY if self._noisy else NOISY)
         if self._noisy:
             level, text = Level.WARN, f"the sensor's noise is {scale:.2g} times the design's"
@@ -281,10 +280,24 @@ class EventLog:
 
     def restart(self) -> None:
         """Forget the states, but not how much has been reported, as the estimate has no past."""
-        self._began = self._newest = None
-        self._noisy = False
+        self._began = self._newest = self._gap_since = None
+        self._noisy, self._basis = False, Basis.STARTING
         for teller in self._tellers.values():
             teller.restart()
+
+    def _tell_bound(self, stamp: int, basis: Basis) -> list[Event]:
+        lasting = 0.0 if BOUNDS[basis][0] is Level.WARN else _LASTING
+        if basis is not Basis.GAP:
+            self._basis, self._gap_since = basis, None
+        else:
+            # A late measurement is a gap, but a short one is no news, however often it comes.
+            if self._gap_since is None:
+                self._gap_since = stamp
+            if stamp - self._gap_since < _LASTING * NANOSECONDS:
+                basis = self._basis
+            else:
+                stamp, lasting = self._gap_since, 0.0
+        return self._bound.update(stamp, basis, *BOUNDS[basis], lasting)
 
     def _tell_phase(self, condition: Condition, newest: int) -> list[Event]:
         age, source = condition.age, self._source
