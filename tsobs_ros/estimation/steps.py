@@ -151,6 +151,8 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
             if suspected:
                 _leave_certified(model, state, _TORQUE)
                 distrust_torque(model, state)
+            elif jumped:
+                state.evidence = 0.0
             _limit_disturbance(model, state.x[:], state.covariance[:], _width(model, state))
             _guard(model, state)
         if (jumped or suspected) and state.hypothesis == _AS_DESIGNED:

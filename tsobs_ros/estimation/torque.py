@@ -24,7 +24,7 @@ from tsobs_ros.model.trigonometry import cosine
 _SMALL_STEP = 0.25
 _SUSPECT, _LONGEST_SUSPECT, _WINDOW = 1.0, 10.0, 0.1
 _CERTAIN = 8.0
-_CLIP = 5.0
+_CLIP, _STRANGE = 5.0, 2.0
 _DISTRUST = 5.0
 _LEAST_DISTRUST = 0.5
 
@@ -163,8 +163,11 @@ def weigh_step(model: Any, state: Any, correction: Any) -> bool:
         return False
     expected = dot(model.C[0], response, model.n)
     spread = math.sqrt(variance) * larger(state.noise_scale, 1.0)
-    made = min(max(innovation / spread, -_CLIP), _CLIP)
-    not_made = min(max((innovation + expected) / spread, -_CLIP), _CLIP)
+    made = min(abs(innovation) / spread, _CLIP)
+    not_made = min(abs(innovation + expected) / spread, _CLIP)
+    if made > _STRANGE and not_made > _STRANGE:
+        # The sensor's fault, which says nothing of the torque.
+        return False
     state.evidence += 0.5 * (made * made - not_made * not_made)
     if state.evidence < -_CERTAIN:
         forget_step(model, state)
