@@ -56,7 +56,7 @@ _PRIORS, _HYSTERESES = (2.5, 2.5, 2.5, 7.0, 3.0), (1.0, 1.0, 1.0, 6.0, 1.0)
 _SIGN_TIME, _SIGN_POWER_TIME, _SCORE_TIME = 0.4, 5.0, 20.0
 _WAKING_SLOW, _WAKING_COLOUR = 0.7, 0.3
 _CALM_SLOW, _CALM_COLOUR = 0.5, 0.2
-_LEAST_TIME = 5.0
+_SURE_TIME, _LEAST_TIME = 1.0, 5.0
 _CLIP = 3.0
 _HYSTERESIS, _MAX_SCORE = 1.0, 9.0
 _MAX_WHITE = 2.0
@@ -182,13 +182,17 @@ def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
         sleep(state)
         return
     state.score = max(state.score - best, -_MAX_SCORE)
+    for i in range(ALTERNATIVES):
+        alternative = state.alternatives[i]
+        alternative.score = max(alternative.score - best, -_MAX_SCORE)
+    # A jump or a loss of track is found sooner.
+    if state.awake_time < _SURE_TIME:
+        return
     selected, most = _AS_DESIGNED, state.score
     if state.hypothesis == _AS_DESIGNED:
         most += _HYSTERESIS
     for i in range(ALTERNATIVES):
-        alternative = state.alternatives[i]
-        alternative.score = max(alternative.score - best, -_MAX_SCORE)
-        value = alternative.score - model.alternatives[i].prior
+        value = state.alternatives[i].score - model.alternatives[i].prior
         if state.hypothesis == i + 1:
             value += model.alternatives[i].hysteresis
         if value > most:
