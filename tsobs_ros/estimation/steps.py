@@ -428,13 +428,14 @@ def _doubt(state: Any, basis: int) -> None:
 
 @compiled
 def _repetition(state: Any) -> float:
-    """Return how many coloured innovations say as much as one that is white."""
+    """Return how many innovations say as much about parameters as one of white noise.
+
+    Neighbours that are alike repeat each other; slow innovations may come of what is not learnt.
+    """
     share = min(max(state.coloured_power / larger(state.nis, 1.0) - _WHITE, 0.0), _ALIKE)
     if state.hypothesis == _COLOURED_NOISE:
         share = _ALIKE
-    samples: float = (1.0 + share) / (1.0 - share)
-    if _AS_DESIGNED < state.hypothesis < _COLOURED_NOISE:
-        samples = larger(state.slow_power, samples)
+    samples: float = larger(state.slow_power, (1.0 + share) / (1.0 - share))
     return samples
 
 
