@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 OPTIONS = AdaptationOptions(
     initial_std=0.3, random_walk_density=1e-3, start=0.05, significance=0.01, memory=0.5
 )
-MOVING, CURVED = 3.0, 0.3
+MOVING, CURVED = 6.0, 0.3
 """Bounds by which a plant at rest may move; share of what was learnt that a bound adds."""
 
 

@@ -72,6 +72,10 @@ class AdaptationOptions:
         random_walk_density: Growth of each θ's variance, which keeps the gain alive [1/s].
         start: Adaptation begins so long after a (re)start [s], when the innovations are not
             one-sided any more.
+        significance: Parameters are used from when they differ from nominal ones by so much,
+            squared and relative to their covariance: 25 is 5σ. A nominal arm stays nominal.
+        pass_time: What was learnt far from the truth, along wrong regressors, is learnt again after
+            so long [s].
         memory: Time constant of the measure of excitation [s].
         excitation: Smallest eigenvalue of the excitation from which θ counts as valid.
     """
@@ -87,7 +91,8 @@ class AdaptationOptions:
     def __post_init__(self) -> None:
         positive("adaptation initial_std", self.initial_std)
         non_negative("adaptation random_walk_density", self.random_walk_density)
-        non_negative("adaptation start", self.start)
+        for name in ("start", "significance", "pass_time"):
+            non_negative(f"adaptation {name}", getattr(self, name))
         positive("adaptation memory", self.memory)
         non_negative("adaptation excitation", self.excitation)
 
@@ -97,7 +102,8 @@ class SupervisionOptions:
     """When to react, and how strongly; the defaults are for 200 Hz.
 
     Attributes:
-        gate: Innovations beyond so many σ are downweighted to it.
+        gate: An innovation of r > gate σ counts by (gate/r)². σ is the design's, times the noise's
+            scale.
         reject: Innovations beyond so many σ are not used at all.
         jump_std: 1σ by which the disturbance's uncertainty grows after a jump [rad]; 0 switches
             jumps off.
@@ -111,8 +117,10 @@ class SupervisionOptions:
             `estimation.repeats`, samples of the sensor are not used; 0: never.
         disturbance_limit: The estimated disturbance is kept within so much [rad]; beyond π the arm
             and its sensor turned together look the same.
-        strain: `nis` above 2, or a parameter at its limit, for so long resets the adaptation [s].
-        relearn_budget: After so many times the parameters are frozen at their nominal values.
+        strain: Innovations that contradict the model by a coloured power above 1, or a parameter
+            at its limit, for so long start learning over [s].
+        relearn_budget: After so many times learning rests, and the parameters are nominal.
+        relearn_time: One of these comes back in so long, and learning with it [s].
     """
 
     gate: float = 5.0
@@ -130,7 +138,7 @@ class SupervisionOptions:
     relearn_time: float = 20.0
 
     def __post_init__(self) -> None:
-        for name in ("gate", "lost", "disturbance_limit", "strain"):
+        for name in ("gate", "lost", "disturbance_limit", "strain", "relearn_time"):
             positive(name, getattr(self, name))
         jumps = ("jump_std", "jump_duration", "jump_quiet", "jump_budget", "jump_budget_window")
         for name in (*jumps, "stuck_samples", "relearn_budget"):
