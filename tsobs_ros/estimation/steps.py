@@ -158,8 +158,9 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
         if (jumped or suspected) and state.hypothesis == _AS_DESIGNED:
             sleep(state)
     if model.supervised != 0 and model.has_alternatives != 0:
+        # What is far beyond reason shows nothing, unless the design is what is far off.
         stuck = 0 < model.stuck_samples <= state.repeats
-        if not stuck:
+        if used or (not stuck and state.hypothesis != _AS_DESIGNED):
             weigh(model, state, y, correction)
         if state.hypothesis != _AS_DESIGNED:
             chosen = state.alternatives[state.hypothesis - 1]
@@ -395,6 +396,9 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
         _forget(state)
         state.watch_age, state.jump_count, state.losses = 0.0, 0, state.losses + 1
         _doubt(state, _STARTING)
+        chosen = state.alternatives[max(state.hypothesis - 1, 0)]
+        if state.hypothesis == _AS_DESIGNED or chosen.nis > _MAX_NIS:
+            sleep(state)
         jump_ages = state.jump_ages[:]
         for i in range(MAX_JUMP_BUDGET):
             jump_ages[i] = 0.0
