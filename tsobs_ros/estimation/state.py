@@ -128,12 +128,27 @@ def state_type(room: Room) -> np.dtype[Any]:
     torque_change to distrust: of `torque`, as what was suspected of it, and since when.
     x: estimate in design coordinates. covariance: of its error; the certificate's bound while
     `certified`. While `in_gap` both have the unknown torque's states too. settling: least time with
-    Riccati gains left [s]. corrected: whether a sample was used since the last prediction. theta,
-    gamma, upsilon (by rows), gram, age: of the adaptation. recent to jump_count: the supervision's
-    memory of the innovations, the newest last. pause: time for which the adaptation rests [s].
-    pinned: time for which a parameter has been at its limit [s]. slow: low-passed innovation in
-    sigmas; slow_power: power of it relative to a white one's. awake, awake_time [s]: of the
-    alternatives, which are in the order of `Hypothesis`. hypothesis: its code. score: of the
+    Riccati gains left [s]. corrected: whether a sample was used since the last prediction. cause:
+    code of the `Basis` of that covariance.
+
+    theta, gamma, upsilon (by rows), gram, age: of the adaptation. pending: change of theta that is
+    used once it is significant. anchor, pass_age [s], passes: where the present pass of learning
+    began, how long it takes, and how many there were. theta_before, pending_before, gamma_before:
+    of two earlier samples, the older one last; kept: samples until the next are kept. centre,
+    spread: mean and variance of x over some seconds. relearned: used part of the budget of
+    learning; resting: whether it is used up. pinned: time for which a parameter has been at its
+    limit [s]; strained: time for which innovations have contradicted the model [s]. pause: time for
+    which the adaptation rests after a jump [s].
+
+    recent, sizes, calm: the newest innovations in sigmas and in units, and the coloured power
+    before each, the newest of `watched` last. leap: by how much they lean after a jump. nis,
+    magnitude, coloured_power: averages of r², |r| and the product of neighbours. noise_scale: size
+    of the white noise relative to the design's; scale_age: time it has been learnt for [s];
+    previous, paired: the innovation before and its kind; since: time since the last sample [s].
+    doubt: time for which nothing is certified [s]; doubted: code of the `Basis` meanwhile.
+    watch_age [s], jump_ages, jump_count: time since a start, and the jumps since. slow: low-passed
+    innovation in sigmas; slow_power: power of it relative to a white one's. awake, awake_time [s]:
+    of the alternatives, which are in the order of `Hypothesis`. hypothesis: its code. score: of the
     design. Then the fields of `repeats.REPEAT_FIELDS`. The others are counts.
     """
     n, p, m, k = room[:4]

@@ -12,16 +12,19 @@ trusts the initial one and is linearised along the estimate.
 
 Parameters are learnt by a filtered-regressor (two-stage) adaptive observer after Q. Zhang (2002):
 Υ = ∂x̂/∂θ is filtered through the observer's own error dynamics, so that the innovation is explained
-as e = Ω θ̃ + noise with Ω = C̄Υ, whatever the relative degree of the sensor. θ follows by recursive
-least squares with a bounded gain, projected on its known bounds. The regressor is taken at the
-estimate. While that is far less certain than it will be, innovations count for less in θ, by as
-much as the covariance exceeds the certified bound: otherwise errors of the start-up are learnt as
-parameters, and with great confidence.
+as e = Ω θ̃ + noise with Ω = C̄Υ, whatever the relative degree of the sensor. A change δ of θ follows
+by recursive least squares with a bounded gain, projected on its known bounds. It is used from when
+it is significant. The regressor is taken at the estimate, so innovations count for less while that
+is uncertain, and what was learnt far from the truth is learnt again. Learning rests if the model is
+wrong in other ways, and comes back with time.
 
-Supervision works on one output. A lone innovation that is far too large is an outlier and is
-downweighted. Eight in a row that lean to one side are a jump of the sensor. A long average that is
-far too large is an estimate that has lost the arm. Everything is decided on the normalised
-innovation r = e/√s and on durations between stamps.
+Supervision works on one output. The size of white noise is that of the differences of neighbouring
+innovations, in which a wrong model does not show. The colour of a wrong model is the product of
+neighbours, in which white noise does not. An innovation that is far too large is an outlier and has
+little influence. Eight that lean to one side of a sudden are a jump of the sensor. A long average
+that is far too large, and of one side, is an estimate that has lost the arm. Everything is decided
+on the innovation in sigmas of the present noise and on durations between stamps, and each decision
+shows in what the bounds are said to rest on. docs/estimator.md has the rules and their reasons.
 """
 
 import math
