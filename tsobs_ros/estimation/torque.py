@@ -24,7 +24,7 @@ from tsobs_ros.model.trigonometry import cosine
 _SMALL_STEP = 0.25
 _SUSPECT, _LONGEST_SUSPECT, _WINDOW = 1.0, 10.0, 0.1
 _CERTAIN = 8.0
-_CLIP, _STRANGE = 5.0, 2.0
+_CLIP, _STRANGE = 5.0, 2.5
 _DISTRUST = 5.0
 _LEAST_DISTRUST = 0.5
 
