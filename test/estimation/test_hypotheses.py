@@ -60,7 +60,7 @@ def errors(runs: Trajectories, readout: Readout) -> tuple[NDArray[np.float64], N
         ("friction", {Hypothesis.STRONG_FORCE}, 0.11),
         ("correlated_0.9", {Hypothesis.COLOURED_NOISE}, 0.036),
         ("correlated_0.97", {Hypothesis.COLOURED_NOISE}, 0.08),
-        ("payload", {Hypothesis.STRONG_FORCE, Hypothesis.CONTACT}, 0.5),
+        ("payload", {Hypothesis.STRONG_FORCE}, 0.5),
         ("drift", {Hypothesis.DRIFT}, 0.15),
     ],
 )
@@ -117,7 +117,7 @@ def test_a_hypothesis_is_left_soon_after_it_has_become_wrong() -> None:
     assert not selected[:, : 15 * SECOND].any()
     during = selected[:, 20 * SECOND : 33 * SECOND]
     assert during.all()
-    assert np.isin(during, [Hypothesis.STRONG_FORCE, Hypothesis.CONTACT]).mean() > 0.8
+    assert (during == Hypothesis.STRONG_FORCE).mean() > 0.8
     after = selected[:, 40 * SECOND :]
     assert np.isin(after, [Hypothesis.AS_DESIGNED, Hypothesis.FORCE]).all()
     assert not selected[:, 58 * SECOND :].any()
@@ -141,7 +141,7 @@ def test_late_samples_change_no_bit_while_a_hypothesis_is_selected() -> None:
     first, second = estimates
     assert first is not None
     assert second is not None
-    assert first.hypothesis in (Hypothesis.STRONG_FORCE, Hypothesis.CONTACT)
+    assert first.hypothesis is Hypothesis.STRONG_FORCE
     assert first.basis is Basis.HYPOTHESIS
     batch = estimator().observe(y[np.newaxis], u[np.newaxis])
     at_last = Tracker(estimator(), TrackerOptions(DESIGN.request.x_max, history=0.5))

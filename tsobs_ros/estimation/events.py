@@ -163,11 +163,6 @@ HYPOTHESES: Mapping[Hypothesis, tuple[Level, str]] = {
         "the arm is pushed hard by something the model lacks: strong friction, a payload? Damping "
         "and inertia among the design's uncertain parameters may explain it",
     ),
-    Hypothesis.CONTACT: (
-        Level.WARN,
-        "the arm is pushed very hard by something the model lacks: a contact, a wrong torque or "
-        "payload?",
-    ),
     Hypothesis.COLOURED_NOISE: (
         Level.WARN,
         "the sensor's noise is alike from sample to sample: a filter in the sensor? A gauss_markov "

@@ -34,8 +34,8 @@ from tsobs_ros.model.uncertainty import Uncertainty
 ALTERNATIVES = len(Hypothesis) - 1
 """Hypotheses besides the design, in the order of `Hypothesis`."""
 
-FORCES = (0.01, 0.05, 0.2)
-"""1σ of the torques of the three forces, relative to the gravity torque."""
+FORCES = (0.01, 0.05)
+"""1σ of the torques of the two forces, relative to the gravity torque."""
 
 OTHER_FORCES = (0.005, 0.002)
 """The same of coloured noise and of a drift."""
@@ -52,7 +52,7 @@ WHITE_SHARE = 0.1
 DRIFT_SPEED = 4.0
 """How much faster than designed the disturbance drifts."""
 
-_PRIORS, _HYSTERESES = (2.5, 2.5, 2.5, 7.0, 3.0), (1.0, 1.0, 1.0, 6.0, 1.0)
+_PRIORS, _HYSTERESES = (2.5, 2.5, 7.0, 3.0), (1.0, 1.0, 6.0, 1.0)
 _SIGN_TIME, _SIGN_POWER_TIME, _SCORE_TIME = 0.4, 5.0, 20.0
 _WAKING_SLOW, _WAKING_COLOUR = 0.7, 0.3
 _CALM_SLOW, _CALM_COLOUR = 0.5, 0.2
@@ -62,7 +62,7 @@ _HYSTERESIS, _MAX_SCORE = 1.0, 9.0
 _MAX_WHITE = 2.0
 _LEARNT, _PASS = 10.0, 2.5
 _DESIGNED_COLOUR, _SMOOTH = 0.6, 0.8
-_AS_DESIGNED, _LAST_FORCE = Hypothesis.AS_DESIGNED.value, Hypothesis.CONTACT.value
+_AS_DESIGNED, _LAST_FORCE = Hypothesis.AS_DESIGNED.value, Hypothesis.STRONG_FORCE.value
 _COLOURED = Hypothesis.COLOURED_NOISE.value
 
 
@@ -100,7 +100,7 @@ def alternatives(flow: ArmFlow, variance: float) -> list[Alternative]:
     )
     flows = [
         ForceFlow(base, force, FORCE_TIME)
-        for base, force in zip((flow, flow, flow, coloured, drifting), forces, strict=True)
+        for base, force in zip((flow, flow, coloured, drifting), forces, strict=True)
     ]
     own: list[tuple[float, ...]] = [(force,) for force in forces]
     variances = [variance] * ALTERNATIVES

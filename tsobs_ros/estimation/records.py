@@ -93,7 +93,6 @@ class Hypothesis(enum.IntEnum):
         AS_DESIGNED: What the design says.
         FORCE: An arm that is pushed by an unknown force, about a hundredth of its weight.
         STRONG_FORCE: One that is pushed five times as hard.
-        CONTACT: One that is pushed twenty times as hard.
         COLOURED_NOISE: A sensor with noise that is alike from sample to sample.
         DRIFT: A sensor with a disturbance that moves faster than designed.
     """
@@ -101,9 +100,8 @@ class Hypothesis(enum.IntEnum):
     AS_DESIGNED = 0
     FORCE = 1
     STRONG_FORCE = 2
-    CONTACT = 3
-    COLOURED_NOISE = 4
-    DRIFT = 5
+    COLOURED_NOISE = 3
+    DRIFT = 4
 
 
 class Innovation(NamedTuple):
