@@ -110,6 +110,9 @@ class Readout(NamedTuple):
         disturbance_bound: 1σ bound of the disturbance [rad], likewise.
         parameters: Learnt changes θ of the model's parameters, shape (..., k).
         parameter_bound: 1σ of each, shape (..., k).
+        designed_disturbance: Output disturbance if all is as designed, whatever the hypothesis,
+            shape (..., p); of length zero if there is none.
+        designed_bound: 1σ bound of it, likewise.
         basis: What the bounds rest on, a code of `Basis`.
         parameters_valid: Whether the motion was rich enough for them to count.
         noise_scale: Size of the sensor's noise relative to the design's, at least 1.
@@ -125,6 +128,8 @@ class Readout(NamedTuple):
     disturbance_bound: Array
     parameters: Array
     parameter_bound: Array
+    designed_disturbance: Array
+    designed_bound: Array
     basis: Any
     parameters_valid: Any
     noise_scale: Any
@@ -342,6 +347,8 @@ class Estimator:
             ("disturbance_bound", shape.p),
             ("parameters", shape.k),
             ("parameter_bound", shape.k),
+            ("designed_disturbance", shape.p),
+            ("designed_bound", shape.p),
         ):
             parts[name] = slice(at, at if name in self.lacking else at + size)
             at += size
@@ -350,8 +357,10 @@ class Estimator:
     @property
     def lacking(self) -> tuple[str, ...]:
         """The fields of a readout that this estimator has nothing for."""
-        bounds = () if self.bounded else ("state_bound", "disturbance_bound", "disturbance_rate")
-        return bounds if self.disturbed else (*bounds, "disturbance")
+        lacking: tuple[str, ...] = ()
+        if not self.bounded:
+            lacking = ("state_bound", "disturbance_bound", "disturbance_rate", "designed_bound")
+        return lacking if self.disturbed else (*lacking, "disturbance", "designed_disturbance")
 
     def events(self, state: State) -> dict[str, int]:
         """Return the numbers of outliers, jumps, losses and restarts of the adaptation so far."""

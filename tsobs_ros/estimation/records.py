@@ -130,6 +130,9 @@ class Estimate(NamedTuple):
         disturbance_bound: 1σ bound of the disturbance [rad], shape (1,).
         parameters: Estimated changes θ of the model's parameters, shape (k,).
         parameter_bound: 1σ of each, shape (k,).
+        designed_disturbance: Disturbance if all is as designed, whatever the hypothesis: what
+            faults are judged by [rad], shape (1,).
+        designed_bound: 1σ bound of it [rad], shape (1,).
         basis: What the bounds rest on.
         parameters_valid: Whether the motion was rich enough for them to count.
         noise_scale: Size of the sensor's noise relative to the design's, at least 1.
@@ -149,6 +152,8 @@ class Estimate(NamedTuple):
     disturbance_bound: Array
     parameters: Array
     parameter_bound: Array
+    designed_disturbance: Array
+    designed_bound: Array
     basis: Basis
     parameters_valid: bool
     noise_scale: float

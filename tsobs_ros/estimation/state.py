@@ -92,7 +92,16 @@ _SIZES: dict[str, tuple[str, ...]] = {
     "held": ("m",),
     "response": ("n",),
     **dict.fromkeys(
-        ("y", "innovation", "disturbance", "disturbance_rate", "disturbance_bound"), ("p",)
+        (
+            "y",
+            "innovation",
+            "disturbance",
+            "disturbance_rate",
+            "disturbance_bound",
+            "designed_disturbance",
+            "designed_bound",
+        ),
+        ("p",),
     ),
 }
 
@@ -278,6 +287,8 @@ def readout_type(room: Room) -> np.dtype[Any]:
             ("disturbance_bound", number, (p,)),
             ("parameters", number, (k,)),
             ("parameter_bound", number, (k,)),
+            ("designed_disturbance", number, (p,)),
+            ("designed_bound", number, (p,)),
             ("basis", count),
             ("parameters_valid", count),
             ("noise_scale", number),

@@ -859,6 +859,11 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         rates[i] = dot(model.rate_map[i], x, n)
         bounds[i] = _root(bound * bound + added)
         total += omegas[i] + rates[i] + bounds[i]
+        readout.designed_disturbance[i] = omegas[i]
+        readout.designed_bound[i] = bounds[i]
+        if state.hypothesis != _AS_DESIGNED:
+            readout.designed_disturbance[i] = dot(h, state.x[:], n)
+            readout.designed_bound[i] = noise * std[i]
     for i in range(k):
         readout.parameters[i] = theta[i]
         # What was learnt over a distance is wrong by a share of it: regressors move with x̂.
@@ -925,8 +930,8 @@ def _is_excited(model: Any, state: Any, work: Any) -> bool:
 def write_row(model: Any, readout: Any, row: Array) -> int:
     """Write the numbers of a readout one after the other; return how many they are.
 
-    State, its bound, disturbance, its rate, its bound, parameters, their bounds; then those of
-    `state.CONDITIONS`.
+    State, its bound, disturbance, its rate, its bound, parameters, their bounds, the
+    disturbance and its bound if all is as designed; then those of `state.CONDITIONS`.
     """
     plant, p, k = model.plant, model.p, model.k
     states, bounds = readout.state[:], readout.state_bound[:]
@@ -941,6 +946,9 @@ def write_row(model: Any, readout: Any, row: Array) -> int:
     for i in range(k):
         row[at + i], row[at + k + i] = readout.parameters[i], readout.parameter_bound[i]
     at += 2 * k
+    for i in range(p):
+        row[at + i], row[at + p + i] = readout.designed_disturbance[i], readout.designed_bound[i]
+    at += 2 * p
     row[at], row[at + 1] = readout.basis, readout.parameters_valid
     row[at + 2], row[at + 3] = readout.noise_scale, readout.coloured_power
     row[at + 4], row[at + 5] = readout.learning, readout.hypothesis

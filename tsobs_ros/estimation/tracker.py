@@ -305,19 +305,21 @@ class Tracker:
         basis, valid, scale, coloured, learning, hypothesis, in_domain, age = row[
             -len(CONDITIONS) - EXTRA :
         ].tolist()
-        state, state_bound, disturbance, rate, disturbance_bound, parameters, parameter_bound = [
+        x, bound, omega, rate, omega_bound, theta, theta_bound, designed, designed_bound = [
             row[part] for part in self.estimator.row_parts.values()
         ]
         # Arguments by name would take a tenth of a tick.
         return Estimate(
             stamp,
-            state,
-            state_bound,
-            disturbance,
+            x,
+            bound,
+            omega,
             rate,
-            disturbance_bound,
-            parameters,
-            parameter_bound,
+            omega_bound,
+            theta,
+            theta_bound,
+            designed,
+            designed_bound,
             _BASES[int(basis)],
             valid != 0.0,
             scale,

@@ -200,9 +200,10 @@ class ObservedJoint:
         estimate = self.tracker.estimate(now)
         if estimate is not None:
             self.latest = estimate
-            disturbance = estimate.disturbance
+            # Another hypothesis may take a fault of the sensor for something else.
+            disturbance = estimate.designed_disturbance
             if disturbance.size:
-                bound = estimate.disturbance_bound if estimate.disturbance_bound.size else _OPEN
+                bound = estimate.designed_bound if estimate.designed_bound.size else _OPEN
                 if add_estimates(self.watch, now, disturbance, bound):
                     self.faults.judge(float(disturbance[0]), float(bound[0]))
         return estimate
