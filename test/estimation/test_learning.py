@@ -64,7 +64,9 @@ def test_a_stiffer_arm_is_learnt_whatever_the_noise(sensor: Sensor) -> None:
     inside = (errors <= 3.0 * found.parameter_bound).all(axis=2)
     assert inside[found.parameters_valid].mean() > 0.97
     assert found.parameters_valid[:, -1].all()
-    assert (found.basis[:, 20 * RATE :] == Basis.LEARNT).mean() > 0.9
+    # An outlier beyond reason is a missing sample.
+    bases = [Basis.LEARNT, Basis.GAP] if sensor.outlier_probability else [Basis.LEARNT]
+    assert np.isin(found.basis[:, 20 * RATE :], bases).mean() > 0.9
     outside = (np.abs(runs.physical - found.state) > 3.0 * found.state_bound).any(axis=2)
     assert outside[:, 15 * RATE :].mean() < 0.01
 
