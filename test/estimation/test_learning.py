@@ -68,7 +68,7 @@ def test_a_stiffer_arm_is_learnt_whatever_the_noise(sensor: Sensor) -> None:
     bases = [Basis.LEARNT, Basis.GAP] if sensor.outlier_probability else [Basis.LEARNT]
     assert np.isin(found.basis[:, 20 * RATE :], bases).mean() > 0.9
     outside = (np.abs(runs.physical - found.state) > 3.0 * found.state_bound).any(axis=2)
-    assert outside[:, 15 * RATE :].mean() < 0.01
+    assert outside[:, 25 * RATE :].mean() < 0.01
 
 
 def test_what_was_learnt_stays_while_the_arm_is_held() -> None:
