@@ -75,6 +75,7 @@ _CLIP = 5.0
 """Innovations count up to so many σ in averages, so that outliers do not make them."""
 
 _MEDIAN = 0.6745
+_LEARNT_BY = 10.0
 """Median of a normal variable's size."""
 
 _NEIGHBOURS = 10.0
@@ -437,12 +438,15 @@ def _doubt(state: Any, basis: int) -> None:
 def _repetition(state: Any) -> float:
     """Return how many innovations say as much about parameters as one of white noise.
 
-    Neighbours that are alike repeat each other; slow innovations may come of what is not learnt.
+    Neighbours that are alike repeat each other. Slow innovations may come of what is not learnt;
+    soon after a start they come of what is still to be learnt.
     """
     share = min(max(state.coloured_power / larger(state.nis, 1.0) - _WHITE, 0.0), _ALIKE)
     if state.hypothesis == _COLOURED_NOISE:
         share = _ALIKE
-    samples: float = larger(state.slow_power, (1.0 + share) / (1.0 - share))
+    samples: float = (1.0 + share) / (1.0 - share)
+    if state.hypothesis != _AS_DESIGNED or state.age >= _LEARNT_BY:
+        samples = larger(state.slow_power, samples)
     return samples
 
 
