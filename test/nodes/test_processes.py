@@ -92,7 +92,8 @@ def kill(process: Any) -> None:
 
 
 def errors(text: str) -> list[str]:
-    return [line for line in text.splitlines() if line.startswith(("error", "[ERROR]", "[FATAL]"))]
+    lines = [line for line in text.splitlines() if " STALE: " not in line]
+    return [line for line in lines if line.startswith(("error", "[ERROR]", "[FATAL]"))]
 
 
 def check_clean(finished: Any) -> None:

@@ -61,7 +61,8 @@ _CLIP = 3.0
 _HYSTERESIS, _MAX_SCORE = 1.0, 9.0
 _MAX_WHITE = 2.0
 _LEARNT, _PASS = 10.0, 2.5
-_DESIGNED_COLOUR, _SMOOTH = 0.6, 0.8
+_SETTLED = 4.0
+_DESIGNED_COLOUR, _SMOOTH, _LEAST_COLOUR = 0.6, 0.8, 0.05
 _AS_DESIGNED, _LAST_FORCE = Hypothesis.AS_DESIGNED.value, Hypothesis.STRONG_FORCE.value
 _COLOURED = Hypothesis.COLOURED_NOISE.value
 
@@ -154,7 +155,9 @@ def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
     power = state.slow * state.slow * ((2.0 - share) / share)
     state.slow_power += model.sign_power_share * (power - state.slow_power)
     if state.awake == 0:
-        if state.slow_power > _WAKING_SLOW or state.coloured_power > _WAKING_COLOUR:
+        suspicious = state.slow_power > _WAKING_SLOW or state.coloured_power > _WAKING_COLOUR
+        # They begin from an estimate that has settled.
+        if suspicious and state.watch_age > _SETTLED:
             _wake(model, state)
         return
     # A wrong θ̂ looks like a force until it is learnt, and like noise if that is not small between
@@ -174,6 +177,9 @@ def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
         gain = -0.5 * (ratio + logarithm(alternative.variance))
         if bursting or (young and not (smooth and i == _COLOURED - 1)):
             gain = designed
+        if i == _COLOURED - 1 and state.coloured_power < _LEAST_COLOUR:
+            # Its white part is small, which is likely of any sensor that is quieter than designed.
+            gain = min(gain, designed)
         alternative.nis += model.second_share * (ratio - alternative.nis)
         alternative.score = alternative.score * model.score_fade + gain
         finite = finite and math.isfinite(alternative.score)

@@ -204,6 +204,7 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("sizes", number, (WINDOW,)),
             ("calm", number, (WINDOW,)),
             ("watched", count),
+            ("in_a_row", count),
             ("nis", number),
             ("magnitude", number),
             ("noise_scale", number),

@@ -104,6 +104,9 @@ certified bound, the least of a lost arm. That of white noise has a 1σ of 0.07.
 _MAX_NIS, _DOUBT = 3.0, 3.0
 """A larger `nis` contradicts a certified bound, which then comes back after so long [s]."""
 
+_IN_A_ROW, _EARLY = 5, 1.0
+"""So many outliers in a row, within so many seconds after a start, mean that it began from one."""
+
 _LOST_CLIP = 4.0
 """A lone innovation counts up to so many times `lost`."""
 
@@ -388,6 +391,16 @@ def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, boo
     # A lone value of any size must not give the estimate up.
     bounded = min(size, _LOST_CLIP * model.lost)
     magnitude = state.magnitude + model.magnitude_share * (bounded - state.magnitude)
+    state.in_a_row = state.in_a_row + 1 if correction.weight < 1.0 else 0
+    early = state.settling > 0.0 and state.watch_age < _EARLY
+    if early and state.in_a_row >= _IN_A_ROW:
+        # The first samples were outliers themselves, and the others are taken for some.
+        sleep(state)
+        restart(model, state)
+        _forget(state)
+        state.in_a_row, state.watch_age = 0, 0.0
+        _expect(model, state, y, correction)
+        return True, False
     if magnitude > model.lost and coloured > _SMOOTH:
         # This sample is not used: it may be the worst of those that gave the estimate up. The
         # disturbance is wide open, as the sensor is lost more often than the arm.
