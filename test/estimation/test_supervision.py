@@ -329,7 +329,7 @@ def test_bursts_of_noise_and_outliers_are_seldom_taken_for_jumps(
 
 def test_a_long_average_that_is_far_too_large_is_a_loss() -> None:
     estimator = supervised(jump_budget=0)
-    _, verdicts = follow([8.0] * 200, state_of(estimator), estimator)
+    _, verdicts = follow([8.0] * 128, state_of(estimator), estimator)
     # 8 − 7 e^{−2t} passes 6 at t = ln(3.5)/2 = .626 s.
     first = next(index for index, verdict in enumerate(verdicts) if verdict.lost)
     assert (first + 1) * PERIOD == pytest.approx(math.log(3.5) / 2.0, abs=2 * PERIOD)
