@@ -27,17 +27,22 @@ def run(name: str) -> int:
 
     Returns:
         The process's exit code: 0 after a clean end, 1 after an error.
+
+    Raises:
+        SystemExit: With 0 after `--help`, with 2 after arguments that are not understood.
     """
     end_at_once()
     try:
         module = import_module(f"tsobs_ros.nodes.{name}")
         runtime = import_module("tsobs_ros.nodes.runtime")
+        arguments = import_module("tsobs_ros.nodes.arguments")
     except ModuleNotFoundError as error:
         advice = missing_library(error)
         if advice is None:
             raise
         print(f"error: {advice}", file=sys.stderr)
         return 1
+    arguments.check_arguments(module, sys.argv)
     stop = StopFlag()
     stop.install()
     exit_code: int = runtime.run(module.create, stop=stop)

@@ -206,23 +206,6 @@ def test_unknown_overrides_are_named_in_one_warning(make, capfd) -> None:
     assert "ignored unknown parameters: 'colour', 'rat' (did you mean 'rate'?)" in logged
 
 
-def test_values_other_than_default_are_logged_once(make, capfd) -> None:
-    make({"rate": 100, "depth": 10})
-
-    logged = capfd.readouterr().err
-    assert logged.count("\n") == 1
-    assert "[INFO]" in logged
-    assert logged.endswith("parameters other than default: rate=100.0 Hz\n")
-
-
-def test_all_values_are_logged_for_debugging(ros_process) -> None:
-    process = ros_process("observer", arguments=["--ros-args", "--log-level", "observer:=debug"])
-
-    line = process.wait_for_line("parameters: ")
-    assert "[DEBUG]" in line
-    assert "rate=200.0 Hz, publish_on='tick'" in line
-
-
 def test_remote_clients_set_integers_and_read_reasons(ros, make) -> None:
     node = make()
     client = AsyncParameterClient(ros.node("client"), "parametrised")

@@ -152,6 +152,26 @@ def parameter_group(make: Callable[..., T], **members: Any) -> T:
     return field(default_factory=lambda: make(**given), metadata={_METADATA_KEY: members})
 
 
+def describe(schema: type) -> list[str]:
+    """Return two lines for each parameter of a dataclass, from the descriptor that ROS gets.
+
+    The first has the name, type, default and what is accepted, the second the description.
+    """
+    lines = []
+    for entry in _Schema(schema, None, "").entries:
+        descriptor = _descriptor(entry)
+        facts = [entry.type.ros.name.lower(), f"default {_shown(entry.default)}"]
+        for limits in (*descriptor.floating_point_range, *descriptor.integer_range):
+            if limits.from_value > -_MAX_INTEGER:
+                facts.append(f"at least {limits.from_value}")
+            if limits.to_value < _MAX_INTEGER:
+                facts.append(f"at most {limits.to_value}")
+        facts += [descriptor.additional_constraints] * bool(descriptor.additional_constraints)
+        facts += ["read-only"] * descriptor.read_only
+        lines += [f"  {entry.name} ({'; '.join(facts)})", f"      {descriptor.description}"]
+    return lines
+
+
 def check_pattern(name: str, pattern: str) -> None:
     """Refuse a parameter that must be a regular expression and is none; for a `__post_init__`.
 
@@ -203,10 +223,7 @@ class ParameterBinding(Generic[P]):
         if unknown := sorted(given.keys() - self._entries.keys()):
             listed = ", ".join(_with_suggestion(name, self._entries) for name in unknown)
             node.get_logger().warning(f"ignored unknown parameters: {listed}")
-        entries = self._entries.values()
-        node.get_logger().debug(f"parameters: {self._listed(entries)}")
-        if changed := [entry for entry in entries if self._values[entry.name] != entry.default]:
-            node.get_logger().info(f"parameters other than default: {self._listed(changed)}")
+        node.get_logger().debug(f"parameters: {self._listed()}")
         node.add_pre_set_parameters_callback(self._convert_proposal)
         node.add_on_set_parameters_callback(self._check_proposal)
         node.add_post_set_parameters_callback(self._take_over)
@@ -246,10 +263,10 @@ class ParameterBinding(Generic[P]):
         known = [p for p in proposal if p.name in self._entries]
         return {**self._values, **{p.name: _convert(self._entries[p.name], p.value) for p in known}}
 
-    def _listed(self, entries: Iterable[_Entry]) -> str:
+    def _listed(self) -> str:
         return ", ".join(
             f"{name}={_shown(self._values[name])}{rules.unit and f' {rules.unit}'}"
-            for name, _, rules, _ in entries
+            for name, _, rules, _ in self._entries.values()
         )
 
 

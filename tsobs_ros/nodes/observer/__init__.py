@@ -1,7 +1,29 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `observer` node: measurements in, estimates with bounds out at a fixed rate."""
+"""The `observer` node: measurements in, estimates with bounds out at a fixed rate.
+
+It estimates angles and velocities of link and motor of each joint, and the sensor's disturbance.
+
+topics, sensor_msgs/msg/JointState without another type:
+  joint_measurements (in)      position: measured angle of the link [rad], 0 hanging down;
+                               effort: torque of the motor from the stamp on [N m]
+  ~/joint_states (out)         <joint>_link and <joint>_motor [rad, rad/s]
+  ~/error_bound (out)          1 sigma bound of each
+  ~/disturbance (out)          disturbance of the sensor [rad] and its rate [rad/s]
+  ~/disturbance_bound (out)    1 sigma bound of both
+  ~/parameters_estimate (out)  learnt changes of the parameters that the design calls uncertain
+  ~/parameters_bound (out)     1 sigma bound of each
+  ~/innovation (out)           measured minus expected angle of each measurement in use [rad]
+  ~/restarts (out)             number of restarts; latched
+  ~/health (out)               what the estimates are worth, ten times a second
+  /diagnostics (out)           diagnostic_msgs/msg/DiagnosticArray, once a second
+
+services:
+  ~/reset                      std_srvs/srv/Trigger: start as a new observer
+  ~/enable                     std_srvs/srv/SetBool: whether anything is published
+"""
 
 from tsobs_ros.nodes.observer.node import Observer, create
+from tsobs_ros.nodes.observer.parameters import ObserverParameters as Parameters
 
-__all__ = ["Observer", "create"]
+__all__ = ["Observer", "Parameters", "create"]

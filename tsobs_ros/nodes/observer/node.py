@@ -322,10 +322,7 @@ class Observer(ManagedNode[ObserverParameters]):
         by_path = {joint.loaded.path: joint.loaded for joint in self._joints}
         for path, loaded in by_path.items():
             names = ", ".join(each.name for each in self._joints if each.loaded.path == path)
-            self.get_logger().info(
-                f"{names}: design {path} ({loaded.identity}): certificate holds "
-                f"({loaded.design.certificate.worst})"
-            )
+            self.get_logger().info(f"{names}: design {path} ({loaded.identity}): certificate holds")
         method = self.parameters.method
         if method in WARNINGS:
             self.get_logger().warning(WARNINGS[method])

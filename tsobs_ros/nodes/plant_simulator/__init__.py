@@ -1,7 +1,21 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The `plant_simulator` node: an arm to try an observer on, and the truth about it."""
+"""The `plant_simulator` node: an arm to try an observer on, and the truth about it.
+
+topics, sensor_msgs/msg/JointState without another type:
+  joint_measurements (out)         position: measured angle of the link [rad], 0 hanging down;
+                                   effort: torque of the motor from the stamp on [N m]
+  ground_truth/joint_states (out)  true <joint>_link and <joint>_motor [rad, rad/s]
+  ground_truth/disturbance (out)   what the sensor adds to the angle besides white noise [rad]
+  joint_torque_command (in)        std_msgs/msg/Float64MultiArray: torque in place of `excitation`
+                                   [N m]
+  /clock (out)                     rosgraph_msgs/msg/Clock, with `publish_clock`
+
+services:
+  ~/reset                          std_srvs/srv/Trigger: start again at t = 0
+"""
 
 from tsobs_ros.nodes.plant_simulator.node import PlantSimulatorNode, create
+from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters as Parameters
 
-__all__ = ["PlantSimulatorNode", "create"]
+__all__ = ["Parameters", "PlantSimulatorNode", "create"]

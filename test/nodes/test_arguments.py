@@ -1,0 +1,158 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The executables' command lines: help that is complete, and no argument that is passed over."""
+
+import re
+import signal
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.parameter import Parameter
+
+from tsobs_ros.bag import BagWriter
+from tsobs_ros.nodes.arguments import check_arguments
+from tsobs_ros.resources import config_path
+
+PARAMETERS = str(config_path("observer.yaml"))
+NODES = ("observer", "plant_simulator", "recorder", "player")
+OF_ROS = ("/rosout", "/parameter_events", "/transition_event")
+
+
+def check(name: str, *arguments: str) -> None:
+    check_arguments(import_module(f"tsobs_ros.nodes.{name}"), [name, *arguments])
+
+
+def help_of(name: str, capsys: Any) -> str:
+    with pytest.raises(SystemExit) as ended:
+        check(name, "--help")
+    assert ended.value.code == 0
+    out, err = capsys.readouterr()
+    assert not err
+    return str(out)
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_the_help_has_every_topic_service_and_parameter(
+    name: str, ros: Any, tmp_path: Path, capsys: Any
+) -> None:
+    text = help_of(name, capsys)
+    BagWriter(tmp_path / "bag").close()
+    parameters = {
+        "plant_simulator": {"publish_clock": True},
+        "recorder": {
+            "output": str(tmp_path / "new"),
+            "topics": ["/nothing"],
+            "snapshot_mode": True,
+        },
+        "player": {"bag": str(tmp_path / "bag"), "clock": 1.0},
+    }
+    module = import_module(f"tsobs_ros.nodes.{name}")
+    overrides = [Parameter(key, value=value) for key, value in parameters.get(name, {}).items()]
+    node = ros.add(module.create(context=ros.context, parameter_overrides=overrides))
+
+    def resolved(entities: Any) -> set[str]:
+        return {each.topic_name for each in entities if not each.topic_name.endswith(OF_ROS)}
+
+    told = {
+        direction: {
+            node.resolve_topic_name(topic)
+            for topic in re.findall(rf"^  (\S+) \({direction}\) ", text, re.MULTILINE)
+        }
+        for direction in ("in", "out")
+    }
+    assert told == {"in": resolved(node.subscriptions), "out": resolved(node.publishers)}
+    services = {each.srv_name for each in node.services if each.srv_name.startswith("~")}
+    _, _, served = text.partition("\nservices")
+    served, _, listed = served.partition("\nparameters:\n")
+    assert set(re.findall(r"^  (~/\S+) ", served, re.MULTILINE)) == services
+    declared = set(node.list_parameters([], 0).names) - {
+        "use_sim_time",
+        "start_type_description_service",
+    }
+    assert set(re.findall(r"^  (\S+) \(", listed, re.MULTILINE)) == declared
+    for parameter in declared:
+        assert f"      {node.describe_parameter(parameter).description}\n" in listed
+
+
+def test_a_parameter_is_shown_with_what_is_accepted(capsys: Any) -> None:
+    text = help_of("observer", capsys)
+
+    assert (
+        "  rate (double; default 200.0; at least 1.0; at most 2000.0; read-only)\n"
+        "      Rate at which estimates are published [Hz]\n"
+    ) in text
+    assert "(string; default 'silent'; one of: silent, hold)" in text
+    assert "(integer; default 10; at least 0)" in text
+
+
+@pytest.mark.parametrize(
+    "arguments", [["-h"], ["--ros-args", "--help"], ["--ros-args", "-p", "rate:=1.0", "--", "-h"]]
+)
+def test_help_is_found_anywhere(arguments: list[str], capsys: Any) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        check("player", *arguments)
+    assert capsys.readouterr().out.startswith("usage: player")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["my_bag"], "unrecognized arguments: my_bag"),
+        (["--rate", "100"], "unrecognized arguments: --rate 100"),
+        (["--he"], "unrecognized arguments: --he"),
+        (["--ros-args", "-p", "bag:=b", "--", "b"], "unrecognized arguments: b"),
+        (["--ros-args", "--rate", "2"], "'--rate', '2'"),
+    ],
+)
+def test_unknown_arguments_are_named(arguments: list[str], named: str, capsys: Any) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        check("player", *arguments)
+    out, err = capsys.readouterr()
+    assert not out
+    assert "usage: player" in err
+    assert named in err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["--ros-args"],
+        ["--ros-args", "--"],
+        ["--ros-args", "-r", "__ns:=/arm", "--remap", "a:=b", "--params-file", PARAMETERS],
+        ["--ros-args", "-p", "rate:=1.0", "--", "--ros-args", "-r", "__node:=left"],
+        ["--ros-args", "-r", "__node:=z", "--ros-args", "--params-file", PARAMETERS, "-p", "a:=1"],
+        ["--ros-args", "--log-level", "debug", "--log-level", "observer:=info"],
+        ["--ros-args", "--disable-rosout-logs", "--enable-stdout-logs", "-e", "/tsobs"],
+        ["__ns:=/arm"],
+    ],
+)
+def test_what_ros_understands_is_left_to_it(arguments: list[str]) -> None:
+    check("observer", *arguments)
+
+
+def test_a_process_takes_no_stray_argument(ros_process: Any) -> None:
+    finished = ros_process("recorder", arguments=["my_run", "--ros-args"]).finish()
+
+    assert finished.exit_code == 2
+    assert not finished.stdout
+    assert finished.stderr.endswith("recorder: error: unrecognized arguments: my_run\n")
+
+
+def test_a_start_is_one_short_line_and_parameters_are_for_debugging(ros_process: Any) -> None:
+    arguments = ["--ros-args", "--log-level", "observer:=debug", "-p", "settle_time:=2"]
+    process = ros_process("observer", arguments=arguments)
+    line = process.wait_for_line("certificate holds")
+    process.signal(signal.SIGINT)
+
+    finished = process.finish()
+
+    assert finished.exit_code == 0
+    assert len(line) < 200
+    lines = finished.stderr.splitlines()
+    assert [each for each in lines if not each.startswith("[DEBUG]")] == [line.rstrip()]
+    (parameters,) = [each for each in lines if "parameters: " in each]
+    assert "rate=200.0 Hz, publish_on='tick'" in parameters
+    assert "settle_time=2.0 s" in parameters
