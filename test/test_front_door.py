@@ -198,7 +198,7 @@ def test_arrays_that_do_not_fit_are_refused(design: Design, time, angle, torque,
         ts.estimate(design, time, angle, torque)
 
 
-def test_an_arm_that_is_stiffer_than_believed_is_learnt(design: Design) -> None:
+def test_an_arm_that_is_stiffer_than_designed_is_learnt(design: Design) -> None:
     run = ts.simulate(design, duration=10.0, mismatch={"stiffness": 0.2})
 
     estimates = ts.estimate(design, run.time, run.angle, run.torque)

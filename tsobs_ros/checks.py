@@ -4,6 +4,7 @@
 
 import math
 import reprlib
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,6 +69,14 @@ def finite(name: str, value: float) -> float:
     if not math.isfinite(number):
         raise ModelError(f"{name}: expected a finite number, got {shown(value)}")
     return number
+
+
+def check_each(
+    check: Callable[[str, float], float], record: object, *names: str, prefix: str = ""
+) -> None:
+    """Apply `positive`, `non_negative` or `finite` to attributes of a record, named in errors."""
+    for name in names:
+        check(prefix + name, getattr(record, name))
 
 
 def _number(value: float) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.checks import non_negative, shown
+from tsobs_ros.checks import check_each, non_negative, shown
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
@@ -72,8 +72,7 @@ class ObserverSettings:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ModelError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        for name in ("torque_limit", "torque_rate_limit"):
-            non_negative(name, getattr(self, name))
+        check_each(non_negative, self, "torque_limit", "torque_rate_limit")
 
     def learnt(self, design: Design) -> tuple[str, ...]:
         """Return the names of the design's parameters that are learnt."""

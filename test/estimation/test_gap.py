@@ -112,7 +112,7 @@ def test_without_gaps_nothing_of_it_is_computed() -> None:
     assert not moving.state.records["covariance"][0, 5:].any()
 
 
-def test_a_torque_is_known_even_where_its_angle_is_not_believed() -> None:
+def test_a_torque_is_known_even_if_its_angle_is_not_used() -> None:
     """A sensor that is stuck after a gap: no gap any more, only no angle."""
     tracker = tracker_of(DESIGN)
     feed(tracker, 0, 0, 1000)

@@ -216,7 +216,7 @@ def test_outliers_have_less_influence_the_larger_they_are_and_none_beyond_reason
     whole, part = plain.readout(wide), observer.readout(state)
     np.testing.assert_allclose(part.state, whole.state * same.weight, rtol=1e-12)
     np.testing.assert_allclose(part.disturbance, whole.disturbance * same.weight, rtol=1e-12)
-    # What is not believed makes nothing more certain: K = w PC̄ᵀ/s in Joseph's form.
+    # The covariance shrinks by the weighted gain alone: K = w PC̄ᵀ/s in Joseph's form.
     gain = same.weight * correction.gain
     closed = np.eye(5) - gain @ DESIGN.request.flow.output_matrix
     prior, R = DESIGN.request.initial_covariance, DESIGN.request.measurement_covariance
@@ -238,7 +238,7 @@ def test_a_lost_arm_is_found_again(offset: float) -> None:
     assert run.disturbance[-1] == pytest.approx(offset, abs=0.15)
 
 
-def test_a_stuck_sensor_is_not_believed() -> None:
+def test_a_stuck_sensor_is_not_used() -> None:
     scenario = replace(SCENARIOS["noise"], disturbance=(StuckSensor(12.0, 3.0),))
     run, worst = simulate(scenario, [0], 16.0), {}
     for samples in (0, 10):

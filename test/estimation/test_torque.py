@@ -116,7 +116,7 @@ def test_a_wrong_torque_of_any_plausible_size_stays_inside_three_bounds(
 
 @pytest.mark.parametrize("size", [20.0, -350.0])
 def test_what_was_learnt_of_the_arm_tells_what_a_torque_would_have_done(size: float) -> None:
-    """An arm 20 % stiffer than believed, whose response to the torque is another."""
+    """An arm 20 % stiffer than designed, whose response to the torque is another."""
     scenario = replace(SCENARIO, mismatch=Mismatch(stiffness=0.2))
     run = simulate(scenario, [0, 1, 2], 40.0)
     truth = run.physical
@@ -141,7 +141,7 @@ def test_garbage_in_the_torque_is_taken_back() -> None:
 def test_a_wrong_level_is_the_torques_fault_and_not_the_sensors(
     level: float, seconds: float
 ) -> None:
-    """The level is believed until the angle contradicts it, but nothing is certified till then."""
+    """The level is used until the angle contradicts it, and nothing is certified until then."""
     for run in range(3):
         got = course(FIXED, run, with_torque(run, 28.0, seconds, lambda u: u + level))
         wrong = got.sigmas > 3.0

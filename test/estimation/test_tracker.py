@@ -427,7 +427,7 @@ def test_there_is_no_estimate_before_the_first_measurement() -> None:
 
 def test_the_domain_is_left_where_the_angle_is_too_large() -> None:
     for angle, inside in ((1.4, True), (-1.4, True), (1.6, False), (-1.6, False)):
-        # The first sample is believed to be half angle, half bias.
+        # The first sample counts as half angle, half bias.
         one = tracker()
         one.offer(sample(0)._replace(y=np.array([angle])), END)
         estimate = one.estimate(BEGIN)

@@ -53,16 +53,35 @@ DRIFT_SPEED = 4.0
 """How much faster than designed the disturbance drifts."""
 
 _PRIORS, _HYSTERESES = (2.5, 2.5, 7.0, 3.0), (1.0, 1.0, 6.0, 1.0)
-_SIGN_TIME, _SIGN_POWER_TIME, _SCORE_TIME = 0.4, 5.0, 20.0
-_WAKING_SLOW, _WAKING_COLOUR = 0.7, 0.3
-_CALM_SLOW, _CALM_COLOUR = 0.5, 0.2
-_SURE_TIME, _LEAST_TIME = 1.0, 5.0
-_CLIP = 3.0
+"""`prior` and `hysteresis` of the alternatives."""
+
 _HYSTERESIS, _MAX_SCORE = 1.0, 9.0
-_MAX_WHITE = 2.0
+"""What the selected design gains, and how far a score can fall behind the best."""
+
+_SIGN_TIME, _SIGN_POWER_TIME, _SCORE_TIME = 0.4, 5.0, 20.0
+"""Time constants of the slow innovation, of its power, and of what a score forgets [s]."""
+
+_WAKING_SLOW, _WAKING_COLOUR = 0.7, 0.3
+"""Powers of the slow and of the coloured innovations, either of which wakes the bank."""
+
+_CALM_SLOW, _CALM_COLOUR = 0.5, 0.2
+"""The same below which both let it sleep."""
+
+_SETTLED, _SURE_TIME, _LEAST_TIME = 4.0, 1.0, 5.0
+"""Times from a start to the earliest waking, from there to a selection, and to sleep [s]."""
+
 _LEARNT, _PASS = 10.0, 2.5
-_SETTLED = 4.0
-_DESIGNED_COLOUR, _SMOOTH, _LEAST_COLOUR = 0.6, 0.8, 0.05
+"""Ages of learning, and of learning again, before which θ̂ may be wrong [s]."""
+
+_CLIP, _MAX_WHITE = 3.0, 2.0
+"""The largest innovation that counts [σ], and the white power above which none does."""
+
+_DESIGNED_COLOUR, _LEAST_COLOUR = 0.6, 0.05
+"""Coloured powers: of coloured noise as assumed, and the least that counts in its favour."""
+
+_SMOOTH = 0.8
+"""A noise scale below it means that neighbours differ by less than white noise."""
+
 _AS_DESIGNED, _LAST_FORCE = Hypothesis.AS_DESIGNED.value, Hypothesis.STRONG_FORCE.value
 _COLOURED = Hypothesis.COLOURED_NOISE.value
 

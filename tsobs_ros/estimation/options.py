@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from tsobs_ros.checks import Array, non_negative, positive
+from tsobs_ros.checks import Array, check_each, non_negative, positive
 from tsobs_ros.errors import ModelError
 
 TORQUE_RATE = 1.0
@@ -89,12 +89,9 @@ class AdaptationOptions:
     excitation: float = 400.0
 
     def __post_init__(self) -> None:
-        positive("adaptation initial_std", self.initial_std)
-        non_negative("adaptation random_walk_density", self.random_walk_density)
-        for name in ("start", "significance", "pass_time"):
-            non_negative(f"adaptation {name}", getattr(self, name))
-        positive("adaptation memory", self.memory)
-        non_negative("adaptation excitation", self.excitation)
+        check_each(positive, self, "initial_std", "memory", prefix="adaptation ")
+        others = ("random_walk_density", "start", "significance", "pass_time", "excitation")
+        check_each(non_negative, self, *others, prefix="adaptation ")
 
 
 @dataclass(frozen=True)
@@ -138,11 +135,10 @@ class SupervisionOptions:
     relearn_time: float = 20.0
 
     def __post_init__(self) -> None:
-        for name in ("gate", "lost", "disturbance_limit", "strain", "relearn_time"):
-            positive(name, getattr(self, name))
+        limits = ("gate", "lost", "disturbance_limit", "strain", "relearn_time")
+        check_each(positive, self, *limits)
         jumps = ("jump_std", "jump_duration", "jump_quiet", "jump_budget", "jump_budget_window")
-        for name in (*jumps, "stuck_samples", "relearn_budget"):
-            non_negative(name, getattr(self, name))
+        check_each(non_negative, self, *jumps, "stuck_samples", "relearn_budget")
         if self.jump_budget > MAX_JUMP_BUDGET:
             raise ModelError(
                 f"jump_budget: expected at most {MAX_JUMP_BUDGET}, got {self.jump_budget!r}"

@@ -111,7 +111,7 @@ _LOST_CLIP = 4.0
 """A lone innovation counts up to so many times `lost`."""
 
 _WHITE, _ALIKE = 0.15, 0.9
-"""Correlation of neighbours that white noise has by chance, and the largest that is believed."""
+"""Correlation of neighbours that white noise has by chance, and the largest that is used."""
 
 _MOVING = 6.0
 """A state moves if its deviation over some seconds exceeds so many bounds."""
@@ -229,10 +229,10 @@ def _width(model: Any, state: Any) -> int:
 
 @compiled
 def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
-    """Correct estimate and parameters by an innovation, as far as it is believed.
+    """Correct estimate and parameters by an innovation, with the outlier's weight.
 
-    What is not believed tells the covariance nothing either: otherwise an estimate that is wrong
-    takes sample after sample for an outlier, and grows the more certain.
+    The covariance shrinks with the weighted gain too. If it shrank as for a full correction, an
+    estimate that is wrong would take sample after sample for an outlier, and its bound would fall.
     """
     n, p, k = _width(model, state), model.p, model.k
     gain, weight, x = correction.gain[:], correction.weight, state.x[:]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tsobs_ros.checks import Array, non_negative, positive
+from tsobs_ros.checks import Array, check_each, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, State, copy_records
 from tsobs_ros.estimation.history import (
@@ -66,11 +66,8 @@ class TrackerOptions:
     max_steps: int = 1024
 
     def __post_init__(self) -> None:
-        positive("x_max", self.x_max)
-        non_negative("history", self.history)
-        non_negative("future_tolerance", self.future_tolerance)
-        positive("restart_after", self.restart_after)
-        positive("max_steps", self.max_steps)
+        check_each(positive, self, "x_max", "restart_after", "max_steps")
+        check_each(non_negative, self, "history", "future_tolerance")
 
 
 class Outcomes(NamedTuple):

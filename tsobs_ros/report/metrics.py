@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.checks import Array, as_matrix, check_each, non_negative, positive
 from tsobs_ros.report.run import RecordedRun
 
 SIGMAS = 3.0
@@ -70,8 +70,7 @@ class MetricsOptions:
     innovation_std: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("start_settle_time", "jump_settle_time", "hold_time"):
-            non_negative(name, getattr(self, name))
+        check_each(non_negative, self, "start_settle_time", "jump_settle_time", "hold_time")
         positive("jump_threshold", self.jump_threshold)
         for value in as_matrix("scale", self.scale, (4,)):
             positive("scale", float(value))

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, non_negative, positive
+from tsobs_ros.checks import Array, check_each, non_negative, positive
 from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
@@ -65,8 +65,8 @@ class Friction:
     motor_coulomb: float = 0.0
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            non_negative(f"friction {item.name}", getattr(self, item.name))
+        names = (item.name for item in fields(self))
+        check_each(non_negative, self, *names, prefix="friction ")
 
 
 class ArmIntegrator:

@@ -5,7 +5,7 @@
 import math
 from dataclasses import dataclass, fields
 
-from tsobs_ros.checks import Array, non_negative
+from tsobs_ros.checks import Array, check_each, non_negative
 from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.trigonometry import exponential
@@ -50,9 +50,8 @@ class Sensor:
     resolution: float = 0.0
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            if not item.name.startswith("outlier"):
-                non_negative(item.name, getattr(self, item.name))
+        names = [item.name for item in fields(self)]
+        check_each(non_negative, self, *(name for name in names if "outlier" not in name))
         if not 0.0 <= self.outlier_probability <= 1.0:
             raise ModelError(
                 f"outlier_probability: expected 0 to 1, got {self.outlier_probability!r}"

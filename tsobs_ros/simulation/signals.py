@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tsobs_ros.checks import Array, finite, non_negative, positive
+from tsobs_ros.checks import Array, check_each, finite, non_negative, positive
 from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.trigonometry import cosine, exponential, sine
@@ -150,8 +150,7 @@ class Chirp(_CompiledExcitation):
 
     def __post_init__(self) -> None:
         _check_signal("chirp", self.amplitude, self.lowest)
-        positive("chirp highest", self.highest)
-        positive("chirp sweep", self.sweep)
+        check_each(positive, self, "highest", "sweep", prefix="chirp ")
 
 
 def _check_signal(kind: str, amplitude: float, frequency: float) -> None:
@@ -170,12 +169,8 @@ class Component(ABC):
     kind: ClassVar[str]
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not math.isfinite(value):
-                raise ModelError(
-                    f"{self.kind} {item.name}: expected a finite number, got {value!r}"
-                )
+        names = (item.name for item in fields(self))
+        check_each(finite, self, *names, prefix=f"{self.kind} ")
 
     @abstractmethod
     def value(self, time: float) -> float:
@@ -315,8 +310,7 @@ class Pulses(_CompiledComponent):
     interval: float = 8.0
 
     def __post_init__(self) -> None:
-        non_negative("pulses duration", self.duration)
-        non_negative("pulses interval", self.interval)
+        check_each(non_negative, self, "duration", "interval", prefix="pulses ")
         super().__post_init__()
 
 
