@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, shown
 from tsobs_ros.design import file
+from tsobs_ros.design.file import ArmDesignFile, load_arm_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
@@ -286,10 +287,11 @@ def estimate_bag(
 
     Args:
         path: A bag's folder, an MCAP file, or a log with the suffix .csv, .tsv or .txt.
-        design: A design or its file; the shipped design if None.
+        design: A design or its file; if None, the one that the bag's observer ran, else the shipped
+            one.
         rate: Estimate at this rate [Hz] instead.
         joints: Names of the joints; all that were measured if empty.
-        settings: Method, gates and timeouts; the node's defaults if None.
+        settings: Method, gates and timeouts; those of the bag's observer if None.
         output: Folder of a new bag with the estimates, which must not exist; None to write none.
 
     Raises:
@@ -302,7 +304,7 @@ def estimate_bag(
     >>> estimates.joints["elastic_joint"].state.shape
     (600, 4)
     """
-    source, (run,) = _run(path, design, [settings or ObserverSettings()], rate, joints, output)
+    source, (run,) = _run(path, design, settings, (), rate, joints, output)
     agreement = run.agreement()
     return BagEstimates(
         joints={name: _joint(source, run, place) for place, name in enumerate(source.joints)},
@@ -331,7 +333,7 @@ def compare(
 
     Args:
         path: As for `estimate_bag`.
-        design: A design or its file; the shipped design if None.
+        design: As for `estimate_bag`.
         methods: Names of the observers; of several, those that cannot observe the arm are left out.
         joints: Names of the joints; all that were measured if empty.
 
@@ -347,20 +349,21 @@ def compare(
     """
     from tsobs_ros.report.comparison import compare_runs
 
-    settings = [ObserverSettings(method=method) for method in methods]
-    source, runs = _run(path, design, settings, None, joints, None)
+    source, runs = _run(path, design, None, methods, None, joints, None)
     return Comparison(compare_runs(source, runs))
 
 
 def _run(
     path: str | Path,
     design: Design | str | Path | None,
-    settings: Sequence[ObserverSettings],
+    settings: ObserverSettings | None,
+    methods: Sequence[str],
     rate: float | None,
     joints: Sequence[str],
     output: str | Path | None,
 ) -> "tuple[Source, list[Run]]":
     # Not needed for arrays, and slow to import.
+    from tsobs_ros.replay.designs import choose_designs
     from tsobs_ros.replay.estimate import (
         Observer,
         make_runs,
@@ -369,15 +372,18 @@ def _run(
         without_misfits,
     )
 
-    chosen = design if isinstance(design, Design) else load_design(design)
-    if not isinstance(chosen.request, ArmRequest):
-        raise ModelError(f"{design}: expected the design of an arm, got one of a T-S system")
-    no_torque = all(each.assume_zero_torque for each in settings)
+    no_torque = None if settings is None else settings.assume_zero_torque
     source = open_source(path, joints=joints, assume_zero_torque=no_torque)
-    single = len(settings) == 1
+    if design is None:
+        (files,) = choose_designs(path, source.ran, source.joints).values()
+    else:
+        file = ArmDesignFile.of(design) if isinstance(design, Design) else load_arm_design(design)
+        files = (file,) * len(source.joints)
+    settings = settings or source.ran.settings()
+    single = len(methods) <= 1
     observers = [
-        Observer("observer" if single else one.method, one, (chosen,) * len(source.joints))
-        for one in settings
+        Observer("observer" if single else method, replace(settings, method=method), files)
+        for method in methods or (settings.method,)
     ]
     if not single:
         observers, _ = without_misfits(observers)

@@ -27,6 +27,16 @@ METHODS = {
 }
 """The methods by name, each with what to know about it."""
 
+RANGES = {
+    "theta": (0.1, 100.0),
+    "settle_time": (0.0, 600.0),
+    "torque_rate": (0.0, 1e6),
+    "history": (0.0, 60.0),
+    "future_tolerance": (0.0, 60.0),
+    "stale_after": (0.01, 600.0),
+}
+"""Least and largest values of settings, with which no estimate takes for ever."""
+
 WARNINGS = {"paper": PAPER_WARNING}
 """What a user of a method is warned of, once."""
 
@@ -73,11 +83,23 @@ class ObserverSettings:
         if self.method not in METHODS:
             raise ModelError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
         check_each(non_negative, self, "torque_limit", "torque_rate_limit")
+        for name, (least, most) in RANGES.items():
+            if not least <= (value := getattr(self, name)) <= most:
+                raise ModelError(f"{name}: expected {least:g} to {most:g}, got {shown(value)}")
 
     def learnt(self, design: Design) -> tuple[str, ...]:
         """Return the names of the design's parameters that are learnt."""
         learns = self.method == "certified" and self.adapt
         return design.request.uncertainty_model.names if learns else ()
+
+    def as_parameters(self) -> dict[str, bool | int | float | str]:
+        """Return the settings as `with_parameters` takes them, by `SETTING_NAMES`."""
+        values: dict[str, bool | int | float | str] = {}
+        for name in SETTING_NAMES:
+            short = name.removeprefix(_SUPERVISION)
+            value = getattr(self if short == name else self.supervision, short)
+            values[name] = value.value if isinstance(value, GainMode) else value
+        return values
 
     def with_parameters(self, values: Mapping[str, Any]) -> "ObserverSettings":
         """Return the settings with some of them changed.

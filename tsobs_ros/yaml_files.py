@@ -16,7 +16,9 @@ import yaml
 
 from tsobs_ros.errors import DesignFileError, TsobsError
 
-_MAX_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
+"""Largest size of a file, and of a text in one."""
+
 _MAX_DEPTH = 50
 
 # libyaml's parser is five times as fast; PyYAML without it behaves the same.
@@ -38,42 +40,78 @@ def read_yaml(
     Raises:
         TsobsError: The file is missing, too large, not YAML, or not a mapping.
     """
-    path = Path(path)
+    return yaml_mapping(read_text(path, what, error), path, what, error)
+
+
+def read_text(
+    path: str | PathLike[str],
+    what: str = "design file",
+    error: Callable[[str], TsobsError] = DesignFileError,
+) -> str:
+    """Return a small file's text, with its line ends as they are.
+
+    Args:
+        path: The file.
+        what: What it is, for errors.
+        error: The kind of error to raise.
+
+    Raises:
+        TsobsError: The file is missing, too large or not UTF-8.
+    """
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise error(f"{path}: larger than {_MAX_BYTES} bytes, not a {what}")
-        data = load_yaml(path.read_text(encoding="utf-8"))
+        with Path(path).open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)
+        if len(raw) > MAX_BYTES:
+            raise error(f"{path}: larger than {MAX_BYTES} bytes, not a {what}")
+        return raw.decode("utf-8")
     except FileNotFoundError as problem:
         raise error(f"{path}: no such {what}") from problem
     except OSError as problem:
         raise error(f"{path}: cannot read the {what}: {problem.strerror}") from problem
-    except ValueError as problem:  # not UTF-8 is one as well
-        if isinstance(problem, TsobsError):
-            raise
+    except UnicodeDecodeError as problem:
         raise error(f"{path}: not valid YAML: {problem}") from problem
+
+
+def yaml_mapping(
+    text: str,
+    name: str | PathLike[str],
+    what: str = "design file",
+    error: Callable[[str], TsobsError] = DesignFileError,
+) -> dict[Any, Any]:
+    """Return the mapping that a YAML text holds; the arguments besides are those of `read_yaml`.
+
+    Raises:
+        TsobsError: The text is too large, not YAML, or not a mapping.
+    """
+    if len(text) > MAX_BYTES:
+        raise error(f"{name}: larger than {MAX_BYTES} bytes, not a {what}")
+    try:
+        data = load_yaml(text)
+    except ValueError as problem:
+        raise error(f"{name}: not valid YAML: {problem}") from problem
     if not isinstance(data, dict):
-        raise error(f"{path}: expected a mapping, got {type(data).__name__}")
+        raise error(f"{name}: expected a mapping, got {type(data).__name__}")
     return data
 
 
-def write_yaml(path: str | PathLike[str], header: str, data: Mapping[str, Any]) -> None:
-    """Write a design file; an existing file is replaced only once the new one is complete.
+def yaml_text(header: str, data: Mapping[str, Any]) -> str:
+    """Return plain data as YAML, after lines of comment."""
+    text: str = yaml.dump(
+        data, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=100
+    )
+    return header + text
 
-    Args:
-        path: The file.
-        header: Lines of comment before the data.
-        data: Plain data.
+
+def write_yaml(path: str | PathLike[str], text: str) -> None:
+    """Write a design file; an existing file is replaced only once the new one is complete.
 
     Raises:
         DesignFileError: The file cannot be written.
     """
     path = Path(path)
-    written = header + yaml.dump(
-        data, Dumper=PlainDumper, sort_keys=False, default_flow_style=None, width=100
-    )
     temporary = path.with_name(path.name + ".tmp")
     try:
-        temporary.write_text(written, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)
     except OSError as problem:
         raise DesignFileError(

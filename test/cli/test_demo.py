@@ -16,10 +16,14 @@ from sensor_msgs.msg import JointState
 from tsobs_ros.bag import BagReader
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, RECORDED_TOPICS
 from tsobs_ros.cli.main import main
+from tsobs_ros.design.file import load_arm_design
+from tsobs_ros.replay.designs import recorded_observer
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("tqdm")
 
+SHIPPED = config_path(SHIPPED_DESIGN)
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT = 120.0
 Demo = Callable[..., Any]
@@ -77,13 +81,16 @@ def test_a_demo_leaves_a_bag_a_table_and_figures(demo: Demo, tmp_path: Path) -> 
     reader = BagReader(output / "bag")
     assert set(reader.topics) == {*RECORDED_TOPICS, *ADAPTIVE_TOPICS}
     check_disturbance(reader)
+    ran, shipped = recorded_observer(reader, "/observer"), load_arm_design(SHIPPED)
+    assert ran.designs["elastic_joint"][0].text == shipped.text
+    assert report["design"] == {"file": shipped.name, "sha256": shipped.sha256}
 
 
 def check_disturbance(reader: BagReader) -> None:
     """What was asked for on the command line is what the simulated sensor suffered."""
     recorded: dict[str, list[JointState]] = {topic: [] for topic in reader.topics}
     for item in reader.messages():
-        if item.topic != "/diagnostics":
+        if item.topic not in ("/diagnostics", "/observer/design"):
             recorded[item.topic].append(deserialize_message(item.data, JointState))
     biases = [message.position[0] for message in recorded["/ground_truth/disturbance"]]
     # Samples 0 to 600; the recorder may have come too late for the truth of the first few.

@@ -16,7 +16,10 @@ from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 POLICY = config_path("sros2_policy.xml")
 EVERYTHING = [*RECORDED_TOPICS, *ADAPTIVE_TOPICS]
-TYPES = {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
+TYPES = {
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "/observer/design": "std_msgs/msg/String",
+}
 # How the policy calls what a node does, and what an entry of that kind is called.
 KINDS = {"publish": "topic", "subscribe": "topic", "reply": "service", "request": "service"}
 

@@ -22,6 +22,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import BagReader
+from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder
@@ -159,7 +160,10 @@ def estimated_again(bag: Path, output: Path, design: Design) -> Run:
     """Run a design over a bag as `tsobs estimate` does, and write a bag of that."""
     source = BagSource(bag)
     (run,) = make_runs(
-        source, [Observer("observer", ObserverSettings(), (design,))], rate=None, as_live=True
+        source,
+        [Observer("observer", ObserverSettings(), (ArmDesignFile.of(design),))],
+        rate=None,
+        as_live=True,
     )
     run_all(source, [run], output)
     return run

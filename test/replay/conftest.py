@@ -13,8 +13,10 @@ import pytest
 from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.replay.designs import DIAGNOSTICS, STRING
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -23,6 +25,8 @@ START = 1_700_000_000_000_000_000
 PERIOD = 5_000_000
 LATENCY = 300_000
 JOINTS = ("elbow", "wrist")
+
+TYPES = {"design": STRING, "diagnostics": DIAGNOSTICS}
 
 Message = tuple[str, bytes, int]
 """Topic, data and log time, which is the publish time too."""
@@ -65,7 +69,8 @@ def write_bag(tmp_path: Path) -> Callable[..., Path]:
         path = tmp_path / name
         with BagWriter(path, **options) as writer:
             for topic, data, time in messages:
-                writer.add_topic(topic, JOINT_STATE, definition=definition)
+                type_ = TYPES.get(topic.rpartition("/")[2], JOINT_STATE)
+                writer.add_topic(topic, type_, definition=definition._replace(type=type_))
                 writer.write(topic, data, time, time)
         return path
 
@@ -86,7 +91,9 @@ def estimate(design: Design, tmp_path: Path) -> Callable[..., Run]:
         if isinstance(source, Path):
             source = BagSource(source)
         observer = Observer(
-            "observer", ObserverSettings(**settings), (design,) * len(source.joints)
+            "observer",
+            ObserverSettings(**settings),
+            (ArmDesignFile.of(design),) * len(source.joints),
         )
         (made,) = make_runs(source, [observer], rate=rate, as_live=as_live)
         run_all(source, [made], None if output is None else tmp_path / output)

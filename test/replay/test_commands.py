@@ -249,7 +249,7 @@ def test_damage_is_an_error_after_all_before_it(arms, write_bag, capsys) -> None
     assert 0 < BagReader(f"{bag}_estimates").topics["/observer/joint_states"].count < 600
 
 
-@pytest.mark.parametrize("command", ["estimate", "compare", "report"])
+@pytest.mark.parametrize("command", ["estimate", "compare"])
 def test_a_ts_design_is_refused_in_one_line(command: str, bag: Path, capsys) -> None:
     design = Path(__file__).parents[1] / "design/data/system.design.yaml"
 

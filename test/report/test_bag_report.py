@@ -11,12 +11,15 @@ from tsobs_ros.errors import BagReadError
 from tsobs_ros.report.bag_report import ReportError, make_bag_report
 from tsobs_ros.report.comparison import compare_with_ekf, expected_innovation
 from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+
+SHIPPED = str(config_path(SHIPPED_DESIGN))
 
 
 def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, tmp_path) -> None:
     output = tmp_path / "new" / "folder"
 
-    report = make_bag_report(write_bag(messages_of(simulated)), output, design, ekf=True)
+    report = make_bag_report(write_bag(messages_of(simulated)), output, design=SHIPPED)
 
     options = MetricsOptions(innovation_std=expected_innovation(design))
     assert report.metrics == measure(simulated, options)
@@ -39,7 +42,7 @@ def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, 
 def test_a_report_lists_what_happened_to_the_estimates(
     troubled, messages_of, write_bag, tmp_path
 ) -> None:
-    report = make_bag_report(write_bag(messages_of(troubled)), tmp_path, None, ekf=False)
+    report = make_bag_report(write_bag(messages_of(troubled)), tmp_path, ekf=False)
 
     health = json.loads((tmp_path / "report.json").read_text())["health"]
     assert [(round(one["time"], 1), one["kind"], one["level"]) for one in health["events"]] == [
@@ -53,25 +56,19 @@ def test_a_report_lists_what_happened_to_the_estimates(
     assert all(one["text"] in text for one in health["events"])
 
 
-def test_a_report_of_a_robot_without_design(short, messages_of, write_bag, tmp_path) -> None:
+def test_a_report_of_a_robot_without_truth(short, messages_of, write_bag, tmp_path) -> None:
     bag = write_bag(messages_of(replace(short, truth=None, true_disturbance=None)))
     (tmp_path / "report.json").write_text("old")
 
-    report = make_bag_report(bag, tmp_path, None, ekf=False, html=False)
+    report = make_bag_report(bag, tmp_path, ekf=False, html=False)
 
     assert report.comparison is None
     assert report.as_mapping()["ekf"] is None
-    assert report.metrics.nis is None
     assert report.metrics.windows == ()
     assert json.loads((tmp_path / "report.json").read_text())["estimates"] == 200
     assert [path.name for path in report.files] == ["report.png", "report.json"]
     assert "note: the bag has no ground truth" in report.text()
     assert "note: the run is too short" in report.text()
-
-
-def test_an_ekf_needs_a_design(short, messages_of, write_bag, tmp_path) -> None:
-    with pytest.raises(ReportError, match="needs the design file"):
-        make_bag_report(write_bag(messages_of(short)), tmp_path, None, ekf=True)
 
 
 def test_a_report_that_cannot_be_written_says_where(
@@ -80,12 +77,12 @@ def test_a_report_that_cannot_be_written_says_where(
     (tmp_path / "file").write_text("")
 
     with pytest.raises(ReportError, match=r"cannot write the report: .*/file"):
-        make_bag_report(write_bag(messages_of(short)), tmp_path / "file", None, ekf=False)
+        make_bag_report(write_bag(messages_of(short)), tmp_path / "file", ekf=False)
 
 
 def test_a_bag_that_is_none_is_refused(tmp_path) -> None:
     with pytest.raises(BagReadError, match="nothing"):
-        make_bag_report(tmp_path / "nothing", tmp_path, None, ekf=False)
+        make_bag_report(tmp_path / "nothing", tmp_path, ekf=False)
 
 
 def test_the_expected_innovation_is_noise_and_bound(design) -> None:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Observers side by side: each measured as if it had been recorded."""
 
+from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
@@ -15,7 +16,7 @@ def test_each_is_measured_as_if_it_had_been_recorded(
 ) -> None:
     source = BagSource(write_bag(messages_of(simulated)))
     settings = [ObserverSettings(method=method) for method in ("certified", "ekf", "high_gain")]
-    observers = [Observer(one.method, one, (design,)) for one in settings]
+    observers = [Observer(one.method, one, (ArmDesignFile.of(design),)) for one in settings]
     runs = make_runs(source, observers, rate=None, as_live=False)
     run_all(source, runs, tmp_path / "new")
 

@@ -63,9 +63,11 @@ def test_missing_topics_are_named_with_the_bag(short, messages_of, write_bag) ->
 def test_a_topic_without_messages_about_the_joint_is_named(short, messages_of, write_bag) -> None:
     bag = write_bag({**messages_of(short), "/observer/joint_states": []})
 
-    with pytest.raises(BagReadError, match=r"no message about .* on /observer/joint_states$"):
+    with pytest.raises(BagReadError, match=r"no estimate on /observer/joint_states; joints: none$"):
         read_run(bag)
-    with pytest.raises(BagReadError, match=r"no message about joint 'elbow' on /joint_meas"):
+    with pytest.raises(
+        BagReadError, match=r"no estimate of joint .elbow. on .*; joints: elastic_joint$"
+    ):
         read_run(bag, "elbow")
 
 

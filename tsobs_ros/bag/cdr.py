@@ -107,6 +107,12 @@ class CdrReader:
         self.place += -(self.place - HEADER) % size
 
 
+def encode_text(text: str) -> bytes:
+    """Return the message of a std_msgs/String."""
+    raw = text.encode() + b"\0"
+    return struct.pack(f"<4sI{len(raw)}s", b"\x00\x01\x00\x00", len(raw), raw)
+
+
 class UnknownLayoutError(ValueError):
     """A definition that is well formed, but whose messages cannot be measured."""
 

@@ -1,6 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of an observer, below its own name; all of them are JointStates."""
+"""The topics of an observer, below its own name; all but `DESIGN` are JointStates."""
+
+DESIGN = "design"
+"""What it runs, a latched std_msgs/String: see `tsobs_ros.design.published`."""
 
 STATES, STATE_BOUNDS = "joint_states", "error_bound"
 DISTURBANCE, DISTURBANCE_BOUND = "disturbance", "disturbance_bound"
@@ -10,7 +13,7 @@ HEALTH = "health"
 PARAMETERS, PARAMETER_BOUNDS = "parameters_estimate", "parameters_bound"
 
 TOPICS = (STATES, STATE_BOUNDS, DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS, HEALTH)
-"""What every observer publishes.
+"""The JointStates that every observer publishes.
 
 All but the restarts are published for those who listen at the time. A message about a restart, its
 positions the number of restarts before it, stays there for those who come later: what follows it is

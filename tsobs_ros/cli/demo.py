@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 
-from tsobs_ros.bag.estimate_topics import PARAMETER_TOPICS, TOPICS
+from tsobs_ros.bag.estimate_topics import DESIGN, PARAMETER_TOPICS, TOPICS
 from tsobs_ros.cli.common import Commands, add_json, positive
 from tsobs_ros.cli.report import report_on
 from tsobs_ros.errors import NodeError
@@ -24,7 +24,7 @@ RECORDED_TOPICS = (
     "/joint_measurements",
     "/ground_truth/joint_states",
     "/ground_truth/disturbance",
-    *(f"/observer/{name}" for name in TOPICS),
+    *(f"/observer/{name}" for name in (*TOPICS, DESIGN)),
     "/diagnostics",
 )
 ADAPTIVE_TOPICS = tuple(f"/observer/{name}" for name in PARAMETER_TOPICS)
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
         total=options.duration, unit="s", bar_format="{l_bar}{bar}| {n:.1f}/{total:.1f} s"
     ) as bar:
         bag = _record(output, options, lambda seconds: bar.update(seconds - bar.n))
-    exit_code = report_on(bag, output, options.design, ekf=True, as_json=options.json)
+    exit_code = report_on(bag, output, as_json=options.json)
     if not options.json:
         print(
             f"\nthe bag is {bag}: ros2 bag play, Foxglove and PlotJuggler open it\n"

@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
 def _design_by_the_paper(options: argparse.Namespace) -> int:
     from tsobs_ros.paper import examples
     from tsobs_ros.paper.synthesis import design_adaptive_observer
-    from tsobs_ros.yaml_files import write_yaml
+    from tsobs_ros.yaml_files import write_yaml, yaml_text
 
     build = (examples.example_1, examples.example_2, examples.example_3)[options.example - 1]
     example = build()
@@ -77,7 +77,8 @@ def _design_by_the_paper(options: argparse.Namespace) -> int:
         "conditions": conditions,
         "solver": asdict(result.solver),
     }
-    write_yaml(options.output, "# Made by `tsobs design --method paper`.\n", mapping)
+    header = "# Made by `tsobs design --method paper`.\n"
+    write_yaml(options.output, yaml_text(header, mapping))
     lines = [f"{example.name}: epsilon {result.epsilon:.6g}, {result.steps} step(s)"]
     lines += [f"  {condition}" for condition in conditions]
     lines += [f"written to {options.output}"]

@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tsobs_ros.cli.common import Commands, add_json, complain, positive, progress, show
-from tsobs_ros.errors import BagWriteError, DesignFileError
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.errors import BagWriteError
 
 if TYPE_CHECKING:
-    from tsobs_ros.design.record import Design
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import Observer, Run
     from tsobs_ros.replay.source import Source
 
 # Repeated here, so that the parser needs no numpy.
+_ZERO = "assume_zero_torque"
 METHODS = ("certified", "ekf", "high_gain", "proportional_integral", "paper")
 
 
@@ -50,8 +49,12 @@ def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str
     add("bag", type=Path, metavar="BAG", help="bag folder, MCAP file or CSV log")
     add(
         "--design", nargs="+", default=[], metavar="FILE",
-        help="design files, each run; JOINT=FILE for a joint with its own design (default: the "
-        "shipped design)",
+        help="design files, each run; JOINT=FILE for a joint with its own design (default: what "
+        "the bag's observer ran, else the shipped design)",
+    )  # fmt: skip
+    add(
+        "--other-design", action="store_true",
+        help="let --design name another design than the bag's observer ran",
     )  # fmt: skip
     add(
         "--method", nargs="+", choices=METHODS, metavar="METHOD",
@@ -113,20 +116,24 @@ def estimate(
 
     With `skip_misfits` an observer that cannot observe the arm is left out, with a remark.
     """
+    from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import make_runs, open_source, run_all, without_misfits
 
     begin = time.monotonic()
-    settings = _settings(options)
+    parameters = _parameters(options)
+    given = ObserverSettings().with_parameters(parameters)
     source = open_source(
         options.bag,
         topic=options.topic,
         joints=options.joints,
         columns=options.columns,
         units=options.units,
-        assume_zero_torque=settings.assume_zero_torque,
+        assume_zero_torque=given.assume_zero_torque if _ZERO in parameters else None,
     )
-    observers = _observers(options, settings, source.joints)
-    remarks = list(source.remarks)
+    observers = _observers(options, source.ran.settings().with_parameters(parameters), source)
+    remarks = [*_about(source, observers), *source.remarks, *source.ran.remarks]
+    if source.live is not None:
+        remarks += source.ran.doubt(options.design)
     if skip_misfits:
         observers, misfits = without_misfits(observers)
         remarks += misfits
@@ -141,16 +148,16 @@ def estimate(
     return 0 if source.damage is None else 1
 
 
-def _settings(options: argparse.Namespace) -> "ObserverSettings":
-    """Return the settings; the command line's come before those of the parameter file.
+def _parameters(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters that are given, those of the command line before those of the file.
 
     Joints and designs of the file are entered into the options that are empty.
     """
-    from tsobs_ros.methods import SETTING_NAMES, ObserverSettings, read_parameters
+    from tsobs_ros.methods import SETTING_NAMES, read_parameters
 
     given = {name: value for one in options.param for name, value in one.items()}
     if options.params_file is None:
-        return ObserverSettings().with_parameters(given)
+        return given
     found = read_parameters(options.params_file)
     options.joints = options.joints or list(found.get("joints") or [])
     own = zip(options.joints, found.get("joint_designs") or [], strict=False)
@@ -161,16 +168,19 @@ def _settings(options: argparse.Namespace) -> "ObserverSettings":
     ]
     # The other parameters decide when and where estimates are published.
     in_file = {name: value for name, value in found.items() if name in SETTING_NAMES}
-    return ObserverSettings().with_parameters({**in_file, **given})
+    return {**in_file, **given}
 
 
 def _observers(
-    options: argparse.Namespace, settings: "ObserverSettings", joints: Sequence[str]
+    options: argparse.Namespace, settings: "ObserverSettings", source: "Source"
 ) -> "list[Observer]":
     """Return the observers that the options name, one for each design and method."""
+    from tsobs_ros.replay.designs import choose_designs
     from tsobs_ros.replay.estimate import Observer
 
-    designs = _designs(options.design, joints)
+    designs = choose_designs(
+        source.path, source.ran, source.joints, options.design, others_allowed=options.other_design
+    )
     methods = options.method or options.default_methods or (settings.method,)
     observers = []
     for stem, own in designs.items():
@@ -181,30 +191,15 @@ def _observers(
     return observers
 
 
-def _designs(arguments: Sequence[str], joints: Sequence[str]) -> "dict[str, tuple[Design, ...]]":
-    """Return the designs to compare by the names of their files, each with one design a joint."""
-    from tsobs_ros.design.file import load_arm_design
-
-    own = dict(argument.split("=", 1) for argument in arguments if "=" in argument)
-    shared = [Path(argument) for argument in arguments if "=" not in argument]
-    if unknown := sorted(set(own) - set(joints)):
-        raise DesignFileError(
-            f"--design {unknown[0]}={own[unknown[0]]}: no such joint; joints: {', '.join(joints)}"
-        )
-    if own:
-        if len(shared) > 1:
-            raise DesignFileError(
-                "--design: expected at most one file for the joints without their own, got "
-                + ", ".join(map(str, shared))
-            )
-        rest = shared[0] if shared else config_path(SHIPPED_DESIGN)
-        return {"own": tuple(load_arm_design(Path(own.get(joint, rest))) for joint in joints)}
-    found: dict[str, tuple[Design, ...]] = {}
-    for path in shared or [config_path(SHIPPED_DESIGN)]:
-        stem = path.name.split(".")[0].replace("-", "_").replace(" ", "_")
-        name = stem if stem not in found else f"{stem}_{len(found) + 1}"
-        found[name] = (load_arm_design(path),) * len(joints)
-    return found
+def _about(source: "Source", observers: "Sequence[Observer]") -> list[str]:
+    """Return a line on each design."""
+    lines: dict[str, list[str]] = {}
+    for observer in observers:
+        for joint, file in zip(source.joints, observer.files, strict=True):
+            names = lines.setdefault(f"design {file.name} ({file.identity})", [])
+            names += [joint] if joint not in names else []
+    several = len(lines) > 1 and len(source.joints) > 1
+    return [f"{text} for {', '.join(names)}" if several else text for text, names in lines.items()]
 
 
 def _result(

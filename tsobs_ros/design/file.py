@@ -7,8 +7,9 @@ was saved and loaded is the same design to the last bit. Loading re-checks the c
 about a T–S system given by its matrices has a top-level `system`, one about an arm has not.
 """
 
+import hashlib
 from os import PathLike
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -22,7 +23,7 @@ from tsobs_ros.model.fuzzy import Always, Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import system_uncertainty
 from tsobs_ros.schema import decode, encode, naming, within
-from tsobs_ros.yaml_files import read_yaml, write_yaml
+from tsobs_ros.yaml_files import read_text, read_yaml, write_yaml, yaml_mapping, yaml_text
 
 FilePath: TypeAlias = str | PathLike[str]
 Request: TypeAlias = ArmRequest | TSRequest
@@ -31,6 +32,8 @@ Request: TypeAlias = ArmRequest | TSRequest
 Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 VERSION = 1
+IDENTITY_LENGTH = 12
+"""Digits of a checksum that people are shown."""
 _ARM, _SYSTEM = "tsobs_ros design", "tsobs_ros T-S design"
 _HEADERS = {
     _ARM: """\
@@ -54,9 +57,20 @@ def save_design(design: Design, path: FilePath) -> None:
         DesignFileError: The file cannot be written, or a T–S system has memberships that no file
             can give.
     """
+    with naming(path):
+        text = design_text(design)
+    write_yaml(path, text)
+
+
+def design_text(design: Design) -> str:
+    """Return the content of a design file; see `save_design`.
+
+    Raises:
+        DesignFileError: A T–S system has memberships that no file can give.
+    """
     request = design.request
     kind = _ARM if isinstance(request, ArmRequest) else _SYSTEM
-    with naming(path):
+    with within(""):
         entries = ArmFile(request) if isinstance(request, ArmRequest) else SystemFile.of(request)
     gain = GainEntry(np.array(design.plain_gain))
     answer = AnswerEntries(gain, CertificateEntry(design.P), design.solver)
@@ -64,7 +78,7 @@ def save_design(design: Design, path: FilePath) -> None:
     if isinstance(request, ArmRequest):
         # An entry that is left open is none, as in files from before there was one.
         data["design"] = {n: v for n, v in data["design"].items() if v is not None}
-    write_yaml(path, _HEADERS[kind], data)
+    return yaml_text(_HEADERS[kind], data)
 
 
 def load_design(path: FilePath) -> Design:
@@ -85,26 +99,70 @@ def load_design(path: FilePath) -> Design:
     return design
 
 
-def load_arm_design(path: FilePath) -> Design:
+class ArmDesignFile(NamedTuple):
+    """A design file of an arm, whose certificate holds.
+
+    Attributes:
+        name: Its path, wherever it is from.
+        text: Its content.
+        design: The design.
+    """
+
+    name: str
+    text: str
+    design: Design
+
+    @classmethod
+    def of(cls, design: Design, name: str = "a design without a file") -> "ArmDesignFile":
+        """Return a design as `save_design` would write it."""
+        return cls(name, design_text(design), design)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of its bytes, as `sha256sum` prints it."""
+        return checksum(self.text)
+
+    @property
+    def identity(self) -> str:
+        """The beginning of that, for people."""
+        return self.sha256[:IDENTITY_LENGTH]
+
+
+def checksum(text: str) -> str:
+    """Return the SHA-256 of a file with this content."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def load_arm_design(path: FilePath, text: str | None = None) -> ArmDesignFile:
     """Read the design file of an arm and re-check its certificate.
+
+    Args:
+        path: The file.
+        text: Its content, if that is known without reading it.
 
     Raises:
         DesignFileError: As for `load_design`, or the design is for a T–S system.
         CertificateError: As for `load_design`.
     """
-    design = load_design(path)
+    text = read_text(path) if text is None else text
+    design = parse_design(path, text)
+    design.certificate.require(str(path))
     with naming(path):
         _ = design.arm_request
-    return design
+    return ArmDesignFile(str(path), text, design)
 
 
-def parse_design(path: FilePath) -> Design:
+def parse_design(path: FilePath, text: str | None = None) -> Design:
     """Read a design file without judging its certificate (for `tsobs verify`).
+
+    Args:
+        path: The file.
+        text: Its content, if that is known without reading it.
 
     Raises:
         DesignFileError: As for `load_design`.
     """
-    data = read_yaml(path)
+    data = read_yaml(path) if text is None else yaml_mapping(text, path)
     if "format" not in data and "certificate" not in data:
         raise DesignFileError(
             f"{path}: format: missing; if this is a request, `tsobs design` makes a design of it"

@@ -19,16 +19,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.definitions import find_definition
+from tsobs_ros.bag.cdr import encode_text
+from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, Message
 from tsobs_ros.checks import Array
+from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
-from tsobs_ros.errors import ModelError
+from tsobs_ros.errors import BagWriteError, ModelError
 from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
+from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.health import Health, JointEvent, find_events, sum_up
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.replay import Replay
@@ -40,6 +44,7 @@ LOGS = (".csv", ".tsv", ".txt")
 """Suffixes of logs."""
 
 _BLOCK = 4096
+_LATCHED = QosProfile(durability="transient_local", depth=1)
 _ANGLES, _RATES = [0, 2], [1, 3]
 _log_time = itemgetter(3)
 
@@ -51,12 +56,17 @@ class Observer:
     Attributes:
         name: Name of the node; its topics begin with it.
         settings: How it is run.
-        designs: One a joint.
+        files: Design file of each joint.
     """
 
     name: str
     settings: ObserverSettings
-    designs: tuple[Design, ...]
+    files: tuple[ArmDesignFile, ...]
+
+    @property
+    def designs(self) -> tuple[Design, ...]:
+        """The design of each joint."""
+        return tuple(file.design for file in self.files)
 
 
 def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list[str]]:
@@ -92,7 +102,8 @@ class Run:
         schedule: The ticks.
         replay: Its counts.
         table: Its estimates and innovations.
-        topics: The topics that there may be messages of.
+        topics: The topics of JointStates that there may be messages of.
+        record_topic: The topic of its record.
     """
 
     def __init__(
@@ -118,13 +129,24 @@ class Run:
             self._recorded,
             observer.settings.stale_after,
         )
-        self._publisher = _Publisher(f"{source.namespace}/{observer.name}/", learnt)
+        prefix = f"{source.namespace}/{observer.name}/"
+        self._publisher = _Publisher(prefix, learnt)
+        self.record_topic = prefix + topics.DESIGN
         self.topics = self._publisher.topics
         self._restarts = None if live is None else live.others.get(topics.RESTARTS)
         self._parameters_due, self._health_due = _Due(), _Due()
         self._health_ticks: list[NDArray[np.intp]] = []
 
-    def restarts(self) -> list[Message]:
+    def beginning(self) -> list[Message]:
+        """Return the message of its record, and those of the restarts."""
+        observer, source = self.observer, self._source
+        parameters = observer.settings.as_parameters()
+        text = record_text(source.topic, source.joints, observer.files, parameters)
+        begin = int(self._samples.log_times.min())
+        record = (self.record_topic, STRING, encode_text(text), begin, begin)
+        return [record, *self._restart_messages()]
+
+    def _restart_messages(self) -> list[Message]:
         """Return the messages of the start and of the restarts, those recorded if there are any."""
         if self._restarts is not None:
             at, numbers = _Times.of(self._restarts), self._restarts.values[..., :1]
@@ -224,7 +246,7 @@ def open_source(
     joints: Sequence[str] = (),
     columns: Mapping[str, str] | None = None,
     units: Mapping[str, str] | None = None,
-    assume_zero_torque: bool = False,
+    assume_zero_torque: bool | None = None,
 ) -> Source:
     """Open a bag, or a log if the suffix is one of `LOGS`.
 
@@ -234,7 +256,8 @@ def open_source(
         joints: Names of the joints; all that were measured if empty.
         columns: Of a log, see `LogSource`.
         units: Of a log, see `LogSource`.
-        assume_zero_torque: Take measurements without torque as torque 0.
+        assume_zero_torque: Take measurements without torque as torque 0; None: as the observer of
+            a bag, of a log not.
 
     Raises:
         BagReadError: The bag cannot be read, or does not have the measurements.
@@ -243,7 +266,7 @@ def open_source(
     path, no_torque = Path(path), assume_zero_torque
     if path.is_file() and path.suffix.lower() in LOGS:
         return LogSource(
-            path, columns=columns, units=units, joints=joints, assume_zero_torque=no_torque
+            path, columns=columns, units=units, joints=joints, assume_zero_torque=bool(no_torque)
         )
     return BagSource(path, topic=topic, joints=joints, assume_zero_torque=no_torque)
 
@@ -301,8 +324,10 @@ def run_all(
             writer.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition)
         for name in chain.from_iterable(run.topics for run in runs):
             writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
+        for run in runs:
+            writer.add_topic(run.record_topic, STRING, [_LATCHED], definition=_text_definition())
         recorded = iter(()) if estimates_only else source.messages()
-        waiting = list(chain.from_iterable(run.restarts() for run in runs))
+        waiting = list(chain.from_iterable(run.beginning() for run in runs))
         for horizon, messages in _blocks(runs, progress):
             for message in recorded:
                 waiting.append(message)
@@ -313,6 +338,13 @@ def run_all(
             end = bisect_left(waiting, horizon, key=_log_time)
             writer.write_all(waiting[:end])
             del waiting[:end]
+
+
+def _text_definition() -> MessageDefinition:
+    try:
+        return find_definition(STRING)
+    except BagWriteError:  # there need not be a ROS
+        return MessageDefinition(STRING, "string data\n", "")
 
 
 def _blocks(

@@ -30,6 +30,7 @@ from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
 
 MEASUREMENTS = "joint_measurements"
 _TRUTH = TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
@@ -167,6 +168,7 @@ class Source(ABC):
         path: The bag or the log.
         joints: Names of the joints.
         samples: The measurements.
+        ran: What the observer ran that was recorded.
         topic: Name of the measurements' topic, or of the log's file.
         namespace: Begin of the topics' names: empty, or with a slash at its front only.
         live: Output of the observer that ran during the recording.
@@ -178,6 +180,7 @@ class Source(ABC):
     path: Path
     joints: tuple[str, ...]
     samples: Samples
+    ran = RecordedObserver()
     topic: str
     namespace = ""
     live: Live | None = None
@@ -200,10 +203,11 @@ class BagSource(Source):
     Args:
         path: The bag's folder, or one MCAP file.
         topic: Full name of the measurements' topic; by default the only one that ends in
-            `joint_measurements`.
-        joints: Names of the joints to read; by default those that the first messages name.
+            `joint_measurements`, or the one that the live observer used.
+        joints: Names of the joints to read; by default those of the first messages, or those of
+            them that the live observer observed.
         observer: Name of the live observer, whose topics are read too.
-        assume_zero_torque: Take messages without effort as torque 0.
+        assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
 
     Raises:
         BagReadError: There is no bag, no such topic or joint, or several topics fit.
@@ -216,14 +220,18 @@ class BagSource(Source):
         topic: str | None = None,
         joints: Sequence[str] = (),
         observer: str = "observer",
-        assume_zero_torque: bool = False,
+        assume_zero_torque: bool | None = None,
     ) -> None:
         self.path = path
         self._reader = BagReader(path)
-        self.topic = self._find_measurements() if topic is None else topic
+        of_topic = self._recorded_observers(observer)
+        self.topic = self._find_measurements(list(of_topic)) if topic is None else topic
         require_joint_states(self._reader, self.topic)
-        self.namespace = self.topic.rpartition("/")[0]
-        self.joints = tuple(joints) or self._first_joints()
+        self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
+        self.ran = recorded_observer(self._reader, f"{self.namespace}/{observer}")
+        self.joints = tuple(joints) or self._own_joints()
+        if assume_zero_torque is None:
+            assume_zero_torque = self.ran.settings().assume_zero_torque
         names = [name for name in topics.TOPICS if name != topics.HEALTH]
         own = self._there({name: f"{observer}/{name}" for name in names})
         measured, others = self._read(own, assume_zero_torque)
@@ -259,8 +267,21 @@ class BagSource(Source):
         there = {name for name, topic in self._reader.topics.items() if topic.type == JOINT_STATE}
         return {key: name for key, name in full.items() if name in there}
 
-    def _find_measurements(self) -> str:
+    def _recorded_observers(self, observer: str) -> dict[str, str]:
+        """Return the namespaces of recorded observers of a name by their measurements' topics."""
+        end = f"/{observer}/{topics.DESIGN}"
+        found = {}
+        for name in self._reader.topics:
+            if name.endswith(end):
+                namespace = name.removesuffix(end)
+                ran = recorded_observer(self._reader, f"{namespace}/{observer}")
+                if ran.measurements in self._reader.topics:
+                    found[ran.measurements] = namespace
+        return found
+
+    def _find_measurements(self, observed: list[str]) -> str:
         names = [name for name in self._reader.topics if f"/{name}".endswith(f"/{MEASUREMENTS}")]
+        names = names or observed
         if len(names) == 1:
             return names[0]
         has = ", ".join(names or self._reader.topics) or "none"
@@ -273,6 +294,10 @@ class BagSource(Source):
             names = [side for joint in self.joints for side in topics.sides(joint)]
         own = ("position",) if topic == TRUE_DISTURBANCE else ("position", "velocity")
         return Wanted(names, own)
+
+    def _own_joints(self) -> tuple[str, ...]:
+        first = self._first_joints()
+        return tuple(joint for joint in self.ran.designs if joint in first) or first
 
     def _first_joints(self) -> tuple[str, ...]:
         messages = until_damage(self._reader.messages([self.topic]), self._damaged)

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from tsobs_ros.design.record import Design
+from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.errors import TsobsError
+from tsobs_ros.replay.designs import choose_designs
 from tsobs_ros.replay.health import Health, JointEvent, find_events, list_events, map_events, sum_up
 from tsobs_ros.report.comparison import (
     EkfComparison,
@@ -33,6 +34,8 @@ class BagReport:
 
     Attributes:
         bag: The bag it is on.
+        joint: The joint.
+        design: The design that the estimates were made with.
         metrics: Of the recorded estimates.
         health: Of the estimates, None if it was not recorded.
         events: Changes of their health.
@@ -43,6 +46,8 @@ class BagReport:
     """
 
     bag: Path
+    joint: str
+    design: ArmDesignFile
     metrics: RunMetrics
     health: Health | None
     events: tuple[JointEvent, ...]
@@ -53,12 +58,14 @@ class BagReport:
 
     def text(self) -> str:
         """Return the report for a terminal."""
-        parts = [f"{self.bag}: {render_metrics(self.metrics, self.comparison)}"]
+        table = render_metrics(self.metrics, self.comparison)
+        what = f"{self.joint}, design {self.design.name} ({self.design.identity})"
+        parts = [f"{self.bag}: {what}\n{table}"]
         if self.health is not None:
             events = list_events(self.events, self.begin)
             parts.append("\n".join([*self.health.lines(), *events]))
         if self.remarks:
-            parts.append("\n".join(f"note: {remark}" for remark in self.remarks))
+            parts.append("\n".join(remark for remark in self.remarks))
         parts.append("\n".join(f"wrote {path}" for path in self.files))
         return "\n\n".join(parts)
 
@@ -66,6 +73,8 @@ class BagReport:
         """Return the report as plain data that JSON can hold."""
         return {
             "bag": str(self.bag),
+            "joint": self.joint,
+            "design": {"file": self.design.name, "sha256": self.design.sha256},
             **self.metrics.as_mapping(),
             "health": None
             if self.health is None
@@ -79,11 +88,12 @@ class BagReport:
 def make_bag_report(
     bag: Path,
     output: Path,
-    design: Design | None,
     *,
-    ekf: bool,
+    design: str | None = None,
+    other_design: bool = False,
+    ekf: bool = True,
     html: bool = True,
-    joint: str = "elastic_joint",
+    joint: str | None = None,
     namespace: str | None = None,
 ) -> BagReport:
     """Measure a bag and write `report.png`, `report.html` and `report.json`.
@@ -91,40 +101,46 @@ def make_bag_report(
     Args:
         bag: Bag folder or MCAP file.
         output: Folder for the files; it is created, files of the same names are replaced.
-        design: The design the estimates were made with; without it the innovations have nothing
-            to be compared with, and there is no EKF.
+        design: File of the design that the estimates were made with; if None, the one in the bag,
+            else the shipped one.
+        other_design: Whether that may be another one than the bag's.
         ekf: Whether to run an EKF over the same measurements; takes about a second a minute.
         html: Whether to write the page too; it is left out, with a remark, without plotly.
-        joint: Name of the joint in the bag.
+        joint: Name of the joint in the bag; None if there is one only.
         namespace: Namespace of the topics, for a bag with several arms.
 
     Raises:
         BagReadError: The bag cannot be read or lacks what a report needs.
-        ReportError: An EKF is asked for without a design, or a file cannot be written.
+        DesignFileError: The design is none, or not that of the bag; or that is not known here.
+        ReportError: A file cannot be written.
         ModuleNotFoundError: matplotlib is not installed.
     """
-    if ekf and design is None:
-        raise ReportError("comparing with an EKF needs the design file, which holds its model")
     run = read_run(bag, joint, namespace=namespace)
-    std = None if design is None else expected_innovation(design)
+    given = [] if design is None else [design]
+    ((file,),) = choose_designs(
+        bag, run.ran, [run.joint], given, others_allowed=other_design
+    ).values()
+    std = expected_innovation(file.design)
     options = MetricsOptions(innovation_std=std)
     metrics = measure(run, options)
-    comparison = compare_with_ekf(run, design, options) if ekf and design is not None else None
+    comparison = compare_with_ekf(run, file.design, options) if ekf else None
     page = html and find_spec("plotly") is not None
-    remarks = []
+    remarks = [*run.ran.doubt(given), *run.ran.remarks]
     if run.truth is None:
-        remarks.append("the bag has no ground truth, so there are bounds but no errors")
+        remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:
-        remarks.append(f"time restarted {run.passes - 1} times; this is the longest pass")
+        remarks.append(f"note: time restarted {run.passes - 1} times; this is the longest pass")
     if not metrics.windows:
-        remarks.append("the run is too short to have a settled part, so there are no errors")
+        remarks.append("note: the run is too short to have a settled part, so there are no errors")
     if html and not page:
-        remarks.append("no report.html: the Python package plotly is not installed")
+        remarks.append("note: no report.html: the Python package plotly is not installed")
     names = ["report.png", *(["report.html"] if page else []), "report.json"]
     files = tuple(output / name for name in names)
     health = None if run.health is None else sum_up(run.health.values)
     events = tuple(_events(run))
-    report = BagReport(bag, metrics, health, events, run.origin, comparison, files, tuple(remarks))
+    report = BagReport(
+        bag, run.joint, file, metrics, health, events, run.origin, comparison, files, tuple(remarks)
+    )
     try:
         output.mkdir(parents=True, exist_ok=True)
         # Here, so that matplotlib and plotly are needed only for what they draw.

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,11 +14,12 @@ from scipy.interpolate import CubicHermiteSpline
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import JointSeries, Wanted, read_joint_series
-from tsobs_ros.bag.joint_states import JOINT_STATE
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
 from tsobs_ros.replay.source import passes
 
 Stamps = NDArray[np.int64]
@@ -27,6 +29,7 @@ MAX_GAP = 0.1
 """Series are not interpolated across longer gaps [s]: messages were lost there."""
 
 
+_FIRST_MESSAGES = 1000
 _OPTIONAL = ("innovations", "truth", "true_disturbance", "health")
 
 
@@ -70,6 +73,7 @@ class RecordedRun:
         health: Numbers of `estimation.events.Condition` at their stamps, values (h, 6); None if
             not recorded.
         topic: Name of the measurements' topic.
+        ran: What the observer ran, as far as the bag has it.
         passes: Number of passes over the recorded time; this is the longest one.
     """
 
@@ -86,6 +90,7 @@ class RecordedRun:
     true_disturbance: Series | None = None
     health: Series | None = None
     topic: str = "joint_measurements"
+    ran: RecordedObserver = field(default_factory=RecordedObserver)
     passes: int = 1
 
     @cached_property
@@ -115,7 +120,7 @@ class RecordedRun:
 
 def read_run(
     bag: Path,
-    joint: str = "elastic_joint",
+    joint: str | None = None,
     *,
     namespace: str | None = None,
     observer: str = "observer",
@@ -127,17 +132,23 @@ def read_run(
 
     Args:
         bag: Bag folder or MCAP file.
-        joint: Name of the joint in `joint_measurements`.
+        joint: Name of the joint; None if there are estimates of one only.
         namespace: Namespace of all topics, for a bag with several arms.
         observer: Name of the observer node.
 
     Raises:
         BagReadError: The bag cannot be read, lacks a topic that is needed or messages of the
-            joint on it, or has several topics that could be meant.
+            joint on it, or has several topics or joints that could be meant.
     """
     reader = BagReader(bag)
-    wanted = _wanted(joint, observer)
-    names = {key: _find(reader, suffix, namespace) for key, (suffix, _) in wanted.items()}
+    suffixes = {key: suffix for key, (suffix, _) in _wanted("", observer).items()}
+    names = {key: _find(reader, suffix, namespace) for key, suffix in suffixes.items()}
+    ran = RecordedObserver()
+    if names["states"] is not None:
+        ran = recorded_observer(reader, names["states"].removesuffix(f"/{topics.STATES}"))
+        names["measurements"] = names["measurements"] or _there(reader, ran.measurements)
+        joint = _choose_joint(reader, names["states"], joint)
+    wanted = _wanted(joint or "", observer)
     required = {key: names[key] for key in wanted if key not in _OPTIONAL}
     if missing := [wanted[key][0] for key, name in required.items() if name is None]:
         has = ", ".join(reader.topics) or "none"
@@ -159,7 +170,7 @@ def read_run(
     states = states.ordered()
     return RecordedRun(
         name="/".join(Path(bag).absolute().parts[-2:]),
-        joint=joint,
+        joint=str(joint),
         measurements=chosen["measurements"],
         stamps=states.stamps,
         states=states.values,
@@ -167,6 +178,7 @@ def read_run(
         disturbance=align(chosen["disturbance"], states.stamps)[:, 0],
         disturbance_bounds=align(chosen["disturbance_bound"], states.stamps)[:, 0],
         topic=str(names["measurements"]),
+        ran=ran,
         passes=len(streams["states"]),
         **{key: chosen[key].ordered() for key in _OPTIONAL if key in chosen},
     )
@@ -204,6 +216,26 @@ def _find(reader: BagReader, suffix: str, namespace: str | None) -> str | None:
     if matches and (type_ := reader.topics[matches[0]].type) != JOINT_STATE:
         raise BagReadError(f"{reader.path}: {matches[0]} is {type_}, expected {JOINT_STATE}")
     return matches[0] if matches else None
+
+
+def _there(reader: BagReader, name: str | None) -> str | None:
+    info = reader.topics.get(name or "")
+    return None if info is None or info.type != JOINT_STATE else info.name
+
+
+def _choose_joint(reader: BagReader, topic: str, joint: str | None) -> str:
+    """Return the joint to read, of those that there are estimates of."""
+    messages = islice(reader.messages([topic]), _FIRST_MESSAGES)
+    groups, _ = JointStateDecoder().decode_all([message.data for message in messages])
+    sides = dict.fromkeys(name for group in groups for name in group.names)
+    joints = [side.removesuffix("_link") for side in sides if side.endswith("_link")]
+    if joint in joints or (joint is None and len(joints) == 1):
+        return joint or joints[0]
+    has = ", ".join(joints) or "none"
+    if joint is None and joints:
+        raise BagReadError(f"{reader.path}: estimates of several joints, choose one of: {has}")
+    whom = "" if joint is None else f" of joint '{joint}'"
+    raise BagReadError(f"{reader.path}: no estimate{whom} on {topic}; joints: {has}")
 
 
 def _as_named(health: JointSeries) -> JointSeries:

@@ -127,7 +127,7 @@ def test_a_request_changes_all_joints_or_nothing(
     own = tmp_path / "own.design.yaml"
     own.write_text(SHIPPED.read_text(encoding="utf-8"), encoding="utf-8")
     node = make(joints=["hip", "knee"], joint_designs=[str(own), ""])
-    assert [joint.loaded.path for joint in node.joints] == [own, SHIPPED]
+    assert [joint.loaded.name for joint in node.joints] == [str(own), str(SHIPPED)]
     wanted = {"supervision.gate": 4.0, "fault.hold": 1.0, "coast_after": -1.0}
     parameters = [Parameter(name, value=value) for name, value in wanted.items()]
     before = {name: node.get_parameter(name).value for name in wanted}

@@ -28,8 +28,11 @@ from tsobs_ros.estimation.records import Estimate
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
 
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Of what stays valid until the next message."""
+
 _RELIABLE = QoSProfile(depth=10)
-_LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_RESTARTS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_KNOWN = 256
 _ABSENT = sys.maxsize
 
@@ -202,7 +205,7 @@ class EstimatePublisher:
         self._disturbance = _Output(node, topics.DISTURBANCE, joints)
         self._disturbance_bound = _Output(node, topics.DISTURBANCE_BOUND, joints)
         self._innovation = _Output(node, topics.INNOVATION, joints)
-        self._restarts = _Output(node, topics.RESTARTS, joints, _LATCHED)
+        self._restarts = _Output(node, topics.RESTARTS, joints, _RESTARTS)
         own = [
             topics.parameter_names(joint, topics.CONDITIONS, alone=len(learnt) == 1)
             for joint in learnt

@@ -2,18 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """One joint of the observer node: its design, its tracker and its monitors."""
 
-import hashlib
 import math
 from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.file import load_arm_design
-from tsobs_ros.design.record import Design
-from tsobs_ros.errors import DesignFileError
+from tsobs_ros.design.file import ArmDesignFile, load_arm_design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import EventLog
 from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
@@ -30,40 +25,9 @@ from tsobs_ros.nodes.observer.io import Stamps
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
-_IDENTITY_LENGTH = 12
 _NOTHING = np.zeros(0)
 _OPEN = np.array([math.inf])
 _ACCEPTED = (*CORRECTING, GATED)
-
-
-class LoadedDesign(NamedTuple):
-    """A design whose certificate holds, and its origin.
-
-    Attributes:
-        path: The file.
-        identity: Beginning of the SHA-256 of its bytes, as `sha256sum` prints it.
-        design: The design.
-    """
-
-    path: Path
-    identity: str
-    design: Design
-
-
-def load(path: str) -> LoadedDesign:
-    """Read a design file, the shipped one if the path is empty, and re-check its certificate.
-
-    Raises:
-        DesignFileError: The design file is missing, malformed or not for an arm.
-        CertificateError: The design's certificate does not hold.
-    """
-    file = Path(path) if path else config_path(SHIPPED_DESIGN)
-    design = load_arm_design(file)
-    try:
-        identity = hashlib.sha256(file.read_bytes()).hexdigest()[:_IDENTITY_LENGTH]
-    except OSError as error:
-        raise DesignFileError(f"{file}: {error.strerror}") from error
-    return LoadedDesign(file, identity, design)
 
 
 class ObservedJoint:
@@ -92,7 +56,7 @@ class ObservedJoint:
     def __init__(
         self,
         name: str,
-        loaded: LoadedDesign,
+        loaded: ArmDesignFile,
         estimator: Estimator,
         parameters: ObserverParameters,
         source: str = "joint_measurements",
@@ -241,7 +205,8 @@ def observed_joints(
         CertificateError: A design's certificate does not hold.
     """
     paths = parameters.design_of
-    loaded = {path: load(path) for path in dict.fromkeys(paths.values())}
+    shipped = config_path(SHIPPED_DESIGN)
+    loaded = {path: load_arm_design(path or shipped) for path in dict.fromkeys(paths.values())}
     estimators = {
         path: make_estimator(each.design, parameters.settings) for path, each in loaded.items()
     }

@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.checks import Array
+from tsobs_ros.design.published import record_text
 from tsobs_ros.estimation.events import Condition, Event
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.history import REASONS
@@ -26,7 +28,13 @@ from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import DiagnosticsPublisher
 from tsobs_ros.nodes.observer import statuses
-from tsobs_ros.nodes.observer.io import MEASUREMENT_QOS, Batch, EstimatePublisher, MeasurementReader
+from tsobs_ros.nodes.observer.io import (
+    LATCHED,
+    MEASUREMENT_QOS,
+    Batch,
+    EstimatePublisher,
+    MeasurementReader,
+)
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints, rehearse
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.ticker import Ticker
@@ -89,6 +97,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._publisher = EstimatePublisher(
             self, {joint.name: joint.learnt for joint in self._joints}
         )
+        self._record = self.create_publisher(String, f"~/{topics.DESIGN}", LATCHED)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=", ".join(parameters.joints))
         self.offer_triggers({"reset": self._on_reset})
         self.create_service(SetBool, "~/enable", self._on_enable)
@@ -102,6 +111,7 @@ class Observer(ManagedNode[ObserverParameters]):
     def activate(self) -> None:
         """Start to estimate from what comes from now on."""
         self._forget_waiting()
+        self._publish_record()
         if self._is_new:
             self._publish_restart()
         else:
@@ -117,6 +127,8 @@ class Observer(ManagedNode[ObserverParameters]):
         """Take over parameters that were changed while the node runs."""
         for joint in self._joints:
             joint.retune(parameters)
+        if self.active:
+            self._publish_record()
 
     @property
     def joints(self) -> tuple[ObservedJoint, ...]:
@@ -277,6 +289,16 @@ class Observer(ManagedNode[ObserverParameters]):
         self._unanswered.clear()
         self._publish_restart()
 
+    def _publish_record(self) -> None:
+        """Publish what runs, for those who come later too."""
+        text = record_text(
+            self.resolve_topic_name("joint_measurements"),
+            [joint.name for joint in self._joints],
+            [joint.loaded for joint in self._joints],
+            self.parameters.settings.as_parameters(),
+        )
+        self._record.publish(String(data=text))
+
     def _publish_restart(self) -> None:
         self._publisher.publish_restart(int(self.get_clock().now().nanoseconds), self._resets)
 
@@ -319,9 +341,9 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _log_designs(self) -> None:
         """Log each joint's design, and warn of methods that cannot work."""
-        by_path = {joint.loaded.path: joint.loaded for joint in self._joints}
+        by_path = {joint.loaded.name: joint.loaded for joint in self._joints}
         for path, loaded in by_path.items():
-            names = ", ".join(each.name for each in self._joints if each.loaded.path == path)
+            names = ", ".join(each.name for each in self._joints if each.loaded.name == path)
             self.get_logger().info(f"{names}: design {path} ({loaded.identity}): certificate holds")
         method = self.parameters.method
         if method in WARNINGS:

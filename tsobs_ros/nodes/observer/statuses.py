@@ -197,7 +197,7 @@ def _certificate_status(joint: ObservedJoint, method: str, now: int) -> Status:
     loaded, estimate = joint.loaded, joint.latest
     request = loaded.design.request
     values = {
-        "design": str(loaded.path),
+        "design": loaded.name,
         "design sha256": loaded.identity,
         "disturbance model": request.disturbance_model.label,
         "design rate [Hz]": f"{request.rate:g}",

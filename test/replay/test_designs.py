@@ -1,0 +1,250 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates, comparisons and reports of a bag use what its observer ran, or refuse."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+import tsobs_ros as ts
+from tsobs_ros.bag import BagReader
+from tsobs_ros.bag.cdr import encode_text
+from tsobs_ros.cli.main import main
+from tsobs_ros.design.file import load_arm_design, save_design
+from tsobs_ros.design.published import record_text
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.replay.designs import DIAGNOSTICS
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+
+SHIPPED, FIXED = (str(config_path(name)) for name in (SHIPPED_DESIGN, FIXED_DESIGN))
+SYSTEM = Path(__file__).parents[1] / "design/data/system.design.yaml"
+START = 1_700_000_000_000_000_000
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.fixture(scope="session")
+def soft(design: Design, tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A design file for a softer and heavier arm with a noisier sensor."""
+    arm = ElasticJointArm(stiffness=4.0, link_inertia=2.0, gravity_torque=6.0)
+    request = replace(design.arm_request, arm=arm, measurement_std=0.05)
+    path = tmp_path_factory.mktemp("designs") / "soft.design.yaml"
+    save_design(synthesise(request), path)
+    return str(path)
+
+
+@pytest.fixture
+def live(arms: Any, write_bag: Callable[..., Path], soft: str, capsys: Any) -> str:
+    """A bag of two joints, of which an observer has observed each with a design of its own."""
+    bag = write_bag(arms.messages(joints=2))
+    assert estimate(bag, "--design", f"elbow={soft}", f"wrist={FIXED}", "--rate", "90",
+                    "--param", "settle_time=0.5,supervision.gate=4") == 0  # fmt: skip
+    capsys.readouterr()
+    return f"{bag}_estimates"
+
+
+def estimate(bag: object, *options: str) -> int:
+    return main(["estimate", str(bag), *options])
+
+
+def record(*designs: str, joints: tuple[str, ...] = ("elbow",), **parameters: Any) -> bytes:
+    files = [load_arm_design(each) for each in designs]
+    known = ObserverSettings().as_parameters() | parameters
+    return encode_text(record_text("/joint_measurements", joints, files, known))
+
+
+def diagnostics(node: str, design: str, sha256: str, joint: str) -> bytes:
+    def value(key: str, text: str) -> Any:
+        return TYPES.types["diagnostic_msgs/msg/KeyValue"](key=key, value=text)
+
+    status = TYPES.types["diagnostic_msgs/msg/DiagnosticStatus"](
+        level=0, name=f"{node}: certificate", message="holds", hardware_id=joint,
+        values=[value("design", design), value("design sha256", sha256)],
+    )  # fmt: skip
+    stamp = TYPES.types["builtin_interfaces/msg/Time"](sec=1, nanosec=2)
+    header = TYPES.types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
+    message = TYPES.types[DIAGNOSTICS](header=header, status=[status])
+    return bytes(TYPES.serialize_cdr(message, DIAGNOSTICS))
+
+
+def test_each_joint_is_estimated_as_live_with_its_own_design_and_parameters(
+    live: str, capsys: Any
+) -> None:
+    assert estimate(live, "--output", f"{live}_again", "--json") == 0
+
+    result = json.loads(capsys.readouterr().out)["live"]
+    assert result["reproduced"] == result["recorded"] > 100
+    (message,) = BagReader(f"{live}_again").messages(["/observer/design"])
+    (before,) = BagReader(live).messages(["/observer/design"])
+    assert message.data == before.data
+    assert ts.estimate_bag(live).reproduced == 1.0
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [
+        ("estimate", ["--design", SHIPPED]),
+        ("compare", ["--design", f"wrist={SHIPPED}"]),
+        ("report", ["--design", SHIPPED, "--joint", "wrist"]),
+    ],
+)
+def test_another_design_is_refused_with_both_names_unless_it_is_meant(
+    live: str, command: str, options: list[str], tmp_path: Path, capsys: Any
+) -> None:
+    options += ["--output", str(tmp_path / "output")]
+    assert main([command, live, *options]) == 1
+
+    (line,) = capsys.readouterr().err.splitlines()
+    for file in (SHIPPED, FIXED) if command != "estimate" else (SHIPPED,):
+        assert f"{file} (SHA-256 {load_arm_design(file).identity})" in line
+    assert "add --other-design" in line
+    assert main([command, live, *options, "--other-design"]) == 0
+    assert f"design {SHIPPED} ({load_arm_design(SHIPPED).identity})" in capsys.readouterr().out
+
+
+def test_a_report_is_of_one_joint_and_names_those_there_are(
+    live: str, soft: str, tmp_path: Path, capsys: Any
+) -> None:
+    command = ["report", live, "--output", str(tmp_path / "report")]
+
+    assert main(command) == 1
+    assert "estimates of several joints, choose one of: elbow, wrist" in capsys.readouterr().err
+    assert main([*command, "--joint", "knee"]) == 1
+    assert "no estimate of joint 'knee'" in capsys.readouterr().err
+    for joint, file in (("elbow", soft), ("wrist", FIXED)):
+        assert main([*command, "--joint", joint, "--json"]) == 0
+        report = json.loads(capsys.readouterr().out)
+        assert report["joint"] == joint
+        known = load_arm_design(file)
+        assert report["design"] == {"file": known.name, "sha256": known.sha256}
+
+
+def test_a_bag_without_records_falls_back_on_diagnostics(
+    arms: Any, write_bag: Callable[..., Path], soft: str, capsys: Any
+) -> None:
+    """Bags of earlier versions have the checksums alone."""
+    for name, file in (("shipped", FIXED), ("unknown", soft)):
+        known = load_arm_design(file)
+        data = diagnostics("observer", "/robot/my.yaml", known.identity, "elbow")
+        messages = [*arms.messages(50), ("/diagnostics", data, START), ("/diagnostics", b"", START)]
+        bag = write_bag(messages, name)
+        if name == "shipped":
+            assert estimate(bag) == 0
+            assert f"design {FIXED} ({known.identity})" in capsys.readouterr().out
+            assert estimate(bag, "--design", SHIPPED) == 1
+        else:
+            assert estimate(bag) == 1
+            line = capsys.readouterr().err
+            assert f"ran /robot/my.yaml (SHA-256 {known.identity}) for elbow" in line
+            assert "neither in the bag nor shipped; name that file with --design" in line
+            assert estimate(bag, "--design", soft) == 0
+        capsys.readouterr()
+
+
+def test_a_live_run_of_unknown_design_is_estimated_with_a_warning(
+    live: str, arms: Any, write_bag: Callable[..., Path], tmp_path: Path, capsys: Any
+) -> None:
+    messages = [
+        (one.topic, one.data, one.log_time)
+        for one in BagReader(live).messages()
+        if one.topic != "/observer/design"
+    ]
+    bag = write_bag(messages, "old")
+
+    assert estimate(bag) == 0
+    assert "warning: the bag does not show which design its observer ran" in capsys.readouterr().out
+    assert main(["report", str(bag), "--joint", "elbow", "--output", str(tmp_path / "new")]) == 0
+    assert "warning: the bag does not show which design its observer ran" in capsys.readouterr().out
+
+
+def test_an_observer_that_ran_two_designs_leaves_the_choice_to_the_user(
+    arms: Any, write_bag: Callable[..., Path], soft: str, capsys: Any
+) -> None:
+    designs = [
+        ("/observer/design", record(file), START + k) for k, file in enumerate((FIXED, soft))
+    ]
+    bag = write_bag([*designs, *arms.messages(50)])
+
+    assert estimate(bag) == 1
+    assert f"{FIXED} (SHA-256" in (line := capsys.readouterr().err)
+    assert f"and then {soft} (SHA-256" in line
+    assert estimate(bag, "--design", soft, "--other-design") == 0
+
+
+def test_changes_of_parameters_are_named(
+    arms: Any, write_bag: Callable[..., Path], capsys: Any
+) -> None:
+    both = record(FIXED), record(FIXED, **{"supervision.gate": 3.0})
+    designs = [("/observer/design", data, START + k) for k, data in enumerate((*both, *both))]
+
+    assert estimate(write_bag([*designs, *arms.messages(50)])) == 0
+    assert "were changed while it ran: supervision.gate; the first" in capsys.readouterr().out
+
+
+def test_measurements_of_any_topic_are_found_by_the_record(
+    arms: Any, write_bag: Callable[..., Path], capsys: Any
+) -> None:
+    """Of a robot's /joint_states, with more joints than are observed."""
+    file = load_arm_design(FIXED)
+    text = record_text("/joint_states", ["wrist"], [file], ObserverSettings().as_parameters())
+    moved = [("/joint_states", data, time) for _, data, time in arms.messages(50, joints=2)]
+    bag = write_bag([("/arm/observer/design", encode_text(text), START), *moved])
+
+    assert estimate(bag) == 0
+    assert "50 measurements of wrist over" in capsys.readouterr().out
+    assert "/arm/observer/joint_states" in BagReader(f"{bag}_estimates").topics
+
+
+def changed(data: str, **entries: Any) -> bytes:
+    return encode_text(json.dumps(json.loads(data) | entries))
+
+
+def hostile(file: str) -> dict[str, tuple[bytes, str]]:
+    """Return messages that are no records, each with what is said of it."""
+    known = load_arm_design(file)
+    good = record_text("/joint_measurements", ["elbow"], [known], {})
+    nested = "[" * 100_000
+
+    def of_text(text: str, name: str = "my.yaml") -> bytes:
+        return changed(good, designs=[{"joints": ["elbow"], "file": name, "text": text}])
+
+    tampered = known.text.replace("stiffness: 10.0", "stiffness: 7.0")
+    return {
+        "no cdr": (b"\x00", "too few"),
+        "no json": (encode_text("no"), "no record of an observer"),
+        "deep": (encode_text(nested), "no record of an observer"),
+        "large": (encode_text(good + " " * 2**20), "larger than 1048576 bytes"),
+        "version": (changed(good, version=2), "of version 1, got"),
+        "types": (changed(good, designs=[{"joints": 3}]), "no record of an observer"),
+        "aliases": (of_text("a: &a [1]\nb: *a"), "aliases are not supported"),
+        "no design": (of_text("a: 1"), "format: missing"),
+        "no certificate": (of_text(tampered), "DOES NOT HOLD"),
+        "a system": (of_text(SYSTEM.read_text()), "expected one for an arm"),
+        "escapes": (of_text("a: 1", "\x1b[2J.yaml"), "\\x1b[2J.yaml: format: missing"),
+        "a long name": (of_text("a: 1", "x" * 10**5), "x: format: missing"),
+        "endless": (changed(good, parameters={"theta": 1e12}), "theta: expected 0.1 to 100"),
+        "parameter": (changed(good, parameters={"adapt": "so"}), "parameter 'adapt'"),
+    }
+
+
+@pytest.mark.parametrize("name", hostile(FIXED))
+def test_what_anybody_wrote_into_a_record_is_refused_in_one_line(
+    arms: Any, write_bag: Callable[..., Path], capsys: Any, name: str
+) -> None:
+    data, why = hostile(FIXED)[name]
+    bag = write_bag([("/observer/design", data, START), *arms.messages(10)])
+
+    assert estimate(bag) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert "/observer/design: " in line
+    assert why in line
+    assert line.isprintable()
+    assert len(line) < 1000

@@ -1,0 +1,91 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The record of what an observer runs: design files and parameters, as one text.
+
+The node publishes it on its topic `design`, latched, so that a bag has all that its estimates were
+made with. The files' content is in it to the byte, so that it has their checksum, and is read by
+their strict loader. The text is JSON, as YAML would change line ends.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import msgspec
+
+from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.errors import DesignFileError
+from tsobs_ros.yaml_files import MAX_BYTES
+
+FORMAT, VERSION = "tsobs_ros observer", 1
+
+Value = bool | int | float | str
+"""A parameter's value."""
+
+
+class PublishedDesign(msgspec.Struct):
+    """A design file, and the joints that are observed with it."""
+
+    joints: list[str]
+    file: str
+    text: str
+
+
+class ObserverRecord(msgspec.Struct, kw_only=True):
+    """What an observer runs.
+
+    Attributes:
+        measurements: Full name of the topic of its measurements.
+        designs: Its design files.
+        parameters: Those of the node that decide estimates, by name.
+        format: `FORMAT`.
+        version: `VERSION`.
+    """
+
+    format: str = FORMAT
+    version: int = VERSION
+    measurements: str
+    designs: list[PublishedDesign]
+    parameters: dict[str, Value]
+
+
+def record_text(
+    measurements: str,
+    joints: Sequence[str],
+    files: Sequence[ArmDesignFile],
+    parameters: Mapping[str, Value],
+) -> str:
+    """Return the text of a record.
+
+    Args:
+        measurements: Full name of the topic of the measurements.
+        joints: Names of the joints.
+        files: Design file of each joint.
+        parameters: By name.
+    """
+    designs: dict[tuple[str, str], PublishedDesign] = {}
+    for joint, file in zip(joints, files, strict=True):
+        key = file.name, file.text
+        designs.setdefault(key, PublishedDesign([], *key)).joints.append(joint)
+    record = ObserverRecord(
+        measurements=measurements, designs=list(designs.values()), parameters=dict(parameters)
+    )
+    return msgspec.json.encode(record).decode()
+
+
+def read_record(text: str) -> ObserverRecord:
+    """Return the record in a text that anybody may have written; designs are not looked into.
+
+    Raises:
+        DesignFileError: The text is too large, or no record.
+    """
+    if len(text) > MAX_BYTES:
+        raise DesignFileError(f"larger than {MAX_BYTES} bytes")
+    try:
+        record = msgspec.json.decode(text, type=ObserverRecord)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise DesignFileError(f"no record of an observer: {error}") from error
+    if (record.format, record.version) != (FORMAT, VERSION):
+        raise DesignFileError(
+            f"expected format {FORMAT!r} of version {VERSION}, got {record.format[:60]!r} of "
+            f"version {record.version}"
+        )
+    return record

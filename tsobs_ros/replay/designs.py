@@ -1,0 +1,288 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The designs of a recorded observer, and the choice between them and those that are named.
+
+A bag has them on the observer's topic `design`; one from before there was that topic has their
+checksums on /diagnostics.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import chain, islice
+from pathlib import Path
+from typing import NamedTuple
+
+from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.cdr import CdrReader
+from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.design.file import IDENTITY_LENGTH, ArmDesignFile, checksum, load_arm_design
+from tsobs_ros.design.published import Value, read_record
+from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
+from tsobs_ros.methods import SETTING_NAMES, ObserverSettings
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+
+STRING, DIAGNOSTICS = "std_msgs/msg/String", "diagnostic_msgs/msg/DiagnosticArray"
+
+# /diagnostics of other nodes come in between the observer's.
+_FIRST, _LAST = 200, 50
+_MAX_RECORDS = 100
+
+
+class RanDesign(NamedTuple):
+    """A design that a recorded observer ran.
+
+    Attributes:
+        file: Its path where it ran.
+        sha256: Its checksum, or the beginning of that.
+        text: Its content, None if the bag does not have it.
+    """
+
+    file: str
+    sha256: str
+    text: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.file:.200} (SHA-256 {self.sha256:.{IDENTITY_LENGTH}})"
+
+    def equals(self, file: ArmDesignFile) -> bool:
+        """Return whether it is a file's content."""
+        return len(self.sha256) >= IDENTITY_LENGTH and file.sha256.startswith(self.sha256)
+
+
+@dataclass(frozen=True)
+class RecordedObserver:
+    """What the observer of a bag ran, as far as the bag has it.
+
+    Attributes:
+        source: The topic that has it.
+        designs: Those of each joint, one after the other; there are several if it was restarted.
+        parameters: Those that decide estimates, by the node's names.
+        measurements: Full name of the topic of its measurements.
+        remarks: Notes for the user.
+    """
+
+    source: str = ""
+    designs: Mapping[str, tuple[RanDesign, ...]] = field(default_factory=dict)
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    measurements: str | None = None
+    remarks: tuple[str, ...] = ()
+
+    def doubt(self, given: Sequence[str]) -> list[str]:
+        """Return a warning if nothing shows what a recorded observer ran, and no file is given."""
+        if self.designs or given:
+            return []
+        return [
+            "warning: the bag does not show which design its observer ran; the shipped one is "
+            "assumed, --design FILE names another"
+        ]
+
+    def settings(self) -> ObserverSettings:
+        """Return the settings that it ran with; the defaults as far as they are not recorded.
+
+        Raises:
+            BagReadError: A parameter is of the wrong type or out of range.
+        """
+        known = {name: value for name, value in self.parameters.items() if name in SETTING_NAMES}
+        try:
+            return ObserverSettings().with_parameters(known)
+        except TsobsError as error:
+            raise BagReadError(f"{self.source}: {error}") from error
+
+
+def recorded_observer(reader: BagReader, name: str) -> RecordedObserver:
+    """Return what an observer ran; as good as nothing of it may be in the bag.
+
+    Args:
+        reader: The bag.
+        name: The node's full name.
+
+    Raises:
+        BagReadError: Its topic `design` has something else.
+    """
+    for topic, kind, read in (
+        (f"{name}/{topics.DESIGN}", STRING, _of_records),
+        ("/diagnostics", DIAGNOSTICS, _of_diagnostics),
+    ):
+        info = reader.topics.get(topic)
+        if info is not None and info.type == kind and info.count:
+            try:
+                found = read(reader, topic, name)
+            except (MessageError, DesignFileError) as error:
+                raise BagReadError(f"{reader.path}: {topic}: {error}") from error
+            if found is not None:
+                return found
+    return RecordedObserver()
+
+
+def choose_designs(
+    bag: str | Path,
+    ran: RecordedObserver,
+    joints: Sequence[str],
+    given: Sequence[str] = (),
+    *,
+    others_allowed: bool = False,
+) -> dict[str, tuple[ArmDesignFile, ...]]:
+    """Return the designs to estimate with by the names of their files, each with one a joint.
+
+    Args:
+        bag: For errors.
+        ran: What the recorded observer ran.
+        joints: Names of the joints.
+        given: Files that the user names, each for all joints, or `JOINT=FILE` for one of them; if
+            empty, those that the observer ran, else the one that is shipped.
+        others_allowed: Whether the files that are given may be others than those that it ran.
+
+    Raises:
+        DesignFileError: A file is no design, is not the one that the observer ran, or the one that
+            it ran is not known here.
+        BagReadError: The bag's own design is none.
+    """
+    own = dict(argument.split("=", 1) for argument in given if "=" in argument)
+    shared = [argument for argument in given if "=" not in argument]
+    if unknown := sorted(set(own) - set(joints)):
+        raise DesignFileError(
+            f"--design {unknown[0]}={own[unknown[0]]}: no such joint; joints: {', '.join(joints)}"
+        )
+    if own and len(shared) > 1:
+        raise DesignFileError(
+            f"--design: expected at most one file for the joints without their own, got "
+            f"{', '.join(shared)}"
+        )
+    loaded: dict[str, ArmDesignFile] = {}
+
+    def load(joint: str, path: str) -> ArmDesignFile:
+        file = loaded[path] if path in loaded else load_arm_design(path)
+        loaded[path] = file
+        for each in ran.designs.get(joint, ()):
+            if not (others_allowed or each.equals(file)):
+                raise DesignFileError(
+                    f"--design {path} (SHA-256 {file.identity}): the observer of {bag} ran {each} "
+                    f"for {joint}; leave --design out to use that one, or add --other-design to "
+                    f"use this one all the same"
+                )
+        return file
+
+    def recorded(joint: str) -> ArmDesignFile:
+        return _recorded(bag, ran, joint, loaded)
+
+    if own or not shared:
+        files = {
+            joint: load(joint, own.get(joint, *shared))
+            if joint in own or shared
+            else recorded(joint)
+            for joint in joints
+        }
+        return {"own": tuple(files.values())}
+    found: dict[str, tuple[ArmDesignFile, ...]] = {}
+    for path in shared:
+        stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
+        name = stem if stem not in found else f"{stem}_{len(found) + 1}"
+        found[name] = tuple(load(joint, path) for joint in joints)
+    return found
+
+
+def _recorded(
+    bag: str | Path, ran: RecordedObserver, joint: str, loaded: dict[str, ArmDesignFile]
+) -> ArmDesignFile:
+    """Return the design that the observer ran for a joint; the shipped one if nothing is known."""
+    if not ran.designs:
+        return load_arm_design(config_path(SHIPPED_DESIGN))
+    designs = ran.designs.get(joint, ())
+    if not designs:
+        raise DesignFileError(
+            f"{bag}: its observer ran no design for {joint}, but for {', '.join(ran.designs)}; "
+            f"name one with --design {joint}=FILE"
+        )
+    if len(designs) > 1:
+        raise DesignFileError(
+            f"{bag}: its observer ran {' and then '.join(map(str, designs))} for {joint}; name one "
+            f"with --design FILE --other-design"
+        )
+    (one,) = designs
+    if one.text is None:
+        for name in (SHIPPED_DESIGN, FIXED_DESIGN):
+            shipped = load_arm_design(config_path(name))
+            if one.equals(shipped):
+                return shipped
+        raise DesignFileError(
+            f"{bag}: its observer ran {one} for {joint}, which is neither in the bag nor shipped; "
+            f"name that file with --design"
+        )
+    if one.text not in loaded:
+        try:
+            loaded[one.text] = load_arm_design(f"{one.file:.200}", one.text)
+        except DesignFileError as error:
+            raise BagReadError(f"{bag}: {ran.source}: {error}") from error
+    return loaded[one.text]
+
+
+def _of_records(reader: BagReader, topic: str, _name: str) -> RecordedObserver | None:
+    texts: dict[str, None] = {}
+    for message in reader.messages([topic]):
+        texts[CdrReader(message.data).text("data")] = None
+        if len(texts) > _MAX_RECORDS:
+            raise DesignFileError(f"more than {_MAX_RECORDS} different messages")
+    first, *others = map(read_record, texts)
+    changed = sorted(
+        name
+        for other in others
+        for name in first.parameters.keys() | other.parameters.keys()
+        if first.parameters.get(name) != other.parameters.get(name)
+    )
+    remarks = []
+    if changed:
+        remarks.append(
+            f"note: parameters of the observer were changed while it ran: "
+            f"{', '.join(dict.fromkeys(changed))}; the first values are used"
+        )
+    pairs = (
+        (joint, RanDesign(one.file, checksum(one.text), one.text))
+        for record in (first, *others)
+        for one in record.designs
+        for joint in one.joints
+    )
+    return RecordedObserver(
+        topic, _by_joint(pairs), first.parameters, first.measurements, tuple(remarks)
+    )
+
+
+def _of_diagnostics(reader: BagReader, topic: str, name: str) -> RecordedObserver | None:
+    assert reader.end_time is not None
+    # Those in between would take long to read, and tell nothing but a restart.
+    messages = chain(
+        islice(reader.messages([topic]), _FIRST),
+        reader.last_before(reader.end_time + 1, [topic], _LAST),
+    )
+    pairs = []
+    for message in messages:
+        for status, joint, values in _statuses(message.data):
+            if status[0] == name.strip("/") and status[-1] == "certificate":
+                ran = RanDesign(values.get("design", ""), values.get("design sha256", ""))
+                pairs += [(joint, ran)] if ran.sha256 else []
+    designs = _by_joint(pairs)
+    return RecordedObserver(topic, designs) if designs else None
+
+
+def _statuses(data: bytes) -> Iterator[tuple[list[str], str, dict[str, str]]]:
+    """Yield the parts of each status's name, its hardware and its values."""
+    with suppress(MessageError):  # anybody publishes there
+        reader = CdrReader(data)
+        reader.skip(8, "stamp")
+        reader.text("frame_id")
+        for _ in range(reader.count("status", 1)):
+            reader.skip(1, "level")
+            name, _, hardware = (reader.text(field) for field in ("name", "message", "hardware_id"))
+            values = {}
+            for _ in range(reader.count("values", 8)):
+                key = reader.text("key")
+                values[key] = reader.text("value")
+            yield name.split(": "), hardware, values
+
+
+def _by_joint(pairs: Iterable[tuple[str, RanDesign]]) -> dict[str, tuple[RanDesign, ...]]:
+    """Return the designs of each joint, one checksum once."""
+    found: dict[str, dict[str, RanDesign]] = {}
+    for joint, ran in pairs:
+        found.setdefault(joint, {}).setdefault(ran.sha256, ran)
+    return {joint: tuple(each.values()) for joint, each in found.items()}
