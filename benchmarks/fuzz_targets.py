@@ -129,10 +129,16 @@ def message_target(_: Path) -> Target:
 
 def log_target(_: Path) -> Target:
     """Return an arm's own log."""
-    log = (
-        b"time [s],angle [deg],torque [N m]\n0.0,1.5,0.1\n0.005,1.6,0.2\n0.01,nan,\n0.015,1.7,0.1\n"
+    rows = b"0.0,1.5,0.1\n0.005,1.6,0.2\n0.01,nan,\n0.015,1.7,0.1\n"
+    logs = (
+        b"time [s],angle [deg],torque [N m]\n" + rows,
+        b"# t q tau\n" + rows.replace(b",", b" "),
+        "sep=;\nZeit [s];Winkel [°];Moment\nms;deg;Nm\n".encode()
+        + rows.replace(b",", b";").replace(b".", b","),
+        b"header.stamp.sec,header.stamp.nanosec,position[0],effort[0]\n17,5000000,0.1,1\n",
+        b"time,q1,tau1\n23:59:59.995,0.1,1\n00:00:00,0.1,1\n",
     )
-    return Target((log,), mutated_text, LogSource, "log.csv")
+    return Target(logs, mutated_text, LogSource, "log.csv")
 
 
 TARGETS: Mapping[str, Callable[[Path], Target]] = {

@@ -33,6 +33,7 @@ from tsobs_ros.errors import BagWriteError, ModelError
 from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
+from tsobs_ros.replay.fit import check_unit_of_angles
 from tsobs_ros.replay.health import Health, JointEvent, find_events, sum_up
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.replay import Replay
@@ -281,7 +282,13 @@ def make_runs(
         observers: The observers.
         rate: Estimate at this rate [Hz]; None: at every measurement.
         as_live: Estimate, instead of both, when the recorded observer did.
+
+    Raises:
+        LogError: The angles of a log seem to be in degrees, though nobody stated their unit.
     """
+    observers = list(observers)
+    if isinstance(source, LogSource) and observers:
+        check_unit_of_angles(source, observers[0].settings, observers[0].designs)
     samples = source.samples
     live = source.live if as_live else None
     if live is not None:

@@ -4,10 +4,9 @@
 
 import csv
 import math
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from datetime import UTC, datetime
-from decimal import Decimal, InvalidOperation
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,47 +17,23 @@ from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.metadata import QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagMessage
-from tsobs_ros.checks import Array, shown
+from tsobs_ros.checks import Array
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.replay.source import MEASUREMENTS, Samples, Source, passes
-
-_ISO = "ISO 8601"
-_UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "ns": 1.0},
-    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180},
-    "torque": {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3},
-}
-"""Each unit in ns, rad or N m; spaces, dots and stars in units do not matter."""
-
-# In order of preference; the first are what `tsobs export` writes.
-_GUESSES: Mapping[str, Sequence[str]] = {
-    "time": ("header.stamp", "time", "t", "stamp", "timestamp", "log_time"),
-    "angle": ("position", "angle", "q", "y", "theta", "pos"),
-    "torque": ("effort", "torque", "tau", "u"),
-}
-_HEADER = re.compile(r"\s*(?P<name>.*?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*")
+from tsobs_ros.replay.cells import Row, TextTable, is_nothing, plain_number
+from tsobs_ros.replay.columns import UNITS, Column, Columns, cell_of, is_unit, misread
+from tsobs_ros.replay.source import MEASUREMENTS, Samples, Source, restarts
+from tsobs_ros.replay.times import LATEST, NO_TIME, TimeReader, check_period
 
 _BLOCK = 4096
-_NO_TIME = -(2**63)
-# What a message's stamp can hold.
-_LATEST = 2**31 * NANOSECONDS
-# Whole numbers from here on are nanoseconds since the epoch: as seconds they are no time at all.
-_MIN_EPOCH_NS = 10**14
-_FRACTION = re.compile(r"[.,](\d+)")
+# Lines that are not in order are sorted in memory.
+_MAX_SORTED = 5_000_000
+_MANY_EQUAL = 0.1
+_AFTER_RESTART = 1_000_000
 
 
-class _Column(NamedTuple):
-    """A column: its place from 0, its header, and the header's name and unit."""
-
-    place: int
-    title: str
-    name: str
-    unit: str
-
-
-class _Table(NamedTuple):
-    """A log's numbers: stamps [ns], angles [rad] and torques [N m], NaN for an empty cell."""
+class _Block(NamedTuple):
+    """Lines of a log: stamps [ns], angles [rad] and torques [N m], NaN for an empty cell."""
 
     stamps: Times
     angles: Array
@@ -66,27 +41,31 @@ class _Table(NamedTuple):
 
 
 class LogSource(Source):
-    """A CSV log as a source of measurements.
+    """A CSV log as a source of measurements, read line by line.
 
-    The first line has the columns' names. Cells that are empty or NaN are measurements that will
-    be rejected, and counted. Lines need not be in order of time. A log whose times begin at zero
-    or before is moved, so that it begins at 1 s: a stamp of zero means none.
+    Titles, units, separators and number formats are found in the first lines; see `cells` and
+    `columns`. Cells that are empty or NaN are measurements that will be rejected, and counted.
+    Lines that are not in order of time are sorted. A log whose times begin at zero or before is
+    moved, so that it begins at 1 s: a stamp of zero means none.
 
     Args:
         path: The file.
-        columns: Names of columns by quantity: `time`, `angle` and `torque`, or `angle.JOINT` and
-            `torque.JOINT` for several joints; the others are found by their usual names.
-        units: Units by quantity, for columns whose header has none.
+        columns: Titles or numbers of columns by quantity: `time`, `angle` and `torque`, or
+            `angle.JOINT` and `torque.JOINT` for several joints; the others are found by their
+            usual names.
+        units: Units by quantity, for columns whose title has none.
         joints: Names of the joints to read; all of them if empty. One name renames the joint of
             columns that name none.
         assume_zero_torque: Take torque as 0 if there is no such column.
 
     Attributes:
         moved_by: Shift of the times [ns].
+        without_unit: Titles of the columns whose unit nobody stated, by quantity.
+        liveliest: The part in which the angles move most.
 
     Raises:
-        LogError: The file cannot be read, lacks a column, or has a cell that is not a number; the
-            text names line and column.
+        LogError: The file cannot be read, lacks a column, has a cell that is not a number, or
+            times in another unit; the text names line and column.
     """
 
     def __init__(
@@ -100,30 +79,143 @@ class LogSource(Source):
     ) -> None:
         self.path, self.topic = path, path.name
         try:
-            with path.open(encoding="utf-8-sig", newline="") as stream:
-                lines = _lines(stream.read())
-            header = _Header(next(lines, (0, []))[1], columns or {}, units or {})
-            time = header.time()
-            only = joints[0] if len(joints) == 1 else "elastic_joint"
-            angles, torques = header.of_joints(only, torque_needed=not assume_zero_torque)
-            if missing := [joint for joint in joints if joint not in angles]:
-                raise LogError(
-                    f"no angle of {', '.join(missing)}; there are angles of {', '.join(angles)}"
-                )
-            self.joints = tuple(joints) or tuple(angles)
-            own = [[each[j] for j in self.joints] if each else [] for each in (angles, torques)]
-            table = _read(lines, time, *own)
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            self._table = TextTable(path, is_unit)
+            self._choose(columns or {}, units or {}, joints, not assume_zero_torque)
+            self._survey()
+        except (OSError, csv.Error) as error:
             raise LogError(f"{path}: cannot read it: {error}") from error
         except LogError as error:
             raise LogError(f"{path}: {error}") from error
-        if not len(table.stamps):
-            raise LogError(f"{path}: no lines below the header")
-        self.moved_by, stamps = _moved(table.stamps)
-        self.samples = _samples(stamps, table)
+
+    def _choose(
+        self,
+        wanted: Mapping[str, str],
+        units: Mapping[str, str],
+        joints: Sequence[str],
+        torque_needed: bool,
+    ) -> None:
+        """Find the columns and what their numbers mean."""
+        table = self._table
+        columns = Columns(table.titles, table.units, wanted, units)
+        if not table.has_titles and not {"time", "angle"} <= {n.partition(".")[0] for n in wanted}:
+            raise LogError(
+                "the first line has numbers and no titles: put a line such as 'time [s],angle "
+                "[rad],torque [N m]' before it, or give the columns' numbers: --columns "
+                "time=1,angle=2,torque=3"
+            )
+        time = columns.time()
+        only = joints[0] if len(joints) == 1 else "elastic_joint"
+        angles, torques = columns.of_joints(only, torque_needed=torque_needed)
+        if missing := [joint for joint in joints if joint not in angles]:
+            raise LogError(
+                f"no angle of {', '.join(missing)}; there are angles of {', '.join(angles)}"
+            )
+        self.joints = tuple(joints) or tuple(angles)
+        self._numbers = [
+            (one, UNITS[quantity][one.unit or next(iter(UNITS[quantity]))])
+            for quantity, of in (("angle", angles), ("torque", torques))
+            for one in (of[joint] for joint in self.joints if of)
+        ]
+        self._decimal = table.decimal(
+            one.place for one in (*time, *angles.values(), *torques.values())
+        )
+        self._time = TimeReader(time, table.head, self._decimal)
+        self.without_unit = {
+            quantity: [one.title for one in of.values()]
+            for quantity, of in (("angle", angles), ("torque", torques))
+            if of and not any(one.unit for one in of.values())
+        }
+        self.remarks = (*columns.remarks, *self._time.remarks)
+
+    def _survey(self) -> None:
+        """Read the whole log for what must be known before the first line is used."""
+        clock, first = _LogClock(NO_TIME), None
+        spread = -1.0
+        self.count = 0
+        self._sorted: list[_Block] = []
+        for block in self._lines():
+            self.count += len(block.stamps)
+            clock.times(block.stamps)
+            there = block.stamps[block.stamps != NO_TIME]
+            if len(there):
+                first = int(there.min() if first is None else min(first, there.min()))
+            if (own := _spread(block.angles)) > spread:
+                spread, self.liveliest = own, block
+        if not self.count:
+            raise LogError("no lines below the header")
+        first = 1 if first is None else first
+        self.moved_by = 0 if first > 0 else NANOSECONDS - first
+        self._first = first + self.moved_by
+        remarks = [*self.remarks, *clock.remarks(self.count)]
+        if clock.shuffled:
+            self._sort()
         if self.moved_by:
             shift = f"{self.moved_by / NANOSECONDS:g} s"
-            self.remarks = (f"note: {shift} was added to all times: 0 means no time",)
+            remarks.append(f"note: {shift} was added to all times: 0 means no time")
+        self.remarks = tuple(remarks)
+        self.samples = self._as_samples()
+
+    def _sort(self) -> None:
+        if self.count > _MAX_SORTED:
+            raise LogError(
+                f"its {self.count:,} lines are not in order of time, and no more than "
+                f"{_MAX_SORTED:,} are sorted here: sort the file by its time"
+            )
+        stamps, angles, torques = map(np.concatenate, zip(*self._lines(), strict=True))
+        # A line without time stays behind the one before it.
+        order = np.argsort(_filled(stamps, NO_TIME), kind="stable")
+        for begin in range(0, self.count, _BLOCK):
+            part = order[begin : begin + _BLOCK]
+            self._sorted.append(_Block(stamps[part], angles[part], torques[part]))
+        self.liveliest = max(self._sorted, key=lambda block: _spread(block.angles))
+        apart = np.diff(stamps[order])
+        if self._time.guessed and (apart > 0).any():
+            check_period(self._time.title, float(np.median(apart[apart > 0])) / NANOSECONDS)
+
+    def _lines(self) -> Iterator[_Block]:
+        """Yield the log block by block, as it is."""
+        rows = self._table.rows()
+        self._time.restart()
+        angles = len(self.joints)
+        while block := list(islice(rows, _BLOCK)):
+            stamps = np.array([self._time(row) for row in block], np.int64)
+            values = np.empty((len(block), 2 * angles))
+            values[:, angles:] = 0.0
+            for place, (column, factor) in enumerate(self._numbers):
+                values[:, place] = self._read(block, column)
+                values[:, place] *= factor
+            yield _Block(stamps, values[:, :angles], values[:, angles:])
+
+    def _read(self, rows: Sequence[Row], column: Column) -> list[float]:
+        try:
+            if self._decimal != ",":
+                return [float(cells[column.place]) for _, cells in rows]
+        except (ValueError, IndexError):
+            pass
+        return [self._number(row, column) for row in rows]
+
+    def _number(self, row: Row, column: Column) -> float:
+        cell = cell_of(row, column)
+        try:
+            return math.nan if is_nothing(cell) else float(plain_number(cell, self._decimal))
+        except ValueError as error:
+            raise misread("number", row, column) from error
+
+    def _as_samples(self) -> Samples:
+        clock = _LogClock(self._first)
+        parts = [self._part(block, clock) for block in self._sorted or self._lines()]
+        joined = (
+            np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(Samples)
+        )
+        return Samples(*joined)
+
+    def _part(self, block: _Block, clock: "_LogClock") -> Samples:
+        there = block.stamps != NO_TIME
+        stamps = np.where(there, block.stamps + np.where(there, self.moved_by, 0), 0)
+        times = clock.times(np.where(there, stamps, NO_TIME))
+        complete = np.ones(block.angles.shape, np.bool_)
+        return Samples(stamps, times, times, block.angles, block.torques, complete, complete)
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:  # type: ignore[override]
@@ -143,194 +235,85 @@ class LogSource(Source):
                 yield BagMessage(f"/{MEASUREMENTS}", JOINT_STATE, one, time, time)
 
 
-class _Header:
-    """The header line, in which columns are found by given or by usual names.
+class _LogClock:
+    """Log times that rise from line to line, whatever the stamps do.
 
-    Raises:
-        LogError: A given name is of no quantity.
+    Args:
+        first: The first one [ns].
+
+    Attributes:
+        restarts: How often time has restarted.
     """
 
-    def __init__(
-        self, titles: Sequence[str], wanted: Mapping[str, str], units: Mapping[str, str]
-    ) -> None:
-        for option, keys in (("--columns", wanted), ("--units", units)):
-            for key in keys:
-                quantity = key.partition(".")[0] if option == "--columns" else key
-                if quantity not in _UNITS:
-                    raise LogError(f"{option}: expected time, angle or torque, got {key!r}")
-        self._columns = []
-        for place, title in enumerate(titles):
-            match = _HEADER.fullmatch(title)
-            assert match is not None, "everything matches"
-            self._columns.append(_Column(place, title, match["name"], match["unit"] or ""))
-        self._wanted, self._units = wanted, units
-        self._has = f"columns: {', '.join(map(repr, titles))}"
+    def __init__(self, first: int) -> None:
+        self.restarts = 0
+        self._equal = self._back = self._late = self._shift = 0
+        self._stamp = self._highest = NO_TIME
+        self._last = first - 1
 
-    def time(self) -> _Column:
-        if "time" in self._wanted:
-            return self._named("time", self._wanted["time"])
-        for guess in _GUESSES["time"]:
-            for one in self._columns:
-                if one.name.lower() == guess:
-                    return self._with_unit("time", one)
-        raise LogError(f"no column looks like the time; name it: --columns time=…; {self._has}")
+    def times(self, stamps: Times) -> Times:
+        """Return the log times of the next lines.
 
-    def of_joints(
-        self, only: str, *, torque_needed: bool
-    ) -> tuple[dict[str, _Column], dict[str, _Column]]:
-        """Return angles and torques by joint, no torques if there are none and none is needed."""
-        angles, torques = self._found("angle", only), self._found("torque", only)
-        if not angles:
-            raise LogError(
-                f"no column looks like an angle; name it: --columns angle=…; {self._has}"
+        Args:
+            stamps: Of the lines [ns], `NO_TIME` if there is none, shape (n,).
+        """
+        filled = _filled(stamps, self._stamp)
+        apart = np.diff(filled, prepend=self._stamp)
+        self._back += int((apart < 0).sum())
+        self._equal += int(((apart == 0) & (stamps != NO_TIME)).sum())
+        begins: list[int] = []
+        if (apart < 0).any() or filled[0] < self._highest:
+            begins = restarts((filled + LATEST).tolist(), max(self._highest + LATEST, 0))
+        times = np.empty_like(stamps)
+        for number, (begin, end) in enumerate(pairwise([0, *begins, len(stamps)])):
+            if number:
+                self.restarts += 1
+                self._highest = NO_TIME
+                self._shift = self._last + _AFTER_RESTART - int(filled[begin])
+            if begin == end:
+                continue
+            part, place = filled[begin:end], np.arange(end - begin)
+            highest = np.maximum.accumulate(np.append(self._highest, part))
+            self._late += int((part < highest[:-1]).sum())
+            self._highest = int(highest[-1])
+            risen = np.maximum(part + self._shift - place, self._last + 1)
+            times[begin:end] = np.maximum.accumulate(risen) + place
+            self._last = int(times[end - 1])
+        self._stamp = int(filled[-1])
+        return times
+
+    @property
+    def shuffled(self) -> bool:
+        """Whether the lines are not in order of time, other than by its restarts."""
+        return self._late > 0 and (not self.restarts or self._back > 10 * self.restarts)
+
+    def remarks(self, count: int) -> list[str]:
+        """Return what is to be noted on the times of so many lines."""
+        found = []
+        if self.shuffled:
+            found.append("note: the lines are not in order of time: they were sorted")
+        elif self.restarts:
+            times = "once" if self.restarts == 1 else f"{self.restarts:,} times"
+            found.append(f"note: time restarts {times}, and each time the observer does")
+        if self._equal > _MANY_EQUAL * count:
+            found.append(
+                f"note: {self._equal:,} of {count:,} lines have the time of the line before, and "
+                "are rejected: write times with more digits"
             )
-        missing = [name for name in angles if name not in torques]
-        if missing and (torques or torque_needed):
-            raise LogError(
-                f"no column looks like the torque of {', '.join(missing)}; name it: --columns "
-                f"torque=…, or take it for 0: --param assume_zero_torque=true; {self._has}"
-            )
-        return angles, torques
-
-    def _found(self, quantity: str, only: str) -> dict[str, _Column]:
-        """Return the columns of a quantity by joint; `only` is the joint of a plain name."""
-        given = [(*key.partition(".")[::2], name) for key, name in self._wanted.items()]
-        if own := [(of, name) for kind, of, name in given if kind == quantity]:
-            return {of or only: self._named(quantity, name) for of, name in own}
-        for guess in _GUESSES[quantity]:
-            found = {}
-            for one in self._columns:
-                name, _, of = one.name.partition(".")
-                if name.lower() == guess:
-                    found[of or only] = self._with_unit(quantity, one)
-            if found:
-                return found
-        return {}
-
-    def _named(self, quantity: str, name: str) -> _Column:
-        found = [one for one in self._columns if name in (one.title.strip(), one.name)]
-        if len(found) != 1:
-            what = "several columns are" if found else "no column is"
-            raise LogError(f"{what} called {name!r}; {self._has}")
-        return self._with_unit(quantity, found[0])
-
-    def _with_unit(self, quantity: str, column: _Column) -> _Column:
-        unit = re.sub(r"[\s.*·⋅]", "", column.unit or self._units.get(quantity, ""))
-        if quantity == "time" and unit.upper() in ("ISO", "ISO8601"):
-            unit = _ISO
-        elif unit and unit not in _UNITS[quantity]:
-            known = ", ".join(_UNITS[quantity])
-            raise LogError(
-                f"column {column.title!r}: unit {unit!r} of {quantity} is not known; "
-                f"there are {known}"
-            )
-        return column._replace(unit=unit)
+        return found
 
 
-def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number and the cells of every line that is not empty."""
-    first = text.partition("\n")[0]
-    delimiter = max(",;\t", key=first.count)
-    reader = csv.reader(text.splitlines(), delimiter=delimiter, skipinitialspace=True)
-    for cells in reader:
-        if any(cell.strip() for cell in cells):
-            yield reader.line_num, cells
+def _filled(stamps: Times, before: int) -> Times:
+    """Return the stamps, with that of the line before for each that is none."""
+    places = np.where(stamps != NO_TIME, np.arange(1, len(stamps) + 1), 0)
+    return np.asarray(np.append(before, stamps)[np.maximum.accumulate(places)])
 
 
-def _read(
-    lines: Iterator[tuple[int, list[str]]],
-    time: _Column,
-    angles: Sequence[_Column],
-    torques: Sequence[_Column],
-) -> _Table:
-    stamps: list[int] = []
-    rows: list[list[float]] = []
-    numbers = [(one, _UNITS["angle"].get(one.unit, 1.0)) for one in angles]
-    numbers += [(one, _UNITS["torque"].get(one.unit, 1.0)) for one in torques]
-    read_time: Callable[[str], int] | None = None
-    for line, cells in lines:
-        text = _cell(line, cells, time)
-        try:
-            if read_time is None and text:
-                read_time = _time_reader(time, text)
-            stamps.append(read_time(text) if read_time and text else _NO_TIME)
-        except (ValueError, InvalidOperation, OverflowError) as error:
-            raise _not_a("time", line, time, text) from error
-        row = []
-        for column, factor in numbers:
-            text = _cell(line, cells, column)
-            try:
-                row.append(float(text) * factor if text else math.nan)
-            except ValueError as error:
-                raise _not_a("number", line, column, text) from error
-        rows.append(row)
-    count = len(angles)
-    values = np.array(rows, dtype=np.float64).reshape(len(rows), len(numbers))
-    u = values[:, count:] if torques else np.zeros((len(rows), count))
-    return _Table(np.array(stamps, dtype=np.int64), values[:, :count], u)
-
-
-def _cell(line: int, cells: Sequence[str], column: _Column) -> str:
-    if column.place >= len(cells):
-        raise LogError(
-            f"line {line}: {len(cells)} cells, but column {column.title!r} is number "
-            f"{column.place + 1}"
-        )
-    return cells[column.place].strip()
-
-
-def _not_a(what: str, line: int, column: _Column, text: str) -> LogError:
-    unit = f" in {column.unit}" if column.unit else ""
-    return LogError(
-        f"line {line}, column {column.title!r}: expected a {what}{unit}, got {shown(text)}"
-    )
-
-
-def _time_reader(column: _Column, first: str) -> Callable[[str], int]:
-    """Return a reader of times in the column's unit; without one, the first cell decides."""
-    unit = column.unit
-    if unit == _ISO or (not unit and re.match(r"\d{4}-\d", first)):
-        return _iso_time
-    if not unit:
-        unit = "ns" if first.isdigit() and int(first) >= _MIN_EPOCH_NS else "s"
-    factor = Decimal(_UNITS["time"][unit])
-
-    def read(text: str) -> int:
-        # A decimal, because a double has no nanoseconds left at today's dates.
-        time = int((Decimal(text) * factor).to_integral_value())
-        if abs(time) >= _LATEST:
-            raise ValueError("beyond what a stamp can hold")
-        return time
-
-    return read
-
-
-def _iso_time(text: str) -> int:
-    """Return a date and time in nanoseconds, in UTC unless it has an offset."""
-    fraction = _FRACTION.search(text)
-    digits = fraction[1] if fraction else ""
-    whole = text.replace(fraction[0], "", 1) if fraction else text
-    moment = datetime.fromisoformat(whole)
-    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-    return int(moment.timestamp()) * NANOSECONDS + int(digits[:9].ljust(9, "0") if digits else 0)
-
-
-def _moved(stamps: Times) -> tuple[int, Times]:
-    """Return the shift, and stamps that are all after zero, or zero for an empty cell."""
-    there = stamps != _NO_TIME
-    first = int(stamps[there].min()) if there.any() else 1
-    moved_by = 0 if first > 0 else NANOSECONDS - first
-    return moved_by, np.where(there, stamps + np.where(there, moved_by, 0), 0)
-
-
-def _samples(stamps: Times, table: _Table) -> Samples:
-    there = np.ones(table.angles.shape, np.bool_)
-    # A late line keeps its place: its log time is a moment after that of the line before it.
-    times = np.concatenate([_increasing(stamps[a:b]) for a, b in passes(stamps.tolist())])
-    return Samples(stamps, times, times, table.angles, table.torques, there, there)
-
-
-def _increasing(stamps: Times) -> Times:
-    """Return the stamps, each that is not later than all before it as the next nanosecond."""
-    place = np.arange(len(stamps))
-    return np.asarray(np.maximum.accumulate(stamps - place) + place)
+def _spread(angles: Array) -> float:
+    """Return the largest range of a joint's angle [rad], but for a tenth of them."""
+    spreads = [0.0]
+    for joint in angles.T:
+        there = joint[np.isfinite(joint)]
+        if len(there):
+            spreads.append(float(np.subtract(*np.percentile(there, (95, 5)))))
+    return max(spreads)

@@ -119,9 +119,14 @@ def samples_of(series: JointSeries, assume_zero_torque: bool) -> Samples:
     return Samples(series.stamps, series.log_times, series.publish_times, y, u, series.named, there)
 
 
-def restarts(stamps: Sequence[int]) -> list[int]:
-    """Return the places where stamps [ns] go back by more than a second, and stay back."""
-    found, highest = [], 0
+def restarts(stamps: Sequence[int], highest: int = 0) -> list[int]:
+    """Return the places where stamps [ns] go back by more than a second, and stay back.
+
+    Args:
+        stamps: In order of arrival [ns].
+        highest: Largest one before these, since time restarted [ns].
+    """
+    found = []
     for place, stamp in enumerate(stamps):
         floor = highest - _RESTART
         if 0 < stamp < floor and max(stamps[place : place + _RESTART_MESSAGES]) < floor:

@@ -1,0 +1,70 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The unit of a log's angles, judged by the arm that they are to be of."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tsobs_ros.bag.joint_series import Times
+from tsobs_ros.checks import Array
+from tsobs_ros.design.record import Design
+from tsobs_ros.errors import LogError
+from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.replay.columns import UNITS
+from tsobs_ros.replay.log import LogSource
+
+_DEGREE = UNITS["angle"]["deg"]
+# Of the misfits of arms in 72 kinds of motion: those of angles in rad were at most 2.2, those of
+# degrees read as rad at least 44.
+_MISFIT, _FIT, _MIN_RATIO = 15.0, 6.0, 10.0
+_AT_ONCE = 64
+_MIN_USED = 50
+
+
+def check_unit_of_angles(
+    source: LogSource, settings: ObserverSettings, designs: tuple[Design, ...]
+) -> None:
+    """Refuse angles without a unit that fit the arm in degrees, and do not at all in radians.
+
+    Args:
+        source: The log, whose part with most motion is looked at.
+        settings: How the observer is run.
+        designs: One a joint.
+
+    Raises:
+        LogError: They seem to be degrees.
+    """
+    part = source.liveliest
+    titles = source.without_unit.get("angle", ())
+    for joint, (title, design) in enumerate(zip(titles, designs, strict=False)):
+        y, u = part.angles[:, joint], part.torques[:, joint]
+        as_rad = _misfit(design, settings, part.stamps, y, u)
+        if as_rad < _MISFIT:
+            continue
+        as_deg = _misfit(design, settings, part.stamps, y * _DEGREE, u)
+        if as_deg < min(_FIT, as_rad / _MIN_RATIO):
+            raise LogError(
+                f"{source.path}: column {title!r} has no unit, and its angles do not fit the arm "
+                f"as rad (innovations of {as_rad:.0f}σ), but as deg they do ({as_deg:.1f}σ): write "
+                f"'{title} [deg]' or --units angle=deg; if they are rad, --units angle=rad, and "
+                "check the design"
+            )
+
+
+def _misfit(
+    design: Design, settings: ObserverSettings, stamps: Times, angles: Array, torques: Array
+) -> float:
+    """Return the median of |innovation| / expected 1σ of an EKF, 0 of too few measurements."""
+    tracker = make_tracker(design, replace(settings, method="ekf"))
+    found = []
+    stamps = stamps - stamps[0] + 10**9
+    y, u = angles[:, np.newaxis], torques[:, np.newaxis]
+    for begin in range(0, len(stamps), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        outcomes = tracker.offer_many(stamps[part], y[part], u[part], int(stamps[part][-1]))
+        used = outcomes.codes == 0
+        found.append(np.abs(outcomes.innovations[used]) / outcomes.expected_std[used])
+    # While the estimate settles, large innovations are expected.
+    sizes = np.concatenate(found)[len(stamps) // 8 :]
+    return float(np.median(sizes)) if len(sizes) >= _MIN_USED else 0.0

@@ -1,0 +1,187 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Times of a log as stamps: numbers in any unit, dates and clock times."""
+
+import re
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from decimal import Decimal
+
+import numpy as np
+
+from tsobs_ros.errors import LogError
+from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.replay.cells import Row, is_nothing, plain_number
+from tsobs_ros.replay.columns import ISO, UNITS, Column, cell_of, misread, unit_of
+
+NO_TIME = -(2**62)
+"""Stamp of a line without a time."""
+
+LATEST = 2**31 * NANOSECONDS
+"""The first time that a message's stamp cannot hold [ns]."""
+
+# Seconds since the epoch from 2001 on; in another unit they would be decades apart.
+_MIN_EPOCH = 10**9
+# No arm is measured more slowly, so the unit is another [s].
+_MAX_PERIOD = 0.25
+_MIN_TIMES = 10
+_HALF_DAY = 12 * 3600 * NANOSECONDS
+
+_FRACTION = re.compile(r"(?<=:\d\d)[.,](\d+)")
+_CLOCK = re.compile(r"(\d+):(\d\d):(\d\d)")
+_DATES = ("%d.%m.%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S")
+_WITH_UNIT = re.compile(r"([^A-Za-z]*\d) ?(sec|m?s)")
+
+
+class TimeReader:
+    """A reader of times; without a unit, the first of them decide.
+
+    Args:
+        columns: The column of times, or those of seconds and of nanoseconds.
+        head: The first lines of the log.
+        decimal: Its decimal sign, an empty string if not known.
+
+    Attributes:
+        remarks: What was found, for the user.
+        title: The column's title.
+        guessed: Whether nobody stated a unit.
+
+    Raises:
+        LogError: The unit seems to be another than seconds.
+    """
+
+    def __init__(self, columns: Sequence[Column], head: Sequence[Row], decimal: str) -> None:
+        self._decimal, self.guessed = decimal, False
+        self.title = columns[0].title
+        self.remarks: list[str] = []
+        self._readers = []
+        for column in columns:
+            cells = [row[1][column.place] for row in head if column.place < len(row[1])]
+            self._readers.append(
+                self._reader(column, [one for one in cells if not is_nothing(one)])
+            )
+        self.restart()
+
+    def __call__(self, row: Row) -> int:
+        """Return the stamp of a line [ns], `NO_TIME` if its cell is empty.
+
+        Raises:
+            LogError: It is no time.
+        """
+        stamp = 0
+        for column, read in self._readers:
+            text = cell_of(row, column)
+            if is_nothing(text):
+                return NO_TIME
+            try:
+                stamp += read(text)
+            except (ValueError, ArithmeticError) as error:
+                raise misread("time", row, column) from error
+        return stamp
+
+    def restart(self) -> None:
+        """Begin at the first line again."""
+        self._day, self._last = 0, 0
+
+    def _reader(self, column: Column, texts: Sequence[str]) -> tuple[Column, Callable[[str], int]]:
+        """Return a column with its unit, and what reads its cells."""
+        first = texts[0] if texts else ""
+        if column.unit == ISO or re.match(r"\d{4}-\d", first):
+            return column._replace(unit=ISO), _read_iso
+        if re.match(r"\d+([/.])\w+\1\d+ |\d+-[A-Za-z]+-\d+ ", first):
+            return column, _read_date
+        if _CLOCK.match(first):
+            return column, self._read_clock
+        if match := _WITH_UNIT.fullmatch(first):
+            # MATLAB's durations.
+            unit = unit_of("time", match[2])
+            end = len(first) - len(match[1])
+            return column, lambda text: self._number(text[:-end], unit)
+        unit = column.unit
+        if not unit:
+            self.guessed = True
+            unit = self._likely_unit(column, texts)
+            column = column._replace(unit=unit)
+        return column, lambda text: self._number(text, unit)
+
+    def _number(self, text: str, unit: str) -> int:
+        # A decimal, because a double has no nanoseconds left at today's dates.
+        time = Decimal(plain_number(text, self._decimal)) * int(UNITS["time"][unit])
+        if not abs(time) < LATEST:
+            raise ValueError("beyond what a stamp can hold")
+        return int(time.to_integral_value())
+
+    def _likely_unit(self, column: Column, texts: Sequence[str]) -> str:
+        times = []
+        for text in texts:
+            try:
+                times.append(float(plain_number(text, self._decimal)))
+            except ValueError:
+                continue
+        for unit, size in UNITS["time"].items():
+            scale = NANOSECONDS / size
+            if times and _MIN_EPOCH <= times[0] / scale < LATEST / NANOSECONDS:
+                if unit != "s":
+                    self.remarks.append(f"note: {column.title!r} is read as {unit} since the epoch")
+                return unit
+        apart = np.diff(times)
+        if len(apart) >= _MIN_TIMES and (apart >= 0).all():
+            check_period(column.title, float(np.median(apart[apart > 0] if apart.any() else [0])))
+        return "s"
+
+    def _read_clock(self, text: str) -> int:
+        """Return the time since midnight of the first day."""
+        match = _CLOCK.match(text)
+        if match is None:
+            raise ValueError("no hours, minutes and seconds")
+        hours, minutes, seconds = map(int, match.groups())
+        whole, fraction = _split_fraction(text)
+        if whole != match[0]:
+            raise ValueError("more than a clock time")
+        time = (hours * 3600 + minutes * 60 + seconds) * NANOSECONDS + fraction
+        if time + self._day < self._last - _HALF_DAY:
+            self._day += 2 * _HALF_DAY
+        self._last = time + self._day
+        return self._last
+
+
+def check_period(title: str, period: float) -> None:
+    """Raise LogError if times that are so far apart [s] seem to have another unit."""
+    if period < _MAX_PERIOD:
+        return
+    for unit, size in UNITS["time"].items():
+        if period * size / NANOSECONDS < _MAX_PERIOD:
+            raise LogError(
+                f"column {title!r} has no unit, and its times are {period:g} apart: no arm is "
+                f"measured every {period:g} s; if they are {unit}, write '{title} [{unit}]' or "
+                f"--units time={unit}; if they are seconds, --units time=s"
+            )
+
+
+def _read_iso(text: str) -> int:
+    """Return a date and time in nanoseconds, in UTC unless it has an offset."""
+    whole, fraction = _split_fraction(text)
+    return _since_epoch(datetime.fromisoformat(whole)) + fraction
+
+
+def _read_date(text: str) -> int:
+    whole, fraction = _split_fraction(text)
+    for form in _DATES:
+        try:
+            return _since_epoch(datetime.strptime(whole, form)) + fraction
+        except ValueError:
+            continue
+    raise ValueError("no date that has one meaning only")
+
+
+def _since_epoch(moment: datetime) -> int:
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    return int(moment.timestamp()) * NANOSECONDS
+
+
+def _split_fraction(text: str) -> tuple[str, int]:
+    """Return a time without the fraction of its second, and that [ns]."""
+    match = _FRACTION.search(text)
+    if match is None:
+        return text, 0
+    return text.replace(match[0], "", 1), int(match[1][:9].ljust(9, "0"))
