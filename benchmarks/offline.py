@@ -23,33 +23,43 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.scenarios import SCENARIOS
 
 _JOINT = "elastic_joint"
 _START = 1_700_000_000_000_000_000
 _LATENCY = 200_000
+_TOPICS = "/joint_measurements", "/ground_truth/joint_states", "/ground_truth/disturbance"
+_BLOCK = 20_000
 
 
 def _record(path: Path, design: Design, seconds: float) -> None:
-    """Write a bag as the recorder does, of a simulated run."""
+    """Write a bag as the recorder does, of a simulated run, in blocks."""
     scenario = SCENARIOS["bias_step"]
-    runs = simulate(scenario, [1], seconds)
-    y, u, truth = runs.measurements[0, :, 0], runs.torques[0, :, 0], runs.states[0]
-    physical = design.request.arm.to_physical(truth)
+    plant = Plant(scenario, [1])
     own, arm = JointStateEncoder([_JOINT]), JointStateEncoder(sides(_JOINT))
-    stamps = (_START + np.round(runs.times * 1e9)).astype(np.int64).tolist()
-    measured, true = "/joint_measurements", "/ground_truth/joint_states"
-    disturbed = "/ground_truth/disturbance"
+    left = round(seconds * scenario.rate) + 1
     with BagWriter(path) as writer:
-        for topic in (measured, true, disturbed):
+        for topic in _TOPICS:
             writer.add_topic(topic, JOINT_STATE)
-        rows = zip(stamps, y.tolist(), u.tolist(), physical.tolist(), strict=True)
-        disturbances = runs.disturbances[0, :, 0].tolist()
-        for (stamp, angle, torque, (q1, v1, q2, v2)), d in zip(rows, disturbances, strict=True):
-            log = stamp + _LATENCY
-            writer.write(measured, own(stamp, [angle], (), [torque]), log, log)
-            writer.write(true, arm(stamp, [q1, q2], [v1, v2]), log, log)
-            writer.write(disturbed, own(stamp, [d]), log, log)
+        while left:
+            runs = plant.run(min(left, _BLOCK))
+            left -= len(runs.times)
+            truth = design.request.arm.to_physical(runs.states[0])
+            stamps = (_START + np.round(runs.times * 1e9)).astype(np.int64)
+            data = [
+                own.encode_all(stamps, runs.measurements[0], effort=runs.torques[0]),
+                arm.encode_all(stamps, truth[:, 0::2], truth[:, 1::2]),
+                own.encode_all(stamps, runs.disturbances[0]),
+            ]
+            logs = (stamps + _LATENCY).tolist()
+            writer.write_all(
+                [
+                    (topic, JOINT_STATE, one, log, log)
+                    for *row, log in zip(*data, logs, strict=True)
+                    for topic, one in zip(_TOPICS, row, strict=True)
+                ]
+            )
 
 
 def _estimate(bag: Path, design: Design, output: Path | None) -> None:
