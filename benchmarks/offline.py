@@ -23,6 +23,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
+from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.simulation.plant import Plant
 from tsobs_ros.simulation.scenarios import SCENARIOS
 
@@ -65,10 +66,10 @@ def _record(path: Path, design: Design, seconds: float) -> None:
 def _estimate(bag: Path, design: Design, output: Path | None) -> None:
     source = BagSource(bag)
     observer = Observer("observer", ObserverSettings(), (ArmDesignFile.of(design),))
-    runs = make_runs(source, [observer], rate=None, as_live=True)
+    runs = make_runs(source, [observer], rate=None, as_live=True, window=WINDOW)
     run_all(source, runs, output)
-    done = int(runs[0].table.done.sum())
-    assert done == source.samples.count, f"{done} estimates of {source.samples.count} samples"
+    done = runs[0].estimates
+    assert done == source.count, f"{done} estimates of {source.count} samples"
 
 
 def _measure(folder: Path, design: Design, seconds: float, repeats: int) -> dict[str, Any]:

@@ -402,7 +402,7 @@ def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
         disturbance=table.disturbances[:, joint, 0],
         disturbance_bound=table.disturbance_bounds[:, joint, 0],
         innovation=table.innovations[used, joint],
-        innovation_time=source.samples.stamps[used] / NANOSECONDS,
+        innovation_time=run.samples.stamps[used] / NANOSECONDS,
         parameters=table.parameters[:, joint],
         parameter_bound=table.parameter_bounds[:, joint],
         basis=table.condition("basis")[:, joint],

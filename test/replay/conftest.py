@@ -86,6 +86,7 @@ def estimate(design: Design, tmp_path: Path) -> Callable[..., Run]:
         output: str | None = None,
         rate: float | None = None,
         as_live: bool = True,
+        window: int | None = None,
         **settings: Any,
     ) -> Run:
         if isinstance(source, Path):
@@ -95,7 +96,7 @@ def estimate(design: Design, tmp_path: Path) -> Callable[..., Run]:
             ObserverSettings(**settings),
             (ArmDesignFile.of(design),) * len(source.joints),
         )
-        (made,) = make_runs(source, [observer], rate=rate, as_live=as_live)
+        (made,) = make_runs(source, [observer], rate=rate, as_live=as_live, window=window)
         run_all(source, [made], None if output is None else tmp_path / output)
         return made
 

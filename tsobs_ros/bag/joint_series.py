@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """JointState topics of a bag as arrays: one row a message, in the order of recording."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from itertools import islice
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,13 +61,21 @@ class JointSeries:
         """The number of messages."""
         return len(self.stamps)
 
-    def take(self, places: NDArray[np.intp]) -> "JointSeries":
+    def take(self, places: NDArray[Any] | slice) -> "JointSeries":
         """Return some of the messages, or all of them in another order."""
         taken = {name: getattr(self, name)[places] for name in _ARRAYS}
         return JointSeries(**taken, other_names=self.other_names)
 
+    def followed_by(self, *others: "JointSeries") -> "JointSeries":
+        """Return these messages and those of others behind them."""
+        all_ = (self, *others)
+        joined = {name: np.concatenate([getattr(one, name) for one in all_]) for name in _ARRAYS}
+        names = dict.fromkeys(name for one in all_ for name in one.other_names)
+        return JointSeries(**joined, other_names=tuple(names)[:_MAX_OTHERS])
+
 
 _ARRAYS = [field.name for field in fields(JointSeries) if field.name != "other_names"]
+_MAX_OTHERS = 32
 
 
 class _Builder:
@@ -75,7 +85,7 @@ class _Builder:
         self._wanted = wanted
         self._decoder = JointStateDecoder()
         self._waiting: list[BagMessage] = []
-        self._blocks = [_empty(0, wanted)]
+        self._blocks: list[JointSeries] = []
         self._others: dict[str, None] = {}
 
     def add(self, message: BagMessage) -> None:
@@ -83,13 +93,12 @@ class _Builder:
         if len(self._waiting) >= _BLOCK:
             self._decode()
 
-    def finish(self) -> JointSeries:
+    def take(self) -> JointSeries:
+        """Return what has been added since the last call."""
         self._decode()
-        joined = {
-            name: np.concatenate([getattr(block, name) for block in self._blocks])
-            for name in _ARRAYS
-        }
-        return JointSeries(**joined, other_names=tuple(self._others))
+        first, *rest = self._blocks
+        self._blocks = []
+        return first.followed_by(*rest)
 
     def _decode(self) -> None:
         messages, self._waiting = self._waiting, []
@@ -100,13 +109,13 @@ class _Builder:
         groups, _ = self._decoder.decode_all([message.data for message in messages])
         for group in groups:
             self._place(group, block)
-        self._blocks.append(block)
+        self._blocks.append(replace(block, other_names=tuple(self._others)))
 
     def _place(self, group: JointStates, block: JointSeries) -> None:
         rows = group.places
         block.stamps[rows] = group.stamps
         for name in group.names:
-            if name not in self._wanted.names and len(self._others) < 32:
+            if name not in self._wanted.names and len(self._others) < _MAX_OTHERS:
                 self._others[name] = None
         for column, name in enumerate(self._wanted.names):
             if name not in group.names:
@@ -120,17 +129,32 @@ class _Builder:
                     block.given[rows, column, row] = True
 
 
-def read_joint_series(
+class Block(NamedTuple):
+    """A part of some topics.
+
+    Attributes:
+        series: By the topics' names.
+        horizon: Log time from which on messages of the next block may be [ns]; messages of this
+            one go on for a third of its length beyond. Infinite in the last block.
+    """
+
+    series: dict[str, JointSeries]
+    horizon: float
+
+
+def read_blocks(
     reader: BagReader,
     wanted: Mapping[str, Wanted],
+    size: int | None = None,
     *,
     on_damage: Callable[[BagReadError], None] | None = None,
-) -> dict[str, JointSeries]:
-    """Read some topics of a bag.
+) -> Iterator[Block]:
+    """Read some topics of a bag block by block.
 
     Args:
         reader: The bag.
         wanted: What to read of which topic.
+        size: Number of messages in a block, of all topics, divisible by 4; None for one block.
         on_damage: Told of damage to the bag, up to which everything is returned; else it is raised.
 
     Raises:
@@ -139,9 +163,30 @@ def read_joint_series(
     for name in wanted:
         require_joint_states(reader, name)
     builders = {name: _Builder(each) for name, each in wanted.items()}
-    for message in until_damage(reader.messages(list(wanted)), on_damage):
-        builders[message.topic].add(message)
-    return {name: builder.finish() for name, builder in builders.items()}
+    messages = until_damage(reader.messages(list(wanted)), on_damage)
+    while True:
+        count, horizon = 0, math.inf
+        for message in islice(messages, size):
+            builders[message.topic].add(message)
+            count += 1
+            if size is not None and 4 * count == 3 * size:
+                horizon = message.log_time
+        whole = size is None or count < size
+        series = {name: builder.take() for name, builder in builders.items()}
+        yield Block(series, math.inf if whole else horizon)
+        if whole:
+            return
+
+
+def read_joint_series(
+    reader: BagReader,
+    wanted: Mapping[str, Wanted],
+    *,
+    on_damage: Callable[[BagReadError], None] | None = None,
+) -> dict[str, JointSeries]:
+    """Read some topics of a bag at once; see `read_blocks`."""
+    (block,) = read_blocks(reader, wanted, on_damage=on_damage)
+    return block.series
 
 
 def require_joint_states(reader: BagReader, topic: str) -> None:

@@ -118,6 +118,7 @@ def estimate(
     """
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import make_runs, open_source, run_all, without_misfits
+    from tsobs_ros.replay.windows import WINDOW
 
     begin = time.monotonic()
     parameters = _parameters(options)
@@ -132,14 +133,15 @@ def estimate(
     )
     observers = _observers(options, source.ran.settings().with_parameters(parameters), source)
     remarks = [*_about(source, observers), *source.remarks, *source.ran.remarks]
-    if source.live is not None:
+    if source.was_observed:
         remarks += source.ran.doubt(options.design)
     if skip_misfits:
         observers, misfits = without_misfits(observers)
         remarks += misfits
     as_live = options.rate is None and options.at != "measurements"
-    runs = make_runs(source, observers, rate=options.rate, as_live=as_live)
-    with progress(source.samples.count * len(runs), " samples", quiet=options.json) as advance:
+    window = WINDOW if len(observers) == 1 else None
+    runs = make_runs(source, observers, rate=options.rate, as_live=as_live, window=window)
+    with progress(source.count * len(runs), " samples", quiet=options.json) as advance:
         run_all(source, runs, output, estimates_only=estimates_only, progress=advance)
     mapping, text = _result(source, runs, output, time.monotonic() - begin, remarks)
     show(mapping, text, options.json)
@@ -213,21 +215,21 @@ def _result(
     from tsobs_ros.replay.health import list_events, map_events
     from tsobs_ros.report.comparison import compare_runs, render_comparison
 
-    begin = int(source.samples.log_times.min())
-    duration = float(source.samples.log_times.max() - begin) * 1e-9
+    begin, end = source.span
+    duration = float(end - begin) * 1e-9
     # At most one of several observers was the live one.
     agreements = [one for one in (run.agreement() for run in runs) if one is not None]
     agreement = max(agreements, key=lambda one: one.reproduced, default=None)
     errors = compare_runs(source, runs) if len(runs) > 1 else []
     lines = [
-        f"{source.path}: {source.samples.count:,} measurements of {', '.join(source.joints)} "
+        f"{source.path}: {source.count:,} measurements of {', '.join(source.joints)} "
         f"over {duration:.1f} s, in {seconds:.1f} s"
     ]
     width = max(len(run.observer.name) for run in runs)
     for run in runs:
         rejected = ", ".join(f"{n:,} {reason.value}" for reason, n in run.replay.rejected.items())
         lines.append(
-            f"{run.observer.name:<{width}}  {run.table.done.sum():,} estimates from "
+            f"{run.observer.name:<{width}}  {run.estimates:,} estimates from "
             f"{run.replay.used:,} measurements; rejected: {rejected or 'none'}"
         )
         if run.observer.settings.method == "certified":
@@ -244,14 +246,14 @@ def _result(
         "source": str(source.path),
         "output": None if output is None else str(output),
         "joints": list(source.joints),
-        "measurements": source.samples.count,
+        "measurements": source.count,
         "duration": duration,
         "seconds": seconds,
         "observers": [
             {
                 "name": run.observer.name,
                 "method": run.observer.settings.method,
-                "estimates": int(run.table.done.sum()),
+                "estimates": run.estimates,
                 "used": run.replay.used,
                 "rejected": {r.value: n for r, n in run.replay.rejected.items()},
                 "rewinds": run.replay.rewinds,

@@ -6,7 +6,6 @@ The messages are those of the observer node, byte for byte; made a block at a ti
 of what they cost one by one.
 """
 
-import math
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,16 +29,16 @@ from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, ModelError
-from tsobs_ros.estimation.events import COAST_AFTER
 from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.fit import check_unit_of_angles
-from tsobs_ros.replay.health import Health, JointEvent, find_events, sum_up
+from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.replay import Replay
-from tsobs_ros.replay.schedule import Schedule, as_recorded, at_rate, at_samples
-from tsobs_ros.replay.source import BagSource, Live, Samples, Source
-from tsobs_ros.replay.table import Agreement, EstimateTable, Recorded
+from tsobs_ros.replay.schedule import Schedule
+from tsobs_ros.replay.source import BagSource, Samples, Source
+from tsobs_ros.replay.table import Agreement, AgreementCount, EstimateTable
+from tsobs_ros.replay.windows import Window, Windows
 
 LOGS = (".csv", ".tsv", ".txt")
 """Suffixes of logs."""
@@ -90,85 +89,125 @@ def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list
 
 
 class Run:
-    """One observer over some samples.
+    """One observer over a recording, window by window.
 
     Args:
         observer: The observer.
-        source: The samples and their joints.
-        schedule: The ticks.
-        live: Output of the live observer, if the schedule is made of that.
+        source: The measurements and their joints.
+        windows: The recording's.
 
     Attributes:
         observer: The observer.
-        schedule: The ticks.
+        windows: The recording's.
         replay: Its counts.
-        table: Its estimates and innovations.
+        estimates: Number of ticks with an estimate.
+        samples: The measurements of the window.
+        schedule: The ticks of the window.
+        table: The estimates and innovations of the window.
         topics: The topics of JointStates that there may be messages of.
         record_topic: The topic of its record.
     """
 
-    def __init__(
-        self, observer: Observer, source: Source, schedule: Schedule, live: Live | None = None
-    ) -> None:
-        self.observer, self.schedule = observer, schedule
-        self._source, self._samples = source, source.samples
+    samples: Samples
+    schedule: Schedule
+    table: EstimateTable
+
+    def __init__(self, observer: Observer, source: Source, windows: Windows) -> None:
+        self.observer, self.windows = observer, windows
+        self.estimates = 0
+        self._source = source
         estimators = {id(one): make_estimator(one, observer.settings) for one in observer.designs}
         trackers = [
             make_tracker(design, observer.settings, estimators[id(design)])
             for design in observer.designs
         ]
+        self.replay = Replay(trackers, observer.settings.stale_after)
         names = map(observer.settings.learnt, observer.designs)
         learnt = dict(zip(source.joints, names, strict=True))
-        most = max(map(len, learnt.values()), default=0)
-        self.table = EstimateTable(schedule.count, source.samples.count, len(learnt), most)
-        self._recorded = None if live is None else Recorded(live, schedule, source.samples)
-        self.replay = Replay(
-            trackers,
-            source.samples,
-            schedule,
-            self.table,
-            self._recorded,
-            observer.settings.stale_after,
-        )
+        self._learnt_count = max(map(len, learnt.values()), default=0)
         prefix = f"{source.namespace}/{observer.name}/"
         self._publisher = _Publisher(prefix, learnt)
         self.record_topic = prefix + topics.DESIGN
         self.topics = self._publisher.topics
-        self._restarts = None if live is None else live.others.get(topics.RESTARTS)
         self._parameters_due, self._health_due = _Due(), _Due()
-        self._health_ticks: list[NDArray[np.intp]] = []
+        self._agreement = AgreementCount()
+        self._health = {joint: HealthSum() for joint in source.joints}
+        self._events = EventFinder(
+            source.joints,
+            source.topic,
+            observer.settings.stale_after,
+            same_clock=source.same_clock,
+        )
+        # Numbers of restarts: published, until now, and before the last health.
+        self._told, self._restarts, self._restarts_before = 0, 0, 0
 
-    def beginning(self) -> list[Message]:
-        """Return the message of its record, and those of the restarts."""
+    def record(self) -> Message:
+        """Return the message of its record."""
         observer, source = self.observer, self._source
         parameters = observer.settings.as_parameters()
         text = record_text(source.topic, source.joints, observer.files, parameters)
-        begin = int(self._samples.log_times.min())
-        record = (self.record_topic, STRING, encode_text(text), begin, begin)
-        return [record, *self._restart_messages()]
+        begin, _ = source.span
+        return self.record_topic, STRING, encode_text(text), begin, begin
 
-    def _restart_messages(self) -> list[Message]:
-        """Return the messages of the start and of the restarts, those recorded if there are any."""
-        if self._restarts is not None:
-            at, numbers = _Times.of(self._restarts), self._restarts.values[..., :1]
-        else:
-            ticks = np.flatnonzero(self.schedule.reset_after >= 0)
-            at = _Times.of(self.schedule).take(np.union1d(ticks, [0])[: self.schedule.count])
-            shape = (len(at.stamps), len(self.observer.designs), 1)
-            numbers = np.broadcast_to(np.arange(float(shape[0])).reshape(-1, 1, 1), shape)
-        return self._publisher.messages(topics.RESTARTS, at, numbers)
-
-    def blocks(self, progress: Callable[[int], None]) -> Iterator[list[Message]]:
-        """Run the observer block by block of ticks, and yield the messages of each.
+    def enter(self, window: Window, dropped: int) -> None:
+        """Go on with a window.
 
         Args:
+            window: The window.
+            dropped: Number of the last window's samples that it is without.
+        """
+        self.samples, self.schedule = window.samples, window.schedule
+        count, joints = window.schedule.count, len(self._source.joints)
+        self.table = EstimateTable(count, window.samples.count, joints, self._learnt_count)
+        self.replay.enter(self.samples, self.schedule, self.table, window.recorded, dropped)
+
+    def restarts(self, window: Window) -> list[Message]:
+        """Return the messages of the start and of the restarts, those recorded if there are any."""
+        if window.restarts is not None:
+            at, numbers = _Times.of(window.restarts), window.restarts.values[..., :1]
+            return self._publisher.messages(topics.RESTARTS, at, numbers)
+        ticks = np.flatnonzero(self.schedule.reset_after[: window.ticks] >= 0)
+        if not self._told:
+            ticks = np.union1d(ticks, [0])[: window.ticks]
+        shape = (len(ticks), len(self.observer.designs), 1)
+        numbers = self._told + np.arange(float(shape[0])).reshape(-1, 1, 1)
+        self._told += len(ticks)
+        at = _Times.of(self.schedule).take(ticks)
+        return self._publisher.messages(topics.RESTARTS, at, np.broadcast_to(numbers, shape))
+
+    def blocks(self, window: Window, progress: Callable[[int], None]) -> Iterator[list[Message]]:
+        """Run the observer block by block of a window's ticks, and yield the messages of each.
+
+        Args:
+            window: The window, which has been entered.
             progress: Called with the number of measurements taken since its last call.
         """
-        for begin in range(0, max(1, self.schedule.count), _BLOCK):
-            ticks = slice(begin, min(begin + _BLOCK, self.schedule.count))
+        begun = self.replay.taken
+        for begin in range(0, max(1, window.ticks), _BLOCK):
+            ticks = slice(begin, min(begin + _BLOCK, window.ticks))
             taken = self.replay.advance(ticks.stop)
+            if ticks.stop == window.ticks:
+                taken = slice(taken.start, self._use_rest(window, taken.stop))
             progress(taken.stop - taken.start)
             yield self._published(ticks, taken)
+        self._agreement.began(self.replay.began_without_past)
+        if window.recorded is not None:
+            made = slice(0, window.ticks)
+            same = window.recorded.same(self.table, made)
+            self._agreement.add_ticks(self.schedule.stamps[made], same)
+            messages = slice(begun, self.replay.taken)
+            self._agreement.add_messages(window.recorded.innovations, self.table, messages)
+            self._agreement.add_not_recorded(window.not_recorded)
+
+    def _use_rest(self, window: Window, taken: int) -> int:
+        """Use what no tick takes, and return the number of samples that were taken."""
+        if window.is_last:
+            return int(self.replay.use(window.samples.count).stop)
+        # Of a long time without ticks, all but the end.
+        waiting = window.known - taken
+        if 2 * waiting > window.samples.count:
+            return int(self.replay.use(taken + waiting // 2).stop)
+        return taken
 
     def _published(self, ticks: slice, taken: slice) -> list[Message]:
         """Return the messages of some ticks, and of the innovations of the samples taken there."""
@@ -194,50 +233,41 @@ class Run:
             if len(due):
                 known = np.where(valid[due, :, None], values[due], np.nan)
                 messages += publish(topic, at.take(due), known)
+        self.estimates += int(table.done[ticks].sum())
+        conditions = table.health(ticks)
+        for joint, health in enumerate(self._health.values()):
+            health.add(conditions[:, joint])
         due = self._health_due.among(at.stamps, table.done[ticks])
+        restarts = self._restarts + np.cumsum(self.schedule.reset_after[ticks] >= 0)
         if len(due):
-            self._health_ticks.append(ticks.start + due)
-            messages += publish(topics.HEALTH, at.take(due), table.health(ticks.start + due))
+            messages += publish(topics.HEALTH, at.take(due), conditions[due])
+            restarted = np.diff(restarts[due], prepend=self._restarts_before) > 0
+            self._events.add(at.stamps[due], at.log_times[due], conditions[due], restarted)
+            self._restarts_before = int(restarts[due[-1]])
+        self._restarts = int(restarts[-1]) if len(restarts) else self._restarts
         return messages
 
     def _times_of_use(self, taken: slice) -> "_Times":
         """Return the times of innovations, which are published at the tick that uses the sample."""
-        at, schedule = _Times.of(self._samples).take(taken), _Times.of(self.schedule)
-        ticks = self.table.ticks_of_use[taken]
-        there = ticks < self.schedule.count
-        for own, theirs in zip(at[1:], schedule[1:], strict=True):
-            own[there] = theirs[ticks[there]]
+        at = _Times.of(self.samples).take(taken)
+        of_use = self.table.times_of_use[taken]
+        there = of_use[:, 0] >= 0
+        for own, theirs in zip(at[1:], of_use.T, strict=True):
+            own[there] = theirs[there]
         return at
 
-    def events(self, coast_after: float = COAST_AFTER) -> list[JointEvent]:
-        """Return the events that the node would have logged, in order.
-
-        Args:
-            coast_after: The node's parameter [s].
-        """
-        ticks = np.concatenate([np.zeros(0, np.intp), *self._health_ticks])
-        resets = np.flatnonzero(self.schedule.reset_after >= 0)
-        return find_events(
-            self._source.joints,
-            self.schedule.stamps[ticks],
-            self.schedule.log_times[ticks],
-            self.table.health(ticks),
-            source=self._source.topic,
-            stale_after=self.observer.settings.stale_after,
-            coast_after=coast_after,
-            restarted=np.diff(np.searchsorted(resets, ticks, side="right"), prepend=0) > 0,
-            same_clock=self._samples.same_clock,
-        )
+    def events(self) -> list[JointEvent]:
+        """Return the events that the node would have logged, in order."""
+        return self._events.events
 
     def health(self) -> dict[str, Health]:
         """Return the health of each joint that has estimates."""
-        conditions = self.table.health(np.arange(self.schedule.count))
-        found = {joint: sum_up(conditions[:, k]) for k, joint in enumerate(self._source.joints)}
+        found = {joint: one.result() for joint, one in self._health.items()}
         return {joint: one for joint, one in found.items() if one is not None}
 
     def agreement(self) -> Agreement | None:
         """Return the comparison with the recorded estimates, if the run was made by them."""
-        return None if self._recorded is None else self._recorded.compare(self.table)
+        return self._agreement.result() if self.windows.as_live else None
 
 
 def open_source(
@@ -273,7 +303,12 @@ def open_source(
 
 
 def make_runs(
-    source: Source, observers: Iterable[Observer], *, rate: float | None, as_live: bool
+    source: Source,
+    observers: Iterable[Observer],
+    *,
+    rate: float | None,
+    as_live: bool,
+    window: int | None = None,
 ) -> list[Run]:
     """Return a run of every observer over the same measurements.
 
@@ -282,6 +317,8 @@ def make_runs(
         observers: The observers.
         rate: Estimate at this rate [Hz]; None: at every measurement.
         as_live: Estimate, instead of both, when the recorded observer did.
+        window: Number of messages in a window; None for one that has them all, so that the runs'
+            tables have everything.
 
     Raises:
         LogError: The angles of a log seem to be in degrees, though nobody stated their unit.
@@ -289,14 +326,8 @@ def make_runs(
     observers = list(observers)
     if isinstance(source, LogSource) and observers:
         check_unit_of_angles(source, observers[0].settings, observers[0].designs)
-    samples = source.samples
-    live = source.live if as_live else None
-    if live is not None:
-        innovations, restarts = map(live.others.get, (topics.INNOVATION, topics.RESTARTS))
-        schedule = as_recorded(samples, live.states, innovations, restarts)
-    else:
-        schedule = at_samples(samples) if rate is None else at_rate(samples, rate)
-    return [Run(observer, source, schedule, live) for observer in observers]
+    windows = Windows(source, rate, as_live, window)
+    return [Run(observer, source, windows) for observer in observers]
 
 
 def run_all(
@@ -321,8 +352,9 @@ def run_all(
             bag cannot be written.
     """
     if output is None:
-        for _ in _blocks(runs, progress):
-            pass
+        for window in runs[0].windows.over(runs):
+            for _ in _blocks(runs, window, progress):
+                pass
         return
     own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
     definition = next(own, None) or find_definition(JOINT_STATE)
@@ -334,17 +366,19 @@ def run_all(
         for run in runs:
             writer.add_topic(run.record_topic, STRING, [_LATCHED], definition=_text_definition())
         recorded = iter(()) if estimates_only else source.messages()
-        waiting = list(chain.from_iterable(run.beginning() for run in runs))
-        for horizon, messages in _blocks(runs, progress):
-            for message in recorded:
-                waiting.append(message)
-                if message[3] >= horizon:
-                    break
-            waiting += messages
-            waiting.sort(key=_log_time)
-            end = bisect_left(waiting, horizon, key=_log_time)
-            writer.write_all(waiting[:end])
-            del waiting[:end]
+        waiting: list[Message] = [run.record() for run in runs]
+        for window in runs[0].windows.over(runs):
+            waiting += chain.from_iterable(run.restarts(window) for run in runs)
+            for horizon, messages in _blocks(runs, window, progress):
+                for message in recorded:
+                    waiting.append(message)
+                    if message[3] >= horizon:
+                        break
+                waiting += messages
+                waiting.sort(key=_log_time)
+                end = bisect_left(waiting, horizon, key=_log_time)
+                writer.write_all(waiting[:end])
+                del waiting[:end]
 
 
 def _text_definition() -> MessageDefinition:
@@ -355,17 +389,17 @@ def _text_definition() -> MessageDefinition:
 
 
 def _blocks(
-    runs: Sequence[Run], progress: Callable[[int], None]
+    runs: Sequence[Run], window: Window, progress: Callable[[int], None]
 ) -> Iterator[tuple[float, list[Message]]]:
-    """Yield the messages of all runs, which have the same schedule, block by block.
+    """Yield the messages of all runs in a window block by block.
 
     Each comes with the log time that the messages of later blocks have at least [ns].
     """
-    times = runs[0].schedule.log_times
-    for number, blocks in enumerate(zip(*[run.blocks(progress) for run in runs], strict=True), 1):
-        following = times[number * _BLOCK :]
-        horizon = float(following[0]) if len(following) else math.inf
-        yield horizon, list(chain.from_iterable(blocks))
+    times = window.schedule.log_times
+    together = zip(*[run.blocks(window, progress) for run in runs], strict=True)
+    for number, blocks in enumerate(together, 1):
+        following = times[min(number * _BLOCK, window.ticks) :][:1].tolist()
+        yield min([window.horizon, *following]), list(chain.from_iterable(blocks))
 
 
 class _Times(NamedTuple):

@@ -20,6 +20,7 @@ from tsobs_ros.estimation.events import (
     EventLog,
 )
 from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis, Learning
+from tsobs_ros.replay.thinning import ThinnedValues
 
 _BOUNDS = {
     Basis.CERTIFIED: "certified",
@@ -132,56 +133,97 @@ class Health(NamedTuple):
         )
 
 
+class HealthSum:
+    """The health of a joint's estimates, gathered part by part."""
+
+    def __init__(self) -> None:
+        self._scales = ThinnedValues()
+        self._bases = np.zeros(len(Basis), np.int64)
+        self._max, self._last = 0.0, list[float]()
+
+    def add(self, conditions: Array) -> None:
+        """Add conditions' numbers, NaN without an estimate, shape (n, 6)."""
+        known = conditions[~np.isnan(conditions[:, 0])]
+        if not len(known):
+            return
+        self._scales.add(known[:, 0])
+        self._max = max(self._max, float(known[:, 0].max()))
+        self._bases += [(known[:, 2] == basis).sum() for basis in Basis]
+        self._last = known[-1].tolist()
+
+    def result(self) -> Health | None:
+        """Return the health, None without an estimate."""
+        if not self._last:
+            return None
+        last = Condition.of_numbers(0, self._last)
+        shares = zip(Basis, (self._bases / self._bases.sum()).tolist(), strict=True)
+        return Health(
+            noise_scale=float(np.median(self._scales.values)),
+            max_noise_scale=self._max,
+            bases={basis: share for basis, share in shares if share},
+            learning=last.learning,
+            hypothesis=last.hypothesis,
+        )
+
+
 def sum_up(conditions: Array) -> Health | None:
     """Return the health in conditions' numbers, NaN without an estimate, shape (n, 6)."""
-    known = conditions[~np.isnan(conditions[:, 0])]
-    if not len(known):
-        return None
-    last = Condition.of_numbers(0, known[-1].tolist())
-    scale, basis = known[:, 0], known[:, 2]
-    return Health(
-        noise_scale=float(np.median(scale)),
-        max_noise_scale=float(scale.max()),
-        bases={one: float(share) for one in Basis if (share := (basis == one).mean())},
-        learning=last.learning,
-        hypothesis=last.hypothesis,
-    )
+    health = HealthSum()
+    health.add(conditions)
+    return health.result()
 
 
-def find_events(
-    joints: Sequence[str],
-    stamps: Times,
-    log_times: Times,
-    conditions: Array,
-    *,
-    source: str,
-    stale_after: float = STALE_AFTER,
-    coast_after: float = COAST_AFTER,
-    restarted: NDArray[Any] | None = None,
-    same_clock: bool = True,
-) -> list[JointEvent]:
-    """Return the events that a node would have logged, in order.
+class EventFinder:
+    """Finds the events that a node would have logged, part by part.
 
     Args:
         joints: Names of J joints.
-        stamps: Of the conditions [ns], shape (n,).
-        log_times: Of the same, ns since the epoch, shape (n,).
-        conditions: Their numbers, NaN without an estimate, shape (n, J, 6).
         source: Where the measurements come from.
         stale_after: Age of the newest measurement for STALE [s].
         coast_after: Age of it for COASTING [s].
-        restarted: Whether the observer was restarted before a condition, shape (n,); never if None.
         same_clock: Whether stamps and log times are of the same clock.
+
+    Attributes:
+        events: Those found until now, in order.
     """
-    logs = [EventLog(source, coast_after, stale_after) for _ in joints]
-    found: list[JointEvent] = []
-    times = zip(stamps.tolist(), log_times.tolist(), strict=True)
-    for place, ((stamp, log_time), rows) in enumerate(zip(times, conditions.tolist(), strict=True)):
-        for joint, log, row in zip(joints, logs, rows, strict=True):
-            if restarted is not None and restarted[place]:
-                log.restart()
-            if row[0] == row[0]:
-                for event in log.update(Condition.of_numbers(stamp, row)):
-                    before = stamp - event.stamp if same_clock else 0
-                    found.append(JointEvent(joint, log_time - before, event))
-    return found
+
+    def __init__(
+        self,
+        joints: Sequence[str],
+        source: str,
+        stale_after: float = STALE_AFTER,
+        coast_after: float = COAST_AFTER,
+        *,
+        same_clock: bool = True,
+    ) -> None:
+        self._joints, self._same_clock = joints, same_clock
+        self._logs = [EventLog(source, coast_after, stale_after) for _ in joints]
+        self.events: list[JointEvent] = []
+
+    def add(
+        self,
+        stamps: Times,
+        log_times: Times,
+        conditions: Array,
+        restarted: NDArray[Any] | None = None,
+    ) -> None:
+        """Find the events in the next conditions.
+
+        Args:
+            stamps: Of the conditions [ns], shape (n,).
+            log_times: Of the same, ns since the epoch, shape (n,).
+            conditions: Their numbers, NaN without an estimate, shape (n, J, 6).
+            restarted: Whether the observer was restarted before a condition, shape (n,); never if
+                None.
+        """
+        times = zip(stamps.tolist(), log_times.tolist(), strict=True)
+        for place, ((stamp, log_time), rows) in enumerate(
+            zip(times, conditions.tolist(), strict=True)
+        ):
+            for joint, log, row in zip(self._joints, self._logs, rows, strict=True):
+                if restarted is not None and restarted[place]:
+                    log.restart()
+                if row[0] == row[0]:
+                    for event in log.update(Condition.of_numbers(stamp, row)):
+                        before = stamp - event.stamp if self._same_clock else 0
+                        self.events.append(JointEvent(joint, log_time - before, event))

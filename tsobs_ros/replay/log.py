@@ -5,7 +5,7 @@
 import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -22,7 +22,7 @@ from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.cells import Row, TextTable, is_nothing, plain_number
 from tsobs_ros.replay.columns import UNITS, Column, Columns, cell_of, is_unit, misread
-from tsobs_ros.replay.source import MEASUREMENTS, Samples, Source, restarts
+from tsobs_ros.replay.source import MEASUREMENTS, SAME_CLOCK, Part, Samples, Source, restarts
 from tsobs_ros.replay.times import LATEST, NO_TIME, TimeReader, check_period
 
 _BLOCK = 4096
@@ -131,11 +131,14 @@ class LogSource(Source):
         """Read the whole log for what must be known before the first line is used."""
         clock, first = _LogClock(NO_TIME), None
         spread = -1.0
-        self.count = 0
+        self.count, begin, end, other_clock = 0, 0, 0, 0
         self._sorted: list[_Block] = []
         for block in self._lines():
             self.count += len(block.stamps)
-            clock.times(block.stamps)
+            times = clock.times(block.stamps)
+            begin, end = begin or int(times[0]), int(times[-1])
+            apart = np.where(block.stamps != NO_TIME, times - block.stamps, SAME_CLOCK)
+            other_clock += int((apart >= SAME_CLOCK).sum())
             there = block.stamps[block.stamps != NO_TIME]
             if len(there):
                 first = int(there.min() if first is None else min(first, there.min()))
@@ -153,7 +156,14 @@ class LogSource(Source):
             shift = f"{self.moved_by / NANOSECONDS:g} s"
             remarks.append(f"note: {shift} was added to all times: 0 means no time")
         self.remarks = tuple(remarks)
-        self.samples = self._as_samples()
+        begin = self._first if clock.shuffled or begin == NO_TIME else begin + self.moved_by
+        self.span = begin, end + self.moved_by
+        self.same_clock = clock.shuffled or 2 * other_clock < self.count
+
+    @cached_property
+    def samples(self) -> Samples:
+        """All measurements."""
+        return next(self.parts()).samples
 
     def _sort(self) -> None:
         if self.count > _MAX_SORTED:
@@ -201,21 +211,13 @@ class LogSource(Source):
         except ValueError as error:
             raise misread("number", row, column) from error
 
-    def _as_samples(self) -> Samples:
-        clock = _LogClock(self._first)
-        parts = [self._part(block, clock) for block in self._sorted or self._lines()]
-        joined = (
-            np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(Samples)
-        )
-        return Samples(*joined)
-
     def _part(self, block: _Block, clock: "_LogClock") -> Samples:
         there = block.stamps != NO_TIME
         stamps = np.where(there, block.stamps + np.where(there, self.moved_by, 0), 0)
         times = clock.times(np.where(there, stamps, NO_TIME))
-        complete = np.ones(block.angles.shape, np.bool_)
-        return Samples(stamps, times, times, block.angles, block.torques, complete, complete)
+        there = np.ones(block.angles.shape, np.bool_)
+        y, u = block.angles, block.torques
+        return Samples(stamps, times, times, y, u, there, there, self.same_clock)
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:  # type: ignore[override]
@@ -225,13 +227,23 @@ class LogSource(Source):
             TopicInfo(f"/{MEASUREMENTS}", JOINT_STATE, qos_profiles=qos, definition=definition),
         )
 
+    def parts(self, size: int | None = None, with_live: bool = True) -> Iterator[Part]:
+        clock = _LogClock(self._first)
+        blocks = (self._part(block, clock) for block in self._sorted or self._lines())
+        together = None if size is None else max(1, size // _BLOCK)
+        following = list(islice(blocks, together))
+        while part := following:
+            following = list(islice(blocks, together))
+            samples = part[0].followed_by(*part[1:])
+            # Whether time restarts at a line shows in the next ones.
+            horizon = samples.log_times[-samples.count // 4] if following else math.inf
+            yield Part(samples, {}, float(horizon))
+
     def messages(self) -> Iterator[BagMessage]:
-        encode, samples = JointStateEncoder(self.joints), self.samples
-        for begin in range(0, samples.count, _BLOCK):
-            block = slice(begin, begin + _BLOCK)
-            y, u = samples.y[block], samples.u[block]
-            data = encode.encode_all(samples.stamps[block], y, y[:, :0], u)
-            for one, time in zip(data, samples.log_times[block].tolist(), strict=True):
+        encode = JointStateEncoder(self.joints)
+        for samples, _, _ in self.parts(_BLOCK):
+            data = encode.encode_all(samples.stamps, samples.y, samples.y[:, :0], samples.u)
+            for one, time in zip(data, samples.log_times.tolist(), strict=True):
                 yield BagMessage(f"/{MEASUREMENTS}", JOINT_STATE, one, time, time)
 
 

@@ -219,7 +219,7 @@ class Pass:
         return np.empty((count, self._tracker.estimator.row_width + EXTRA))
 
     def advance(self, begin: int, end: int, rows: Array) -> None:
-        """Make the ticks from one up to another; after the last, use what is left of the samples.
+        """Make the ticks from one up to another.
 
         Args:
             begin: The first tick.
@@ -244,10 +244,17 @@ class Pass:
             if tick < end:
                 self._make(tick, rows[tick - begin])
                 tick += 1
-        if end == len(self._ticks.stamps):
-            for place in self.samples.places[self.taken :].tolist():
-                self._use(place, end, int(self.samples.arrivals[place]), _Choice.LIKELY)
-            self.results.counts[:] = len(self.samples.stamps)
+
+    def use(self, tick: int, end: int) -> None:
+        """Use the samples up to one in the order of arrival, without a tick.
+
+        Args:
+            tick: The tick before which they are used.
+            end: The sample after the last.
+        """
+        for place in self.samples.places[self.taken : end].tolist():
+            self._use(place, tick, int(self.samples.arrivals[place]), _Choice.LIKELY)
+        self.results.counts[:] = np.maximum(self.results.counts, end)
 
     def _make(self, tick: int, row: Array) -> None:
         """Make a tick with something to decide."""

@@ -28,43 +28,75 @@ class Replay:
 
     Args:
         trackers: Of the samples' joints.
-        samples: The measurements.
-        schedule: The ticks.
-        table: Where the results are entered.
-        recorded: Recorded output of an observer. As many of the messages that a tick may include
-            are used as it takes to agree with it; all of them if None.
         stale_after: Age of a joint's newest measurement after which it is not estimated [s].
 
     Attributes:
         rejected: Number of measurements not used, by reason.
+        taken: Number of the first samples that all joints have taken.
     """
 
-    def __init__(
+    _samples: Samples
+    _schedule: Schedule
+    _table: EstimateTable
+
+    def __init__(self, trackers: Sequence[Tracker], stale_after: float = 5.0) -> None:
+        self._trackers = tuple(trackers)
+        self._stale_after = stale_after
+        self.rejected: Counter[RejectReason] = Counter()
+        self._joints: list[_Joint] = []
+        self._used, self._last, self._done, self.taken = 0, 0, 0, 0
+
+    def enter(
         self,
-        trackers: Sequence[Tracker],
         samples: Samples,
         schedule: Schedule,
         table: EstimateTable,
         recorded: Recorded | None = None,
-        stale_after: float = 5.0,
+        dropped: int = 0,
     ) -> None:
-        self._trackers = tuple(trackers)
-        self._schedule, self._table = schedule, table
+        """Go on with other samples, of which the first are the last of those until now.
+
+        Args:
+            samples: The measurements.
+            schedule: Their ticks, without those that were made.
+            table: Where the results are entered.
+            recorded: Recorded output of an observer. As many of the messages that a tick may
+                include are used as it takes to agree with it; all of them if None.
+            dropped: Number of samples until now that are not among the others; all were taken.
+        """
+        skipped = [0] * len(self._trackers)
+        if self._joints:
+            ahead = slice(self.taken, self._samples.count)
+            for joint, each in enumerate(self._joints):
+                self.rejected += each.enter(self._table, joint, ahead)
+            self._used += int(np.isfinite(self._table.innovations[:dropped]).sum())
+            table.take_over(self._table, dropped)
+            skipped = [each.used_since(dropped) for each in self._joints]
+        self._samples, self._schedule, self._table = samples, schedule, table
         self._joints = [
-            _Joint(tracker, joint, samples, schedule, recorded, stale_after)
-            for joint, tracker in enumerate(trackers)
+            _Joint(tracker, joint, samples, schedule, recorded, self._stale_after, skip)
+            for joint, (tracker, skip) in enumerate(zip(self._trackers, skipped, strict=True))
         ]
-        # What cannot be read is refused, whenever that is; what names nobody is for all.
-        unread = (samples.named & ~samples.complete).sum() + len(trackers) * (
-            ~samples.named.any(axis=1)
-        ).sum()
-        self.rejected = Counter({RejectReason.WRONG_JOINT: int(unread)} if unread else {})
-        self._taken, self._done, self._last = 0, 0, 0
+        self._done, self.taken = 0, self.taken - dropped
 
     @property
     def used(self) -> int:
         """Number of measurements used, of all joints."""
-        return int(np.isfinite(self._table.innovations).sum())
+        return self._used + int(np.isfinite(self._table.innovations).sum())
+
+    @property
+    def reached(self) -> int:
+        """Number of the first messages among which are all that were used."""
+        return max(joint.reached for joint in self._joints)
+
+    @property
+    def began_without_past(self) -> bool | None:
+        """Whether the first recorded innovation of these samples is of an observer without past.
+
+        None without any.
+        """
+        found = (joint.began_without_past for joint in self._joints)
+        return next((one for one in found if one is not None), None)
 
     @property
     def rewinds(self) -> int:
@@ -77,7 +109,7 @@ class Replay:
         return sum(tracker.failures for tracker in self._trackers)
 
     def advance(self, end: int) -> slice:
-        """Make the ticks up to one; after the last, use what is left of the messages.
+        """Make the ticks up to one.
 
         Returns:
             The messages that were taken.
@@ -94,10 +126,30 @@ class Replay:
         for joint, own in enumerate(rows):
             there = published & self._joints[joint].there(ticks)
             self._table.add(joint, ticks, own, there, self._trackers[joint].estimator.row_parts)
-        taken = slice(self._taken, min(joint.next_message for joint in self._joints))
-        self._taken = taken.stop
+        return self._enter()
+
+    def use(self, end: int) -> slice:
+        """Use the messages up to one without a tick.
+
+        Returns:
+            The messages that were taken.
+        """
+        for joint in self._joints:
+            joint.use(self._done, end)
+        return self._enter()
+
+    def _enter(self) -> slice:
+        """Enter the results of the messages that all joints have taken, and return them."""
+        taken = slice(self.taken, min(joint.next_message for joint in self._joints))
+        self.taken = taken.stop
         for joint, each in enumerate(self._joints):
             self.rejected += each.enter(self._table, joint, taken)
+        # What cannot be read is refused, whenever that is; what names nobody is for all.
+        named, complete = self._samples.named[taken], self._samples.complete[taken]
+        unread = int((named & ~complete).sum())
+        unread += len(self._joints) * int((~named.any(axis=1)).sum())
+        if unread:
+            self.rejected[RejectReason.WRONG_JOINT] += unread
         return taken
 
     def _published(self, ticks: slice) -> Flags:
@@ -129,6 +181,7 @@ class _Joint:
         schedule: The ticks.
         recorded: Recorded output of an observer.
         stale_after: Age of the newest measurement after which nothing is estimated [s].
+        skipped: Number of its first measurements that it has used already.
     """
 
     def __init__(
@@ -139,8 +192,12 @@ class _Joint:
         schedule: Schedule,
         recorded: Recorded | None,
         stale_after: float,
+        skipped: int,
     ) -> None:
         mask = samples.named[:, joint] & samples.complete[:, joint]
+        self._skipped = np.flatnonzero(mask)[:skipped]
+        mask[self._skipped] = False
+        self._schedule = schedule
         self._messages = np.flatnonzero(mask)
         self._count = np.concatenate([[0], np.cumsum(mask)])
         own, column = self._messages, slice(joint, joint + 1)
@@ -170,6 +227,24 @@ class _Joint:
         self._pass.advance(begin, end, rows)
         return rows
 
+    def use(self, tick: int, end: int) -> None:
+        self._pass.use(tick, int(self._count[end]))
+
+    @property
+    def reached(self) -> int:
+        """The message after the last that was used."""
+        used = np.append(self._skipped, self._messages[: self._pass.taken])
+        return int(used.max(initial=-1)) + 1
+
+    def used_since(self, message: int) -> int:
+        """Return the number of its measurements that it has used from a message on."""
+        used = np.append(self._skipped, self._messages[: self._pass.taken])
+        return int((used >= message).sum())
+
+    @property
+    def began_without_past(self) -> bool | None:
+        return self._pass.began_without_past
+
     def there(self, ticks: slice) -> Flags:
         return np.asarray(self._pass.results.there[ticks] != 0)
 
@@ -190,9 +265,14 @@ class _Joint:
         outcomes = results.outcomes[places]
         used = np.isin(outcomes, CORRECTING)
         table.innovations[messages[used], joint] = results.innovations[places[used], 0]
-        np.maximum.at(table.ticks_of_use, messages, results.ticks_of_use[places])
+        ticks = results.ticks_of_use[places]
+        known = (ticks >= 0) & (ticks < self._schedule.count)
+        times = [self._schedule.log_times, self._schedule.publish_times]
+        of_use = np.stack([each[ticks[known]] for each in times], axis=-1)
+        messages_of_use = messages[known]
+        table.times_of_use[messages_of_use] = np.maximum(
+            table.times_of_use[messages_of_use], of_use
+        )
         table.left_out[messages[outcomes == LEFT_OUT]] = True
-        if table.began_without_past is None:
-            table.began_without_past = self._pass.began_without_past
         counts = np.bincount(outcomes[outcomes > USED], minlength=len(REASONS)).tolist()
         return Counter({r: n for r, n in zip(REASONS, counts, strict=True) if r is not None and n})

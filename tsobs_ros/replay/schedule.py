@@ -7,6 +7,7 @@ of the observer that was recorded.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from tsobs_ros.bag.joint_series import JointSeries, Times
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.passes import CERTAIN, NO_EVIDENCE, POSSIBLE, Codes
-from tsobs_ros.replay.source import UNKNOWN, Samples, passes, times_of_use
+from tsobs_ros.replay.source import UNKNOWN, Samples, times_of_use
 
 Counts = NDArray[np.intp]
 
@@ -56,6 +57,55 @@ class Schedule:
         return len(self.stamps)
 
 
+class Past(NamedTuple):
+    """What came before the samples of a schedule.
+
+    Attributes:
+        stamp: Of the last tick [ns]; none if None.
+        first: Stamp of the first tick since time restarted [ns].
+        ticks: Number of ticks since then.
+        arrival: Latest arrival of a sample since then [ns].
+        delay: Log time of the last sample after its arrival on the clock of the stamps [ns].
+    """
+
+    stamp: int | None = None
+    first: int = 0
+    ticks: int = 0
+    arrival: int = 0
+    delay: int = 0
+
+    def after(self, schedule: Schedule, ticks: int, samples: Samples, dropped: int) -> "Past":
+        """Return what comes before the rest of the samples.
+
+        Args:
+            schedule: Of the samples.
+            ticks: Number of its ticks that were made.
+            samples: The samples.
+            dropped: Number of those that the rest is without.
+        """
+        past = self
+        if dropped:
+            delay = int(samples.log_times[dropped - 1] - samples.arrivals[dropped - 1])
+            begins = [begin for begin, _ in samples.passes if begin < dropped]
+            latest = int(samples.arrivals[begins[-1] : dropped].max())
+            if len(begins) == 1:
+                latest = max(latest, self.arrival)
+            past = past._replace(arrival=latest, delay=delay)
+        if ticks:
+            resets = np.flatnonzero(schedule.reset_after[:ticks] >= 0)
+            begin = int(resets[-1]) if len(resets) else 0
+            first, before = int(schedule.stamps[begin]), 0
+            if not len(resets) and self.stamp is not None:
+                first, before = self.first, self.ticks
+            past = past._replace(
+                stamp=int(schedule.stamps[ticks - 1]), first=first, ticks=before + ticks - begin
+            )
+        return past
+
+
+_NO_PAST = Past()
+
+
 def at_samples(samples: Samples) -> Schedule:
     """Return a tick at every message, as soon as it has arrived.
 
@@ -64,7 +114,7 @@ def at_samples(samples: Samples) -> Schedule:
     last = np.append(samples.stamps[1:] != samples.stamps[:-1], samples.count > 0)
     messages = np.flatnonzero(last)
     reset_after = np.full(len(messages), -1)
-    for begin, _ in passes(samples.stamps.tolist())[1:]:
+    for begin, _ in samples.passes[1:]:
         reset_after[np.searchsorted(messages, begin)] = begin
     return Schedule(
         stamps=samples.stamps[messages],
@@ -79,23 +129,40 @@ def at_samples(samples: Samples) -> Schedule:
     )
 
 
-def at_rate(samples: Samples, rate: float) -> Schedule:
-    """Return ticks at a fixed rate [Hz] on the clock of the recording, as a node has them."""
-    arrivals = samples.arrivals
+def at_rate(
+    samples: Samples, rate: float, past: Past = _NO_PAST, max_ticks: int | None = None
+) -> Schedule:
+    """Return ticks at a fixed rate [Hz] on the clock of the recording, as a node has them.
+
+    Args:
+        samples: In the order of use.
+        rate: Ticks a second [Hz].
+        past: What came before.
+        max_ticks: The largest number of ticks; the rest is left out.
+    """
+    arrivals, left = samples.arrivals, max_ticks
     stamps, known, reset_after = [], [], []
-    for begin, end in passes(samples.stamps.tolist()):
+    for place, (begin, end) in enumerate(samples.passes):
+        goes_on = place == 0 and past.stamp is not None
         own = np.maximum.accumulate(arrivals[begin:end])
-        if not len(own):
+        if goes_on:
+            own = np.maximum(own, past.arrival)
+        if not len(own) or left == 0:
             continue
-        count = int(np.ptp(own) * rate / NANOSECONDS) + 1
-        ticks = own[0] + np.round(np.arange(count) * (NANOSECONDS / rate)).astype(np.int64)
+        first, made = (past.first, past.ticks) if goes_on else (int(own[0]), 0)
+        count = max(made, int((own[-1] - first) * rate / NANOSECONDS) + 1)
+        if left is not None:
+            count = min(count, made + left)
+            left -= count - made
+        ticks = first + np.round(np.arange(made, count) * (NANOSECONDS / rate)).astype(np.int64)
         stamps.append(ticks)
         known.append(begin + np.searchsorted(own, ticks, side="right"))
-        reset_after.append(np.where((np.arange(count) == 0) & (begin > 0), begin, -1))
+        reset_after.append(np.where((np.arange(made, count) == 0) & (place > 0), begin, -1))
     if not stamps:
         return at_samples(samples)
     ticks, counts = np.concatenate(stamps), np.concatenate(known)
-    log_times = samples.log_times[counts - 1] + ticks - arrivals[counts - 1]
+    delays = np.append(samples.log_times - arrivals, past.delay)
+    log_times = delays[counts - 1] + ticks
     resets = np.concatenate(reset_after)
     evidence = _certain(samples)
     return Schedule(ticks, ticks, counts, counts, resets, log_times, log_times, evidence)
@@ -110,6 +177,7 @@ def as_recorded(
     estimates: JointSeries,
     innovations: JointSeries | None,
     restarts: JointSeries | None,
+    past: Past = _NO_PAST,
 ) -> Schedule:
     """Return the ticks of the observer that was recorded.
 
@@ -122,9 +190,11 @@ def as_recorded(
         estimates: The recorded ones.
         innovations: The recorded ones, if there are any.
         restarts: The recorded ones, if there are any.
+        past: What came before.
     """
     order = np.argsort(estimates.publish_times, kind="stable")
     stamps, published = estimates.stamps[order], estimates.publish_times[order]
+    since = np.diff(stamps, prepend=stamps[:1] - 1 if past.stamp is None else past.stamp)
     m, n = len(stamps), samples.count
     tick, evidence = np.full(n, m), _certain(samples)
     used_at = np.full(n, UNKNOWN)
@@ -152,7 +222,7 @@ def as_recorded(
     bound = np.minimum.accumulate(beyond[::-1])[::-1][1:]
     sent = np.searchsorted(np.maximum.accumulate(samples.publish_times), published, side="right")
     reset_after = np.full(m, -1)
-    reset_after[1:][np.diff(stamps) <= 0] = 0
+    reset_after[since <= 0] = 0
     for restart in () if restarts is None else np.sort(restarts.publish_times).tolist():
         following_tick = np.searchsorted(published, restart, side="left")
         if following_tick < m:

@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded measurements of some joints, in order of arrival, and the bags that hold them."""
 
+import math
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from tsobs_ros.bag.joint_series import (
     JointSeries,
     Times,
     Wanted,
+    read_blocks,
     read_joint_series,
     require_joint_states,
     until_damage,
@@ -39,9 +41,10 @@ _TRUTH = TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_tr
 _RESTART = NANOSECONDS
 # So many messages in a row must lie back: one straggler is no restart.
 _RESTART_MESSAGES = 10
-# Clocks that differ by more than this are not the same clock.
-_SAME_CLOCK = NANOSECONDS
+SAME_CLOCK = NANOSECONDS
+"""Clocks that differ by this or more are not the same clock [ns]."""
 _FIRST_MESSAGES = 1000
+_SURVEYED = 2**15
 UNKNOWN = np.iinfo(np.int64).max
 """Time of use of a measurement without innovation [ns], later than all others."""
 
@@ -58,6 +61,8 @@ class Samples:
         u: Torques [N m], shape (n, J).
         named: Whether the message names the joint, shape (n, J).
         complete: Whether it has an angle and a torque of it, shape (n, J).
+        clock: Whether stamps and log times are of the same clock; None to judge by these messages.
+        newest: Largest stamp before these messages since time restarted [ns].
     """
 
     stamps: Times
@@ -67,11 +72,18 @@ class Samples:
     u: Array
     named: Flags
     complete: Flags
+    clock: bool | None = None
+    newest: int = 0
 
     @property
     def count(self) -> int:
         """The number of messages."""
         return len(self.stamps)
+
+    @cached_property
+    def passes(self) -> list[tuple[int, int]]:
+        """The begin and end of each pass of time; the first may be empty, or go on."""
+        return passes(self.stamps.tolist(), self.newest)
 
     @property
     def usable(self) -> Flags:
@@ -82,9 +94,9 @@ class Samples:
     @cached_property
     def same_clock(self) -> bool:
         """Whether stamps and log times seem to be of the same clock."""
-        if not self.count:
-            return True
-        return abs(float(np.median(self.log_times - self.stamps))) < _SAME_CLOCK
+        if self.clock is not None or not self.count:
+            return self.clock is not False
+        return abs(float(np.median(self.log_times - self.stamps))) < SAME_CLOCK
 
     @cached_property
     def arrivals(self) -> Times:
@@ -92,16 +104,36 @@ class Samples:
         if self.same_clock:
             return self.log_times
         # Log times of another clock give the order only: each arrives when it is sampled.
-        spans = passes(self.stamps.tolist())
-        return np.concatenate([np.maximum.accumulate(self.stamps[a:b]) for a, b in spans])
+        latest = [np.maximum.accumulate(self.stamps[a:b]) for a, b in self.passes]
+        np.maximum(latest[0], self.newest, out=latest[0])
+        return np.concatenate(latest)
 
-    def take(self, places: NDArray[np.intp]) -> "Samples":
+    def take(self, places: NDArray[np.intp] | slice) -> "Samples":
         """Return some of the messages, or all of them in another order."""
-        return Samples(**{field.name: getattr(self, field.name)[places] for field in fields(self)})
+        return replace(self, **{name: getattr(self, name)[places] for name in _ARRAYS})
+
+    def followed_by(self, *others: "Samples") -> "Samples":
+        """Return these messages and others behind them."""
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(one, name) for one in (self, *others)])
+            for name in _ARRAYS
+        }
+        return replace(self, **joined)
+
+    def newest_before(self, message: int) -> int:
+        """Return the largest stamp before a message, since time restarted [ns]."""
+        begins = [begin for begin, _ in self.passes if begin < message]
+        if not begins:
+            return self.newest
+        stamps = self.stamps[begins[-1] : message]
+        return int(stamps.max(initial=self.newest if len(begins) == 1 else 0))
 
     def in_order_of_publishing(self) -> "Samples":
         """Return them as a subscriber receives them: each publisher's come in its order."""
         return self.take(np.argsort(self.publish_times, kind="stable"))
+
+
+_ARRAYS = [field.name for field in fields(Samples) if field.name not in ("clock", "newest")]
 
 
 def samples_of(series: JointSeries, assume_zero_torque: bool) -> Samples:
@@ -136,9 +168,9 @@ def restarts(stamps: Sequence[int], highest: int = 0) -> list[int]:
     return found
 
 
-def passes(stamps: Sequence[int]) -> list[tuple[int, int]]:
+def passes(stamps: Sequence[int], highest: int = 0) -> list[tuple[int, int]]:
     """Return the begin and end of each pass of time; a second one follows a restart."""
-    return list(pairwise([0, *restarts(stamps), len(stamps)]))
+    return list(pairwise([0, *restarts(stamps, highest), len(stamps)]))
 
 
 @dataclass(frozen=True)
@@ -166,17 +198,34 @@ class Truth(NamedTuple):
     disturbance: JointSeries | None
 
 
+class Part(NamedTuple):
+    """A part of a recording.
+
+    Attributes:
+        samples: Measurements in the order of recording.
+        others: Output of the observer that ran during the recording, by the names in
+            `estimate_topics`.
+        horizon: Log time from which on messages of the next part may be [ns]; infinite in the last.
+    """
+
+    samples: Samples
+    others: dict[str, JointSeries]
+    horizon: float = math.inf
+
+
 class Source(ABC):
     """Measurements of some joints, from a bag or a log.
 
     Attributes:
         path: The bag or the log.
         joints: Names of the joints.
-        samples: The measurements.
         ran: What the observer ran that was recorded.
+        count: Number of messages with measurements.
+        span: Smallest and largest log time of them, ns since the epoch.
+        same_clock: Whether stamps and log times seem to be of the same clock.
         topic: Name of the measurements' topic, or of the log's file.
         namespace: Begin of the topics' names: empty, or with a slash at its front only.
-        live: Output of the observer that ran during the recording.
+        was_observed: Whether there is output of an observer that ran during the recording.
         damage: The error that ended reading early.
         remarks: Notes for the user.
         topics: Topics that belong with estimates: measurements, and the truth of a simulation.
@@ -184,14 +233,34 @@ class Source(ABC):
 
     path: Path
     joints: tuple[str, ...]
-    samples: Samples
     ran = RecordedObserver()
+    count: int
+    span: tuple[int, int]
+    same_clock: bool
     topic: str
     namespace = ""
-    live: Live | None = None
+    was_observed = False
     damage: BagReadError | None = None
     remarks: tuple[str, ...] = ()
     topics: tuple[TopicInfo, ...] = ()
+
+    @abstractmethod
+    def parts(self, size: int | None = None, with_live: bool = True) -> Iterator[Part]:
+        """Yield the recording in parts.
+
+        Args:
+            size: Number of messages in a part, divisible by 4; None for a single part.
+            with_live: Whether to read the live observer's output besides the innovations.
+        """
+
+    def in_order(self, samples: Samples, others: Mapping[str, JointSeries]) -> Samples:
+        """Return measurements in the order in which an observer uses them.
+
+        Args:
+            samples: In the order of recording.
+            others: Output of the observer that ran during the recording.
+        """
+        return samples
 
     @abstractmethod
     def messages(self) -> Iterator[BagMessage]:
@@ -238,20 +307,31 @@ class BagSource(Source):
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
         names = [name for name in topics.TOPICS if name != topics.HEALTH]
-        own = self._there({name: f"{observer}/{name}" for name in names})
-        measured, others = self._read(own, assume_zero_torque)
-        samples = measured.in_order_of_publishing()
-        innovations = others.get(topics.INNOVATION)
-        self.samples = samples if innovations is None else in_order_of_use(samples, innovations)
-        states = others.pop(topics.STATES, None)
-        self.live = None if states is None or not states.count else Live(states, others)
+        self._live = self._there({name: f"{observer}/{name}" for name in names})
+        states = self._live.get(topics.STATES)
+        self.was_observed = states is not None and self._reader.topics[states].count > 0
+        self._assume_zero_torque = assume_zero_torque
+        self._survey()
         shown = self.topic, *self._there({n: n for n in _TRUTH}).values()
         self.topics = tuple(self._reader.topics[name] for name in shown)
-        if not self.samples.same_clock:
+        if not self.same_clock:
             self.remarks = (
                 "note: the bag's stamps and log times are of different clocks, so each measurement "
                 "is taken to have arrived when it was sampled",
             )
+
+    def parts(self, size: int | None = None, with_live: bool = True) -> Iterator[Part]:
+        live = {n: f for n, f in self._live.items() if with_live or n == topics.INNOVATION}
+        wanted = {self.topic: self._wanted(MEASUREMENTS)}
+        wanted |= {full: self._wanted(name) for name, full in live.items()}
+        for series, horizon in read_blocks(self._reader, wanted, size, on_damage=self._damaged):
+            samples = samples_of(series[self.topic], self._assume_zero_torque)
+            others = {name: series[full] for name, full in live.items()}
+            yield Part(replace(samples, clock=self.same_clock), others, horizon)
+
+    def in_order(self, samples: Samples, others: Mapping[str, JointSeries]) -> Samples:
+        samples, innovations = samples.in_order_of_publishing(), others.get(topics.INNOVATION)
+        return samples if innovations is None else in_order_of_use(samples, innovations)
 
     def messages(self) -> Iterator[BagMessage]:
         names = [topic.name for topic in self.topics]
@@ -295,6 +375,8 @@ class BagSource(Source):
 
     def _wanted(self, topic: str) -> Wanted:
         names = list(self.joints)
+        if topic == MEASUREMENTS:
+            return Wanted(names, ("position", "effort"))
         if topic in (topics.STATES, topics.STATE_BOUNDS, TRUE_STATES):
             names = [side for joint in self.joints for side in topics.sides(joint)]
         own = ("position",) if topic == TRUE_DISTURBANCE else ("position", "velocity")
@@ -312,29 +394,34 @@ class BagSource(Source):
             raise BagReadError(f"{self.path}: {self.topic}: {next(iter(malformed.values()))}")
         return tuple(dict.fromkeys(name for group in groups for name in group.names))
 
-    def _read(
-        self, live: dict[str, str], assume_zero_torque: bool
-    ) -> tuple[Samples, dict[str, JointSeries]]:
-        """Return the measurements and the live observer's topics, from one pass over the bag."""
-        wanted = {self.topic: Wanted(self.joints, ("position", "effort"))}
-        wanted |= {full: self._wanted(name) for name, full in live.items()}
-        series = read_joint_series(self._reader, wanted, on_damage=self._damaged)
-        self._check_joints(series[self.topic])
-        others = {name: series[full] for name, full in live.items()}
-        return samples_of(series[self.topic], assume_zero_torque), others
-
-    def _check_joints(self, measured: JointSeries) -> None:
-        if not measured.count:
+    def _survey(self) -> None:
+        """Read the measurements for what must be known before the first of them is used."""
+        wanted = {self.topic: self._wanted(MEASUREMENTS)}
+        count, before, after = 0, 0, 0
+        named, others, times = np.zeros(len(self.joints), np.bool_), dict[str, None](), []
+        for block in read_blocks(self._reader, wanted, _SURVEYED, on_damage=self._damaged):
+            measured = block.series[self.topic]
+            if measured.count:
+                times += [int(measured.log_times.min()), int(measured.log_times.max())]
+            apart = measured.log_times - measured.stamps
+            count += measured.count
+            before += int((apart <= -SAME_CLOCK).sum())
+            after += int((apart >= SAME_CLOCK).sum())
+            named |= measured.named.any(axis=0)
+            others |= dict.fromkeys(measured.other_names)
+        if not count:
             raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
-        there = dict(zip(self.joints, np.any(measured.named, axis=0).tolist(), strict=True))
-        missing = [joint for joint in self.joints if not there[joint]]
+        missing = [joint for joint, one in zip(self.joints, named, strict=True) if not one]
         if missing or not self.joints:
-            seen = [joint for joint in self.joints if there[joint]]
-            names = ", ".join([*seen, *measured.other_names]) or "none"
+            seen = [joint for joint in self.joints if joint not in missing]
+            names = ", ".join([*seen, *others]) or "none"
             raise BagReadError(
                 f"{self.path}: no message of {self.topic} names {', '.join(missing) or 'a joint'}; "
                 f"joints: {names}"
             )
+        self.count, self.span = count, (min(times), max(times))
+        # As of the median of the differences.
+        self.same_clock = 2 * max(before, after) < count
 
 
 def in_order_of_use(samples: Samples, innovations: JointSeries) -> Samples:

@@ -3,13 +3,12 @@
 """Estimates and innovations of a replay as arrays, and their comparison with a live run's."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_series import Flags, JointSeries
+from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.events import Condition
 from tsobs_ros.estimation.history import EXTRA
@@ -30,12 +29,10 @@ class EstimateTable:
     Attributes:
         done: Whether there is an estimate of any joint, shape (m,).
         innovations: y − ŷ of the measurements that were used, else NaN [rad], shape (n, J).
-        ticks_of_use: Tick at which a message was used; the number of ticks for those after the
-            last, -1 for those not used, shape (n,).
+        times_of_use: Log and publish time of the tick at which a message was used [ns]; -1 if it
+            was not used, or after the last tick, shape (n, 2).
         left_out: Whether a message was not used as the recorded observer had not received it,
             shape (n,).
-        began_without_past: Whether the first recorded innovation is that of an observer without a
-            past; None without any.
         states: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), NaN without an estimate, shape (m, J, 4).
         state_bounds: 1σ bound of each, NaN without one, shape (m, J, 4).
         disturbances: Disturbance and its rate (rad, rad/s), NaN without, shape (m, J, 2).
@@ -57,9 +54,20 @@ class EstimateTable:
         self.conditions = np.full((ticks, joints, len(CONDITIONS) + EXTRA), np.nan)
         self.done = np.zeros(ticks, np.bool_)
         self.innovations = np.full((messages, joints), np.nan)
-        self.ticks_of_use = np.full(messages, -1)
+        self.times_of_use = np.full((messages, 2), -1)
         self.left_out = np.zeros(messages, np.bool_)
-        self.began_without_past: bool | None = None
+
+    def take_over(self, other: "EstimateTable", begin: int) -> None:
+        """Enter what another table has of the messages that are this one's first.
+
+        Args:
+            other: The other table.
+            begin: The first of those messages there.
+        """
+        count = len(other.left_out) - begin
+        self.innovations[:count] = other.innovations[begin:]
+        self.times_of_use[:count] = other.times_of_use[begin:]
+        self.left_out[:count] = other.left_out[begin:]
 
     def add(
         self, joint: int, ticks: slice, rows: Array, there: Flags, parts: Mapping[str, slice]
@@ -88,7 +96,7 @@ class EstimateTable:
         worth = rows[:, -len(CONDITIONS) - EXTRA :]
         self.conditions[ticks, joint] = np.where(there[:, np.newaxis], worth, np.nan)
 
-    def health(self, ticks: NDArray[np.intp]) -> Array:
+    def health(self, ticks: slice) -> Array:
         """Return the numbers of `events.Condition` at n ticks, NaN without, shape (n, J, 6)."""
         names = Condition._fields[1:]
         return np.stack([self.condition(name)[ticks] for name in names], axis=-1)
@@ -173,6 +181,7 @@ class Recorded:
     Attributes:
         estimates: States and their bounds at the ticks, NaN without, shape (m, J, 8).
         innovations: Those of each message, NaN without, shape (n, J).
+        unmatched: Places of the recorded innovations that no message has.
     """
 
     def __init__(self, live: Live, schedule: Schedule, samples: Samples) -> None:
@@ -186,15 +195,15 @@ class Recorded:
         self.estimates = np.concatenate([states, bounds], axis=-1)
         own = live.others.get(topics.INNOVATION)
         self.innovations = np.full((samples.count, joints), np.nan)
-        self._not_recorded = 0
+        self.unmatched = np.zeros(0, np.intp)
         if own is not None:
             places = places_of_innovations(samples, own)
             self.innovations[places >= 0] = own.values[places[places >= 0], :, 0]
-            self._not_recorded = own.count - int((places >= 0).sum())
+            self.unmatched = np.setdiff1d(np.arange(own.count), places)
 
-    def compare(self, table: EstimateTable) -> Agreement:
-        """Compare a whole replay."""
-        same = _same(table.states, self.estimates[..., :4])
+    def same(self, table: EstimateTable, ticks: slice) -> Flags:
+        """Return whether the estimates at some ticks are the same to the last bit."""
+        same = _same(table.states[ticks], self.estimates[ticks, :, :4])
         for topic, values in (
             (topics.STATE_BOUNDS, table.state_bounds),
             (topics.DISTURBANCE, table.disturbances),
@@ -205,24 +214,74 @@ class Recorded:
                 recorded = recorded.reshape(*values.shape[:2], -1)[..., : values.shape[2]]
                 # A single message that is missing was lost, not different.
                 lost = np.isnan(recorded).all(axis=(1, 2))
-                same &= lost | _same(values, recorded)
-        different = np.flatnonzero(~same).tolist()
-        received = np.asarray(np.isfinite(self.innovations).any(axis=1))
-        begin, end = int(received.argmax()), len(received) - int(received[::-1].argmax())
-        used_here = ~np.isnan(table.innovations).all(axis=1) & ~received & received.any()
-        left_out = table.left_out
-        return Agreement(
-            recorded=len(same),
-            reproduced=int(same.sum()),
-            first_difference=int(self._schedule.stamps[different[0]]) if different else None,
-            not_recorded=self._not_recorded,
-            # Those after the recording's last innovation may just have been on their way.
-            not_received=int(used_here[:end].sum()),
-            before_first=int(left_out[:begin].sum()),
-            in_between=int(left_out[begin:end].sum()),
-            after_last=int(left_out[end:].sum()),
-            ran_before=None if table.began_without_past is None else not table.began_without_past,
-        )
+                same &= (lost | _same(values, recorded))[ticks]
+        return same
+
+
+class AgreementCount:
+    """Counts in how far estimates agree with those of the live run."""
+
+    def __init__(self) -> None:
+        self._counts = dict.fromkeys(Agreement._fields, 0)
+        self._first: int | None = None
+        self._past: bool | None = None
+        self._any_received = False
+        # Since the last recorded innovation; the live observer may have been on its way to them.
+        self._used_since, self._left_out_since = 0, 0
+
+    def add_ticks(self, stamps: Times, same: Flags) -> None:
+        """Count estimates.
+
+        Args:
+            stamps: Of the ticks [ns], shape (m,).
+            same: Whether they are the same as the recorded ones, shape (m,).
+        """
+        self._counts["recorded"] += len(same)
+        self._counts["reproduced"] += int(same.sum())
+        if self._first is None and not same.all():
+            self._first = int(stamps[int(same.argmin())])
+
+    def add_messages(self, innovations: Array, table: EstimateTable, messages: slice) -> None:
+        """Count messages, in the order of their use.
+
+        Args:
+            innovations: The recorded ones, NaN without, shape (n, J).
+            table: The replay's.
+            messages: Those to count.
+        """
+        received = np.asarray(np.isfinite(innovations[messages]).any(axis=1))
+        used = ~np.isnan(table.innovations[messages]).all(axis=1) & ~received
+        left_out = table.left_out[messages]
+        if received.any():
+            end = len(received) - int(received[::-1].argmax())
+            begin = 0 if self._any_received else int(received.argmax())
+            self._counts["before_first"] += int(left_out[:begin].sum())
+            self._counts["in_between"] += int(left_out[begin:end].sum())
+            self._counts["not_received"] += int(used[:end].sum()) + self._used_since
+            if self._any_received:
+                self._counts["in_between"] += self._left_out_since
+            else:
+                self._counts["before_first"] += self._left_out_since
+            self._used_since, self._left_out_since = 0, 0
+            used, left_out, self._any_received = used[end:], left_out[end:], True
+        self._used_since += int(used.sum())
+        self._left_out_since += int(left_out.sum())
+
+    def add_not_recorded(self, count: int) -> None:
+        """Count innovations of measurements that the bag lacks."""
+        self._counts["not_recorded"] += count
+
+    def began(self, without_past: bool | None) -> None:
+        """Note whether the first recorded innovation is that of an observer without a past."""
+        if self._past is None and without_past is not None:
+            self._past = not without_past
+
+    def result(self) -> Agreement:
+        """Return what was counted."""
+        last = "after_last" if self._any_received else "in_between"
+        counts: dict[str, Any] = {**self._counts, "first_difference": self._first}
+        counts[last] += self._left_out_since
+        return Agreement(**(counts | {"ran_before": self._past}))
 
 
 def _measurements(count: int) -> str:

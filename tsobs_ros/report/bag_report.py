@@ -13,7 +13,7 @@ import numpy as np
 from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.errors import TsobsError
 from tsobs_ros.replay.designs import choose_designs
-from tsobs_ros.replay.health import Health, JointEvent, find_events, list_events, map_events, sum_up
+from tsobs_ros.replay.health import EventFinder, Health, JointEvent, list_events, map_events, sum_up
 from tsobs_ros.report.comparison import (
     EkfComparison,
     compare_with_ekf,
@@ -162,4 +162,6 @@ def _events(run: RecordedRun) -> list[JointEvent]:
     if run.health is None:
         return []
     stamps, values = run.health
-    return find_events([run.joint], stamps, stamps, values[:, np.newaxis], source=run.topic)
+    finder = EventFinder([run.joint], run.topic)
+    finder.add(stamps, stamps, values[:, np.newaxis])
+    return finder.events

@@ -155,7 +155,9 @@ def rerun(run: RecordedRun, observer: Estimator, x_max: float) -> RecordedRun:
         evidence=np.full(samples.count, CERTAIN),
     )
     table = EstimateTable(len(run.stamps), samples.count, 1)
-    Replay(trackers, samples, schedule, table, stale_after=math.inf).advance(schedule.count)
+    replay = Replay(trackers, stale_after=math.inf)
+    replay.enter(samples, schedule, table)
+    replay.advance(schedule.count)
     return replace(run, **_estimates_of(table, stamps))
 
 
@@ -185,7 +187,7 @@ def _recorded_run(source: Source, run: Run, joint: int, truth: Truth) -> Recorde
     spans = passes(run.schedule.stamps[ticks].tolist())
     begin, end = max(spans, key=lambda span: span[1] - span[0])
     ticks = ticks[begin:end]
-    samples = source.samples
+    samples = run.samples
     there = samples.complete[:, joint]
     measured = np.column_stack([samples.y[there, joint], samples.u[there, joint]])
     return RecordedRun(
