@@ -10,6 +10,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SOURCES := setup.py setup.cfg pyproject.toml package.xml $(wildcard config/*.yaml examples/*.py)
 # Everything that the README shows; the tests need more.
 EXTRAS := design,report,export
+# The NumPy that a ROS found was built for; another one breaks its messages.
+NUMPY = $$(test -s $(VENV)/.ros || $(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)')
 PYTEST_ARGS ?= -n 2
 
 SHELL := /bin/bash
@@ -61,12 +63,12 @@ clean: ## Remove the virtual environment and everything built
 
 $(VENV)/.demo: $(SOURCES) | $(BIN)/python
 	@echo "Installing tsobs_ros into $(VENV) (once)"
-	@$(PIP) -e ".[$$(cat $(VENV)/.ros)$(EXTRAS)]"
+	@$(PIP) $(NUMPY) -e ".[$$(cat $(VENV)/.ros)$(EXTRAS)]"
 	@touch $@
 
 $(VENV)/.test: $(SOURCES) | $(BIN)/python
 	@echo "Installing tsobs_ros and its test tools into $(VENV) (once)"
-	@$(PIP) -e ".[$$(cat $(VENV)/.ros)$(EXTRAS),test]"
+	@$(PIP) $(NUMPY) -e ".[$$(cat $(VENV)/.ros)$(EXTRAS),test]"
 	@touch $@ $(VENV)/.demo
 
 # A ROS counts as found only if the new environment sees it too, which it does not if $$python is

@@ -54,9 +54,11 @@ def data_files() -> list[tuple[str, list[str]]]:
         (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.*ml")))),
         (f"share/{NAME}/examples", sorted(map(str, Path("examples").glob("*.py")))),
     ]
-    # colcon puts the console scripts themselves into lib/tsobs_ros.
+    # pip installs the console scripts to bin, colcon to lib/tsobs_ros.
     if {"bdist_wheel", "editable_wheel"} & set(sys.argv):
         files.append((f"lib/{NAME}", launchers()))
+    else:
+        files.append(("bin", ["resource/tsobs"]))
     return files
 
 
@@ -80,7 +82,7 @@ setup(
         "scipy",
         "pyyaml",
         "msgspec>=0.18.5",  # the first with wheels for Python 3.12
-        "numba>=0.58",
+        "numba>=0.59",  # the first for Python 3.12
         "mcap>=1.5",
         "zstandard",
         "lz4",

@@ -2,9 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """What pip installs is a ROS package: marker, manifest, config, and launchers for `ros2 run`."""
 
+import os
+import shlex
 import shutil
 import subprocess
 import sys
+import sysconfig
+from importlib import metadata
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -104,28 +108,96 @@ def test_a_launcher_runs_the_installed_script(wheel: ZipFile, tmp_path: Path, na
     assert (done.returncode, done.stdout) == (3, f"ran {name} with two words\n")
 
 
-def test_the_advice_on_a_missing_library_is_what_the_package_requires(wheel: ZipFile) -> None:
-    metadata = wheel.read(f"{STEM}.dist-info/METADATA").decode()
-    required = {
-        line.removeprefix("Requires-Dist: ").partition(";")[0].strip()
-        for line in metadata.splitlines()
-        if line.startswith("Requires-Dist:")
-    }
-    advised = {library for libraries in LIBRARIES.values() for library in libraries}
+def requirements(wheel: ZipFile) -> set[str]:
+    lines = wheel.read(f"{STEM}.dist-info/METADATA").decode().splitlines()
+    found = (line.partition("Requires-Dist: ")[2].partition(";")[0].strip() for line in lines)
+    return {each for each in found if each}
 
-    assert advised <= required
+
+def test_the_advice_on_a_missing_library_is_what_the_package_requires(wheel: ZipFile) -> None:
+    assert {each for libraries in LIBRARIES.values() for each in libraries} <= requirements(wheel)
+
+
+def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:
+    """ROS has NumPy, for whose first version it is built, and rosdep installs SciPy and PyYAML."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    _, _, command = readme.replace("\\\n", "").partition(".venv/bin/python -m pip install ")
+    installed = set(shlex.split(command.splitlines()[0]))
+    needed = {each for name in LIBRARIES if name != "rclpy" for each in LIBRARIES[name]}
+
+    assert installed == needed - {"scipy", "pyyaml"} | {"numpy<2"}
+    manifest = (ROOT / "package.xml").read_text(encoding="utf-8")
+    for key in ("numpy", "scipy", "yaml"):
+        assert f"<exec_depend>python3-{key}</exec_depend>" in manifest
 
 
 @pytest.mark.parametrize(
     ("module", "advice"),
     [
         ("cvxpy.error", "cvxpy is not installed: {} -m pip install cvxpy clarabel"),
-        ("mcap", "mcap is not installed: {} -m pip install 'mcap>=1.5'"),
-        ("rclpy.node", "rclpy is not installed: source ROS 2 Jazzy, or {} -m pip install"),
+        ("mcap", "mcap is not installed: {} -m pip install 'numba>=0.59' scipy"),
+        ("rclpy.node", "rclpy is not installed: source ROS 2 Jazzy, or {} -m pip install 'ros-"),
         ("colour", None),
+        (None, None),
     ],
 )
-def test_a_missing_library_is_advised_on(module: str, advice: str | None) -> None:
-    found = missing_library(ModuleNotFoundError(f"No module named {module!r}", name=module))
+def test_a_missing_library_is_advised_on(module: str | None, advice: str | None) -> None:
+    found = missing_library(module)
 
     assert found is None if advice is None else found.startswith(advice.format(sys.executable))
+
+
+def test_the_advice_fits_a_python_that_pip_must_not_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Ubuntu with apt's ROS: NumPy is kept, and what is built next runs in the new one."""
+    (tmp_path / "EXTERNALLY-MANAGED").touch()
+    monkeypatch.setattr(sysconfig, "get_path", lambda _: str(tmp_path))
+    monkeypatch.setattr(sys, "base_prefix", sys.prefix)
+    monkeypatch.setattr(metadata, "version", {"numpy": "1.26.4"}.__getitem__)
+
+    assert missing_library("cvxpy") == (
+        f"cvxpy is not installed: in the workspace, {sys.executable} -m venv "
+        "--system-site-packages .venv && .venv/bin/python -m pip install 'numpy<2' cvxpy clarabel "
+        "&& .venv/bin/python -m colcon build"
+    )
+
+
+def test_python_users_get_the_advice_too() -> None:
+    code = (
+        "import sys; sys.modules['cvxpy'] = None\n"
+        "import tsobs_ros as ts\n"
+        "try: ts.synthesise\n"
+        "except ModuleNotFoundError as error: print(error.name, error)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+
+    assert done.stdout.startswith(f"cvxpy cvxpy is not installed: {sys.executable} -m pip install")
+
+
+def test_colcon_puts_the_command_on_the_path(sources: Path, tmp_path: Path) -> None:
+    """As colcon does, by `setup.py install`; its hook adds the folder `bin` to the path."""
+    done = subprocess.run(
+        [sys.executable, "setup.py", "install_data", "--install-dir", str(tmp_path)],
+        cwd=sources,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    script = tmp_path / "lib" / "tsobs_ros" / "tsobs"
+    script.parent.mkdir(parents=True)
+    script.write_text('#!/bin/sh\necho "ran with $2"\n')
+    script.chmod(0o755)
+
+    ran = subprocess.run(
+        ["tsobs", "verify", "two words"],
+        env={**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+
+    assert ran.stdout == "ran with two words\n"

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Errors of this package: one root, subclasses that are also the expected builtin.
 
-And the advice on missing libraries, as one command that fits a virtual environment and Ubuntu's
-Python. Extras of the package ('tsobs_ros[design]') are of no use to those who built it with colcon,
-so the advice names the libraries.
+And the advice on missing libraries. Extras of the package ('tsobs_ros[design]') are of no use to
+those who built it with colcon, so the advice names the libraries.
 """
 
 import sys
@@ -12,16 +11,19 @@ import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
 
-_FILES = ("mcap>=1.5", "zstandard", "lz4", "msgspec>=0.18.5")
+_BASE = ("numba>=0.59", "scipy", "pyyaml", "msgspec>=0.18.5", "mcap>=1.5", "zstandard", "lz4")
 _DESIGN = ("cvxpy", "clarabel")
 _REPORT = ("matplotlib", "plotly", "tqdm", "mcap-ros2-support")
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(("mcap", "zstandard", "lz4", "msgspec"), _FILES),
+    "rclpy": ("ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"),
+    **dict.fromkeys(
+        ("numpy", "numba", "scipy", "yaml", "msgspec", "mcap", "zstandard", "lz4"), _BASE
+    ),
     **dict.fromkeys(("cvxpy", "clarabel"), _DESIGN),
     **dict.fromkeys(("matplotlib", "plotly", "tqdm", "mcap_ros2"), _REPORT),
     "pyarrow": ("pyarrow", "mcap-ros2-support"),
 }
-"""Modules that rosdep does not install, each with what to install when it is missing."""
+"""Modules that may be missing, each with what to install then."""
 
 
 class TsobsError(Exception):
@@ -90,21 +92,39 @@ def printable(text: str) -> str:
     )
 
 
-def missing_library(error: ModuleNotFoundError) -> str | None:
-    """Return what is missing and how to install it; None if it is no library of the package."""
-    module = (error.name or "").partition(".")[0]
-    if module == "rclpy":
-        return "rclpy is not installed: source ROS 2 Jazzy, or " + _command(
-            ("ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces")
-        )
+def missing_library(name: str | None) -> str | None:
+    """Return that a module is missing and how to install it, as it fits this Python.
+
+    Args:
+        name: Name of the module, as a ModuleNotFoundError has it.
+
+    Returns:
+        One line; None if the module belongs to no library of the package.
+    """
+    module = (name or "").partition(".")[0]
     if module not in LIBRARIES:
         return None
-    return f"{module} is not installed: {_command(LIBRARIES[module])}"
-
-
-def _command(libraries: tuple[str, ...]) -> str:
-    # Debian and Ubuntu refuse to install into their Python without this option (PEP 668).
+    libraries = [*_pinned_numpy(), *LIBRARIES[module]]
+    names = " ".join(f"'{each}'" if set(each) & set("[<>") else each for each in libraries)
+    missing = f"{module} is not installed: " + "source ROS 2 Jazzy, or " * (module == "rclpy")
+    install = f"-m pip install {names}"
     managed = Path(sysconfig.get_path("stdlib"), "EXTERNALLY-MANAGED").is_file()
-    option = "--break-system-packages " if managed and sys.prefix == sys.base_prefix else ""
-    names = " ".join(f"'{name}'" if set(name) & set("[>") else name for name in libraries)
-    return f"{sys.executable} -m pip install {option}{names}"
+    if not managed or sys.prefix != sys.base_prefix:
+        return f"{missing}{sys.executable} {install}"
+    # Debian and Ubuntu keep pip out of their Python (PEP 668). What a virtual environment's colcon
+    # builds runs in that environment.
+    python = ".venv/bin/python"
+    return (
+        f"{missing}in the workspace, {sys.executable} -m venv --system-site-packages .venv && "
+        f"{python} {install} && {python} -m colcon build"
+    )
+
+
+def _pinned_numpy() -> list[str]:
+    """Return what keeps NumPy 1.x if ROS and the libraries of the system were built for it."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return ["numpy<2"] if version("numpy").startswith("1.") else []
+    except PackageNotFoundError:
+        return []

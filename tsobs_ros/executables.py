@@ -37,7 +37,7 @@ def run(name: str) -> int:
         runtime = import_module("tsobs_ros.nodes.runtime")
         arguments = import_module("tsobs_ros.nodes.arguments")
     except ModuleNotFoundError as error:
-        advice = missing_library(error)
+        advice = missing_library(error.name)
         if advice is None:
             raise
         print(f"error: {advice}", file=sys.stderr)

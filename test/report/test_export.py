@@ -251,7 +251,7 @@ def write_joints_and_text(
     [
         ("module a {};", "ros2idl", True, "is defined in 'ros2idl', but only ros2msg can be"),
         ("what is this?\n", "ros2msg", True, "the definition of std_msgs/msg/String is malformed"),
-        ("string data\n", "ros2msg", False, "decoding needs the Python package mcap-ros2-support"),
+        ("string data\n", "ros2msg", False, "cannot decode messages: mcap_ros2 is not installed: "),
     ],
 )
 def test_a_topic_that_cannot_be_decoded_is_refused_before_any_file(

@@ -25,7 +25,7 @@ from tsobs_ros.bag.container import (
 )
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.metadata import BagMetadata, TopicInfo, profiles_from_yaml, read_metadata
-from tsobs_ros.errors import BagReadError
+from tsobs_ros.errors import BagReadError, missing_library
 
 
 class BagMessage(NamedTuple):
@@ -249,10 +249,9 @@ class BagReader:
         # Imported here: copying or playing a bag needs no decoder.
         try:
             from mcap_ros2.decoder import DecoderFactory
-        except ImportError as error:
-            raise BagReadError(
-                f"{self.path}: decoding needs the Python package mcap-ros2-support: {error}"
-            ) from error
+        except ModuleNotFoundError as error:
+            advice = missing_library(error.name) or error
+            raise BagReadError(f"{self.path}: cannot decode messages: {advice}") from error
         definition = self.topics[name].definition
         assert definition is not None
         schema = Schema(

@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TsobsError as error:
         complain(error)
     except ModuleNotFoundError as error:
-        advice = missing_library(error)
+        advice = missing_library(error.name)
         if advice is None:
             raise
         complain(advice)

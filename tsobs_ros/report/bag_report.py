@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tsobs_ros.design.file import ArmDesignFile
-from tsobs_ros.errors import TsobsError
+from tsobs_ros.errors import TsobsError, missing_library
 from tsobs_ros.replay.designs import choose_designs
 from tsobs_ros.replay.health import EventFinder, Health, JointEvent, list_events, map_events, sum_up
 from tsobs_ros.report.comparison import (
@@ -133,7 +133,7 @@ def make_bag_report(
     if not metrics.windows:
         remarks.append("note: the run is too short to have a settled part, so there are no errors")
     if html and not page:
-        remarks.append("note: no report.html: the Python package plotly is not installed")
+        remarks.append(f"note: no report.html: {missing_library('plotly')}")
     names = ["report.png", *(["report.html"] if page else []), "report.json"]
     files = tuple(output / name for name in names)
     health = None if run.health is None else sum_up(run.health.values)
