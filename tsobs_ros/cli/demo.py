@@ -60,8 +60,9 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run plant, observer and recorder, then report on their bag."""
-    import matplotlib  # noqa: F401  # for the report: nothing is run for a report that fails
     from tqdm import tqdm
+
+    from tsobs_ros.report import figures  # noqa: F401  # nothing is run for a report that fails
 
     output = options.output or Path("demo") / datetime.now().strftime("%Y_%m_%d-%H_%M_%S")
     if options.domain_id is None:
