@@ -18,9 +18,12 @@ import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder
 from tsobs_ros.cli.main import main
+from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import RejectReason
+from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.cells import MAX_LINE
+from tsobs_ros.replay.estimate import Observer, make_runs
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.report.export import export_bag
 
@@ -188,6 +191,13 @@ def test_times_that_begin_at_zero_are_moved(tmp_path) -> None:
     assert source.samples.stamps.tolist() == [SECOND, 0, SECOND + 10_000_000]
 
 
+def test_a_last_line_that_is_cut_off_is_left_out(tmp_path) -> None:
+    source = LogSource(log(tmp_path, "t,q [rad],tau", "1,2,3", "1.005,2"))
+
+    assert source.count == 1
+    assert source.remarks == ("note: the last line is cut off, and left out",)
+
+
 def test_clock_times_go_on_at_midnight(tmp_path) -> None:
     source = LogSource(log(tmp_path, "t,q,tau", "23:59:59.995,1,2", "00:00:00.000,1,2"))
 
@@ -283,7 +293,9 @@ def test_what_was_exported_can_be_estimated(arms, write_bag, estimate, tmp_path)
         (("t,q,tau", "2024-13-01,2,3"), {}, "line 2, column 't': expected a time"),
         (("t,q,tau", "11/14/2023 1:00:00 PM,2,3"), {}, "expected a time.*HH:MM:SS.sss or ISO 8601"),
         (("t,q,tau", "05:30.5,2,3"), {}, "expected a time.*HH:MM:SS.sss or ISO 8601"),
-        (("t,q,tau", "1,2"), {}, "line 2: 2 cells, but column 'tau' is number 3"),
+        (("t,q,tau", "1,2", "2,3,4"), {}, "line 2 ends before column 'tau'"),
+        (("t,q,tau", "99999999999:00:00,2,3"), {}, "line 2, column 't': expected a time"),
+        (("t,q,tau", f"1,0.{'1' * 1000},3"), {}, "line 2: a cell of more than 1,000 characters"),
         (("t,q,tau", "0,005,0,1,1"), {}, "5 cells, but 3 titles: with decimal commas, separate"),
         (("t,q,tau", '0.5,0.1,"1,234"'), {}, "got '1,234': write all with the same decimal sign"),
         (("t;q;tau", "0,5;0,1;1,5", "1,5;0,1;1.234"), {}, "line 3.*got '1.234': write all with"),
@@ -387,6 +399,11 @@ def test_the_unit_of_times_is_found(tmp_path, rate, start, jitter, gap, unit) ->
         assert stamps_of(stated) == pytest.approx(times * 1e9, abs=1e3)
 
 
+@pytest.fixture(scope="module")
+def observer() -> Observer:
+    return Observer("observer", ObserverSettings(), (ArmDesignFile.of(ts.load_design()),))
+
+
 def write_motion(
     folder: Path, header: str, factor: float, torque: Sequence[float], rate: float, noise: float
 ) -> Path:
@@ -409,20 +426,21 @@ def write_motion(
     noise=st.floats(1e-4, 0.06),
 )
 def test_degrees_are_told_from_radians_by_the_arm(
-    tmp_path, estimate, amplitude, offset, frequency, rate, noise
+    tmp_path, observer, amplitude, offset, frequency, rate, noise
 ) -> None:
     """Slow arms, those at rest and those that turn many times are taken as they are."""
-    times = np.arange(int(8 * rate) + 1) / rate
+    times = np.arange(int(min(8 * rate, 2000)) + 1) / rate
     torque = offset + amplitude * np.sin(2 * math.pi * frequency * times)
 
-    def motion(header: str, factor: float) -> LogSource:
-        return LogSource(write_motion(tmp_path, header, factor, torque, rate, noise))
+    def run(header: str, factor: float) -> None:
+        path = write_motion(tmp_path, header, factor, torque, rate, noise)
+        make_runs(LogSource(path), [observer], rate=None, as_live=False)
 
-    estimate(motion("time,angle,torque", 1.0))
+    run("time,angle,torque", 1.0)
     with pytest.raises(LogError, match=r"'angle \[deg\]' or --units angle=deg; if they are rad"):
-        estimate(motion("time,angle,torque", 1 / DEGREE))
+        run("time,angle,torque", 1 / DEGREE)
     for header in ("time,angle [deg],torque", "time,angle [rad],torque"):
-        estimate(motion(header, 1 / DEGREE))
+        run(header, 1 / DEGREE)
 
 
 def test_degrees_and_milliseconds_end_the_command_with_what_to_write(tmp_path, capsys) -> None:

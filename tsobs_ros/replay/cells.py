@@ -19,7 +19,10 @@ from tsobs_ros.errors import LogError
 MAX_LINE = 2**20
 """Largest number of characters in a line: bounds the memory, whatever the file is."""
 
+_MAX_CELL = 1000
+_MAX_COLUMNS = 10_000
 _HEAD_LINES = 100
+_HEAD_CELLS = 1000
 _HEAD_BYTES = 2**16
 
 _FORMATS: Sequence[tuple[bytes, str]] = (
@@ -69,7 +72,7 @@ class TextTable:
         titles: Titles of the columns; their numbers, from 1, if there is no line of titles.
         has_titles: Whether there is one.
         units: Cells of a line of units below the titles, empty strings without.
-        head: The first lines of numbers.
+        cut_off: Whether the last line that was read ends early, as of a logger that was killed.
 
     Raises:
         OSError: The file cannot be read.
@@ -82,11 +85,11 @@ class TextTable:
             self._encoding = _encoding(file.read(_HEAD_BYTES))
         with self._open() as stream:
             lines = list(_first(_lines(stream)))
-        if not any(line.strip() for line in lines):
-            raise LogError("the file is empty")
-        stated = _SEPARATOR_LINE.fullmatch(lines[0])
+        stated = _SEPARATOR_LINE.fullmatch(lines[0]) if lines else None
         self._separator = stated[1] if stated else _separator(lines)
         rows = [row for row in _split(lines, self._separator) if not stated or row[0] > 1]
+        if not rows:
+            raise LogError("the file is empty")
         most = max(map(_excess_of_numbers, rows))
         numbers = (k for k, row in enumerate(rows) if _excess_of_numbers(row) >= min(most, 1))
         begin = next(numbers) if most > -math.inf else len(rows)
@@ -106,39 +109,57 @@ class TextTable:
             last = begin - 1
             self.titles = [str(number + 1) for number in range(width)]
         self.units += [""] * (len(self.titles) - len(self.units))
-        self.head = [row for row in rows[last + 1 :] if not _is_comment(row[1])]
+        if len(self.titles) > _MAX_COLUMNS:
+            raise LogError(f"{len(self.titles):,} columns, more than {_MAX_COLUMNS:,}")
+        self._head = [row for row in rows[last + 1 :] if not _is_comment(row[1])]
         self._last_above = rows[last][0] if last >= 0 else 0
+        self.cut_off = False
 
-    def rows(self) -> Iterator[Row]:
+    def head(self, place: int) -> list[str]:
+        """Return the cells of a column in the first lines, but for those without."""
+        cells = [row[1][place] for row in self._head if place < len(row[1])]
+        return [cell for cell in cells if not is_nothing(cell)]
+
+    def rows(self, places: Sequence[int]) -> Iterator[Row]:
         """Yield the lines of numbers.
+
+        Args:
+            places: Columns whose cells are wanted, in this order, from 0.
 
         Raises:
             OSError: The file cannot be read.
-            LogError: A line is too long, or has more cells than there are titles.
+            LogError: A line or a cell is too long, a line has more cells than there are titles, or
+                one other than the last ends early.
         """
-        width = len(self.titles)
+        width, needed = len(self.titles), max(places) + 1
         with self._open() as stream:
-            try:
-                for row in _split(_lines(stream), self._separator):
-                    line, cells = row
-                    if line <= self._last_above or _is_comment(cells):
-                        continue
-                    if len(cells) > width and any(cells[width:]):
-                        hint = ""
-                        if self._separator == ",":
-                            hint = ": with decimal commas, separate cells by semicolons or tabs"
-                        raise LogError(f"line {line}: {len(cells)} cells, but {width} titles{hint}")
-                    yield row
-            except csv.Error as error:
-                raise LogError(f"cannot split it into cells: {error}") from error
+            rows = _split(_lines(stream), self._separator)
+            for line, cells in rows:
+                if line <= self._last_above or _is_comment(cells):
+                    continue
+                if len(cells) < needed:
+                    self.cut_off = next(rows, None) is None
+                    if self.cut_off:
+                        return
+                    title = self.titles[len(cells)]
+                    raise LogError(f"line {line} ends before column {title!r}")
+                if len(cells) > width and any(cells[width:]):
+                    hint = ""
+                    if self._separator == ",":
+                        hint = ": with decimal commas, separate cells by semicolons or tabs"
+                    raise LogError(f"line {line}: {len(cells)} cells, but {width} titles{hint}")
+                wanted = [cells[place] for place in places]
+                if len(max(wanted, key=len)) > _MAX_CELL:
+                    raise LogError(f"line {line}: a cell of more than {_MAX_CELL:,} characters")
+                yield line, wanted
 
-    def decimal(self, places: Iterable[int]) -> str:
+    def decimal(self, places: Sequence[int]) -> str:
         """Return the decimal sign of some columns, an empty string if the first lines show none."""
-        cells = [row[1][place] for row in self.head for place in places if place < len(row[1])]
-        if any("." in cell and _is_float(cell) for cell in cells):
-            return "."
+        cells = [cell for place in places for cell in self.head(place)]
+        points = sum("." in cell and _is_float(cell) for cell in cells)
         signs = (_COMMA, _GROUPS[","])
-        return "," if any(sign.fullmatch(cell) for sign in signs for cell in cells) else ""
+        commas = sum(any(sign.fullmatch(cell) for sign in signs) for cell in cells)
+        return "," if commas > points else "." if points else ""
 
     def _open(self) -> TextIO:
         # Only titles can have other letters than ASCII that matter.
@@ -221,10 +242,13 @@ def _split(lines: Iterable[str], separator: str) -> Iterator[Row]:
     if separator == " ":
         lines = map(_single_blanks, lines)
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=separator != " ")
-    for cells in reader:
-        row = [cell.strip() for cell in cells]
-        if any(row):
-            yield reader.line_num, row
+    try:
+        for cells in reader:
+            row = [cell.strip() for cell in cells]
+            if any(row):
+                yield reader.line_num, row
+    except csv.Error as error:
+        raise LogError(f"line {reader.line_num}: {error}") from error
 
 
 def _single_blanks(line: str) -> str:
@@ -241,11 +265,13 @@ def _separator(lines: Sequence[str]) -> str:
 
     def numbers(separator: str) -> int:
         try:
-            return sum(sum(map(_is_number, cells)) for _, cells in _split(lines, separator))
-        except csv.Error:
+            return sum(_counts(row)[0] for row in _split(lines, separator))
+        except LogError:
             return 0
 
-    return max(_SEPARATORS, key=lambda one: (numbers(one), lines[0].count(one)))
+    return max(
+        _SEPARATORS, key=lambda one: (numbers(one), sum(line.count(one) for line in lines[:1]))
+    )
 
 
 def _is_float(cell: str) -> bool:
@@ -269,8 +295,8 @@ def _is_comment(cells: Sequence[str]) -> bool:
 
 
 def _counts(row: Row) -> tuple[int, int]:
-    """Return how many cells are numbers, and how many are other text."""
-    there = [cell for cell in row[1] if not is_nothing(cell)]
+    """Return how many of the first cells are numbers, and how many are other text."""
+    there = [cell for cell in row[1][:_HEAD_CELLS] if not is_nothing(cell)]
     numbers = sum(map(_is_number, there))
     return numbers, len(there) - numbers
 

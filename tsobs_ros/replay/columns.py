@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from tsobs_ros.checks import shown
 from tsobs_ros.errors import LogError
-from tsobs_ros.replay.cells import Row
 
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},
@@ -69,24 +68,9 @@ class Column(NamedTuple):
     unit: str
 
 
-def cell_of(row: Row, column: Column) -> str:
-    """Return a line's cell in a column.
-
-    Raises:
-        LogError: The line is too short.
-    """
-    line, cells = row
-    if column.place >= len(cells):
-        raise LogError(
-            f"line {line}: {len(cells)} cells, but column {column.title!r} is number "
-            f"{column.place + 1}"
-        )
-    return cells[column.place]
-
-
-def misread(what: str, row: Row, column: Column) -> LogError:
+def misread(what: str, line: int, column: Column, text: str) -> LogError:
     """Return the error of a cell that is not what was expected."""
-    text, unit = cell_of(row, column), f" in {column.unit}" if column.unit else ""
+    unit = f" in {column.unit}" if column.unit else ""
     hint = ""
     if text[:1] in "[(a":
         hint = ": write one number a cell, as in columns 'position[0]' and 'position[1]'"
@@ -97,7 +81,7 @@ def misread(what: str, row: Row, column: Column) -> LogError:
     elif "," in text or "." in text:
         hint = ": write all with the same decimal sign, and thousands without one"
     return LogError(
-        f"line {row[0]}, column {column.title!r}: expected a {what}{unit}, got {shown(text)}{hint}"
+        f"line {line}, column {column.title!r}: expected a {what}{unit}, got {shown(text)}{hint}"
     )
 
 

@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measurements from an arm's own log: a CSV file of time, angle and torque."""
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from itertools import islice, pairwise
 from pathlib import Path
@@ -21,8 +21,8 @@ from tsobs_ros.checks import Array
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.cells import Row, TextTable, is_nothing, plain_number
-from tsobs_ros.replay.columns import UNITS, Column, Columns, cell_of, is_unit, misread
-from tsobs_ros.replay.source import MEASUREMENTS, SAME_CLOCK, Part, Samples, Source, restarts
+from tsobs_ros.replay.columns import UNITS, Column, Columns, is_unit, misread
+from tsobs_ros.replay.source import MEASUREMENTS, Part, Samples, Source, restarts
 from tsobs_ros.replay.times import LATEST, NO_TIME, TimeReader, check_period
 
 _BLOCK = 4096
@@ -82,7 +82,7 @@ class LogSource(Source):
             self._table = TextTable(path, is_unit)
             self._choose(columns or {}, units or {}, joints, not assume_zero_torque)
             self._survey()
-        except (OSError, csv.Error) as error:
+        except OSError as error:
             raise LogError(f"{path}: cannot read it: {error}") from error
         except LogError as error:
             raise LogError(f"{path}: {error}") from error
@@ -116,10 +116,9 @@ class LogSource(Source):
             for quantity, of in (("angle", angles), ("torque", torques))
             for one in (of[joint] for joint in self.joints if of)
         ]
-        self._decimal = table.decimal(
-            one.place for one in (*time, *angles.values(), *torques.values())
-        )
-        self._time = TimeReader(time, table.head, self._decimal)
+        self._places = [one.place for one in (*time, *(one for one, _ in self._numbers))]
+        self._decimal = table.decimal(self._places)
+        self._time = TimeReader(time, table, self._decimal)
         self.without_unit = {
             quantity: [one.title for one in of.values()]
             for quantity, of in (("angle", angles), ("torque", torques))
@@ -129,36 +128,35 @@ class LogSource(Source):
 
     def _survey(self) -> None:
         """Read the whole log for what must be known before the first line is used."""
-        clock, first = _LogClock(NO_TIME), None
-        spread = -1.0
-        self.count, begin, end, other_clock = 0, 0, 0, 0
+        clock, spread = _LogClock(NO_TIME), -1.0
+        first, newest = LATEST, NO_TIME
+        self.count = 0
         self._sorted: list[_Block] = []
         for block in self._lines():
             self.count += len(block.stamps)
-            times = clock.times(block.stamps)
-            begin, end = begin or int(times[0]), int(times[-1])
-            apart = np.where(block.stamps != NO_TIME, times - block.stamps, SAME_CLOCK)
-            other_clock += int((apart >= SAME_CLOCK).sum())
+            clock.times(block.stamps)
             there = block.stamps[block.stamps != NO_TIME]
-            if len(there):
-                first = int(there.min() if first is None else min(first, there.min()))
+            first, newest = int(there.min(initial=first)), int(there.max(initial=newest))
             if (own := _spread(block.angles)) > spread:
                 spread, self.liveliest = own, block
         if not self.count:
             raise LogError("no lines below the header")
-        first = 1 if first is None else first
+        if newest == NO_TIME:
+            raise LogError(f"no line has a time in column {self._time.title!r}")
         self.moved_by = 0 if first > 0 else NANOSECONDS - first
         self._first = first + self.moved_by
         remarks = [*self.remarks, *clock.remarks(self.count)]
         if clock.shuffled:
             self._sort()
+        if self._table.cut_off:
+            remarks.append("note: the last line is cut off, and left out")
         if self.moved_by:
             shift = f"{self.moved_by / NANOSECONDS:g} s"
             remarks.append(f"note: {shift} was added to all times: 0 means no time")
         self.remarks = tuple(remarks)
-        begin = self._first if clock.shuffled or begin == NO_TIME else begin + self.moved_by
-        self.span = begin, end + self.moved_by
-        self.same_clock = clock.shuffled or 2 * other_clock < self.count
+        self.same_clock = clock.shuffled or not clock.restarts
+        end = newest if self.same_clock else clock.last
+        self.span = self._first, end + self.moved_by
 
     @cached_property
     def samples(self) -> Samples:
@@ -184,32 +182,28 @@ class LogSource(Source):
 
     def _lines(self) -> Iterator[_Block]:
         """Yield the log block by block, as it is."""
-        rows = self._table.rows()
+        rows = self._table.rows(self._places)
         self._time.restart()
-        angles = len(self.joints)
+        times, joints = len(self._places) - len(self._numbers), len(self.joints)
         while block := list(islice(rows, _BLOCK)):
-            stamps = np.array([self._time(row) for row in block], np.int64)
-            values = np.empty((len(block), 2 * angles))
-            values[:, angles:] = 0.0
+            stamps = np.array([self._time(line, cells[:times]) for line, cells in block], np.int64)
+            values = np.zeros((len(block), 2 * joints))
             for place, (column, factor) in enumerate(self._numbers):
-                values[:, place] = self._read(block, column)
+                values[:, place] = self._read(block, times + place, column)
                 values[:, place] *= factor
-            yield _Block(stamps, values[:, :angles], values[:, angles:])
+            yield _Block(stamps, values[:, :joints], values[:, joints:])
 
-    def _read(self, rows: Sequence[Row], column: Column) -> list[float]:
-        try:
-            if self._decimal != ",":
-                return [float(cells[column.place]) for _, cells in rows]
-        except (ValueError, IndexError):
-            pass
-        return [self._number(row, column) for row in rows]
+    def _read(self, rows: Sequence[Row], place: int, column: Column) -> list[float]:
+        if self._decimal != ",":
+            with suppress(ValueError):
+                return [float(cells[place]) for _, cells in rows]
+        return [self._number(line, cells[place], column) for line, cells in rows]
 
-    def _number(self, row: Row, column: Column) -> float:
-        cell = cell_of(row, column)
+    def _number(self, line: int, cell: str, column: Column) -> float:
         try:
             return math.nan if is_nothing(cell) else float(plain_number(cell, self._decimal))
         except ValueError as error:
-            raise misread("number", row, column) from error
+            raise misread("number", line, column, cell) from error
 
     def _part(self, block: _Block, clock: "_LogClock") -> Samples:
         there = block.stamps != NO_TIME
@@ -255,13 +249,14 @@ class _LogClock:
 
     Attributes:
         restarts: How often time has restarted.
+        last: The last log time [ns].
     """
 
     def __init__(self, first: int) -> None:
         self.restarts = 0
         self._equal = self._back = self._late = self._shift = 0
         self._stamp = self._highest = NO_TIME
-        self._last = first - 1
+        self.last = first - 1
 
     def times(self, stamps: Times) -> Times:
         """Return the log times of the next lines.
@@ -281,16 +276,16 @@ class _LogClock:
             if number:
                 self.restarts += 1
                 self._highest = NO_TIME
-                self._shift = self._last + _AFTER_RESTART - int(filled[begin])
+                self._shift = self.last + _AFTER_RESTART - int(filled[begin])
             if begin == end:
                 continue
             part, place = filled[begin:end], np.arange(end - begin)
             highest = np.maximum.accumulate(np.append(self._highest, part))
             self._late += int((part < highest[:-1]).sum())
             self._highest = int(highest[-1])
-            risen = np.maximum(part + self._shift - place, self._last + 1)
+            risen = np.maximum(part + self._shift - place, self.last + 1)
             times[begin:end] = np.maximum.accumulate(risen) + place
-            self._last = int(times[end - 1])
+            self.last = int(times[end - 1])
         self._stamp = int(filled[-1])
         return times
 

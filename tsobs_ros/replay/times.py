@@ -11,8 +11,8 @@ import numpy as np
 
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.replay.cells import Row, is_nothing, plain_number
-from tsobs_ros.replay.columns import ISO, UNITS, Column, cell_of, misread, unit_of
+from tsobs_ros.replay.cells import TextTable, is_nothing, plain_number
+from tsobs_ros.replay.columns import ISO, UNITS, Column, misread, unit_of
 
 NO_TIME = -(2**62)
 """Stamp of a line without a time."""
@@ -38,7 +38,7 @@ class TimeReader:
 
     Args:
         columns: The column of times, or those of seconds and of nanoseconds.
-        head: The first lines of the log.
+        table: The log.
         decimal: Its decimal sign, an empty string if not known.
 
     Attributes:
@@ -50,33 +50,33 @@ class TimeReader:
         LogError: The unit seems to be another than seconds.
     """
 
-    def __init__(self, columns: Sequence[Column], head: Sequence[Row], decimal: str) -> None:
+    def __init__(self, columns: Sequence[Column], table: TextTable, decimal: str) -> None:
         self._decimal, self.guessed = decimal, False
         self.title = columns[0].title
         self.remarks: list[str] = []
-        self._readers = []
-        for column in columns:
-            cells = [row[1][column.place] for row in head if column.place < len(row[1])]
-            self._readers.append(
-                self._reader(column, [one for one in cells if not is_nothing(one)])
-            )
+        self._readers = [self._reader(one, table.head(one.place)) for one in columns]
         self.restart()
 
-    def __call__(self, row: Row) -> int:
-        """Return the stamp of a line [ns], `NO_TIME` if its cell is empty.
+    def __call__(self, line: int, cells: Sequence[str]) -> int:
+        """Return a line's stamp [ns], `NO_TIME` if a cell is empty.
+
+        Args:
+            line: Number of the line.
+            cells: Those of the columns of times.
 
         Raises:
             LogError: It is no time.
         """
         stamp = 0
-        for column, read in self._readers:
-            text = cell_of(row, column)
+        for (column, read), text in zip(self._readers, cells, strict=True):
             if is_nothing(text):
                 return NO_TIME
             try:
                 stamp += read(text)
+                if not abs(stamp) < LATEST:
+                    raise ValueError("beyond what a stamp can hold")
             except (ValueError, ArithmeticError) as error:
-                raise misread("time", row, column) from error
+                raise misread("time", line, column, text) from error
         return stamp
 
     def restart(self) -> None:
