@@ -7,6 +7,7 @@ import fcntl
 import json
 import os
 import platform
+import signal
 import sys
 import tempfile
 import time
@@ -37,7 +38,13 @@ def use_one_thread() -> None:
 
 
 def parser(description: str | None, *, design: bool = True) -> argparse.ArgumentParser:
-    """Return a parser with the options that benchmarks share; `design` for those that use one."""
+    """Return a parser with the options that benchmarks share; `design` for those that use one.
+
+    From here on SIGTERM and SIGHUP end the benchmark as an exception does, with its processes.
+    """
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_DFL:  # under nohup, SIGHUP stays ignored
+            signal.signal(number, lambda number, _: sys.exit(128 + number))
     made = argparse.ArgumentParser(description=(description or "").partition("\n\n")[0])
     made.add_argument("--json", action="store_true", help="print JSON instead of text")
     if design:
@@ -63,6 +70,18 @@ def claim_domain() -> int:
         _claims.append(lock)
         return domain
     sys.exit(f"all ROS domains are taken, see {folder}")
+
+
+def join_ros(domain: int | None = None) -> Any:
+    """Start rclpy in a domain, that of the environment if None, and return it.
+
+    Its signal handlers are left out: under them a loop of one's own goes on after SIGTERM.
+    """
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    return rclpy
 
 
 def design_of(options: argparse.Namespace) -> Design:

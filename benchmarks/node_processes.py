@@ -10,6 +10,7 @@ nothing but have an empty timer spun by rclpy.
 """
 
 import argparse
+import atexit
 import json
 import os
 import re
@@ -22,6 +23,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from common import join_ros
+
 from tsobs_ros.bag.estimate_topics import STATES, TOPICS
 from tsobs_ros.design.file import save_design
 from tsobs_ros.design.record import Design
@@ -33,7 +36,7 @@ _DEPTH = 5000
 
 
 class Process:
-    """A process with its output in a file.
+    """A process with its output in a file; it ends with this one at the latest.
 
     Args:
         name: For people, and the file's name.
@@ -56,9 +59,12 @@ class Process:
             self._process = subprocess.Popen(
                 [sys.executable, *command],
                 env=environment,
+                stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
+                start_new_session=True,  # a terminal's Ctrl-C goes to the benchmark alone
             )
+        atexit.register(self.kill)
 
     @property
     def output(self) -> str:
@@ -101,12 +107,17 @@ class Process:
         self._process.wait()
 
 
-def executable(name: str, parameters: Mapping[str, Any], folder: Path, domain: int) -> Process:
-    """Start one of the package's nodes."""
+def command_of(name: str, parameters: Mapping[str, Any]) -> list[str]:
+    """Return what runs one of the package's nodes, after the Python interpreter."""
     command = ["-m", "tsobs_ros.executables", name, "--ros-args"]
     for key, value in parameters.items():
         command += ["-p", f"{key}:={json.dumps(value)}"]
-    return Process(name, command, folder, domain)
+    return command
+
+
+def executable(name: str, parameters: Mapping[str, Any], folder: Path, domain: int) -> Process:
+    """Start one of the package's nodes."""
+    return Process(name, command_of(name, parameters), folder, domain)
 
 
 def helper(role: str, folder: Path, domain: int, *arguments: object) -> Process:
@@ -148,7 +159,6 @@ def hear(node: Any) -> dict[str, Any]:
 
 
 def _sensor(rate: float, joints: int) -> None:
-    import rclpy
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import JointState
 
@@ -158,8 +168,7 @@ def _sensor(rate: float, joints: int) -> None:
     encode = JointStateEncoder(joint_names(joints))
     run = simulate(SCENARIOS["noise"], list(range(joints)), 20.0)
     angles, torques = run.measurements[:, :, 0].T, run.torques[:, :, 0].T
-    rclpy.init()
-    node = rclpy.create_node("sensor")
+    node = join_ros().create_node("sensor")
     publisher = node.create_publisher(JointState, "joint_measurements", qos_profile_sensor_data)
     while publisher.get_subscription_count() < 1:
         time.sleep(0.05)
@@ -176,15 +185,13 @@ def _sensor(rate: float, joints: int) -> None:
 
 
 def _listener() -> None:
-    import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.qos import QoSProfile
 
     from tsobs_ros.bag.joint_states import JointStateDecoder
     from tsobs_ros.nodes.draining import DrainedSubscription
 
-    rclpy.init()
-    node = rclpy.create_node("listener")
+    node = join_ros().create_node("listener")
     taken, decode = hear(node), JointStateDecoder()
     diagnostics = DrainedSubscription(node, DiagnosticArray, "/diagnostics", QoSProfile(depth=10))
     while not all(each.publisher_count for each in taken.values()):
@@ -212,9 +219,7 @@ def _listener() -> None:
 
 
 def _bare_timer(rate: float) -> None:
-    import rclpy
-
-    rclpy.init()
+    rclpy = join_ros()
     node = rclpy.create_node("bare_timer")
     node.create_timer(1.0 / rate, lambda: None)
     print("started")

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from common import claim_domain, parser, show
+from common import claim_domain, join_ros, parser, show
 
 _SENSOR_RATE = 1000
 _START = 1_700_000_000 * 10**9
@@ -152,10 +152,8 @@ def main() -> None:
     made.add_argument("--rates", type=float, nargs="+", default=[0.5, 1.0, 2.0])
     options = made.parse_args()
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    import rclpy
-
     domain = claim_domain()
-    rclpy.init(args=[], domain_id=domain)
+    rclpy = join_ros(domain)
     with tempfile.TemporaryDirectory() as name:
         rows = [_measure(rate, options.seconds, Path(name), domain) for rate in options.rates]
     rclpy.shutdown()

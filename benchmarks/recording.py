@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from common import claim_domain, parser, show
+from common import claim_domain, join_ros, parser, show
 
 _NAMES = [f"joint_{k}" for k in range(3)]
 _SIZE = 156
@@ -51,11 +51,10 @@ def _encoder() -> Callable[[int, int], bytes]:
 
 
 def _publish(options: argparse.Namespace) -> None:
-    import rclpy
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
-    rclpy.init(args=[])
+    rclpy = join_ros()
     node, encode = rclpy.create_node(f"source_{options.first}"), _encoder()
     topics = range(options.first, options.first + options.topics)
     publishers = [

@@ -1,11 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Do the executables end cleanly on SIGINT and SIGTERM, whenever they come?
+"""Clean ends of the executables on SIGINT, SIGTERM and SIGHUP, at any time.
 
 Starts each executable again and again, alone and in pairs that are stopped together, and signals it
 at a random time: while the interpreter starts, during the imports, while it joins the middleware,
 while it works; often a second time shortly after, while it ends. Clean is exit code 0, without a
-traceback or an error in the output. Every deviation is printed with its output.
+traceback or an error in the output, and with a recorder's bag closed. Every deviation is printed with its output.
 
 A signal that comes before an executable has its handlers in place, in the interpreter's own
 start-up, ends the process as it ends any: such signals are told apart by the process's signal mask
@@ -13,7 +13,6 @@ in /proc just before they are sent, and counted by themselves.
 """
 
 import argparse
-import os
 import random
 import signal
 import statistics
@@ -32,11 +31,14 @@ from queue import SimpleQueue
 from typing import Any
 
 from common import claim_domain, parser, show
+from node_processes import Process, command_of
 from tqdm import tqdm
 
-from tsobs_ros.bag.writer import BagWriter
+from tsobs_ros.bag import BagReader, BagWriter
+from tsobs_ros.errors import BagReadError
 
 EXECUTABLES = ("plant_simulator", "observer", "recorder", "player")
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 # A hang in Fast DDS is ended after 5 s; this is for one that is not.
 STOP_TIMEOUT = 30.0
 BAD_OUTPUT = ("Traceback", "\nerror", "[ERROR]", "[FATAL]")
@@ -70,7 +72,7 @@ class Stop:
         return self.exit_code == 0 and not any(bad in f"\n{self.output}" for bad in BAD_OUTPUT)
 
 
-class Process:
+class SignalledProcess(Process):
     """One executable as a child process.
 
     Args:
@@ -81,28 +83,8 @@ class Process:
     """
 
     def __init__(self, name: str, parameters: dict[str, Any], domain: int, folder: Path) -> None:
-        self.name = name
-        command = [sys.executable, "-m", "tsobs_ros.executables", name, "--ros-args"]
-        for key, value in parameters.items():
-            command += ["-p", f"{key}:={value}"]
-        environment = {
-            **os.environ,
-            "PYTHONUNBUFFERED": "1",
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_DOMAIN_ID": str(domain),
-            "ROS_LOG_DIR": str(folder),
-        }
-        self._log = folder / f"{name}.log"
         self.began = time.monotonic()
-        with self._log.open("wb") as output:
-            self._process = subprocess.Popen(
-                command,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
-            )
+        super().__init__(name, command_of(name, parameters), folder, domain)
 
     @property
     def running(self) -> bool:
@@ -126,17 +108,16 @@ class Process:
         try:
             self._process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-        return self._process.returncode, self._log.read_text(encoding="utf-8", errors="replace")
+            self.kill()
+        return self._process.returncode, self.output
 
 
 def parameters_of(name: str, folder: Path, bag: Path) -> dict[str, Any]:
     """Return what an executable needs to work until it is stopped."""
     if name == "recorder":
-        return {"output": folder / "bag", "flush_period": 0.1}
+        return {"output": str(folder / "bag"), "flush_period": 0.1}
     if name == "player":
-        return {"bag": bag, "loop": "true", "wait_for_subscribers": 0}
+        return {"bag": str(bag), "loop": True, "wait_for_subscribers": 0}
     return {}
 
 
@@ -144,15 +125,17 @@ def stop_once(
     names: Sequence[str], chance: random.Random, until: float, bag: Path, domain: int
 ) -> list[Stop]:
     """Start executables, signal them together at a random time, and see how they end."""
-    number = chance.choice([signal.SIGINT, signal.SIGTERM])
+    number = chance.choice(SIGNALS)
     after = chance.uniform(0.0, until)
     again = [
-        (chance.expovariate(1 / 0.15), chance.choice([signal.SIGINT, signal.SIGTERM]))
+        (chance.expovariate(1 / 0.15), chance.choice(SIGNALS))
         for _ in range(chance.choice([0, 0, 1, 2]))
     ]
     with tempfile.TemporaryDirectory(prefix="tsobs_signals_") as name:
         folder = Path(name)
-        processes = [Process(n, parameters_of(n, folder, bag), domain, folder) for n in names]
+        processes = [
+            SignalledProcess(n, parameters_of(n, folder, bag), domain, folder) for n in names
+        ]
         time.sleep(after)
         early = [process.running and not process.listens for process in processes]
         signalled = time.monotonic()
@@ -171,6 +154,8 @@ def stop_once(
         stops = []
         for index, process in enumerate(processes):
             exit_code, output = process.finish(signalled + STOP_TIMEOUT)
+            if process.name == "recorder":
+                output += unfinished(folder / "bag")
             others = [other for other in names if other != process.name]
             stops.append(
                 Stop(
@@ -186,10 +171,22 @@ def stop_once(
     return stops
 
 
+def unfinished(bag: Path) -> str:
+    """Return what is wrong with the bag of a recorder, if it has made one."""
+    try:
+        if bag.exists():
+            BagReader(bag)
+    except BagReadError as error:
+        return f"\nerror: {error}"
+    return ""
+
+
 def window(name: str, bag: Path, domain: int) -> float:
     """Return how long a signal would still kill an executable that was just started [s]."""
     with tempfile.TemporaryDirectory(prefix="tsobs_signals_") as folder:
-        process = Process(name, parameters_of(name, Path(folder), bag), domain, Path(folder))
+        process = SignalledProcess(
+            name, parameters_of(name, Path(folder), bag), domain, Path(folder)
+        )
         while not process.listens:
             time.sleep(0.0005)
         took = time.monotonic() - process.began
@@ -277,6 +274,9 @@ def main() -> int:
         1 if any process ended otherwise than it should, else 0.
     """
     options = arguments()
+    for number in SIGNALS:  # children inherit what a job in the background or nohup ignores
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, signal.SIG_DFL)
     names = [name for name in options.only if find_spec(f"tsobs_ros.nodes.{name}")]
     kinds = [((name,), options.stops) for name in names]
     if len(names) > 1:

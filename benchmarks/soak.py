@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from common import claim_domain, design_of, parser, show
+from common import claim_domain, design_of, join_ros, parser, show
 from node_processes import Process, design_for, executable, hear
 
 _JOINT = "elastic_joint"
@@ -45,14 +45,12 @@ class _Monitor:
     """Reads what the observer says of itself, and hears all else that it publishes."""
 
     def __init__(self, domain: int) -> None:
-        import rclpy
         from diagnostic_msgs.msg import DiagnosticArray
 
         # The process that measures must be found where the others are, and nowhere else.
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-        rclpy.init(args=[], domain_id=domain)
-        self._rclpy = rclpy
-        self._node = rclpy.create_node("soak")
+        self._rclpy = join_ros(domain)
+        self._node = self._rclpy.create_node("soak")
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 10)
         self.values: dict[str, str] = {}
         self._heard = hear(self._node)
@@ -155,7 +153,6 @@ def _sensor(rate: float, share: float) -> None:
     from dataclasses import replace
 
     import numpy as np
-    import rclpy
     from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import JointState
 
@@ -163,8 +160,7 @@ def _sensor(rate: float, share: float) -> None:
     from tsobs_ros.simulation.plant import Plant
     from tsobs_ros.simulation.scenarios import SCENARIOS
 
-    rclpy.init()
-    node = rclpy.create_node("sensor")
+    node = join_ros().create_node("sensor")
     publisher = node.create_publisher(JointState, "joint_measurements", qos_profile_sensor_data)
     while publisher.get_subscription_count() < 1:
         time.sleep(0.05)

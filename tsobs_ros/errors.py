@@ -82,14 +82,23 @@ class InterruptionError(NodeError):
     """A signal came before a node had started; the process ends cleanly."""
 
 
-def printable(text: str) -> str:
+def printable(text: str, newline: str = r"\n") -> str:
     """Return a text with everything escaped that a terminal would obey instead of showing it.
 
-    What is said of bags and files repeats names that are in them, and those may be anything.
+    Names in bags, messages and files may be anything, and messages to the user repeat them.
+
+    Args:
+        text: The text.
+        newline: What to put between lines; by default they are escaped too, as in a name.
+
+    >>> print(printable("joint\\x1b[2J\\nb"))
+    joint\\x1b[2J\\nb
     """
-    return "".join(
-        c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in text
+    lines = (
+        "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+        for line in text.split("\n")
     )
+    return newline.join(lines)
 
 
 def missing_library(name: str | None) -> str | None:

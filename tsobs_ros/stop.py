@@ -28,6 +28,12 @@ def end_at_once() -> None:
         signal.signal(number, lambda _number, _frame: os._exit(0))
 
 
+def interrupt() -> None:
+    """Let the signals raise KeyboardInterrupt, as SIGINT does by itself."""
+    for number in _SIGNALS:
+        signal.signal(number, signal.default_int_handler)
+
+
 def signal_came() -> bool:
     """Say whether a signal came to a flag that has caught them."""
     return StopFlag.last is not None and StopFlag.last()

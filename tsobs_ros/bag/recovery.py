@@ -27,7 +27,7 @@ from tsobs_ros.bag.metadata import (
     read_metadata,
 )
 from tsobs_ros.bag.writer import LIBRARY, BagWriter
-from tsobs_ros.errors import BagReadError, BagWriteError
+from tsobs_ros.errors import BagReadError, BagWriteError, printable
 
 Progress = Callable[[int], object]
 Keep = Callable[[str, bytes, int, int], object]
@@ -203,7 +203,8 @@ class Recovery:
             verdict = f"{self.unchecked} UNCHECKED, damage in them is not noticed"
         else:
             verdict = "nothing known to be lost"
-        return "\n".join([*lines, f"{self.message_count} messages in {self.output}: {verdict}"])
+        lines.append(f"{self.message_count} messages in {self.output}: {verdict}")
+        return "\n".join(map(printable, lines))
 
 
 class _File:

@@ -19,7 +19,7 @@ from tsobs_ros.bag.container import MAX_SIZE, RECORD, Summary
 from tsobs_ros.bag.metadata import BagMetadata, QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.recovery import DamagedBag
-from tsobs_ros.errors import BagReadError
+from tsobs_ros.errors import BagReadError, printable
 
 _INDEX_HEAD_SIZE = 6
 """Bytes of a message index before its entries: the channel and their size."""
@@ -119,9 +119,10 @@ class BagSummary:
     def text(self) -> str:
         """Return text in the manner of `ros2 bag info`."""
         lines = [f"NOT FINISHED: {self.problem}"] if self.problem else []
-        files = [f"{f.name} ({_bytes(f.size)}, {f.messages} messages)" for f in self.files]
+        for place, file in enumerate(self.files):
+            what = f"{file.name} ({_bytes(file.size)}, {file.messages} messages)"
+            lines.append(f"{'' if place else 'Files:':14}{what}")
         lines += [
-            f"Files:        {f'{chr(10)}              '.join(files)}",
             f"Bag size:     {_bytes(self.size)}",
             "Storage id:   mcap",
             f"ROS distro:   {self.ros_distro or 'unknown'}",
@@ -136,7 +137,7 @@ class BagSummary:
                 f"Topic:        {topic.name} | {topic.type} | {topic.count} messages | "
                 f"cdr | {_qos(topic.qos_profiles)}{self._pace(topic)}"
             )
-        return "\n".join(lines)
+        return "\n".join(map(printable, lines))
 
     def _pace(self, topic: TopicInfo) -> str:
         rate = self.rate(topic) if topic.count > 1 else None

@@ -42,7 +42,7 @@ from tsobs_ros.bag.metadata import (
     profiles_from_yaml,
     read_metadata,
 )
-from tsobs_ros.errors import BagReadError, MessageError
+from tsobs_ros.errors import BagReadError, MessageError, printable
 from tsobs_ros.yaml_files import load_yaml
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
@@ -109,7 +109,7 @@ class Verification:
         lines += [f"remark: {finding}" for finding in self.remarks]
         verdict = "OK" if self.holds else f"NOT sound, {_number(len(self.errors), 'error')}"
         count = f"{_number(self.messages, 'message')} in {_number(self.files, 'file')}"
-        return "\n".join([*lines, f"{self.path}: {verdict}, {count}"])
+        return "\n".join(map(printable, [*lines, f"{self.path}: {verdict}, {count}"]))
 
 
 def verify(bag: str | Path, progress: Callable[[int], object] = lambda _: None) -> Verification:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, TypeAlias
 
-from tsobs_ros.errors import printable
+from tsobs_ros.errors import DesignError, printable
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 """Where a command adds its parser."""
@@ -34,12 +34,16 @@ def positive(text: str) -> float:
 
 def show(mapping: dict[str, Any], text: str, as_json: bool) -> None:
     """Print a result, as JSON or as text."""
-    print(json.dumps(_plain(mapping), indent=2, allow_nan=False) if as_json else printable(text))
+    if as_json:
+        text = json.dumps(_plain(mapping), indent=2, allow_nan=False).replace("\x7f", r"\u007f")
+    print(printable(text, newline="\n"), flush=True)
 
 
 def complain(problem: object) -> None:
-    """Print what is wrong, to stderr."""
-    print(f"error: {printable(str(problem))}", file=sys.stderr)
+    """Print what is wrong, to stderr; only what is wrong with a design has several lines."""
+    text = printable(str(problem), newline="\n" if isinstance(problem, DesignError) else " ")
+    with suppress(OSError):  # the terminal has gone
+        print(f"error: {text}", file=sys.stderr)
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from tsobs_ros.cli.common import Commands, add_json, positive
 from tsobs_ros.cli.report import report_on
 from tsobs_ros.errors import NodeError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.stop import StopFlag, signal_came
 
 RECORDED_TOPICS = (
     "/joint_measurements",
@@ -123,7 +124,8 @@ def _record(
         stack.callback(process.stop)
         return process
 
-    with ExitStack() as stack:
+    # The flag outlasts the stack: no signal interrupts the end of the nodes.
+    with StopFlag(), ExitStack() as stack:
         topics = "[" + ", ".join(RECORDED_TOPICS + ADAPTIVE_TOPICS) + "]"
         observer = start("observer", {"design": options.design.resolve()})
         recorder = start("recorder", {"output": bag.resolve(), "topics": topics})
@@ -169,7 +171,13 @@ def _record(
         for process in (recorder, observer, plant):
             process.stop()
             process.require_success()
+        _leave_if_signalled()
     return bag
+
+
+def _leave_if_signalled() -> None:
+    if signal_came():
+        raise KeyboardInterrupt
 
 
 class _NodeProcess:
@@ -245,6 +253,7 @@ def _until(
     """Wait while the needed processes run; `show_progress` is called with the seconds waited."""
     begin = time.monotonic()
     while not done():
+        _leave_if_signalled()
         for process in needed:
             process.require_running()
         elapsed = time.monotonic() - begin

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tsobs_ros.cli.common import Commands, add_json, complain, positive, progress, show
-from tsobs_ros.errors import BagWriteError
+from tsobs_ros.errors import BagWriteError, printable
 
 if TYPE_CHECKING:
     from tsobs_ros.methods import ObserverSettings
@@ -240,7 +240,7 @@ def _result(
     lines += [] if agreement is None else [agreement.text()]
     if len(runs) == 1:
         lines += list_events(runs[0].events(), begin)
-    lines += ["", render_comparison(errors)] if errors else []
+    lines += ["", *render_comparison(errors).split("\n")] if errors else []
     lines += [] if output is None else [f"wrote {output}"]
     mapping = {
         "source": str(source.path),
@@ -268,4 +268,4 @@ def _result(
         "remarks": list(remarks),
         "damage": None if source.damage is None else str(source.damage),
     }
-    return mapping, "\n".join(lines)
+    return mapping, "\n".join(map(printable, lines))

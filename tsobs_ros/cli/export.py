@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from tsobs_ros.cli.common import Commands, add_json, complain, show
+from tsobs_ros.errors import printable
 
 
 def add_parser(commands: Commands) -> None:
@@ -38,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
         ],
         "damage": sorted(damages),
     }
-    show(mapping, "\n".join(lines) or f"{options.bag}: no messages", options.json)
+    show(mapping, "\n".join(map(printable, lines)) or f"{options.bag}: no messages", options.json)
     for damage in sorted(damages):
         complain(f"{damage}; exported up to there")
     return 1 if damages else 0

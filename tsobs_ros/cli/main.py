@@ -7,15 +7,16 @@ Exit codes: 0 done, 1 it failed or was interrupted (stderr says why), 2 wrong us
 
 import argparse
 import os
-import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from tsobs_ros import __version__
 from tsobs_ros.cli import bag, compare, demo, design, estimate, export, paper, report, verify
 from tsobs_ros.cli.common import complain
 from tsobs_ros.errors import TsobsError, missing_library
+from tsobs_ros.stop import interrupt
 
 _COMMANDS = (demo, design, verify, estimate, compare, export, report, bag, paper)
 """In the order in which the help lists them."""
@@ -26,8 +27,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(argv)
     command: Callable[[argparse.Namespace], int] = options.command
     if threading.current_thread() is threading.main_thread():
-        # As Ctrl-C: what was started, nodes of the demo above all, is ended in order.
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        interrupt()
     try:
         return command(options)
     except TsobsError as error:
@@ -38,10 +38,15 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         complain(advice)
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-    except BrokenPipeError:
-        # The reader of our output has gone; flushing at exit would fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        with suppress(OSError):  # the terminal has gone
+            print("interrupted", file=sys.stderr)
+    except OSError as error:
+        if not isinstance(error, BrokenPipeError):  # the reader of our output has gone
+            complain(error)
+        try:
+            sys.stdout.flush()
+        except OSError:  # it would fail again at exit
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 1
 
 

@@ -314,7 +314,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 self._failure = self._failure or error
             else:
                 reason = str(error) if expected else traceback.format_exc()
-                self.get_logger().error(printable(f"cannot {what}: {reason}"))
+                newline = " " if expected else "\n"
+                self.get_logger().error(printable(f"cannot {what}: {reason}", newline))
             return TransitionCallbackReturn.FAILURE if expected else TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
 

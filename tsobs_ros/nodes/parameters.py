@@ -43,7 +43,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from tsobs_ros.errors import ModelError, ParameterError
+from tsobs_ros.errors import ModelError, ParameterError, printable
 
 T = TypeVar("T")
 P = TypeVar("P")
@@ -222,8 +222,8 @@ class ParameterBinding(Generic[P]):
             _declare(node, entry, self._values[name])
         if unknown := sorted(given.keys() - self._entries.keys()):
             listed = ", ".join(_with_suggestion(name, self._entries) for name in unknown)
-            node.get_logger().warning(f"ignored unknown parameters: {listed}")
-        node.get_logger().debug(f"parameters: {self._listed()}")
+            node.get_logger().warning(printable(f"ignored unknown parameters: {listed}"))
+        node.get_logger().debug(printable(f"parameters: {self._listed()}"))
         node.add_pre_set_parameters_callback(self._convert_proposal)
         node.add_on_set_parameters_callback(self._check_proposal)
         node.add_post_set_parameters_callback(self._take_over)

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""A process with nodes that ends cleanly: by Ctrl-C, SIGTERM, a finished node or an error.
+"""A process with nodes that ends cleanly: by a signal, a finished node or an error.
 
 `run(create)` initialises rclpy, spins what `create` returns on a single-threaded executor, and
 tears everything down in order. Nodes are ordinary rclpy nodes with three optional members:
@@ -27,6 +27,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Protocol
 
 import rclpy
@@ -72,8 +73,8 @@ def run(
         create: Makes the node, or several that share the executor, on the default context. Nodes
             are closed and destroyed in the order given.
         args: Command line including the program's name; `sys.argv` if None.
-        stop: Returns whether to end; called before every wait of at most 0.2 s. If None, SIGINT and
-            SIGTERM are caught here, which only the main thread may do.
+        stop: Returns whether to end; called before every wait of at most 0.2 s. If None, the
+            signals of `StopFlag` are caught here, which only the main thread may do.
 
     Returns:
         The process's exit code.
@@ -110,8 +111,7 @@ def limit_time_left(seconds: float) -> None:
     thousand processes when two nodes stop together) and holds the GIL, so that no Python code runs.
     The default action of a signal needs none; the process then ends by signal 14.
     """
-    sys.stdout.flush()
-    sys.stderr.flush()  # a forced end runs no exit handlers
+    _flush()  # a forced end runs no exit handlers
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGALRM])
@@ -124,8 +124,7 @@ def leave_compiler_behind(exit_code: int) -> None:
     It would crash in a library that is being unloaded under it.
     """
     if any(thread.name == COMPILER for thread in threading.enumerate()):
-        sys.stdout.flush()
-        sys.stderr.flush()
+        _flush()
         os._exit(exit_code)
 
 
@@ -201,7 +200,8 @@ def _call_all(nodes: Sequence[RunnableNode], name: str, exit_code: int) -> int:
         except TsobsError as error:
             exit_code = _report(str(error))
         except Exception:  # a bug
-            traceback.print_exc()
+            with suppress(OSError):
+                traceback.print_exc()
             exit_code = 1
     return exit_code
 
@@ -219,5 +219,13 @@ def _without_source_lines(message: str) -> str:
 
 
 def _report(message: str) -> int:
-    print(f"error: {printable(' '.join(message.split()))}", file=sys.stderr, flush=True)
+    with suppress(OSError):
+        print(f"error: {printable(' '.join(message.split()))}", file=sys.stderr, flush=True)
     return 1
+
+
+def _flush() -> None:
+    """Flush what was printed; a terminal that has gone must not stop the end of the nodes."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from tsobs_ros.design.file import ArmDesignFile
-from tsobs_ros.errors import TsobsError, missing_library
+from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.replay.designs import choose_designs
 from tsobs_ros.replay.health import EventFinder, Health, JointEvent, list_events, map_events, sum_up
 from tsobs_ros.report.comparison import (
@@ -60,13 +60,13 @@ class BagReport:
         """Return the report for a terminal."""
         table = render_metrics(self.metrics, self.comparison)
         what = f"{self.joint}, design {self.design.name} ({self.design.identity})"
-        parts = [f"{self.bag}: {what}\n{table}"]
+        parts = [f"{printable(f'{self.bag}: {what}')}\n{table}"]
         if self.health is not None:
             events = list_events(self.events, self.begin)
-            parts.append("\n".join([*self.health.lines(), *events]))
+            parts.append("\n".join(map(printable, [*self.health.lines(), *events])))
         if self.remarks:
-            parts.append("\n".join(remark for remark in self.remarks))
-        parts.append("\n".join(f"wrote {path}" for path in self.files))
+            parts.append("\n".join(map(printable, self.remarks)))
+        parts.append("\n".join(printable(f"wrote {path}") for path in self.files))
         return "\n\n".join(parts)
 
     def as_mapping(self) -> dict[str, Any]:

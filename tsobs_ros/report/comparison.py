@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag.joint_series import JointSeries
 from tsobs_ros.design.record import Design
+from tsobs_ros.errors import printable
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
@@ -248,7 +249,7 @@ def render_comparison(rows: Sequence[ObserverErrors]) -> str:
     joints = list(dict.fromkeys(row.joint for row in rows))
     for joint in joints:
         own = [row for row in rows if row.joint == joint]
-        title = [joint] if len(joints) > 1 else []
+        title = [printable(joint)] if len(joints) > 1 else []
         parts.append("\n".join([*title, *_aligned(_cells(own)), "", _note(own)]))
     return "\n\n".join(parts)
 

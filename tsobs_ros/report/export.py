@@ -9,13 +9,15 @@ is a Vector3 in rad/s. A field that is not listed has no unit.
 """
 
 import csv
+import hashlib
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import quote
 
 from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecoder
@@ -27,7 +29,9 @@ FORMATS = ("csv", "parquet")
 _BLOCK = 16_384
 _MAX_INT64 = 2**63 - 1
 # A spreadsheet takes text with such a first character for a formula.
-_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+# Characters of a topic that becomes a path, of a file's name, and of the start of a shortened one.
+_MAX_TOPIC, _MAX_NAME, _MAX_START = 1000, 240, 100
 
 MAX_COLUMNS = 64
 """Arrays that are ever longer stay in one column, as lists."""
@@ -319,7 +323,7 @@ def export_bag(
 
     Raises:
         BagReadError: The bag cannot be read, has no such topic, or a topic cannot be decoded.
-        ExportError: A file exists already or cannot be written, or a topic's name is no file's.
+        ExportError: A file exists already or cannot be written.
         ModuleNotFoundError: Parquet is asked for, but pyarrow is not installed.
     """
     reader = BagReader(bag)
@@ -347,20 +351,25 @@ def export_bag(
 
 def _file_of(topic: str, output: Path, format: str) -> Path:
     """Return a topic's file, which is below the folder whatever the topic's name is."""
-    parts = topic.removeprefix("/").split("/")
-    if not topic.isprintable() or not {"", ".", ".."}.isdisjoint(parts):
-        raise ExportError(f"topic {topic!r}: there is no file of such a name")
+    names = topic.removeprefix("/").split("/") if len(topic) <= _MAX_TOPIC else [topic]
+    parts = list(map(_file_name, names))
     return output.joinpath(*parts[:-1], f"{parts[-1]}.{format}")
+
+
+def _file_name(name: str) -> str:
+    """Return a part of a topic's name for a file: as it is if ROS allows it, else encoded."""
+    encoded = quote(name, safe="", errors="surrogatepass").replace(".", "%2E") or "%"
+    if len(encoded) <= _MAX_NAME:
+        return encoded
+    return f"{encoded[:_MAX_START]}~{hashlib.sha256(encoded.encode()).hexdigest()[:16]}"
 
 
 def _write_csv(table: Table, path: Path) -> None:
     with path.open("x", encoding="utf-8", newline="") as stream:
         plain = csv.writer(stream, lineterminator="\n")
         quoted = csv.writer(stream, lineterminator="\n", quoting=csv.QUOTE_ALL)
-        plain.writerow(
-            [f"{one.name} [{one.unit}]" if one.unit else one.name for one in table.columns]
-        )
-        for row in table.rows():
+        heads = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in table.columns]
+        for row in chain([heads], table.rows()):
             cells = [_csv_cell(value) for value in row]
             # The csv module leaves a lone carriage return unquoted, which ends a line for readers.
             broken = any(isinstance(cell, str) and "\r" in cell for cell in cells)

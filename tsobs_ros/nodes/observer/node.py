@@ -17,6 +17,7 @@ from std_srvs.srv import SetBool
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.checks import Array
 from tsobs_ros.design.published import record_text
+from tsobs_ros.errors import printable
 from tsobs_ros.estimation.events import Condition, Event
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.history import REASONS
@@ -224,7 +225,7 @@ class Observer(ManagedNode[ObserverParameters]):
         # With a torque that no drive can have the angle is used all the same.
         what = "torque" if reason is RejectReason.IMPLAUSIBLE_TORQUE else "measurement"
         self.get_logger().warning(
-            f"{what} of {joint.name} rejected: {reason.value} "
+            f"{what} of {printable(joint.name)} rejected: {reason.value} "
             f"({self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f})"
         )
 
@@ -261,7 +262,7 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _log(self, joint: ObservedJoint, events: Sequence[Event]) -> None:
         for event in events:
-            text = f"{joint.name}: {event.text}"
+            text = printable(f"{joint.name}: {event.text}")
             # rclpy wants a line of code for each severity.
             if event.level is Level.OK:
                 self.get_logger().info(text)
@@ -344,7 +345,8 @@ class Observer(ManagedNode[ObserverParameters]):
         by_path = {joint.loaded.name: joint.loaded for joint in self._joints}
         for path, loaded in by_path.items():
             names = ", ".join(each.name for each in self._joints if each.loaded.name == path)
-            self.get_logger().info(f"{names}: design {path} ({loaded.identity}): certificate holds")
+            text = f"{names}: design {path} ({loaded.identity}): certificate holds"
+            self.get_logger().info(printable(text))
         method = self.parameters.method
         if method in WARNINGS:
             self.get_logger().warning(WARNINGS[method])

@@ -95,7 +95,7 @@ class Player(ManagedNode[PlayerParameters]):
         self._offer_services()
         self.ticker = self._pacer = Pacer(self, self._play)
         self.get_logger().info(
-            f"opened {reader.path}: {sum(topic.count for topic in selected)} messages of "
+            f"opened {printable(str(reader.path))}: {sum(t.count for t in selected)} messages of "
             f"{len(selected)} topics, {self._length * 1e-9:.3f} s"
         )
 
@@ -328,7 +328,7 @@ class Player(ManagedNode[PlayerParameters]):
 
     def _warn(self, text: str) -> None:
         """Log a warning, whatever names from the bag are in it."""
-        self.get_logger().warning(printable(text))
+        self.get_logger().warning(printable(text, newline=" "))
 
 
 def create(**node_kwargs: Any) -> Player:

@@ -83,7 +83,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.ticker = Ticker(self, parameters.drain_period, self._tick, executor_clock=steady)
         self.ticker.start()
-        self.get_logger().info(f"recording to {path}")
+        self.get_logger().info(printable(f"recording to {path}"))
 
     def activate(self) -> None:
         """Record what arrives from here on."""
@@ -219,7 +219,7 @@ class Recorder(ManagedNode[RecorderParameters]):
     def _look_for_topics(self) -> None:
         for topic in self._finder.poll():
             self._recording.add_topic(topic.name, topic.definition, topic.offers)
-            self.get_logger().info(f"recording {topic.name} [{topic.definition.type}]")
+            self.get_logger().info(printable(f"recording {topic.name} [{topic.definition.type}]"))
 
     def _drain(self) -> None:
         if self.active and not self._paused:
@@ -285,7 +285,7 @@ class Recorder(ManagedNode[RecorderParameters]):
         self._diagnostics.publish(statuses(state))
 
     def _warn(self, text: str) -> None:
-        self.get_logger().warning(printable(text))
+        self.get_logger().warning(printable(text, newline=" "))
 
 
 def create(**node_kwargs: Any) -> Recorder:
