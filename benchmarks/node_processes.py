@@ -35,6 +35,14 @@ _DRAIN_PERIOD = 0.05
 _DEPTH = 5000
 
 
+@atexit.register
+def _kill_children() -> None:
+    """Leave no process behind, not even one whose start a signal has interrupted."""
+    for task in Path("/proc/self/task").iterdir():
+        for child in (task / "children").read_text(encoding="ascii").split():
+            os.kill(int(child), signal.SIGKILL)
+
+
 class Process:
     """A process with its output in a file; it ends with this one at the latest.
 
@@ -64,7 +72,6 @@ class Process:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,  # a terminal's Ctrl-C goes to the benchmark alone
             )
-        atexit.register(self.kill)
 
     @property
     def output(self) -> str:

@@ -5,7 +5,8 @@
 Starts each executable again and again, alone and in pairs that are stopped together, and signals it
 at a random time: while the interpreter starts, during the imports, while it joins the middleware,
 while it works; often a second time shortly after, while it ends. Clean is exit code 0, without a
-traceback or an error in the output, and with a recorder's bag closed. Every deviation is printed with its output.
+traceback or an error in the output, and with a recorder's bag closed. Every
+deviation is printed with its output.
 
 A signal that comes before an executable has its handlers in place, in the interpreter's own
 start-up, ends the process as it ends any: such signals are told apart by the process's signal mask

@@ -84,6 +84,23 @@ def benchmark() -> Callable[[str], ModuleType]:
 
 
 @pytest.fixture(scope="session")
+def hostile() -> str:
+    """A name that commands a terminal: escapes, other controls, lines of its own, a mirror."""
+    return "x\x1b[2J\x9b1m\u202e\u2066\a\b\x7f\r\nFORGED:\u2028\u2029\t\x85\0y"
+
+
+@pytest.fixture(scope="session")
+def check_shown() -> Callable[[str], None]:
+    """Checks that printed text has no command of a hostile name, and no line of it."""
+
+    def check(printed: str) -> None:
+        assert {c for c in printed if not c.isprintable()} <= {"\n"}
+        assert not any(line.lstrip().startswith("FORGED") for line in printed.splitlines())
+
+    return check
+
+
+@pytest.fixture(scope="session")
 def runge_kutta() -> Callable[[Callable[[Any], Any], Any, float], Any]:
     """Moves a state, or a batch, by one classical step of order four."""
 

@@ -3,12 +3,14 @@
 """`tsobs bag`: info, verify and recover, for people and for programs."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.cli.main import main
 
 STRING = "std_msgs/msg/String"
@@ -145,23 +147,52 @@ def test_wrong_usage_is_told(arguments: list[str], capsys: Captured) -> None:
     assert "usage: tsobs bag" in capsys.readouterr().err
 
 
-def test_names_in_a_bag_do_not_command_the_terminal(tmp_path: Path, capfd) -> None:
-    path = tmp_path / "hostile.mcap"
-    clear = "\x1b[2J"
+@pytest.fixture
+def hostile_bag(tmp_path: Path, hostile: str) -> Path:
+    """A file whose topics, types, definitions, hashes, joints and notes are hostile names."""
+    path = tmp_path / f"{hostile.replace(chr(0), '')}.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
-        writer.start(profile="ros2", library="")
-        schema = writer.register_schema(f"p/msg/{clear}", "ros2msg", f"string {clear}".encode())
-        metadata = {"offered_qos_profiles": "", "topic_type_hash": clear}
-        channel = writer.register_channel(f"/{clear}", "cdr", schema, metadata)
+        writer.start(profile="ros2", library=hostile)
+        metadata = {"offered_qos_profiles": "", "topic_type_hash": hostile}
+        schema = writer.register_schema(f"p/msg/{hostile}", "ros2msg", f"string {hostile}".encode())
+        channel = writer.register_channel(f"/{hostile}", "cdr", schema, metadata)
         writer.add_message(channel, 1, HELLO, 1)
+        schema = writer.register_schema(JOINT_STATE, "ros2msg", b"")
+        channel = writer.register_channel("/joint_measurements", "cdr", schema, {})
+        encode = JointStateEncoder([hostile])
+        for stamp in range(10**9, 2 * 10**9, 5_000_000):
+            writer.add_message(channel, stamp, encode(stamp, [0.1], (), [0.0]), stamp)
         writer.finish()
+    return path
 
-    assert main(["bag", "info", str(path)]) == 0
-    assert main(["bag", "verify", str(path)]) == 1
-    assert main(["export", str(path), "--output", str(tmp_path / "tables")]) == 1
+
+@pytest.mark.parametrize(
+    ("command", "exit_code"),
+    [
+        ("bag info", 0),
+        ("bag info --json", 0),
+        ("bag verify", 1),
+        ("bag recover --output OUT", 0),
+        ("export --output OUT", 1),
+        ("export --topic /none --output OUT", 1),
+        ("estimate --output OUT", 0),
+        ("estimate --joints nobody --output OUT", 1),
+        ("compare --method certified ekf", 0),
+        ("report --output OUT", 1),
+    ],
+)
+def test_names_in_a_bag_do_not_command_the_terminal(
+    hostile_bag: Path, check_shown: Callable[[str], None], capfd, command: str, exit_code: int
+) -> None:
+    words = command.split()
+    place = 2 if words[0] == "bag" else 1
+    output = str(hostile_bag.parent / "out")
+    arguments = [output if word == "OUT" else word for word in words]
+
+    assert main([*arguments[:place], str(hostile_bag), *arguments[place:]]) == exit_code
 
     told = capfd.readouterr()
-    assert r"/\x1b[2J" in told.out
-    assert r"\x1b[2J" in told.err
-    assert "\x1b" not in told.out + told.err
+    check_shown(told.out + told.err)
+    assert r"\x1b[2J" in told.out + told.err or r"\u001b[2J" in told.out
+    assert len(told.err.splitlines()) <= 1

@@ -128,15 +128,23 @@ def test_a_node_that_fails_fails_the_demo_with_its_reason(demo: Demo, tmp_path: 
     assert running(output) == []
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_nodes_and_closes_the_bag(
-    demo: Demo, tmp_path: Path, how: signal.Signals
+@pytest.mark.parametrize(
+    "how",
+    [
+        [signal.SIGINT],
+        [signal.SIGTERM, signal.SIGINT],
+        [signal.SIGHUP, signal.SIGHUP, signal.SIGTERM],
+    ],
+)
+def test_signals_end_the_nodes_and_close_the_bag(
+    demo: Demo, tmp_path: Path, how: list[signal.Signals]
 ) -> None:
     output = tmp_path / "demo"
     process = demo("--duration", "300", "--output", str(output))
     process.wait_for_line(r"[1-9]\d*\.\d/300\.0 s", TIMEOUT)
     assert len(running(output)) == 3
-    process.signal(how)
+    for number in how:
+        process.signal(number)
     finished = process.finish(TIMEOUT)
     assert finished.exit_code == 1
     assert "Traceback" not in finished.stderr

@@ -4,6 +4,7 @@
 
 import itertools
 import signal
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -236,6 +237,31 @@ def test_a_signal_while_compiling_ends_cleanly_and_the_next_start_compiles_the_r
     process.wait_for_line("started", TIMEOUT)
     end({process: signal.SIGTERM})
     assert "compil" not in process.output
+
+
+def children(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for task in tasks for child in task.read_text().split()]
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_benchmark_that_is_ended_leaves_no_process(ros_process: Process, number: int) -> None:
+    script = Path(__file__).parents[2] / "benchmarks" / "recording.py"
+    benchmark = ros_process([sys.executable, str(script), "--seconds", "60"])
+    deadline = time.monotonic() + TIMEOUT
+    while len(started := children(benchmark.pid)) < 3:  # a recorder, two publishers
+        assert time.monotonic() < deadline, "not all processes have started"
+    benchmark.signal(number)
+    assert benchmark.finish(TIMEOUT).exit_code != 0
+    while any(map(is_alive, started)):
+        assert time.monotonic() < deadline, "a process is left"
 
 
 def tampered(path: Path) -> Path:

@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from player.bags import regular, texts, write_bag
+from player.bags import START, STRING, data_of, regular, texts, write_bag
 
-from tsobs_ros.bag import BagReader
+from tsobs_ros.bag import BagReader, BagWriter
+from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.errors import BagReadError
 
 CONFIG = Path(__file__).parents[3] / "config" / "player.yaml"
@@ -37,6 +38,35 @@ def test_it_ends_with_the_bag_and_follows_remappings(
     assert listener.texts("/b") == texts(0, 50, "b")
     assert listener.clock[0] == 0.0
     assert "played 100 messages of 2 topics" in finished.stderr
+
+
+def test_names_in_a_bag_do_not_command_the_terminal(
+    ros: Any, ros_process: Process, listener: Any, tmp_path: Path,
+    hostile: str, check_shown: Callable[[str], None],
+) -> None:  # fmt: skip
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic, type_ in (
+            (f"/{hostile}", STRING),
+            ("/type", f"std_msgs/msg/{hostile}"),
+            ("/package", f"{hostile}/msg/String"),
+            ("/hash", STRING),
+            ("/a", STRING),
+        ):
+            hash_ = hostile if topic == "/hash" else ""
+            writer.add_topic(topic, type_, definition=MessageDefinition(type_, hostile, hash_))
+            writer.write(topic, data_of("a0"), START, START)
+    parameters = {"bag": str(writer.path), "wait_for_subscribers": 1}
+    listener.listen("/a")
+    player = ros_process("player", parameters=parameters)
+    ros.spin_until(lambda: bool(listener.heard), 30.0, "the message")
+    refused = ros_process("player", parameters=parameters | {"topics": ["/none"]})
+
+    assert player.finish().exit_code == 0
+    check_shown(player.output)
+    assert player.output.count("not playing") == 4
+    assert refused.finish().exit_code == 1
+    check_shown(refused.output)
+    assert "no topic /none; the bag has " in refused.output
 
 
 def test_damage_is_an_error_after_all_before_it_has_arrived_even_at_a_slow_subscriber(

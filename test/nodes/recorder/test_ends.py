@@ -3,7 +3,11 @@
 """A recording begins with a new folder, and ends with a closed bag or what was flushed of it."""
 
 import contextlib
+import os
+import pty
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -137,6 +141,37 @@ def test_a_closed_terminal_closes_the_bag(started, recording, tmp_path: Path) ->
     assert finished.exit_code == 0
     assert "Traceback" not in finished.stderr
     assert recording.texts(tmp_path / "bag") == TEXTS
+
+
+@pytest.mark.parametrize("trap", ["", "trap '' HUP;"], ids=["", "SIGHUP ignored"])
+def test_a_terminal_that_goes_costs_no_message(
+    ros, recording, domain_id: int, tmp_path: Path, trap: str
+) -> None:
+    terminal, end = pty.openpty()
+    process = subprocess.Popen(
+        ["setsid", "--ctty", "sh", "-c", f'{trap} exec "$@"', "sh",
+         sys.executable, "-m", "tsobs_ros.executables", "recorder",
+         "--ros-args", "-p", f"output:={tmp_path / 'bag'}", "-p", "topics:=[a, b]"],
+        stdin=end, stdout=end, stderr=end, env=ros.environment,
+    )  # fmt: skip
+    os.close(end)
+    try:
+        topics = ["a", "b"] if trap else ["a"]
+        for topic in topics:
+            publisher = ros.node(f"source_of_{topic}").create_publisher(String, topic, 200)
+            ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, 30.0, "the match")
+            for text in TEXTS:
+                publisher.publish(String(data=text))
+            assert publisher.wait_for_all_acked()
+            if topic == "a":
+                os.close(terminal)  # from here on SIGHUP, and EIO for each line that is printed
+        if trap:
+            process.send_signal(signal.SIGTERM)
+        assert process.wait(30.0) == 0
+    finally:
+        process.kill()
+        process.wait()
+    assert recording.texts(tmp_path / "bag") == TEXTS * len(topics)
 
 
 def test_a_disk_that_fails_ends_the_process_and_keeps_what_was_written(
