@@ -25,6 +25,10 @@ from tsobs_ros.replay.thinning import ThinnedValues
 _BOUNDS = {
     Basis.CERTIFIED: "certified",
     Basis.LEARNT: "certified but for the learnt parameters",
+    Basis.STARTING: "settling after a start",
+    Basis.GAP: "past the newest sample's interval, or after a rejected one",
+    Basis.JUMP: "after a jump",
+    Basis.TORQUE: "with a doubtful torque",
     Basis.CONTRADICTED: "void",
     Basis.OUTSIDE: "void",
     Basis.HYPOTHESIS: "of another hypothesis",
@@ -123,7 +127,7 @@ class Health(NamedTuple):
         """Return it for a terminal."""
         shares: dict[str, float] = {}
         for basis, share in self.bases.items():
-            name = _BOUNDS.get(basis, "not certified")
+            name = _BOUNDS[basis]
             shares[name] = shares.get(name, 0.0) + share
         bounds = ", ".join(f"{100.0 * share:.3g} % {name}" for name, share in shares.items())
         return (
