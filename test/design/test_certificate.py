@@ -184,6 +184,28 @@ def test_the_bound_decreases_between_the_vertices_too(
 
 
 @PROPERTY
+@given(st.data(), st.sampled_from(["shipped", *UNCERTAIN]), st.floats(0.01, 1.0))
+def test_a_late_sample_widens_the_bound_by_no_more_than_its_factor(
+    designs: Mapping[str, Design], data: st.DataObject, name: str, share: float
+) -> None:
+    """For every slope and parameter, at any share of a period after the sample was due."""
+    design = designs[name]
+    request = replace(design.arm_request, rate=design.request.rate / share)
+    loop = Loop(replace(design, request=request))
+    kicks = [
+        loop.kick(
+            data.draw(st.floats(*request.slope_range)),
+            [data.draw(st.floats(-bound, bound)) for bound in covered(request).values()],
+        )
+        for _ in range(2)
+    ]
+    transition, noise = loop.step(*kicks)
+    later = transition @ loop.X @ transition.T + noise
+    assert loop.smallest(design.late_factor**2 * loop.X - later) > 0.0
+    assert 1.0 < design.late_factor < 1.1
+
+
+@PROPERTY
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(0.0, 1.0))
 def test_the_bound_is_matrix_convex_in_each_slope(
     loop: Loop, one: float, other: float, fixed: float, share: float

@@ -12,7 +12,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import certified_estimator
 from tsobs_ros.estimation.options import CertifiedGain
-from tsobs_ros.estimation.records import NANOSECONDS, Estimate, Measurement, RejectReason
+from tsobs_ros.estimation.records import NANOSECONDS, Basis, Estimate, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.flow import GapFlow
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
@@ -71,7 +71,7 @@ def test_the_bound_covers_the_error_in_gaps_and_after_them(design: Design) -> No
             assert certified == (design is DESIGN)
             tracker = before.copy()
             again = begin + gap
-            for index in range(begin + 1, again, max(1, gap // 10)):
+            for index in range(begin + 2, again, max(1, gap // 10)):
                 found = estimate(tracker, index)
                 assert not found.certified
                 errors.append(sigmas(found, run, index))
@@ -110,6 +110,27 @@ def test_without_gaps_nothing_of_it_is_computed() -> None:
     assert moving.state is not None
     assert not moving.state.in_gap
     assert not moving.state.records["covariance"][0, 5:].any()
+
+
+@pytest.mark.parametrize("design", [DESIGN, ADAPTIVE], ids=["shipped", "adaptive"])
+def test_a_late_sample_widens_the_bound_by_its_factor_and_a_missing_one_voids_its_name(
+    design: Design,
+) -> None:
+    errors = []
+    for run, begin in enumerate(STARTS):
+        tracker = tracker_of(design)
+        feed(tracker, run, 0, begin)
+        due, late = estimate(tracker, begin), estimate(tracker, begin + 1)
+        assert due.basis is late.basis is (Basis.CERTIFIED if design is DESIGN else Basis.LEARNT)
+        assert (due.state_bound < late.state_bound).all()
+        if design is DESIGN:
+            expected = design.late_factor * due.state_bound
+            np.testing.assert_allclose(late.state_bound, expected, rtol=1e-12)
+        missing = tracker.estimate(stamp_of(begin + 1) + 1)
+        assert missing is not None
+        assert missing.basis is Basis.GAP
+        errors.append(sigmas(late, run, begin + 1))
+    assert np.max(errors) < 3.0
 
 
 def test_a_torque_is_known_even_if_its_angle_is_not_used() -> None:

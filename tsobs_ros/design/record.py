@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A finished design: the request, the matrices that answer it, and who computed them."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
@@ -22,6 +24,9 @@ from tsobs_ros.estimation.options import (
 )
 from tsobs_ros.model.matrices import inverse
 from tsobs_ros.model.uncertainty import Uncertainty
+
+_PERIOD_SHARES = (0.25, 0.5, 0.75, 1.0)
+"""How late a sample may be, in periods, where a bound on the error is computed for that."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +112,26 @@ class Design:
                 f"P: expected a positive definite matrix, got {self.P.tolist()}"
             ) from error
         return as_matrix("X", inverse(self.P), self.P.shape)
+
+    @cached_property
+    def late_factor(self) -> float:
+        """ν with A X Aᵀ + Q ⪯ ν² X at all vertices of steps up to a period, rounded up to 10⁻⁴.
+
+        An error covariance below X when a sample is due is below ν² X until a period later, if the
+        sample does not come: the left side is matrix-convex in the slopes, as the certificate's.
+        The digits are few so that they are the same on every CPU.
+        """
+        root = np.linalg.cholesky(self.covariance_bound)
+        worst = 1.0
+        for share in _PERIOD_SHARES:
+            problem = replace(self.request, rate=self.request.rate / share)
+            for vertex in problem.vertices():
+                moved = solve_triangular(root, vertex.transition @ root, lower=True)
+                half = solve_triangular(root, vertex.noise, lower=True)
+                noise = solve_triangular(root, half.T, lower=True)
+                growth = np.linalg.eigvalsh(moved @ moved.T + (noise + noise.T) / 2)[-1]
+                worst = max(worst, float(growth))
+        return math.ceil(1e4 * math.sqrt(worst) * (1.0 + 1e-9)) / 1e4
 
     @property
     def bound_std(self) -> Array:
@@ -194,7 +219,7 @@ class Design:
             self.request.flow,
             self.request.measurement_covariance,
             self.request.initial_covariance,
-            CertifiedGain(self.K, self.covariance_bound),
+            CertifiedGain(self.K, self.covariance_bound, self.late_factor),
             settle_time=settle_time,
             gain_mode=gain_mode,
             torque_rate=torque_rate,

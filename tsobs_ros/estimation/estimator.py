@@ -445,7 +445,9 @@ def certified_estimator(
     initial = as_matrix("initial covariance", initial_covariance, (n, n))
     fill_matrix(one["initial"]["covariance"], initial)
     one["initial"]["settling"] = non_negative("settle_time", settle_time)
-    gain = CertifiedGain(as_matrix("K", certified.K, (n, p)), as_matrix("X", certified.X, (n, n)))
+    gain = certified._replace(
+        K=as_matrix("K", certified.K, (n, p)), X=as_matrix("X", certified.X, (n, n))
+    )
     R = as_matrix("R", measurement_covariance, (p, p))
     records.enter_gain(one, gain, R, gain_mode)
     if uncertainty is not None and k:

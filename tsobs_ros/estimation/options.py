@@ -30,10 +30,13 @@ class CertifiedGain(NamedTuple):
     Attributes:
         K: Filter gain, shape (n, p).
         X: Bound on the error covariance before each sample, shape (n, n).
+        late: Factor of the bound's root for a period from when the next sample is late; NaN if none
+            is known.
     """
 
     K: Array
     X: Array
+    late: float = math.nan
 
 
 class TorqueLimits(NamedTuple):

@@ -136,9 +136,10 @@ def state_type(room: Room) -> np.dtype[Any]:
     plausible ones; torque_age: time since that [s]; torque_unknown: whether it is not the newest.
     torque_change to distrust: of `torque`, as what was suspected of it, and since when.
     x: estimate in design coordinates. covariance: of its error; the certificate's bound while
-    `certified`. While `in_gap` both have the unknown torque's states too. settling: least time with
-    Riccati gains left [s]. corrected: whether a sample was used since the last prediction. cause:
-    code of the `Basis` of that covariance.
+    `certified`. While `in_gap` both have the unknown torque's states too. late: whether it is read
+    after the stamp at which the next sample was due. settling: least time with Riccati gains left
+    [s]. corrected: whether a sample was used since the last prediction. cause: code of the `Basis`
+    of that covariance.
 
     theta, gamma, upsilon (by rows), gram, age: of the adaptation. pending: change of theta that is
     used once it is significant. anchor, pass_age [s], passes: where the present pass of learning
@@ -181,6 +182,7 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("covariance", number, (n, n)),
             ("settling", number),
             ("certified", count),
+            ("late", count),
             ("corrected", count),
             ("in_gap", count),
             ("theta", number, (k,)),
@@ -356,6 +358,7 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("period", number),
             ("shortest", number),
             ("longest", number),
+            ("late_factor", number),
             ("rate_variance", number),
             ("torque_limit", number),
             ("torque_rate_limit", number),
@@ -438,6 +441,7 @@ def enter_gain(
     n, p = certified.K.shape
     X, K, R = certified.X, certified.K, measurement_covariance
     C, H = model["C"][:p, :n], model["disturbance_map"][:p, :n]
+    model["late_factor"] = certified.late
     model["gain_mode"] = CERTIFIED if gain_mode is GainMode.CERTIFIED else RICCATI
     for name, matrix in (
         ("X", X),

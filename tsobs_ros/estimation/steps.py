@@ -732,12 +732,17 @@ def predict(
         u: Inputs held over the time, shape (m,).
         duration: [s], at least 0.
         between_samples: Whether the time ends before the next sample and the result is only read.
-            The certified bound serves the whole interval to the next regular sample.
+            The certified bound serves the whole interval to the next regular sample, and with
+            `late_factor` a period beyond.
         work: Scratch record of the flow, and of the flow in a gap.
     """
     shortest = 0.0 if between_samples else model.shortest
     regular = shortest <= duration and duration <= model.longest and state.torque_unknown == 0
-    simple = model.gain_mode == OPEN or (state.certified != 0 and state.corrected != 0 and regular)
+    as_proved = state.certified != 0 and state.corrected != 0
+    late = between_samples and not regular and state.torque_unknown == 0
+    late = late and as_proved and duration <= 2.0 * model.period and model.late_factor >= 1.0
+    state.late = 1 if late else 0
+    simple = model.gain_mode == OPEN or late or (as_proved and regular)
     if not simple:
         _leave_certified(model, state, _GAP)
     n, k = model.n, model.k
@@ -825,7 +830,7 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
     noise = larger(state.noise_scale, 1.0) if model.supervised != 0 else 1.0
     uncertain = model.gain_mode != OPEN and state.certified == 0
     response, open_torque = state.response[:], is_open(model, state)
-    spread = noise
+    spread = noise * model.late_factor if state.late != 0 else noise
     if state.hypothesis != _AS_DESIGNED:
         alternative = state.alternatives[state.hypothesis - 1]
         x, covariance, upsilon = (
