@@ -104,7 +104,7 @@ class Scene:
         return Path(self._recorder.path)
 
     def _keep(self, line: Log) -> None:
-        if line.msg.startswith(f"{ARM.joint}: ") and line.msg[-1] != ")":
+        if line.msg.startswith(f"{ARM.joint}: ") and ": design " not in line.msg:
             self.logged.append((line.level, line.msg))
 
     @staticmethod
