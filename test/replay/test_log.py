@@ -85,7 +85,7 @@ FORMS = {
     "aligned": "  time [s]  angle [rad]  torque [N m]\n   0.005   0.1   1\n   0.01   -0.2   2.5\n",
     "quoted": '"time [s]","angle","torque"\n"0.005","0.1","1"\n"0.01","-0.2","2.5"\n',
     "quoted commas": '"time","angle","torque"\n"0,005","0,1","1"\n"0,01","-0,2","2,5"\n',
-    "separators at the end": "time,angle,torque,\n0.005,0.1,1,\n0.01,-0.2,2.5,\n",
+    "separators at the end": "time,angle,torque,\n0.005,0.1,1,\n,,,\n0.01,-0.2,2.5\n,,,\n",
     "words": "time,angle,torque,mode\n0.005,0.1,1,run\n0.01,-0.2,2.5,run\n",
     "line of units": "time,angle,torque,temp\nms,mrad,mNm,C\n5,100,1e3,20\n10,-200,2.5e3,20\n",
     "units in brackets": "time;angle;torque\n[ms];[rad];[Nm]\n5;0,1;1\n10;-0,2;2,5\n",

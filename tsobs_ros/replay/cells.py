@@ -11,6 +11,7 @@ import csv
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import TextIO
 
@@ -57,7 +58,7 @@ _GROUPS = {
     for sign, other in (".,", ",.")
 }
 
-Row = tuple[int, list[str]]
+Row = tuple[int, Sequence[str]]
 """The number of a line, from 1, and its cells."""
 
 
@@ -87,7 +88,7 @@ class TextTable:
             lines = list(_first(_lines(stream)))
         stated = _SEPARATOR_LINE.fullmatch(lines[0]) if lines else None
         self._separator = stated[1] if stated else _separator(lines)
-        rows = [row for row in _split(lines, self._separator) if not stated or row[0] > 1]
+        rows = _stripped(_split(lines, self._separator))[1 if stated else 0 :]
         if not rows:
             raise LogError("the file is empty")
         most = max(map(_excess_of_numbers, rows))
@@ -103,7 +104,7 @@ class TextTable:
             last = fitting[-1] if width else fitting[0]
             place = last
             if last - 1 in fitting and _is_of_units(rows[last], is_unit):
-                self.units, place = rows[last][1], last - 1
+                self.units, place = list(rows[last][1]), last - 1
             self.titles = [cell.lstrip("#%/ ") for cell in rows[place][1]]
         else:
             last = begin - 1
@@ -131,27 +132,38 @@ class TextTable:
             LogError: A line or a cell is too long, a line has more cells than there are titles, or
                 one other than the last ends early.
         """
-        width, needed = len(self.titles), max(places) + 1
+        width, wanted = len(self.titles), itemgetter(*places)
         with self._open() as stream:
             rows = _split(_lines(stream), self._separator)
             for line, cells in rows:
                 if line <= self._last_above or _is_comment(cells):
                     continue
-                if len(cells) < needed:
-                    self.cut_off = next(rows, None) is None
+                odd = len(cells) != width
+                # Of blanks, or of separators only.
+                if (odd or not cells[places[0]]) and not any(map(str.strip, cells)):
+                    continue
+                if odd:
+                    self._check_length(line, cells, max(places), rows)
                     if self.cut_off:
                         return
-                    title = self.titles[len(cells)]
-                    raise LogError(f"line {line} ends before column {title!r}")
-                if len(cells) > width and any(cells[width:]):
-                    hint = ""
-                    if self._separator == ",":
-                        hint = ": with decimal commas, separate cells by semicolons or tabs"
-                    raise LogError(f"line {line}: {len(cells)} cells, but {width} titles{hint}")
-                wanted = [cells[place] for place in places]
-                if len(max(wanted, key=len)) > _MAX_CELL:
+                found = wanted(cells)
+                if max(map(len, found)) > _MAX_CELL:
                     raise LogError(f"line {line}: a cell of more than {_MAX_CELL:,} characters")
-                yield line, wanted
+                yield line, found
+
+    def _check_length(
+        self, line: int, cells: Sequence[str], last: int, following: Iterator[Row]
+    ) -> None:
+        width = len(self.titles)
+        if len(cells) <= last:
+            self.cut_off = next(following, None) is None
+            if not self.cut_off:
+                raise LogError(f"line {line} ends before column {self.titles[len(cells)]!r}")
+        elif any(cells[width:]):
+            hint = ""
+            if self._separator == ",":
+                hint = ": with decimal commas, separate cells by semicolons or tabs"
+            raise LogError(f"line {line}: {len(cells)} cells, but {width} titles{hint}")
 
     def decimal(self, places: Sequence[int]) -> str:
         """Return the decimal sign of some columns, an empty string if the first lines show none."""
@@ -168,7 +180,7 @@ class TextTable:
 
 def is_nothing(cell: str) -> bool:
     """Return whether a cell is empty, or a word for that."""
-    return cell.lower() in _NOTHING
+    return cell.strip().lower() in _NOTHING
 
 
 def plain_number(cell: str, decimal: str) -> str:
@@ -181,6 +193,7 @@ def plain_number(cell: str, decimal: str) -> str:
     Raises:
         ValueError: It is not clear where the decimals begin.
     """
+    cell = cell.strip()
     if decimal != "." and _COMMA.fullmatch(cell):
         return cell.replace(",", ".")
     for sign in decimal or ".,":
@@ -244,11 +257,16 @@ def _split(lines: Iterable[str], separator: str) -> Iterator[Row]:
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=separator != " ")
     try:
         for cells in reader:
-            row = [cell.strip() for cell in cells]
-            if any(row):
-                yield reader.line_num, row
+            if cells:
+                yield reader.line_num, cells
     except csv.Error as error:
         raise LogError(f"line {reader.line_num}: {error}") from error
+
+
+def _stripped(rows: Iterable[Row]) -> list[Row]:
+    """Return the lines that are not empty, without blanks around their cells."""
+    found = [(line, [cell.strip() for cell in cells]) for line, cells in rows]
+    return [row for row in found if any(row[1])]
 
 
 def _single_blanks(line: str) -> str:
@@ -265,7 +283,7 @@ def _separator(lines: Sequence[str]) -> str:
 
     def numbers(separator: str) -> int:
         try:
-            return sum(_counts(row)[0] for row in _split(lines, separator))
+            return sum(_counts(row)[0] for row in _stripped(_split(lines, separator)))
         except LogError:
             return 0
 

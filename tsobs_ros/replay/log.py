@@ -186,7 +186,7 @@ class LogSource(Source):
         self._time.restart()
         times, joints = len(self._places) - len(self._numbers), len(self.joints)
         while block := list(islice(rows, _BLOCK)):
-            stamps = np.array([self._time(line, cells[:times]) for line, cells in block], np.int64)
+            stamps = self._time.read(block)
             values = np.zeros((len(block), 2 * joints))
             for place, (column, factor) in enumerate(self._numbers):
                 values[:, place] = self._read(block, times + place, column)

@@ -4,14 +4,16 @@
 
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from decimal import Decimal
 
 import numpy as np
 
+from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.replay.cells import TextTable, is_nothing, plain_number
+from tsobs_ros.replay.cells import Row, TextTable, is_nothing, plain_number
 from tsobs_ros.replay.columns import ISO, UNITS, Column, misread, unit_of
 
 NO_TIME = -(2**62)
@@ -25,6 +27,7 @@ _MIN_EPOCH = 10**9
 # No arm is measured more slowly, so the unit is another [s].
 _MAX_PERIOD = 0.25
 _MIN_TIMES = 10
+_EXACT = 1e15
 _HALF_DAY = 12 * 3600 * NANOSECONDS
 
 _FRACTION = re.compile(r"(?<=:\d\d)[.,](\d+)")
@@ -55,24 +58,35 @@ class TimeReader:
         self.title = columns[0].title
         self.remarks: list[str] = []
         self._readers = [self._reader(one, table.head(one.place)) for one in columns]
+        (column, read), *others = self._readers
+        plain = not others and column.unit in UNITS["time"] and read != self._read_clock
+        self._factor = UNITS["time"][column.unit] if plain else None
         self.restart()
 
-    def __call__(self, line: int, cells: Sequence[str]) -> int:
-        """Return a line's stamp [ns], `NO_TIME` if a cell is empty.
+    def read(self, rows: Sequence[Row]) -> Times:
+        """Return the stamps of lines [ns], `NO_TIME` for an empty cell, shape (n,).
 
         Args:
-            line: Number of the line.
-            cells: Those of the columns of times.
+            rows: Lines whose first cells are those of the columns of times.
 
         Raises:
-            LogError: It is no time.
+            LogError: A cell is no time.
         """
+        if self._factor is not None and self._decimal != ",":
+            with suppress(ValueError):
+                times = np.array([float(cells[0]) for _, cells in rows]) * self._factor
+                # So small that what was rounded is less than half a nanosecond.
+                if (np.abs(times) < _EXACT).all():
+                    return np.rint(times).astype(np.int64)
+        return np.array([self._stamp(line, cells) for line, cells in rows], np.int64)
+
+    def _stamp(self, line: int, cells: Sequence[str]) -> int:
         stamp = 0
-        for (column, read), text in zip(self._readers, cells, strict=True):
+        for (column, read), text in zip(self._readers, cells, strict=False):
             if is_nothing(text):
                 return NO_TIME
             try:
-                stamp += read(text)
+                stamp += read(text.strip())
                 if not abs(stamp) < LATEST:
                     raise ValueError("beyond what a stamp can hold")
             except (ValueError, ArithmeticError) as error:
