@@ -1,26 +1,330 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The README's Python runs, and what it names is there."""
+"""What README and docs show runs: every command and every piece of Python, page by page.
+
+A page's blocks run in their order in one temporary folder. `tsobs` runs as it is, or as `SHORTER`
+says. A node gets its arguments and parameters, and is not configured; those of the README run for
+real. A benchmark runs as `BENCHMARKS` says, else only its options are checked. What cannot run here
+is in `NOT_RUN`, with the reason.
+"""
 
 import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from yaml import safe_load
 
+import tsobs_ros as ts
+from tsobs_ros.bag import BagReader
 from tsobs_ros.cli.main import main
+from tsobs_ros.nodes.arguments import check_arguments
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+SHORTER = {
+    "tsobs demo --output demo": "tsobs demo --output demo --duration 3 --bias-at 1",
+}
+"""What runs in place of a command that takes long."""
+
+BENCHMARKS = {
+    "observer_step.py --parts steps --seconds 20": "--parts steps --seconds 1",
+    "joints.py --seconds 15": "--seconds 1",
+    "bags.py": "--messages 100 --repeats 1",
+    "offline.py --seconds 60 --repeats 3": "--seconds 1 --repeats 1",
+}
+"""The benchmarks that can be short; the others take minutes, or start nodes again and again."""
+
+NOT_RUN = {
+    "source /opt/ros/jazzy/setup.bash": "Ubuntu's ROS",
+    "mkdir -p ~/ws/src && cd ~/ws && git clone ": "the network",
+    "rosdep install ": "Ubuntu's ROS",
+    "python3 -m venv ": "the workspace; test_packaging.py compares what it installs",
+    ".venv/bin/python -m pip ": "the network",
+    ".venv/bin/python -m colcon build --packages-select tsobs_ros": "colcon, no requirement",
+    "source install/setup.bash": "made by colcon",
+    "source .venv/bin/activate": "made by make",
+    "ros2 lifecycle set /observer ": "ros2 itself; test_managed.py calls its services",
+    "POLICY=": "ros2 itself",
+    "ros2 security ": "Ubuntu's ROS; test_policy.py compares the policy with the nodes",
+    "export ROS_SECURITY_": "Fast DDS of the wheels has no security",
+    "tsobs demo --duration 60 ": "minutes; demo runs on another page",
+}
+
+COMMANDS = (
+    r"tsobs|ros2|python3?|make|source|mkdir|cp|rosdep|colcon|pip|apt|sudo|export|git|chrt|[A-Z_]+(?==)"
+    r"|\.venv/bin/\S+"
+)
+"""What the first line of a block of commands begins with."""
 
 
-def test_the_python_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    names: dict[str, Any] = {}
-    exec(compile(code, "README.md", "exec"), names)
-    assert np.isfinite(names["estimates"].state).all()
-    assert capsys.readouterr().out
+class Block(NamedTuple):
+    """A block of a page: its language, and its text without indentation."""
+
+    language: str
+    text: str
+
+    @property
+    def commands(self) -> Iterator[tuple[str, bool]]:
+        """Yield the commands, each with whether the block shows an error as its answer."""
+        lines = self.text.replace("\\\n", " ").splitlines()
+        prompts = any(line.startswith("$ ") for line in lines)
+        places = [
+            place
+            for place, line in enumerate(lines)
+            if line.strip() and line.startswith("$ ") == prompts
+        ]
+        for place, after in zip(places, [*places[1:], len(lines)], strict=True):
+            answer = lines[place + 1 : after]
+            command = re.sub(r" +# .*", "", lines[place].removeprefix("$ "))
+            yield command, any(line.startswith("error: ") for line in answer)
+
+
+def blocks(page: Path) -> list[Block]:
+    """Return a page's fenced and indented blocks, in order."""
+    found: list[Block] = []
+    lines: list[str] = []
+    fence: str | None = None
+    before = ""
+    for line in [*page.read_text(encoding="utf-8").splitlines(), "end"]:
+        if fence is None and line.startswith("    ") and (lines or not before):
+            lines.append(line)
+        elif fence is None and lines and not line:
+            lines.append("")
+        elif line.startswith("```") or (fence is None and lines):
+            if lines:
+                text = textwrap.dedent("\n".join(lines)).strip() + "\n"
+                found.append(Block(fence or language(text), text))
+            lines, is_open = [], fence is not None
+            fence = line[3:] if line.startswith("```") and not is_open else None
+        elif fence is not None:
+            lines.append(line)
+        before = line
+    return found
+
+
+def language(text: str) -> str:
+    """Tell Python and commands from formulas, outputs and tables of commands."""
+    first = text.split("\n", 1)[0].removeprefix("$ ")
+    if first.startswith(("from ", "import ")):
+        return "python"
+    if not re.match(rf"({COMMANDS})(\s|$|=)", first):
+        return "text"
+    return "usage" if re.search(r"\S {2,}[^ #]", first) else "sh"
+
+
+COMMAND_PAGES = [page for page in PAGES if any(b.language in ("sh", "yaml") for b in blocks(page))]
+PYTHON_PAGES = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+class Shell:
+    """Runs the commands of a page, or checks them as far as they can be."""
+
+    def __init__(
+        self, ros: Any, benchmark: Callable[[str], ModuleType], patch: Any, capfd: Any
+    ) -> None:
+        self._ros, self._benchmark, self._patch, self._capfd = ros, benchmark, patch, capfd
+
+    def run(self, command: str, fails: bool) -> None:
+        if any(command.startswith(start) for start in NOT_RUN):
+            return
+        words = split(SHORTER.get(command, command))
+        if words[:3] == ["ros2", "run", "tsobs_ros"]:
+            words = words[3:]
+        match words:
+            case ["tsobs", *arguments]:
+                if arguments[0] == "demo":
+                    arguments += ["--domain-id", str(self._ros.domain_id)]
+                assert main(arguments) == (1 if fails else 0), command
+            case ["observer" | "recorder" | "player" | "plant_simulator" as name, *arguments]:
+                self.check_node(name, arguments)
+            case ["python", script, *arguments] if script.startswith("benchmarks/"):
+                self.benchmark(Path(script).stem, arguments)
+            case ["make", target]:
+                make = ["make", "--dry-run", "-C", str(ROOT), target]
+                subprocess.run(make, check=True, capture_output=True)
+            case ["cp", source, target]:
+                shutil.copy(source, target)
+            case _:
+                pytest.fail(f"{command}: neither run nor in NOT_RUN")
+
+    def check_node(self, name: str, arguments: Sequence[str]) -> None:
+        """Let a node take its arguments and its parameters, without working."""
+        module = import_module(f"tsobs_ros.nodes.{name}")
+        check_arguments(module, [name, *arguments])
+        if "--enclave" not in arguments:  # which is of the context
+            node = ManagedNode(
+                name, module.Parameters, context=self._ros.context, cli_args=arguments
+            )
+            node.destroy_node()
+
+    def benchmark(self, name: str, arguments: Sequence[str]) -> None:
+        """Run a benchmark with the shortest arguments, or only let it read its own."""
+        run = self._benchmark(name).main
+        short = BENCHMARKS.get(" ".join([f"{name}.py", *arguments]))
+        self._patch.setattr(sys, "argv", [name, *(short or "").split()])
+        if short is not None:
+            run()
+            return
+        self._patch.setattr(sys, "argv", [name, *arguments, "--no-such-option"])
+        with pytest.raises(SystemExit, match="2"):
+            run()
+        err = self._capfd.readouterr().err
+        assert err.endswith("unrecognized arguments: --no-such-option\n"), err
+
+
+def split(command: str) -> list[str]:
+    """Split a command as a shell does that has run `tsobs config`."""
+    folder = str(config_path(SHIPPED_DESIGN).parent)
+    return shlex.split(command.replace("$(tsobs config)", folder).replace("$PWD", str(Path.cwd())))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The files that pages name without making them."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(ROOT / "docs" / "examples" / "arm_log.csv", tmp_path)
+    for name in ("my_arm", "stiff", "soft", "arm", "elbow"):
+        shutil.copy(config_path(SHIPPED_DESIGN), tmp_path / f"{name}.design.yaml")
+    shutil.copy(config_path("observer.yaml"), tmp_path)
+    for bag in ("run1", "bag"):
+        ts.estimate_bag("arm_log.csv", output=bag)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", COMMAND_PAGES, ids=name_of)
+def test_the_commands_of_a_page_run(
+    page: Path,
+    folder: Path,
+    ros: Any,
+    compiled: None,
+    benchmark: Callable[[str], ModuleType],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    Path("my_arm.design.yaml").unlink()
+    shell = Shell(ros, benchmark, monkeypatch, capfd)
+    for number, block in enumerate(blocks(page)):
+        if block.language == "sh":
+            for command, fails in block.commands:
+                capfd.readouterr()
+                shell.run(command, fails)
+                _, err = capfd.readouterr()
+                assert "unknown parameters" not in err, err
+                assert "Traceback" not in err
+        elif block.language == "yaml":
+            Path(f"{number}.yaml").write_text(block.text, encoding="utf-8")
+            assert safe_load(block.text)
+            shell.check_node("observer", ["--ros-args", "--params-file", f"{number}.yaml"])
+            assert "unknown parameters" not in capfd.readouterr().err
+
+
+def test_what_is_not_run_is_there() -> None:
+    commands = [
+        command
+        for page in PAGES
+        for block in blocks(page)
+        if block.language == "sh"
+        for command, _ in block.commands
+    ]
+    for start in (*NOT_RUN, *SHORTER, *(f"python benchmarks/{each}" for each in BENCHMARKS)):
+        assert any(command.startswith(start) for command in commands), start
+    assert len(commands) > 60, "are blocks still found?"
+
+
+def prelude(page: Path) -> dict[str, Any]:
+    """Return what a page's Python takes for granted."""
+    design = ts.load_design()
+    match page.stem:
+        case "bags":
+            reader = BagReader("run1")
+            first = next(reader.messages(["/joint_measurements"]))
+            whole = next(Path("run1").glob("*.mcap")).read_bytes()
+            Path("killed").mkdir()
+            Path("killed", "killed_0.mcap").write_bytes(whole[: len(whole) // 2])
+            times = {"start": reader.start_time, "end": reader.end_time}
+            stamps = {"log_time_ns": first.log_time, "publish_time_ns": first.publish_time}
+            return {**times, **stamps, "cdr_bytes": first.data}
+        case "faults":
+            numbers = {"y": 0.1, "innovation": 0.01, "expected_std": 0.03, "now": 2 * 10**9}
+            return {"design": design, "stamp": 10**9, "disturbance": 0.0, "bound": 0.01, **numbers}
+        case "ts_models":
+            return {"y": np.zeros(2), "u": np.zeros(1)}
+        case "method":
+            example = import_module("tsobs_ros.paper.examples").example_1()
+            return {"system": example.system, "alpha": example.alpha}
+        case "offline":
+            shutil.copytree("run1", "demo/bag")
+    return {}
+
+
+@pytest.mark.parametrize("page", PYTHON_PAGES, ids=name_of)
+def test_the_python_of_a_page_runs(page: Path, folder: Path, capsys: Any) -> None:
+    names = prelude(page)
+    for block in blocks(page):
+        if block.language == "python":
+            exec(compile(block.text, page.name, "exec"), names)
+    if page.name == "README.md":
+        assert np.isfinite(names["estimates"].state).all()
+
+
+def test_the_nodes_of_the_readme_run(
+    folder: Path, ros_process: Callable[..., Any], ros: Any
+) -> None:
+    """Observer, recorder and plant, then the observer on the bag; as `ros2 run` would run them."""
+    lines = [
+        split(command)[3:]
+        for block in blocks(ROOT / "README.md")
+        if block.language == "sh"
+        for command, _ in block.commands
+        if command.startswith("ros2 run")
+    ]
+    observer, recorder, plant, again, player = lines[:5]
+
+    def start(line: Sequence[str], ready: str, *more: str) -> Any:
+        process = ros_process(line[0], arguments=[*line[1:], *more])
+        process.wait_for_line(ready)
+        return process
+
+    def end(*processes: Any) -> None:
+        for process in processes:
+            process.signal(signal.SIGINT)
+        for process in processes:
+            assert process.finish().exit_code == 0
+
+    watching = start(observer, "certificate holds")
+    recording = start(recorder, r"recording /observer/joint_states ")
+    moving = start(plant, "started")
+    watching.wait_for_line("TRACKING")
+    recording.wait_for_line(r"recording /joint_measurements ")
+    ros.spin_for(1.0)
+    end(recording, moving, watching)
+    measured = BagReader("my_run").topics["/joint_measurements"].count
+    assert measured > 50
+
+    watching = start(again, "certificate holds")
+    playing = start(player, "opened")
+    watching.wait_for_line("TRACKING")
+    assert playing.finish().exit_code == 0
+    end(watching)
 
 
 @pytest.mark.parametrize("target", sorted(set(re.findall(r"\]\(([^)#:]+)\)", README))))
@@ -28,8 +332,13 @@ def test_what_the_readme_points_to_exists(target: str) -> None:
     assert (ROOT / target).exists()
 
 
-@pytest.mark.parametrize("word", re.findall(r"^    tsobs (\w+)  ", README, re.MULTILINE))
-def test_the_commands_of_the_readme_exist(word: str) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main([word, "--help"])
-    assert ended.value.code == 0
+@pytest.mark.parametrize("line", re.findall(r"^    tsobs (\w.*?)  ", README, re.MULTILINE))
+def test_the_commands_of_the_readme_exist(line: str, capsys: Any) -> None:
+    word, *rest = line.split()
+    actions = rest[0].split("|") if rest and rest[0].islower() and word == "bag" else [None]
+    for action in actions:
+        with pytest.raises(SystemExit, match="0"):
+            main([word, *([action] if action else []), "--help"])
+        usage = capsys.readouterr().out
+        for option in re.findall(r"--[\w-]+", line):
+            assert option in usage

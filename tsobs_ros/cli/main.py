@@ -13,12 +13,23 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from tsobs_ros import __version__
-from tsobs_ros.cli import bag, compare, demo, design, estimate, export, paper, report, verify
+from tsobs_ros.cli import (
+    bag,
+    compare,
+    config,
+    demo,
+    design,
+    estimate,
+    export,
+    paper,
+    report,
+    verify,
+)
 from tsobs_ros.cli.common import complain
 from tsobs_ros.errors import TsobsError, missing_library
 from tsobs_ros.stop import interrupt
 
-_COMMANDS = (demo, design, verify, estimate, compare, export, report, bag, paper)
+_COMMANDS = (demo, design, verify, estimate, compare, export, report, bag, paper, config)
 """In the order in which the help lists them."""
 
 

@@ -205,8 +205,9 @@ def load_request(path: FilePath) -> Request:
     found = [name for name in ("format", *AnswerEntries.__struct_fields__) if name in data]
     if found:
         raise DesignFileError(
-            f"{path}: {found[0]}: expected a request, got a finished design; a request has none of "
-            f"format, version, gain, certificate and solver"
+            f"{path}: {found[0]}: expected a request, got a finished design; a node runs it with "
+            f"`-p design:={path}`, `tsobs verify` checks it; to design anew give a request, which "
+            "has none of format, version, gain, certificate and solver"
         )
     with naming(path):
         request: Request
