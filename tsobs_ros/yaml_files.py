@@ -1,12 +1,14 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""YAML from files that anybody may have written: plain data, in time and memory linear in its size.
+"""YAML from files that anybody may have written: plain data, in bounded time and memory.
 
 `yaml.safe_load` runs no code, but a few lines can still make it build gigabytes (merge keys that
-refer to merge keys), overflow the stack (a million brackets) or return a structure that is small in
-memory and endless to walk through (aliases of aliases). None of our files needs any of this.
+refer to merge keys), overflow the stack (a million brackets), return a structure that is small in
+memory and endless to walk through (aliases of aliases), or calculate for minutes (a number of
+half a million digits in base 60). None of our files needs any of this.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -15,11 +17,15 @@ from typing import Any
 import yaml
 
 from tsobs_ros.errors import DesignFileError, TsobsError
+from tsobs_ros.files import open_regular
 
 MAX_BYTES = 1 << 20
 """Largest size of a file, and of a text in one."""
 
+_MAX_NODES = 100_000
 _MAX_DEPTH = 50
+# PyYAML takes the square of their length for those with colons.
+_LONG_NUMBER = re.compile(r"[-+0-9_:.]{200,}")
 
 # libyaml's parser is five times as fast; PyYAML without it behaves the same.
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
@@ -59,7 +65,7 @@ def read_text(
         TsobsError: The file is missing, too large or not UTF-8.
     """
     try:
-        with Path(path).open("rb") as stream:
+        with open_regular(Path(path)) as stream:
             raw = stream.read(MAX_BYTES + 1)
         if len(raw) > MAX_BYTES:
             raise error(f"{path}: larger than {MAX_BYTES} bytes, not a {what}")
@@ -83,8 +89,6 @@ def yaml_mapping(
     Raises:
         TsobsError: The text is too large, not YAML, or not a mapping.
     """
-    if len(text) > MAX_BYTES:
-        raise error(f"{name}: larger than {MAX_BYTES} bytes, not a {what}")
     try:
         data = load_yaml(text)
     except ValueError as problem:
@@ -126,9 +130,11 @@ def load_yaml(text: str) -> object:
         text: One document.
 
     Raises:
-        ValueError: It is not YAML, has aliases, tags of other languages or nests too deep; the
-            text is one line.
+        ValueError: It is not YAML, is too large, has aliases, merge keys, tags of other languages
+            or nests too deep; the text is one line.
     """
+    if len(text) > MAX_BYTES:
+        raise ValueError(f"larger than {MAX_BYTES} bytes")
     try:
         _check_structure(text)
         return yaml.load(text, Loader=_LOADER)
@@ -163,17 +169,30 @@ class PlainDumper(yaml.SafeDumper):
 
 def _check_structure(text: str) -> None:
     """Refuse what is dangerous to build, by its events alone: the parser does not recurse."""
-    depth = 0
+    if "%TAG" in text:  # libyaml compares each with all before it
+        raise ValueError("abbreviations of tags are not supported")
+    depth = nodes = 0
     for event in yaml.parse(text, Loader=_LOADER):
+        problem = ""
+        if isinstance(event, yaml.NodeEvent):
+            nodes += 1
+            if nodes > _MAX_NODES:
+                problem = f"more than {_MAX_NODES} values"
         if isinstance(event, yaml.AliasEvent):
-            raise ValueError(f"line {event.start_mark.line + 1}: aliases are not supported")
-        if isinstance(event, yaml.CollectionStartEvent):
+            problem = "aliases are not supported"
+        elif isinstance(event, yaml.ScalarEvent):
+            if event.implicit[0] and event.value == "<<":
+                problem = "merge keys are not supported"
+            elif event.implicit[0] and _LONG_NUMBER.fullmatch(event.value):
+                problem = f"a number of {len(event.value)} digits"
+        elif isinstance(event, yaml.CollectionStartEvent):
             depth += 1
+            if depth > _MAX_DEPTH:
+                problem = f"nested deeper than {_MAX_DEPTH} levels"
         elif isinstance(event, yaml.CollectionEndEvent):
             depth -= 1
-        if depth > _MAX_DEPTH:
-            line = event.start_mark.line + 1
-            raise ValueError(f"line {line}: nested deeper than {_MAX_DEPTH} levels")
+        if problem:
+            raise ValueError(f"line {event.start_mark.line + 1}: {problem}")
 
 
 def _one_line(error: yaml.YAMLError) -> str:

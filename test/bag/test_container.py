@@ -171,13 +171,13 @@ def test_a_summary_of_gigabytes_is_refused_unread(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (RECORD.pack(Opcode.MESSAGE, 41) + bytes(41), "a chunk at byte 0, but there is none"),
+        (RECORD.pack(Opcode.MESSAGE, 41) + bytes(41), "at byte 0: there is no chunk"),
         (RECORD.pack(Opcode.CHUNK, 41) + b"\xff" * 41, "at byte 0: "),
-        (RECORD.pack(Opcode.CHUNK, 41) + bytes(10), "at byte 0: a record is cut off"),
+        (RECORD.pack(Opcode.CHUNK, 41) + bytes(10), "at byte 0: there is no chunk"),
     ],
 )
 def test_what_is_no_chunk_is_refused(content: bytes, reason: str) -> None:
-    span = Span(0, 0, 0, 0, 50, True, None, {})
+    span = Span(0, 0, 0, 0, 50, True)
     with pytest.raises(RecordError, match=reason):
         read_span(BytesIO(content), span)
     with pytest.raises(RecordError, match="too many to read"):

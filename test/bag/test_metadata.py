@@ -99,7 +99,8 @@ texts = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_siz
 @given(
     topics=st.lists(st.builds(TopicInfo, names, names, st.integers(0, 10**12))),
     files=st.lists(
-        st.builds(FileMetadata, names, st.integers(0, EMPTY_START_NS), st.integers(0, 2**60))
+        st.builds(FileMetadata, names, st.integers(0, EMPTY_START_NS), st.integers(0, 2**60)),
+        unique_by=lambda file: file.path,
     ),
     custom_data=st.none() | st.dictionaries(texts, texts, min_size=1),
 )

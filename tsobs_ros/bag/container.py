@@ -9,18 +9,21 @@ long.
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from contextlib import suppress
 from io import BytesIO
+from itertools import pairwise
+from operator import attrgetter
 from pathlib import Path
 from typing import IO, NamedTuple, TypeAlias
 
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, ChunkIndex, Footer, Header, McapRecord, Schema, Statistics
+from mcap.records import Channel, Chunk, Footer, Header, McapRecord, Schema, Statistics
 from mcap.stream_reader import StreamReader
 
 from tsobs_ros.errors import BagReadError
+from tsobs_ros.files import open_regular
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -33,7 +36,10 @@ MESSAGE = struct.Struct("<BQHIQQ")
 MESSAGE_OPCODE = int(Opcode.MESSAGE)
 
 MAX_SIZE = 2**28
-"""The largest record, chunk content and summary that is read, bytes; larger ones are damage."""
+"""The largest record and chunk content that is read, bytes; larger ones are damage."""
+
+MAX_SUMMARY_SIZE = 2**27
+"""The largest summary that is read, bytes: of a million chunks, a recording of days."""
 
 RECOVER_HINT = "'tsobs bag recover' makes a whole bag of what it holds"
 
@@ -41,6 +47,12 @@ RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 """Channel, log time [ns], publish time [ns], sequence and data of a message."""
 
 _MESSAGE_BODY_SIZE = MESSAGE.size - RECORD.size
+_CHUNK_HEAD = struct.Struct("<BQQQQII")
+_MAX_CHUNK_HEAD_SIZE = 80
+_CHUNK_INDEX = struct.Struct("<QQQQI")
+_CHUNK_INDEX_REST = 28
+_INDEX_OFFSET = struct.Struct("<HQ")
+_MAX_STATISTICS_SIZE = 2**20
 _FOOTER = struct.Struct("<BQQQI")
 _MAX_HEADER_SIZE = 2**16
 _RUN_SIZE = 1_000_000
@@ -76,8 +88,9 @@ def split_messages(records: bytes) -> Iterator[RawMessage]:
                     break
                 yield channel, log_time, publish_time, sequence, records[data:end]
             else:
-                end = start + RECORD.size + RECORD.unpack_from(records, start)[1]
-                if end > size:
+                kind, length = RECORD.unpack_from(records, start)
+                end = start + RECORD.size + length
+                if end > size or not kind:  # zeros are no records without a body
                     break
             start = end
     except struct.error as error:
@@ -112,6 +125,44 @@ def chunk_records(chunk: Chunk) -> bytes:
     return records
 
 
+class ContentLimit:
+    """What the chunks of a file may decompress to: 1 GiB and 100 bytes for each byte of the file.
+
+    In these there may be a million records, and one for each four bytes of the file. Without a
+    limit, a file of some kilobytes can be hours of work.
+
+    Args:
+        size: The file's size, bytes.
+        is_trusted: Whether there is no limit.
+    """
+
+    def __init__(self, size: int, is_trusted: bool) -> None:
+        self._bytes_left = 2**64 if is_trusted else 2**30 + 100 * size
+        self._records_left = 2**64 if is_trusted else 2**20 + size // 4
+
+    def count_chunk(self, chunk: Chunk) -> None:
+        """Count a chunk before it is decompressed.
+
+        Raises:
+            RecordError: There are too many bytes.
+        """
+        if chunk.compression:
+            self._bytes_left -= min(chunk.uncompressed_size, MAX_SIZE)
+        self.count_records(0)
+
+    def count_records(self, number: int) -> None:
+        """Count records in chunks.
+
+        Raises:
+            RecordError: There are too many.
+        """
+        self._records_left -= number
+        if min(self._bytes_left, self._records_left) < 0:
+            raise RecordError(
+                "the chunks decompress to too much for a file of this size; --trusted reads them"
+            )
+
+
 def _decompress(compression: str, data: bytes, size: int) -> bytes:
     # Imported here: bags without compression need neither library.
     if not compression:
@@ -141,8 +192,7 @@ class Span(NamedTuple):
         offset: Its first byte in the file.
         size: Its size in the file, bytes.
         is_chunk: Whether it is a chunk record.
-        channels: The channels it has messages of; None if that is unknown.
-        index_offsets: The places of its message indexes in the file, by channel.
+        places: The places of its message indexes in the file, as its record has them.
     """
 
     start: int
@@ -151,8 +201,17 @@ class Span(NamedTuple):
     offset: int
     size: int
     is_chunk: bool
-    channels: frozenset[int] | None
-    index_offsets: Mapping[int, int]
+    places: bytes = b""
+
+    @property
+    def index_offsets(self) -> dict[int, int]:
+        """The places of its message indexes in the file, by channel."""
+        return dict(_INDEX_OFFSET.iter_unpack(self.places))
+
+    @property
+    def channels(self) -> frozenset[int] | None:
+        """The channels it has messages of; None if that is unknown."""
+        return frozenset(self.index_offsets) or None
 
 
 class Summary(NamedTuple):
@@ -187,7 +246,7 @@ def read_summary(path: Path, rank: int = 0) -> Summary:
             damaged.
     """
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             return _read_summary(path, rank, stream)
     except (RecordError, McapError, struct.error, UnicodeDecodeError) as error:
         reason = f"the file is damaged: {_reason(error)}; {RECOVER_HINT}"
@@ -195,7 +254,7 @@ def read_summary(path: Path, rank: int = 0) -> Summary:
     except OSError as error:
         if isinstance(error, BagReadError):
             raise
-        raise BagReadError(f"{path}: cannot read it: {error}") from error
+        raise BagReadError(f"{path}: cannot read it: {error.strerror or error}") from error
 
 
 def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
@@ -220,37 +279,49 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
     start = footer.summary_start
     if not len(MAGIC) < start < footer_at:
         raise BagReadError(f"{path}: the file has no index; {RECOVER_HINT}")
-    if size - start > MAX_SIZE:
+    if size - start > MAX_SUMMARY_SIZE:
         raise RecordError(f"it states a summary of {size - start} bytes, too many to read")
     stream.seek(start)
-    summary = stream.read(size - start)
+    summary = stream.read(footer_at - start)
     # The checksum covers the summary and the footer up to the checksum.
-    stated, covered = footer.summary_crc, len(summary) - len(MAGIC) - 4
-    if stated and (crc := zlib.crc32(summary[:covered])) != stated:
+    stated, covered = footer.summary_crc, end[: _FOOTER.size - 4]
+    if stated and (crc := zlib.crc32(covered, zlib.crc32(summary))) != stated:
         raise RecordError(f"the checksum (crc) of its summary is {stated:08x}, not {crc:08x}")
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    chunks: list[ChunkIndex] = []
+    chunks: list[Span] = []
     statistics: Statistics | None = None
-    for record in _records(summary):
-        match record:
-            case Schema():
-                schemas[record.id] = record
-            case Channel():
-                channels[record.id] = record
-            case ChunkIndex():
-                chunks.append(record)
-            case Statistics():
-                statistics = record
+    at = 0
+    while at < len(summary):
+        opcode, length = RECORD.unpack_from(summary, at)
+        body = at + RECORD.size
+        following = body + length
+        if following > len(summary) or not opcode:
+            raise RecordError(f"at byte {start + at} there is no record, or one that is cut off")
+        if opcode == Opcode.CHUNK_INDEX:
+            chunks.append(_chunk_span(summary, body, following, rank, size))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+            if opcode == Opcode.STATISTICS and length > _MAX_STATISTICS_SIZE:
+                raise RecordError(f"it states statistics of {length} bytes, too many to read")
+            match next(_records(summary[at:following])):
+                case Schema() as record:
+                    schemas[record.id] = record
+                case Channel() as record:
+                    channels[record.id] = record
+                case Statistics() as record:
+                    statistics = record
+        at = following
     if statistics is None:
         raise BagReadError(f"{path}: the file has no index; {RECOVER_HINT}")
     if statistics.chunk_count != len(chunks):
         raise RecordError(f"{statistics.chunk_count} chunks, but {len(chunks)} in the index")
-    if chunks or not statistics.message_count:
-        spans = tuple(_chunk_span(chunk, rank, size) for chunk in chunks)
-    else:
-        spans = tuple(_bare_spans(stream, rank, start))
-    return Summary(path, header.profile, schemas, channels, statistics, spans)
+    # Else a few bytes of index could ask for the same large chunk again and again.
+    for one, other in pairwise(sorted(chunks, key=attrgetter("offset"))):
+        if one.offset + one.size > other.offset:
+            raise RecordError(f"the index states chunks that overlap at byte {other.offset}")
+    if statistics.message_count and not chunks:
+        chunks = list(_bare_spans(stream, rank, start))
+    return Summary(path, header.profile, schemas, channels, statistics, tuple(chunks))
 
 
 def _records(data: bytes) -> Iterator[McapRecord]:
@@ -258,32 +329,22 @@ def _records(data: bytes) -> Iterator[McapRecord]:
     return iter(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
 
 
-def _chunk_span(chunk: ChunkIndex, rank: int, file_size: int) -> Span:
-    offset, size, indexes = (
-        chunk.chunk_start_offset,
-        chunk.chunk_length,
-        chunk.message_index_offsets,
-    )
+def _chunk_span(summary: bytes, at: int, end: int, rank: int, file_size: int) -> Span:
+    """Return the chunk that a chunk index is of; the library takes ten times as long."""
+    start_time, end_time, offset, size, index_size = _CHUNK_INDEX.unpack_from(summary, at)
+    at += _CHUNK_INDEX.size
+    if index_size % _INDEX_OFFSET.size or at + index_size + _CHUNK_INDEX_REST > end:
+        raise RecordError("an index of a chunk is malformed")
     if offset + size > file_size:
         raise RecordError(f"the index states a chunk up to byte {offset + size} of {file_size}")
-    return Span(
-        start=chunk.message_start_time,
-        end=chunk.message_end_time,
-        rank=rank,
-        offset=offset,
-        size=size,
-        is_chunk=True,
-        # Without message indexes the channels are unknown.
-        channels=frozenset(indexes) or None,
-        index_offsets=indexes,
-    )
+    index = summary[at : at + index_size]
+    return Span(start_time, end_time, rank, offset, size, True, index)
 
 
 def _bare_spans(stream: IO[bytes], rank: int, end: int) -> Iterator[Span]:
     """Yield runs of messages outside of chunks; their times stand in no index."""
     start = first = len(MAGIC)
     times: list[int] = []
-    channels: set[int] = set()
     while start < end:
         stream.seek(start)
         head = stream.read(MESSAGE.size)
@@ -291,23 +352,20 @@ def _bare_spans(stream: IO[bytes], rank: int, end: int) -> Iterator[Span]:
             raise RecordError(f"the record at byte {start} is cut off")
         opcode, length = RECORD.unpack_from(head)
         following = start + RECORD.size + length
-        if following > end:
+        if following > end or not opcode:
             raise RecordError(f"the record at byte {start} ends at byte {following}, not by {end}")
         if opcode == MESSAGE_OPCODE:
             if length < _MESSAGE_BODY_SIZE:
                 raise RecordError(f"the message at byte {start} has only {length} bytes")
-            _, _, channel, _, time, _ = MESSAGE.unpack(head)
-            times.append(time)
-            channels.add(channel)
+            times.append(MESSAGE.unpack(head)[4])
         if times and (following - first > _RUN_SIZE or following == end):
-            size, seen = following - first, frozenset(channels)
-            yield Span(min(times), max(times), rank, first, size, False, seen, {})
-            times, channels, first = [], set(), following
+            yield Span(min(times), max(times), rank, first, following - first, False)
+            times, first = [], following
         start = following
 
 
-def read_span(stream: IO[bytes], span: Span) -> bytes:
-    """Return the records in a span of a file.
+def read_span(stream: IO[bytes], span: Span) -> tuple[bytes, bool]:
+    """Return the records in a span of a file, and whether a checksum covers them.
 
     Raises:
         RecordError: They are damaged, or there is no chunk at the place of one.
@@ -315,16 +373,49 @@ def read_span(stream: IO[bytes], span: Span) -> bytes:
     if span.size > MAX_SIZE:
         raise RecordError(f"{span.size} bytes at byte {span.offset}, too many to read")
     stream.seek(span.offset)
-    data = stream.read(span.size)
     if not span.is_chunk:
-        return data
-    head = RECORD.pack(Opcode.CHUNK, span.size - RECORD.size) if span.size >= RECORD.size else b""
-    if not head or not data.startswith(head):
-        raise RecordError(f"the index states a chunk at byte {span.offset}, but there is none")
+        return stream.read(span.size), False
     try:
-        return chunk_records(Chunk.read(ReadDataStream(BytesIO(data[RECORD.size :]))))
-    except (RecordError, McapError, struct.error, UnicodeDecodeError) as error:
-        raise RecordError(f"at byte {span.offset}: {_reason(error)}") from error
+        chunk, data_at, size = chunk_head(stream.read(_MAX_CHUNK_HEAD_SIZE))
+        if size != span.size:
+            raise RecordError("the index states another size")
+        stream.seek(span.offset + data_at)
+        chunk.data = stream.read(size - data_at)
+        return chunk_records(chunk), chunk.uncompressed_crc != 0
+    except RecordError as error:
+        raise RecordError(f"at byte {span.offset}: {error}") from error
+
+
+def has_checksum(stream: IO[bytes], span: Span) -> bool:
+    """Return whether a checksum covers the records in a span of a file, damaged or not."""
+    if span.is_chunk:
+        stream.seek(span.offset)
+        with suppress(RecordError):
+            return chunk_head(stream.read(_MAX_CHUNK_HEAD_SIZE))[0].uncompressed_crc != 0
+    return False
+
+
+def chunk_head(head: bytes) -> tuple[Chunk, int, int]:
+    """Return a chunk without its data, where in the record that starts, and the record's size.
+
+    Args:
+        head: The first bytes of the record, at least 80 if there are as many.
+
+    Raises:
+        RecordError: There is no chunk, or one of more than `MAX_SIZE` bytes.
+    """
+    try:
+        opcode, length, start, end, size, crc, name_size = _CHUNK_HEAD.unpack_from(head)
+        name = head[_CHUNK_HEAD.size : _CHUNK_HEAD.size + name_size].decode("ascii")
+        (data_size,) = struct.unpack_from("<Q", head, _CHUNK_HEAD.size + name_size)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise RecordError("there is no chunk") from error
+    data_at = _CHUNK_HEAD.size + name_size + 8
+    if opcode != Opcode.CHUNK or data_at + data_size != RECORD.size + length:
+        raise RecordError("there is no chunk, or it states two sizes")
+    if length > MAX_SIZE:
+        raise RecordError(f"the chunk states {length} bytes, too many to read")
+    return Chunk(name, b"", end, start, crc, size), data_at, data_at + data_size
 
 
 def _reason(error: Exception) -> str:

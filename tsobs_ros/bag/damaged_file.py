@@ -11,10 +11,11 @@ record the next record is searched for. A file that ends with a footer was not c
 import os
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
+from types import MappingProxyType
 from typing import IO, Any, NamedTuple
 
 from mcap.data_stream import RecordBuilder
@@ -23,7 +24,16 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Metadata
 from mcap.stream_reader import StreamReader
 
-from tsobs_ros.bag.container import MAGIC, MAX_SIZE, MESSAGE, RECORD, RecordError, chunk_records
+from tsobs_ros.bag.container import (
+    MAGIC,
+    MAX_SIZE,
+    MESSAGE,
+    RECORD,
+    ContentLimit,
+    RecordError,
+    chunk_head,
+    chunk_records,
+)
 
 INDEX_HEAD = struct.Struct("<BQHI")
 """The start of a message index: opcode, length, channel and size of its entries in bytes."""
@@ -31,10 +41,12 @@ INDEX_HEAD = struct.Struct("<BQHI")
 INDEX_ENTRY = struct.Struct("<QQ")
 """An entry of a message index: log time and place in the chunk."""
 
-_CHUNK_HEAD = struct.Struct("<BQQQQII")
-_MAX_CHUNK_HEAD_SIZE = 80
+_CHUNK_HEAD_SIZE = 80
 _MAX_OTHER_SIZE = 2**24
-_FOOTER_SIZE = 29
+_MAX_DAMAGES = 10_000
+# A file that ends with them, and perhaps with some bytes behind them, was not cut off.
+_END = re.compile(re.escape(RECORD.pack(Opcode.FOOTER, 20)) + b".{20}" + MAGIC, re.DOTALL)
+_MAX_END_SIZE = 2**16
 _BLOCK_SIZE = 2**20
 _STEP = 2**16
 # Header, schema, channel, message, chunk, metadata or data end, of less than 256 MiB. Looking ahead
@@ -43,8 +55,11 @@ _CANDIDATE = re.compile(rb"(?=[\x01\x03-\x06\x0c\x0f].{3}[\0-\x0f]\0{4})", re.DO
 _DESCRIPTIONS = frozenset(map(int, Opcode)).difference(
     {Opcode.CHUNK, Opcode.MESSAGE, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT}
 )
-_CANDIDATE_EFFORT = 4096
-"""The effort of looking at one candidate, in bytes that can be read in that time."""
+_CANDIDATE_COST = 4096
+"""The cost of looking at one candidate, in bytes that can be read in that time."""
+
+_RECORD_COST = 300
+"""The cost of looking at a record in a chunk, in bytes that can be read in that time."""
 
 
 class Content(NamedTuple):
@@ -83,6 +98,15 @@ class Damage:
         return f"bytes {self.offset} to {self.offset + self.size}{held}: {self.reason}"
 
 
+class Lost(NamedTuple):
+    """What is known of a lost part: reason, what follows, and whether any of it is kept."""
+
+    reason: str
+    following: int
+    kept: bool
+    has_chunks: bool
+
+
 class DamagedFile:
     """The pieces of one file, in their order.
 
@@ -94,22 +118,37 @@ class DamagedFile:
         stream: The file.
         size: The number of bytes to read: the file may be growing.
         keep_unchecked: Whether to give the front of chunks whose checksum fails.
+        is_trusted: Whether to read chunks however much they decompress to.
+        lost: What an earlier reading found to be lost, which need not be searched again.
 
     Attributes:
         damage: The parts that are lost, as far as the file has been read.
+        lost: What is lost, by the place of its first byte.
     """
 
-    def __init__(self, stream: IO[bytes], size: int, *, keep_unchecked: bool = False) -> None:
+    def __init__(
+        self,
+        stream: IO[bytes],
+        size: int,
+        *,
+        keep_unchecked: bool = False,
+        is_trusted: bool = False,
+        lost: Mapping[int, Lost] = MappingProxyType({}),
+    ) -> None:
         self.damage: list[Damage] = []
+        self.lost = dict(lost)
+        self._content = ContentLimit(size, is_trusted)
         self._descriptor = stream.fileno()
         self._size = size
         self._keep_unchecked = keep_unchecked
         self._written_end = self._end_without_zeros()
-        end = self._bytes(size - _FOOTER_SIZE - len(MAGIC), size)
-        self._has_end = end.startswith(RECORD.pack(Opcode.FOOTER, 20)) and end.endswith(MAGIC)
+        end = self._bytes(self._written_end - _MAX_END_SIZE, _MAX_END_SIZE)
+        self._has_end = _END.search(end) is not None
         # A file without chunks describes its channels before its messages.
         self._bare_channels: set[bytes] = set()
         self._has_chunks = False
+        # What was looked at last, and is read next if it is a record.
+        self._parsed: tuple[int, McapRecord | None] = -1, None
         self._follows_damage = False
         self._effort_left = 64 * size + 2**30
 
@@ -134,6 +173,9 @@ class DamagedFile:
         """
         if at >= self._written_end:
             return None, self._lose(at, "nothing but zeros to the end", self._size)
+        if (lost := self.lost.get(at)) and not lost.kept:
+            self._has_chunks = lost.has_chunks
+            return None, self._lose(at, lost.reason, lost.following)
         head = self._bytes(at, len(MAGIC))
         if head == MAGIC:
             return None, at + len(MAGIC)
@@ -143,76 +185,68 @@ class DamagedFile:
             self._follows_damage = False
         return self._read_other(at)
 
-    def _lose(self, at: int, reason: str, following: int | None = None) -> int:
+    def _lose(self, at: int, reason: str, following: int | None = None, kept: bool = False) -> int:
         """Take account of damage, and return what follows: by default, the next record."""
         if following is None:
-            following = self._search(at + 1)
+            known = self.lost.get(at)
+            following = known.following if known else self._search(at + 1)
             if self._effort_left < 0:
                 reason += "; too many of the bytes after it look like records to be searched"
+        self.lost[at] = Lost(reason, following, kept, self._has_chunks)
         last = self.damage[-1] if self.damage else None
-        if last and last.offset + last.size == at:
-            last.size = following - last.offset
+        if last and (last.offset + last.size == at or len(self.damage) > _MAX_DAMAGES):
+            last.size += following - at
+        elif len(self.damage) == _MAX_DAMAGES:
+            self.damage.append(Damage(at, following - at, "and further parts behind it"))
         else:
             self.damage.append(Damage(at, following - at, reason))
         self._follows_damage = True
         return following
 
     def _read_chunk(self, at: int) -> tuple[Content | None, int]:
-        chunk, data_at, end = self._chunk_head(at)
+        chunk, data_at, size = chunk_head(self._bytes(at, _CHUNK_HEAD_SIZE))
+        data_at, end = at + data_at, at + size
         self._has_chunks = True
         chunk.data = self._bytes(data_at, end - data_at)
+        cost = len(chunk.data)
         try:
             if end > self._size:
                 raise RecordError("the file ends inside of a chunk")
+            self._content.count_chunk(chunk)
             records = chunk_records(chunk)
-            whole, _ = _whole_records(records, chunk)
-            if len(whole.records) < len(records):
+            found = _whole_records(records, chunk)
+            cost += len(records) + _RECORD_COST * found.number
+            self._content.count_records(found.number)
+            if found.size < len(records):
                 raise RecordError("the chunk holds bytes that are no record")
+            is_checked = chunk.uncompressed_crc != 0
+            # If a chunk without a checksum has lost bytes, this shows behind it.
+            if not (is_checked or self._starts_record(end)):
+                raise RecordError("the chunk has no checksum, and no record follows it")
             self._follows_damage = False
-            return whole._replace(is_checked=chunk.uncompressed_crc != 0), end
+            return found.content(records, is_checked), end
         except RecordError as error:
             reason = str(error)
-        if self._may_be_cut(chunk, end):
-            chunk.data = chunk.data[: self._written_end - data_at]
-            front, is_cut = _front(chunk)
-            if is_cut:
-                reason = "the file ends inside of a chunk, the front of which is kept"
-                return front, self._lose(at, reason, self._size)
-        content = _front(chunk)[0] if self._keep_unchecked else None
-        if end <= self._size and self._starts_record(end):
-            return content, self._lose(at, reason, end)
-        # A chunk that has lost bytes reaches into what follows it: search inside of it.
-        self._effort_left -= len(chunk.data)
-        if chunk.compression and chunk.uncompressed_size <= MAX_SIZE:
-            self._effort_left -= chunk.uncompressed_size
-        return content, self._lose(at, reason)
-
-    def _may_be_cut(self, chunk: Chunk, end: int) -> bool:
-        """Whether the end of the file, or the zeros there, may cut off a damaged chunk."""
-        if self._has_end or self._written_end >= end:
-            return False
-        # If its records go on through the zeros, those are its own, and the damage is elsewhere.
-        return end > self._size or len(_front(chunk)[0].records) < chunk.uncompressed_size
-
-    def _chunk_head(self, at: int) -> tuple[Chunk, int, int]:
-        """Return a chunk without its data, where that starts, and where it ends.
-
-        Raises:
-            RecordError: There is no chunk.
-        """
-        head = self._bytes(at, _MAX_CHUNK_HEAD_SIZE)
-        try:
-            _, length, start, end, size, crc, name_size = _CHUNK_HEAD.unpack_from(head)
-            name = head[_CHUNK_HEAD.size : _CHUNK_HEAD.size + name_size].decode("ascii")
-            (data_size,) = struct.unpack_from("<Q", head, _CHUNK_HEAD.size + name_size)
-        except (struct.error, UnicodeDecodeError) as error:
-            raise RecordError("not a chunk") from error
-        data_at = _CHUNK_HEAD.size + name_size + 8
-        if data_at + data_size != RECORD.size + length:
-            raise RecordError("not a chunk: it states two sizes")
-        if length > MAX_SIZE:
-            raise RecordError(f"the chunk states {length} bytes, too many to read")
-        return Chunk(name, b"", end, start, crc, size), at + data_at, at + data_at + data_size
+        if not self._has_end and self._written_end < end:
+            front, records = _front(chunk)
+            # If its records go on through the zeros, those are its own; the damage is elsewhere.
+            if end > self._size or front.size < chunk.uncompressed_size:
+                chunk.data = chunk.data[: self._written_end - data_at]
+                front, records = _front(chunk)
+                if front.is_cut:
+                    reason = "the file ends inside of a chunk, the front of which is kept"
+                    return front.content(records), self._lose(at, reason, self._size, kept=True)
+            cost += 2 * (len(records) + _RECORD_COST * front.number)
+        content: Content | None = None
+        if self._keep_unchecked:
+            front, records = _front(chunk)
+            content = front.content(records)
+            cost += len(records) + _RECORD_COST * front.number
+        following = end if end <= self._size and self._starts_record(end) else None
+        if following is None:
+            # A chunk that has lost bytes reaches into what follows it: search inside of it.
+            self._effort_left -= cost
+        return content, self._lose(at, reason, following, kept=content is not None)
 
     def _read_other(self, at: int) -> tuple[Content | McapRecord | None, int]:
         """Return the record at an offset, which is no chunk, and where it ends.
@@ -229,8 +263,10 @@ class DamagedFile:
             raise RecordError("not a record, or one that is cut off")
         channel = head[9:11]
         if opcode in _DESCRIPTIONS and length <= _MAX_OTHER_SIZE:
-            self._effort_left -= size
-            record = parse_record(self._bytes(at, size))
+            if self._parsed[0] != at:
+                self._effort_left -= size
+                self._parsed = at, parse_record(self._bytes(at, size))
+            record = self._parsed[1]
             # One that has lost bytes may take them from the chunk that follows.
             if isinstance(record, Metadata) and not self._starts_record(end):
                 raise RecordError("not a record")
@@ -271,7 +307,7 @@ class DamagedFile:
 
     def _search(self, at: int) -> int:
         """Return where the next record is; the end if there is none."""
-        step = _CANDIDATE_EFFORT
+        step = _CANDIDATE_COST
         while at < self._written_end:
             with suppress(OSError):  # a sparse file has holes of any size
                 at = max(at, os.lseek(self._descriptor, at, os.SEEK_DATA))
@@ -280,7 +316,7 @@ class DamagedFile:
                 place = match.start()
                 if block[place] == Opcode.MESSAGE and not self._bare_channels:
                     continue
-                self._effort_left -= _CANDIDATE_EFFORT
+                self._effort_left -= _CANDIDATE_COST
                 if self._effort_left < 0:
                     return self._size
                 if self._has_record(at + place, block[place]):
@@ -291,7 +327,8 @@ class DamagedFile:
     def _has_record(self, at: int, opcode: int) -> bool:
         try:
             if opcode == Opcode.CHUNK:
-                return self._chunk_head(at)[2] <= self._size or not self._has_end
+                size = chunk_head(self._bytes(at, _CHUNK_HEAD_SIZE))[2]
+                return at + size <= self._size or not self._has_end
             self._read_other(at)
         except RecordError:
             return False
@@ -335,14 +372,38 @@ def parse_record(record: bytes) -> McapRecord:
     return found
 
 
-def _whole_records(
-    records: bytes, chunk: Chunk, first_time: int = 0, last_time: int = 2**64
-) -> tuple[Content, bool]:
-    """Return the whole records in the front of a chunk's, and whether nothing but a cut ends them.
+class _Front(NamedTuple):
+    """The whole records in the front of a chunk's.
 
-    A record of a kind or size that cannot be in the chunk, or a message of another time, is no cut.
+    Attributes:
+        size: Their size, bytes.
+        number: How many they are.
+        descriptions: Where the first schema or channel of each id starts and ends.
+        is_cut: Whether nothing but a cut ends them.
     """
-    at, available, descriptions, is_cut = 0, len(records), [], True
+
+    size: int
+    number: int
+    descriptions: list[tuple[int, int]]
+    is_cut: bool
+
+    def content(self, records: bytes, is_checked: bool = False) -> Content:
+        described = tuple(records[start:end] for start, end in self.descriptions)
+        return Content(records[: self.size], is_checked, described)
+
+
+def _whole_records(records: bytes, chunk: Chunk) -> _Front:
+    """Return the whole records in the front of a chunk's.
+
+    A record of a kind or size that cannot be in the chunk is no cut. Neither is a message of
+    another time, unless a checksum covers all of them.
+    """
+    at = count = 0
+    available, is_cut = len(records), True
+    descriptions: dict[tuple[int, bytes], tuple[int, int]] = {}
+    first_time, last_time = chunk.message_start_time, chunk.message_end_time
+    if chunk.uncompressed_crc and len(records) == chunk.uncompressed_size:
+        first_time, last_time = 0, 2**64
     message, unpack = int(Opcode.MESSAGE), RECORD.unpack_from
     while at + RECORD.size <= available:
         opcode, length = unpack(records, at)
@@ -353,18 +414,19 @@ def _whole_records(
             if is_cut and last_time < 2**64 and head_end <= available:
                 is_cut = first_time <= MESSAGE.unpack_from(records, at)[4] <= last_time
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            descriptions.append(records[at:end])
+            if end <= available:
+                descriptions.setdefault((opcode, records[at + 9 : at + 11]), (at, end))
         else:
             is_cut = opcode >= 0x80
         is_cut = is_cut and end <= chunk.uncompressed_size
         if not is_cut or end > available:
             break
-        at = end
-    return Content(records[:at], descriptions=tuple(descriptions)), is_cut
+        at, count = end, count + 1
+    return _Front(at, count, list(descriptions.values()), is_cut)
 
 
-def _front(chunk: Chunk) -> tuple[Content, bool]:
-    """Return the front of a damaged chunk, and whether nothing but a cut ends it."""
+def _front(chunk: Chunk) -> tuple[_Front, bytes]:
+    """Return the front of a damaged chunk, and what it was found in."""
     data = bytearray()
     limit = chunk.uncompressed_size if chunk.uncompressed_size <= MAX_SIZE else 0
     with suppress(Exception):  # the libraries' errors have several roots
@@ -373,8 +435,8 @@ def _front(chunk: Chunk) -> tuple[Content, bool]:
             if len(data) >= limit:
                 break
     del data[limit:]
-    times = chunk.message_start_time, chunk.message_end_time
-    return _whole_records(bytes(data), chunk, *times)
+    records = bytes(data)
+    return _whole_records(records, replace(chunk, data=b"", uncompressed_crc=0)), records
 
 
 def _decompressed(chunk: Chunk) -> Iterator[bytes]:

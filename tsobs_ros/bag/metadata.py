@@ -4,6 +4,7 @@
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
@@ -12,10 +13,11 @@ from typing import Annotated, Any, TypeVar
 
 import msgspec
 import yaml
+from mcap.records import Channel
 
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.errors import BagReadError, BagWriteError
-from tsobs_ros.yaml_files import load_yaml
+from tsobs_ros.yaml_files import MAX_BYTES, load_yaml, read_yaml
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -135,6 +137,31 @@ def profiles_from_yaml(text: str) -> tuple[QosProfile, ...]:
     except ValueError as error:
         raise ValueError(f"not a list of QoS profiles: {error}") from error
     return tuple(map(QosProfile.from_map, _checked(content, list[Any], "a list of QoS profiles")))
+
+
+class OfferedQos:
+    """The `offered_qos_profiles` of a file's channels, each text parsed once, few as they are.
+
+    Parsing costs some microseconds a byte: hostile texts are limited to `MAX_BYTES` in all.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[QosProfile, ...]] = {}
+        self._bytes_left = MAX_BYTES
+
+    def __getitem__(self, channel: Channel) -> tuple[QosProfile, ...]:
+        """Return the offers of a channel.
+
+        Raises:
+            ValueError: Its text is not a YAML list of QoS profiles, or there are too many of them.
+        """
+        text = channel.metadata.get("offered_qos_profiles", "")
+        if text not in self._known:
+            self._bytes_left -= len(text)
+            if self._bytes_left < 0:
+                raise ValueError(f"the file's QoS profiles are larger than {MAX_BYTES} bytes")
+            self._known[text] = profiles_from_yaml(text)
+        return self._known[text]
 
 
 @dataclass(frozen=True)
@@ -283,9 +310,11 @@ class BagMetadata:
             raise ValueError(
                 f"files are {listed}, but relative_file_paths {stated.relative_file_paths}"
             )
-        for name in listed:
+        for name, times in Counter(listed).items():
             if "\0" in name:
                 raise ValueError(f"{name!r} cannot be a file's name")
+            if times > 1:
+                raise ValueError(f"the file '{name}' is listed {times} times")
         custom_data = stated.custom_data
         return cls(
             topics=tuple(map(_topic_info, stated.topics_with_message_count)),
@@ -344,14 +373,10 @@ def read_metadata(folder: Path) -> BagMetadata:
             has a value that makes no sense.
     """
     path = folder / FILE_NAME
+    if not path.exists():
+        raise BagReadError(f"{folder}: not a bag folder, it has no {FILE_NAME}")
+    root = read_yaml(path, "bag's metadata", BagReadError)
     try:
-        content = load_yaml(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise BagReadError(f"{folder}: not a bag folder, it has no {FILE_NAME}") from error
-    except (OSError, ValueError) as error:  # not UTF-8 is a ValueError as well
-        raise BagReadError(f"{path}: cannot read it: {error}") from error
-    try:
-        root = _checked(content, dict[str, Any], "the metadata of a bag")
         if ROOT_KEY not in root:
             raise ValueError(f"not the metadata of a bag: it has no {ROOT_KEY}")
         return BagMetadata.from_map(root[ROOT_KEY])

@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading bags: a folder with its metadata.yaml, or a single MCAP file."""
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import redirect_stderr
 from dataclasses import replace
+from heapq import heappop, heappush
 from io import StringIO
-from itertools import chain, pairwise
+from itertools import chain, islice, pairwise
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
-from mcap.records import Channel, Schema
+from mcap.records import Schema
 
 from tsobs_ros.bag.container import (
     RECOVER_HINT,
@@ -24,8 +25,13 @@ from tsobs_ros.bag.container import (
     split_messages,
 )
 from tsobs_ros.bag.definitions import MessageDefinition
-from tsobs_ros.bag.metadata import BagMetadata, TopicInfo, profiles_from_yaml, read_metadata
+from tsobs_ros.bag.metadata import BagMetadata, OfferedQos, TopicInfo, read_metadata
 from tsobs_ros.errors import BagReadError, missing_library
+from tsobs_ros.files import open_regular
+from tsobs_ros.yaml_files import MAX_BYTES
+
+UNCHECKED = "messages have no checksum: damage in them is not noticed"
+"""What follows if any message read is unchecked."""
 
 
 class BagMessage(NamedTuple):
@@ -40,6 +46,17 @@ class BagMessage(NamedTuple):
 
 # Faster than the attribute, at millions of messages.
 _LOG_TIME = itemgetter(3)
+
+_MAX_MESSAGES = 2**20
+"""The largest number of messages of a chunk: as objects they take 300 MB."""
+
+_MAX_HELD = 2**29
+"""The largest size of messages that wait for later chunks, or are the last of a topic, bytes."""
+
+_OBJECT_SIZE = 400
+"""What a message takes beside its data, bytes."""
+
+_MAX_LATCHED = 1_000
 
 _Load: TypeAlias = Callable[[Span], list[BagMessage]]
 """Returns the wanted messages of a span, in order of log time."""
@@ -69,6 +86,7 @@ class BagReader:
         metadata: The content of metadata.yaml; None for a single file.
         start_time: The smallest log time, ns since the epoch; None without messages.
         end_time: The largest log time, ns since the epoch; None without messages.
+        unchecked: The number of messages read so far that no checksum covers.
 
     Raises:
         BagReadError: There is no bag, it is not of ROS 2, was not finished, or has messages in
@@ -91,6 +109,7 @@ class BagReader:
         self.topics: dict[str, TopicInfo] = {}
         self.start_time: int | None = None
         self.end_time: int | None = None
+        self.unchecked = 0
         self.summaries = tuple(read_summary(file, rank) for rank, file in enumerate(self.files))
         for summary in self.summaries:
             self._add_topics(summary)
@@ -144,7 +163,7 @@ class BagReader:
         Args:
             time_ns: They are before this log time, ns since the epoch.
             topics: Of these topics; of all by default.
-            depth: How many of each topic at most.
+            depth: How many of each topic at most; a thousand if it is more.
 
         Returns:
             The messages in order of log time.
@@ -155,7 +174,9 @@ class BagReader:
         selected = self._select(topics)
         spans = [span for span in self._spans_with(selected) if span.start < time_ns]
         load = self._loader(selected, None, time_ns)
-        return _last_of_each(spans, load, lambda span: self._topics_of(span) & selected, depth)
+        return _last_of_each(
+            spans, load, lambda span: self._topics_of(span) & selected, min(depth, _MAX_LATCHED)
+        )
 
     def decoded(
         self,
@@ -214,8 +235,8 @@ class BagReader:
         def load(span: Span) -> list[BagMessage]:
             path = self.files[span.rank]
             try:
-                with path.open("rb") as stream:
-                    records = read_span(stream, span)
+                with open_regular(path) as stream:
+                    records, is_checked = read_span(stream, span)
                 messages = _messages(records, known[span.rank])
                 messages.sort(key=_LOG_TIME)
                 if messages and not (
@@ -228,7 +249,9 @@ class BagReader:
                 ) from error
             first = 0 if start_ns is None else bisect_left(messages, start_ns, key=_LOG_TIME)
             last = None if end_ns is None else bisect_left(messages, end_ns, key=_LOG_TIME)
-            return messages[first:last]
+            messages = messages[first:last]
+            self.unchecked += 0 if is_checked else len(messages)
+            return messages
 
         return load
 
@@ -254,6 +277,8 @@ class BagReader:
             raise BagReadError(f"{self.path}: cannot decode messages: {advice}") from error
         definition = self.topics[name].definition
         assert definition is not None
+        if len(definition.text) > MAX_BYTES:
+            raise BagReadError(f"{self.path}: the definition of {definition.type} is too large")
         schema = Schema(
             id=1,
             name=definition.type,
@@ -286,8 +311,24 @@ class BagReader:
                 f"{file}: the file is damaged: {statistics.channel_count} channels, but "
                 f"{described} in the index; {RECOVER_HINT}"
             )
+        offered, texts = OfferedQos(), dict[int, str]()
+        for id_, each in summary.schemas.items():
+            texts[id_] = each.data.decode(errors="replace")
         for channel in summary.channels.values():
-            topic = _topic_info(file, channel, summary.schemas.get(channel.schema_id))
+            if channel.message_encoding != "cdr":
+                raise BagReadError(
+                    f"{file}: {channel.topic} is encoded in '{channel.message_encoding}', "
+                    "not in cdr"
+                )
+            if (schema := summary.schemas.get(channel.schema_id)) is None:
+                raise BagReadError(f"{file}: {channel.topic} has no type")
+            try:
+                offers = offered[channel]
+            except ValueError as error:
+                raise BagReadError(f"{file}: {channel.topic}: {error}") from error
+            hash_ = channel.metadata.get("topic_type_hash", "")
+            definition = MessageDefinition(schema.name, texts[schema.id], hash_, schema.encoding)
+            topic = TopicInfo(channel.topic, schema.name, 0, offers, hash_, definition)
             known = self.topics.setdefault(topic.name, topic)
             if known.type != topic.type:
                 raise BagReadError(
@@ -301,35 +342,21 @@ class BagReader:
             self.end_time = end if self.end_time is None else max(end, self.end_time)
 
 
-def _topic_info(file: Path, channel: Channel, schema: Schema | None) -> TopicInfo:
-    topic = channel.topic
-    if channel.message_encoding != "cdr":
-        raise BagReadError(
-            f"{file}: {topic} is encoded in '{channel.message_encoding}', not in cdr"
-        )
-    if schema is None:
-        raise BagReadError(f"{file}: {topic} has no type")
-    try:
-        qos_profiles = profiles_from_yaml(channel.metadata.get("offered_qos_profiles", ""))
-    except ValueError as error:
-        raise BagReadError(f"{file}: {topic}: {error}") from error
-    type_hash = channel.metadata.get("topic_type_hash", "")
-    text = schema.data.decode(errors="replace")
-    definition = MessageDefinition(schema.name, text, type_hash, schema.encoding)
-    return TopicInfo(topic, schema.name, 0, qos_profiles, type_hash, definition)
-
-
 def _messages(records: bytes, channels: Mapping[int, tuple[str, str] | None]) -> list[BagMessage]:
     # Twice as fast as the class itself.
     new = tuple.__new__
+    found = split_messages(records)
     try:
-        return [
+        messages = [
             new(BagMessage, (*known, data, log_time, publish_time))
-            for channel, log_time, publish_time, _, data in split_messages(records)
+            for channel, log_time, publish_time, _, data in islice(found, _MAX_MESSAGES)
             if (known := channels[channel])
         ]
     except KeyError as error:
         raise RecordError(f"a message is of channel {error}, which is not described") from error
+    if next(found, None):
+        raise RecordError(f"a chunk has more than {_MAX_MESSAGES} messages, too many to read")
+    return messages
 
 
 def _in_log_order(spans: Iterable[Span], load: _Load) -> Iterator[BagMessage]:
@@ -338,19 +365,44 @@ def _in_log_order(spans: Iterable[Span], load: _Load) -> Iterator[BagMessage]:
     Each span is loaded when its first message may be due.
     """
     ordered = sorted(spans, key=lambda span: (span.start, span.rank, span.offset))
-    loaded: dict[tuple[int, int], list[BagMessage]] = {}
+    # Those that are due after the start of the next span, in a heap with their order.
+    waiting: list[tuple[int, int, int, int, BagMessage]] = []
+    held = 0
     for span, following in pairwise(chain[Span | None](ordered, (None,))):
         assert span is not None
-        loaded[span.rank, span.offset] = load(span)
-        due: list[list[BagMessage]] = []
-        for place, messages in sorted(loaded.items(), key=itemgetter(0)):
-            end = bisect_left(messages, following.start, key=_LOG_TIME) if following else None
-            due.append(messages[:end])
-            del messages[:end]
-            if not messages:
-                del loaded[place]
-        # Sorting is stable, and cheap for what is in order already.
-        yield from due[0] if len(due) == 1 else sorted(chain.from_iterable(due), key=_LOG_TIME)
+        messages = load(span)
+        end = len(messages)
+        if following is not None:
+            end = bisect_left(messages, following.start, key=_LOG_TIME)
+        if waiting:
+            due = []
+            while waiting and (following is None or waiting[0][0] < following.start):
+                due.append(heappop(waiting))
+            held -= sum(_size(entry[-1]) for entry in due)
+            first = bisect_right(messages, due[-1][0], 0, end, key=_LOG_TIME) if due else 0
+            due += _entries(span, messages, 0, first)
+            yield from (entry[-1] for entry in sorted(due))
+            yield from messages[first:end]
+        else:
+            yield from messages[:end]
+        for entry in _entries(span, messages, end, len(messages)):
+            heappush(waiting, entry)
+            held += _size(entry[-1])
+        if held > _MAX_HELD:
+            raise BagReadError("too many chunks overlap in time to be read in order of log time")
+
+
+def _entries(
+    span: Span, messages: list[BagMessage], start: int, end: int
+) -> Iterator[tuple[int, int, int, int, BagMessage]]:
+    """Yield a span's messages with what orders them: no two are alike before the message."""
+    for number in range(start, end):
+        message = messages[number]
+        yield message.log_time, span.rank, span.offset, number, message
+
+
+def _size(message: BagMessage) -> int:
+    return _OBJECT_SIZE + len(message.data)
 
 
 def _last_of_each(
@@ -378,4 +430,6 @@ def _last_of_each(
             for topic, messages in earlier.items():
                 both = sorted(messages[-depth:] + last.get(topic, []), key=_LOG_TIME)
                 last[topic] = both[-depth:]
+            if sum(map(_size, chain.from_iterable(last.values()))) > _MAX_HELD:
+                raise BagReadError("the last messages of the topics are too large to be held")
     return sorted(chain.from_iterable(last.values()), key=_LOG_TIME)

@@ -3,37 +3,39 @@
 """Recovery of a damaged bag: a whole bag of what its files still hold, and an account of it."""
 
 import re
-from collections import Counter
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from stat import S_ISREG
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
+from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, McapRecord, Metadata, Schema, Statistics
 
 from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.container import RecordError, split_messages
-from tsobs_ros.bag.damaged_file import Content, Damage, DamagedFile, parse_record
+from tsobs_ros.bag.damaged_file import Content, Damage, DamagedFile, Lost, parse_record
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     TYPE_HASH,
     BagMetadata,
+    OfferedQos,
     QosProfile,
     TopicInfo,
-    profiles_from_yaml,
     read_metadata,
 )
 from tsobs_ros.bag.writer import LIBRARY, BagWriter
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
+from tsobs_ros.files import open_regular
 
 Progress = Callable[[int], object]
 Keep = Callable[[str, bytes, int, int], object]
 """Takes a message: topic, data, log time [ns] and publish time [ns]."""
 
 _SHOWN = 10
+_MAX_DESCRIPTIONS = 2**26
 _NUMBER = re.compile(r"_(\d+)$")
 
 
@@ -210,9 +212,11 @@ class Recovery:
 class _File:
     """The records of a file that describe its topics and itself, wherever they are."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, keep_unchecked: bool, is_trusted: bool) -> None:
         self.path = path
         self.size = 0
+        self._options = {"keep_unchecked": keep_unchecked, "is_trusted": is_trusted}
+        self._damage: list[Damage] = []
         self.error = ""
         self.profile: str | None = None
         self.library = ""
@@ -222,56 +226,90 @@ class _File:
         self.metadata: BagMetadata | None = None
         self.is_finished = False
 
+        self._lost: dict[int, Lost] = {}
+        self._metadata_texts: deque[str] = deque(maxlen=2)
+        self._definitions: dict[int, MessageDefinition | None] = {}
+        self._room = _MAX_DESCRIPTIONS
+
     def read(self, progress: Progress) -> None:
-        """Read the file once, from its start to its end."""
+        """Read the file once, from its start to its end, for what it says of itself."""
         try:
-            if not S_ISREG(self.path.stat().st_mode):
-                self.error = "not a regular file"
-                return
-            with self.path.open("rb") as stream:
+            with open_regular(self.path) as stream:
                 self.size = stream.seek(0, 2)
-                for piece in DamagedFile(stream, self.size).pieces(progress):
+                for piece in self._pieces(stream, progress):
                     self._add(piece)
         except OSError as error:
             self.error = error.strerror or str(error)
+        # The last one tells most.
+        for text in reversed(self._metadata_texts):
+            with suppress(ValueError):
+                self.metadata = BagMetadata.from_yaml(text)
+                break
+
+    def contents(self, account: FileRecovery, progress: Progress) -> Iterator[Content]:
+        """Yield the messages in the file, and enter what is lost into its account."""
+        with open_regular(self.path) as stream:
+            for piece in self._pieces(stream, progress):
+                if isinstance(piece, Content):
+                    yield piece
+        account.damage = self._damage
+
+    def _pieces(self, stream: IO[bytes], progress: Progress) -> Iterator[Content | McapRecord]:
+        damaged = DamagedFile(stream, self.size, lost=self._lost, **self._options)
+        yield from damaged.pieces(progress)
+        self._lost, self._damage = damaged.lost, damaged.damage
 
     def _add(self, piece: Content | McapRecord) -> None:
         # The first of two records with one id is kept: chunks, which have checksums, come first.
         match piece:
             case Content():
                 for description in piece.descriptions:
-                    with suppress(RecordError):
-                        self._add(parse_record(description))
+                    known = self.schemas if description[0] == Opcode.SCHEMA else self.channels
+                    if int.from_bytes(description[9:11], "little") not in known:
+                        with suppress(RecordError):
+                            self._add(parse_record(description))
             case Header() if self.profile is None:
                 self.profile, self.library = piece.profile, piece.library
-            case Schema():
-                self.schemas.setdefault(piece.id, piece)
-            case Channel():
-                self.channels.setdefault(piece.id, piece)
+            case Schema() if piece.id not in self.schemas and self._has_room(len(piece.data)):
+                self.schemas[piece.id] = piece
+            case Channel() if piece.id not in self.channels and self._has_room(
+                sum(len(key) + len(value) for key, value in piece.metadata.items())
+            ):
+                self.channels[piece.id] = piece
             case Statistics() if piece.message_count == sum(piece.channel_message_counts.values()):
                 self.statistics = piece
             case Footer():
                 self.is_finished = True
             case Metadata(name="rosbag2"):
-                with suppress(ValueError):
-                    text = piece.metadata.get("serialized_metadata", "")
-                    self.metadata = BagMetadata.from_yaml(text)
+                self._metadata_texts.append(piece.metadata.get("serialized_metadata", ""))
+
+    def _has_room(self, size: int) -> bool:
+        self._room -= size
+        return self._room >= 0
 
     def definition(self, channel: Channel) -> MessageDefinition | None:
         """Return the definition that the file has of a channel's type, if it is intact."""
         if (schema := self.schemas.get(channel.schema_id)) is None:
             return None
-        text = schema.data.decode(errors="replace")
-        if schema.encoding == "ros2msg":
-            try:
-                MessageLayout(schema.name, text)
-            except UnknownLayoutError:
-                pass
-            except ValueError:
-                return None
+        if schema.id not in self._definitions:
+            text = schema.data.decode(errors="replace")
+            definition = MessageDefinition(schema.name, text, "", schema.encoding)
+            self._definitions[schema.id] = definition if _is_sound(definition) else None
+        if (found := self._definitions[schema.id]) is None:
+            return None
         hash_ = channel.metadata.get("topic_type_hash", "")
-        hash_ = hash_ if TYPE_HASH.fullmatch(hash_) else ""
-        return MessageDefinition(schema.name, text, hash_, schema.encoding)
+        return found._replace(type_hash=hash_ if TYPE_HASH.fullmatch(hash_) else "")
+
+
+def _is_sound(definition: MessageDefinition) -> bool:
+    if definition.encoding == "ros2msg":
+        try:
+            MessageLayout(definition.type, definition.text)
+        except UnknownLayoutError:
+            pass
+        except ValueError:
+            return False
+    return True
 
 
 class DamagedBag:
@@ -283,6 +321,8 @@ class DamagedBag:
     Args:
         bag: A bag folder, with or without metadata.yaml, or one MCAP file.
         progress: Called with the number of bytes that were read since the last call.
+        keep_unchecked: Whether to give what can be read of chunks whose checksum fails, too.
+        is_trusted: Whether to read chunks however much they decompress to.
 
     Attributes:
         topics: The topics found, by name.
@@ -294,9 +334,19 @@ class DamagedBag:
         BagReadError: There is no bag.
     """
 
-    def __init__(self, bag: Path, progress: Progress = lambda _: None) -> None:
+    def __init__(
+        self,
+        bag: Path,
+        progress: Progress = lambda _: None,
+        *,
+        keep_unchecked: bool = False,
+        is_trusted: bool = False,
+    ) -> None:
         found = _find_files(bag)
-        self._files = [_File(path) for path in found.paths]
+        self._files = [
+            _File(path, keep_unchecked=keep_unchecked, is_trusted=is_trusted)
+            for path in found.paths
+        ]
         for file in self._files:
             file.read(progress)
         stated = [found.metadata, *(file.metadata for file in self._files)]
@@ -328,7 +378,6 @@ class DamagedBag:
         self,
         keep: Keep,
         *,
-        keep_unchecked: bool = False,
         progress: Progress = lambda _: None,
         start_file: Callable[[], object] = lambda: None,
     ) -> tuple[FileRecovery, ...]:
@@ -336,7 +385,6 @@ class DamagedBag:
 
         Args:
             keep: Called with each message.
-            keep_unchecked: Whether to give what can be read of chunks whose checksum fails, too.
             progress: Called with the number of bytes that were read since the last call.
             start_file: Called before the first message of each file.
 
@@ -352,17 +400,14 @@ class DamagedBag:
                     file.statistics.channel_message_counts if file.statistics else {}
                 ).items():
                     account.stated[destinations.topics.get(id_, f"channel {id_}")] += count
-                with file.path.open("rb") as stream:
-                    damaged = DamagedFile(stream, file.size, keep_unchecked=keep_unchecked)
-                    for piece in damaged.pieces(progress):
-                        if isinstance(piece, Content):
-                            account.add(piece, destinations, keep)
-                account.damage = damaged.damage
+                for content in file.contents(account, progress):
+                    account.add(content, destinations, keep)
             accounts.append(account)
         return tuple(accounts)
 
     def _destinations_of(self, file: _File) -> _Destinations:
         found = _Destinations({}, {})
+        offered = OfferedQos()
         by_name = {listed.name: listed for listed in self._listed}
         for id_, channel in file.channels.items():
             topic = channel.topic
@@ -372,7 +417,7 @@ class DamagedBag:
             definition = file.definition(channel) or self._listed_definition(by_name.get(topic))
             qos: tuple[QosProfile, ...] = ()
             with suppress(ValueError):
-                qos = profiles_from_yaml(channel.metadata.get("offered_qos_profiles", ""))
+                qos = offered[channel]
             self._add(found, id_, topic, definition, qos)
         if file.library.startswith(f"{LIBRARY} "):
             # Our files number the channels in the order in which the metadata lists the topics.
@@ -416,6 +461,7 @@ def recover(
     *,
     compression: str = "zstd",
     keep_unchecked: bool = False,
+    is_trusted: bool = False,
     progress: Progress = lambda _: None,
 ) -> Recovery:
     """Make a whole bag of what a damaged one still holds; the damaged one is only read.
@@ -429,6 +475,7 @@ def recover(
         compression: Of the new bag's chunks: `none`, `lz4` or `zstd`.
         keep_unchecked: Whether to keep what can be read of chunks whose checksum fails, too,
             although some of it is wrong.
+        is_trusted: Whether to read chunks however much they decompress to.
         progress: Called with the number of bytes that were read since the last call; all of the bag
             is read twice.
 
@@ -440,7 +487,7 @@ def recover(
         BagWriteError: The output exists or cannot be written.
     """
     source, target = Path(bag), Path(output).absolute()
-    damaged = DamagedBag(source, progress)
+    damaged = DamagedBag(source, progress, keep_unchecked=keep_unchecked, is_trusted=is_trusted)
     if target.exists():
         raise BagWriteError(f"{target}: exists already, bags are not overwritten")
     if source.resolve() in target.resolve().parents:
@@ -462,7 +509,6 @@ def recover(
     with ExitStack() as stack:
         files = damaged.read(
             keep,
-            keep_unchecked=keep_unchecked,
             progress=progress,
             start_file=lambda: writer.split() if writer else None,
         )

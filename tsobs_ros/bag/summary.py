@@ -15,14 +15,17 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.container import MAX_SIZE, RECORD, Summary
+from tsobs_ros.bag.container import MAX_SIZE, RECORD, Summary, has_checksum
 from tsobs_ros.bag.metadata import BagMetadata, QosProfile, TopicInfo
-from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.reader import UNCHECKED, BagReader
 from tsobs_ros.bag.recovery import DamagedBag
 from tsobs_ros.errors import BagReadError, printable
+from tsobs_ros.files import open_regular
 
 _INDEX_HEAD_SIZE = 6
 """Bytes of a message index before its entries: the channel and their size."""
+
+_FEW_TIMES = 2**16
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class BagSummary:
         end_ns: The largest log time, ns since the epoch; None without messages.
         metadata: The content of its metadata.yaml, if it has any.
         largest_gaps_ns: The longest time between two messages of a topic, ns, if it is known.
+        unchecked: The number of messages that no checksum covers, so that damage is not noticed.
     """
 
     path: Path
@@ -57,6 +61,7 @@ class BagSummary:
     end_ns: int | None
     metadata: BagMetadata | None
     largest_gaps_ns: Mapping[str, int]
+    unchecked: int
 
     @property
     def ros_distro(self) -> str:
@@ -96,6 +101,7 @@ class BagSummary:
             "ros_distro": self.ros_distro,
             "size": self.size,
             "messages": self.messages,
+            "unchecked": self.unchecked,
             "start_ns": self.start_ns,
             "end_ns": self.end_ns,
             "duration_ns": self.duration_ns,
@@ -131,6 +137,8 @@ class BagSummary:
             f"End:          {_time(self.end_ns)}",
             f"Messages:     {self.messages}",
         ]
+        if self.unchecked:
+            lines.append(f"Unchecked:    {self.unchecked} {UNCHECKED}")
         lines += [f"Custom data:  {key}: {value}" for key, value in self.custom_data.items()]
         for topic in self.topics:
             lines.append(
@@ -160,6 +168,7 @@ def summarise(bag: str | Path) -> BagSummary:
         reader = BagReader(path)
     except BagReadError as error:
         return _of_damaged(path, error)
+    gaps, unchecked = _look_into_indexes(reader.summaries)
     return BagSummary(
         path=path,
         problem="",
@@ -171,7 +180,8 @@ def summarise(bag: str | Path) -> BagSummary:
         start_ns=reader.start_time,
         end_ns=reader.end_time,
         metadata=reader.metadata,
-        largest_gaps_ns=_largest_gaps(reader.summaries),
+        largest_gaps_ns=gaps,
+        unchecked=unchecked,
     )
 
 
@@ -190,6 +200,7 @@ def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
         end_ns=max((f.end_ns for f in files if f.end_ns is not None), default=None),
         metadata=damaged.metadata,
         largest_gaps_ns={},
+        unchecked=sum(file.unchecked for file in files),
     )
 
 
@@ -199,63 +210,85 @@ class _Gap:
     def __init__(self) -> None:
         self.largest: int | None = None
         self._open: NDArray[np.uint64] = np.empty(0, np.uint64)
+        self._added: list[NDArray[np.uint64]] = []
+        self._room = _FEW_TIMES
 
     def add(self, times: NDArray[np.uint64], start: int) -> None:
         """Take a chunk's times, in any order; no later chunk starts before this one's start."""
-        self._open = np.sort(np.concatenate((self._open, times)))
-        settled = int(np.searchsorted(self._open, np.uint64(start), side="right"))
-        self._measure(max(1, settled))
+        self._added.append(times)
+        self._room -= times.size
+        if self._room < 0:
+            self._measure(start)
 
     def finish(self) -> int | None:
         """Return the largest gap of all; None without two messages."""
-        self._measure(self._open.size)
+        self._measure(2**64 - 1)
         return self.largest
 
-    def _measure(self, end: int) -> None:
+    def _measure(self, start: int) -> None:
+        self._open = np.sort(np.concatenate((self._open, *self._added)))
+        end = max(1, int(np.searchsorted(self._open, np.uint64(start), side="right")))
         if end > 1:
             self.largest = max(self.largest or 0, int(np.diff(self._open[:end]).max()))
         self._open = self._open[end - 1 :]
+        # Sorting anew only what has doubled takes n log n, however the chunks overlap.
+        self._added, self._room = [], max(_FEW_TIMES, self._open.size)
 
 
-def _largest_gaps(summaries: Sequence[Summary]) -> dict[str, int]:
-    """Return the longest time between two messages of each topic, ns, from the indexes alone.
+def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, int], int]:
+    """Return what the indexes and the heads of the chunks tell, without reading any message.
 
-    Topics with fewer than two messages are left out, and topics of files without message indexes.
+    Returns:
+        The longest time between two messages of each topic, ns, but for topics with fewer than two
+        messages, and of files without message indexes; and the number of unchecked messages.
 
     Raises:
         BagReadError: An index is damaged.
     """
     gaps: dict[str, _Gap] = {}
     unknown: set[str] = set()
+    checked: Counter[int] = Counter()
+    unchecked: set[int] = set()
     spans = sorted(chain.from_iterable(each.spans for each in summaries), key=attrgetter("start"))
+    sizes = [each.path.stat().st_size for each in summaries]
     # Files seldom overlap, so each is opened about once, and only one is open at a time.
     for rank, group in groupby(spans, key=attrgetter("rank")):
         path = summaries[rank].path
         topics = {id_: channel.topic for id_, channel in summaries[rank].channels.items()}
         try:
-            with path.open("rb") as stream:
+            with open_regular(path) as stream:
                 for span in group:
-                    if not span.index_offsets:
+                    is_checked = has_checksum(stream, span)
+                    if not is_checked:
+                        unchecked.add(rank)
+                    if not span.places:
                         unknown.update(topics.values())
                     for channel, offset in span.index_offsets.items():
                         times = _index_times(stream, offset)
+                        sizes[rank] -= RECORD.size + _INDEX_HEAD_SIZE + 2 * times.nbytes
+                        if sizes[rank] < 0:
+                            raise ValueError("the message indexes overlap")
+                        checked[rank] += times.size if is_checked else 0
                         if channel in topics and times.size:
                             gaps.setdefault(topics[channel], _Gap()).add(times, span.start)
         except (OSError, ValueError) as error:
             raise BagReadError(f"{path}: {error}") from error
     found = {topic: gap.finish() for topic, gap in gaps.items() if topic not in unknown}
-    return {topic: gap for topic, gap in found.items() if gap is not None}
+    counts = [summaries[rank].statistics.message_count - checked[rank] for rank in unchecked]
+    return {topic: gap for topic, gap in found.items() if gap is not None}, sum(counts)
 
 
 def _index_times(stream: IO[bytes], offset: int) -> NDArray[np.uint64]:
     """Return the log times in the message index at an offset, in its order."""
     stream.seek(offset)
     opcode, size = RECORD.unpack(stream.read(RECORD.size).ljust(RECORD.size, b"\0"))
-    body = stream.read(min(size, MAX_SIZE))
+    is_index = opcode == Opcode.MESSAGE_INDEX and size <= MAX_SIZE
+    body = stream.read(size) if is_index else b""
     entries = len(body) - _INDEX_HEAD_SIZE
-    if opcode != Opcode.MESSAGE_INDEX or len(body) != size or entries < 0 or entries % 16:
+    if not is_index or len(body) != size or entries < 0 or entries % 16:
         raise ValueError(f"the index states a message index at byte {offset}, but there is none")
-    return np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2]
+    # A copy, as the other half of the entries is not needed.
+    return np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2].copy()
 
 
 def _bytes(size: int) -> str:

@@ -13,8 +13,8 @@ from array import array
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
-from stat import S_ISREG
 from typing import IO, Any, NamedTuple
 
 import numpy as np
@@ -28,6 +28,7 @@ from tsobs_ros.bag.container import (
     MESSAGE,
     RECORD,
     RECOVER_HINT,
+    ContentLimit,
     RecordError,
     Summary,
     chunk_records,
@@ -39,15 +40,21 @@ from tsobs_ros.bag.metadata import (
     FILE_NAME,
     ROOT_KEY,
     BagMetadata,
-    profiles_from_yaml,
+    OfferedQos,
     read_metadata,
 )
+from tsobs_ros.bag.reader import UNCHECKED
 from tsobs_ros.errors import BagReadError, MessageError, printable
-from tsobs_ros.yaml_files import load_yaml
+from tsobs_ros.files import open_regular
+from tsobs_ros.yaml_files import read_yaml
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/(msg|srv|action)/[A-Za-z]\w*", re.ASCII)
 _NUMBERED = re.compile(r".+_\d+\.[^.]+")
 _BLOCK_SIZE = 2**20
+_MAX_FINDINGS = 1_000
+_MAX_TEXT = 1_000
+_COUNTED = 10_000
+_MAX_LAYOUTS = 2**23
 
 
 class Finding(NamedTuple):
@@ -79,6 +86,7 @@ class Verification:
         messages: The number of messages checked.
         errors: What makes readers fail or lose something.
         remarks: What could not be checked.
+        unchecked: The number of messages that no checksum covers, so that damage is not noticed.
     """
 
     path: Path
@@ -86,6 +94,7 @@ class Verification:
     messages: int
     errors: tuple[Finding, ...]
     remarks: tuple[Finding, ...]
+    unchecked: int = 0
 
     @property
     def holds(self) -> bool:
@@ -99,6 +108,7 @@ class Verification:
             "holds": self.holds,
             "files": self.files,
             "messages": self.messages,
+            "unchecked": self.unchecked,
             "errors": [finding._asdict() for finding in self.errors],
             "remarks": [finding._asdict() for finding in self.remarks],
         }
@@ -107,17 +117,24 @@ class Verification:
         """Return the same for people to read."""
         lines = [f"error: {finding}" for finding in self.errors]
         lines += [f"remark: {finding}" for finding in self.remarks]
-        verdict = "OK" if self.holds else f"NOT sound, {_number(len(self.errors), 'error')}"
+        sound = f"OK, but {self.unchecked} UNCHECKED" if self.unchecked else "OK"
+        verdict = sound if self.holds else f"NOT sound, {_number(len(self.errors), 'error')}"
         count = f"{_number(self.messages, 'message')} in {_number(self.files, 'file')}"
         return "\n".join(map(printable, [*lines, f"{self.path}: {verdict}, {count}"]))
 
 
-def verify(bag: str | Path, progress: Callable[[int], object] = lambda _: None) -> Verification:
+def verify(
+    bag: str | Path,
+    progress: Callable[[int], object] = lambda _: None,
+    *,
+    is_trusted: bool = False,
+) -> Verification:
     """Check a bag: its folder, the structure of its files, and each message.
 
     Args:
         bag: A bag folder, or one MCAP file.
         progress: Called with the number of bytes that were checked since the last call.
+        is_trusted: Whether to read chunks however much they decompress to.
 
     Raises:
         BagReadError: There is no such folder or file.
@@ -127,13 +144,15 @@ def verify(bag: str | Path, progress: Callable[[int], object] = lambda _: None) 
         raise BagReadError(f"{path}: there is no such bag")
     errors, remarks = _Findings(), _Findings()
     metadata, paths = _check_folder(path, errors) if path.is_dir() else (None, [path])
-    files = {file.name: _File(file, errors, remarks) for file in paths}
+    files = {file.name: _File(file, errors, remarks, is_trusted) for file in paths}
     for file in files.values():
         file.check(progress)
     if metadata:
         _compare(metadata, files, errors)
     messages = sum(file.counts.total() for file in files.values())
-    return Verification(path, len(files), messages, tuple(errors.values()), tuple(remarks.values()))
+    unchecked = sum(file.unchecked for file in files.values())
+    found = tuple(errors.values()), tuple(remarks.values())
+    return Verification(path, len(files), messages, *found, unchecked)
 
 
 class _Findings(dict[tuple[str, str], Finding]):
@@ -141,8 +160,11 @@ class _Findings(dict[tuple[str, str], Finding]):
 
     def add(self, place: str, text: str, rule: str = "") -> None:
         """Add a case; those of one rule in one place are counted, and the first is kept."""
-        known = self.get((place, rule or text), Finding(place, text, 0))
-        self[place, rule or text] = known._replace(cases=known.cases + 1)
+        key = place, rule or text[:_MAX_TEXT]
+        if len(self) >= _MAX_FINDINGS and key not in self:
+            key, place, text = ("", ""), "more", "further findings, which are not listed"
+        known = self.get(key, Finding(place[:_MAX_TEXT], text[:_MAX_TEXT], 0))
+        self[key] = known._replace(cases=known.cases + 1)
 
     def expect(self, place: str, what: str, stated: object, actual: object) -> None:
         if stated != actual:
@@ -159,7 +181,7 @@ def _check_folder(bag: Path, errors: _Findings) -> tuple[BagMetadata | None, lis
         text = str(error).removeprefix(f"{bag / FILE_NAME}: ")
         errors.add(FILE_NAME, text if FILE_NAME in present else "there is none")
         return None, unlisted
-    stated: Any = load_yaml((bag / FILE_NAME).read_text(encoding="utf-8"))
+    stated = read_yaml(bag / FILE_NAME, error=BagReadError)
     for key in ("starting_time", "duration", "message_count", "storage_identifier"):
         actual = {**metadata.to_map(), "storage_identifier": "mcap"}[key]
         errors.expect(FILE_NAME, key, stated[ROOT_KEY].get(key), actual)
@@ -231,7 +253,7 @@ class _ChunkFacts(NamedTuple):
 class _File:
     """The check of one file: its content, and its summary against that."""
 
-    def __init__(self, path: Path, errors: _Findings, remarks: _Findings) -> None:
+    def __init__(self, path: Path, errors: _Findings, remarks: _Findings, is_trusted: bool) -> None:
         self.path = path
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -245,17 +267,18 @@ class _File:
         self._layouts: dict[int, MessageLayout] = {}
         self._chunks: dict[int, _ChunkFacts] = {}
         self._topics: set[str] = set()
-        self._unchecked = 0
+        self._offered = OfferedQos()
+        self._is_trusted = is_trusted
+        self._layout_room = _MAX_LAYOUTS
+        self.unchecked = 0
 
     def check(self, progress: Callable[[int], object]) -> None:
         """Read the file once, from its start to its end."""
         try:
-            if not S_ISREG(self.path.stat().st_mode):
-                raise BagReadError("not a regular file")
             summary = read_summary(self.path)
             self._expect("its profile", summary.profile, "ros2")
-            with self.path.open("rb") as stream:
-                self._check_data(stream, progress)
+            with open_regular(self.path) as stream:
+                self._check_data(stream, len(summary.spans), progress)
             self._check_summary(summary)
             self.is_complete = not any(chunk.is_damaged for chunk in self._chunks.values())
         except (RecordError, OverflowError) as error:
@@ -263,8 +286,11 @@ class _File:
         except OSError as error:
             self._error(str(error).removeprefix(f"{self.path}: "))
 
-    def _check_data(self, stream: IO[bytes], progress: Callable[[int], object]) -> None:
+    def _check_data(
+        self, stream: IO[bytes], chunks: int, progress: Callable[[int], object]
+    ) -> None:
         size, at, record = stream.seek(0, 2), len(MAGIC), None
+        self._content = ContentLimit(size, self._is_trusted)
         while not isinstance(record, DataEnd):
             stream.seek(at)
             head = stream.read(RECORD.size)
@@ -274,22 +300,24 @@ class _File:
             if opcode != Opcode.ATTACHMENT and opcode <= max(Opcode):
                 if length > MAX_SIZE:
                     raise RecordError(f"the record at byte {at} has {length} bytes, too many")
+                if opcode == Opcode.CHUNK and len(self._chunks) > chunks:
+                    raise RecordError(f"there are more chunks than the {chunks} in its index")
                 record = self._check_record(at, opcode, head + stream.read(length))
             progress(RECORD.size + length)
             at += RECORD.size + length
         if stated := record.data_section_crc:
             if stated != _crc(stream, at - RECORD.size - length):
                 self._error("the checksum of the data section is wrong")
-        elif self._unchecked:
-            text = "without a checksum, in which damage is not noticed"
-            self._remark(f"has {self._unchecked} chunks, or messages outside of chunks, {text}")
+            self.unchecked = 0
+        if self.unchecked:
+            self._remark(f"{self.unchecked} {UNCHECKED}")
 
     def _check_record(self, at: int, opcode: int, record: bytes) -> McapRecord | None:
         if opcode == Opcode.MESSAGE_INDEX:
             self._check_index(at, record)
             return None
         if opcode == Opcode.MESSAGE:
-            self._unchecked += 1
+            self.unchecked += 1
             self._check_records(record)
             return None
         try:
@@ -303,9 +331,12 @@ class _File:
         return found
 
     def _check_chunk(self, at: int, size: int, chunk: Chunk) -> None:
-        self._unchecked += not chunk.uncompressed_crc
+        counted = self.counts.total()
+        for entries in chain.from_iterable(c.entries.values() for c in self._last_chunk()):
+            del entries[:]  # only whether there are some is needed from now on
         times = chunk.message_start_time, chunk.message_end_time
         facts = _ChunkFacts(size, *times, {}, {}, is_damaged=False)
+        self._content.count_chunk(chunk)
         try:
             facts = facts._replace(entries=self._check_records(chunk_records(chunk)))
             bounds = [bound for e in facts.entries.values() for bound in (min(e[::2]), max(e[::2]))]
@@ -314,13 +345,22 @@ class _File:
         except RecordError as error:
             facts = facts._replace(is_damaged=True)
             self._error(f"at byte {at}: {error}; {RECOVER_HINT}")
+        if not chunk.uncompressed_crc:
+            self.unchecked += self.counts.total() - counted
         self._chunks[at] = facts
+
+    def _last_chunk(self) -> list[_ChunkFacts]:
+        return list(islice(reversed(self._chunks.values()), 1))
 
     def _check_records(self, records: bytes) -> "dict[int, array[int]]":
         """Check a run of records; return log time and place of each message, by channel."""
         entries: dict[int, array[int]] = {}
-        at, size = 0, len(records)
+        at, size, count = 0, len(records), 0
         while at < size:
+            count += 1
+            if count == _COUNTED:
+                self._content.count_records(count)
+                count = 0
             opcode, length = RECORD.unpack_from(records, at) if at + RECORD.size <= size else (0, 0)
             end = at + RECORD.size + length
             if end > size or (opcode == Opcode.MESSAGE and end < at + MESSAGE.size):
@@ -335,10 +375,11 @@ class _File:
             else:
                 raise RecordError(f"a record of kind {opcode:#04x} is inside of a chunk")
             at = end
+        self._content.count_records(count)
         return entries
 
     def _check_index(self, at: int, record: bytes) -> None:
-        chunk = next(reversed(self._chunks.values()), None)
+        chunk = next(iter(self._last_chunk()), None)
         entries = record[INDEX_HEAD.size :]
         _, _, channel, size = INDEX_HEAD.unpack_from(record.ljust(INDEX_HEAD.size))
         if chunk is None or size != len(entries) or size % 16:
@@ -356,7 +397,7 @@ class _File:
             return
         described: Any = record
         if (known := kind.setdefault(described.id, record)) != record:
-            self._error(f"two descriptions have the id {described.id}: {known}, {record}")
+            self._error(f"two descriptions have the id {described.id}", rule="id")
         elif known is record:
             (self._check_schema if isinstance(record, Schema) else self._check_channel)(described)
 
@@ -369,6 +410,9 @@ class _File:
         try:
             if schema.encoding == "ros2idl":
                 raise UnknownLayoutError(f"{schema.name} is defined in IDL")
+            self._layout_room -= len(schema.data)
+            if self._layout_room < 0:
+                raise UnknownLayoutError(f"{schema.name} is one of too many definitions")
             self._layouts[schema.id] = MessageLayout(schema.name, schema.data.decode())
         except UnknownLayoutError as reason:
             self._remark(f"{reason}: its messages are not looked into")
@@ -385,8 +429,7 @@ class _File:
         if channel.schema_id not in self.schemas:
             self._error(f"has the schema {channel.schema_id}, which is not there before it", topic)
         try:
-            offered = channel.metadata.get("offered_qos_profiles", "")
-            self.qos[channel.id] = profiles_from_yaml(offered)
+            self.qos[channel.id] = self._offered[channel]
         except ValueError as error:
             self._error(str(error), topic)
 

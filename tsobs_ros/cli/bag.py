@@ -30,6 +30,7 @@ def _add_verify(actions: Commands) -> None:
         "verify", help="check that every tool reads the bag; exit code 1 with the reasons if not"
     )
     _add_bag(verify)
+    _add_trusted(verify)
     add_json(verify)
     verify.set_defaults(command=_verify)
 
@@ -50,12 +51,21 @@ def _add_recover(actions: Commands) -> None:
         action="store_true",
         help="also keep what can be read where checksums fail: some of it is wrong",
     )
+    _add_trusted(recover)
     add_json(recover)
     recover.set_defaults(command=_recover)
 
 
 def _add_bag(action: argparse.ArgumentParser) -> None:
     action.add_argument("bag", type=Path, help="a bag's folder, or one MCAP file")
+
+
+def _add_trusted(action: argparse.ArgumentParser) -> None:
+    action.add_argument(
+        "--trusted",
+        action="store_true",
+        help="read chunks however much they decompress to (default: 1 GiB + 100 times the file)",
+    )
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -70,7 +80,7 @@ def _verify(options: argparse.Namespace) -> int:
     from tsobs_ros.bag.verification import verify
 
     with _bytes_read(options, passes=1) as advance:
-        verification = verify(options.bag, advance)
+        verification = verify(options.bag, advance, is_trusted=options.trusted)
     show(verification.as_mapping(), verification.text(), options.json)
     return 0 if verification.holds else 1
 
@@ -86,6 +96,7 @@ def _recover(options: argparse.Namespace) -> int:
             options.output or default,
             compression=options.compression,
             keep_unchecked=options.keep_unchecked,
+            is_trusted=options.trusted,
             progress=advance,
         )
     show(recovery.as_mapping(), recovery.text(), options.json)

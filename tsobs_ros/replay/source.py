@@ -28,7 +28,7 @@ from tsobs_ros.bag.joint_series import (
 )
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.metadata import TopicInfo
-from tsobs_ros.bag.reader import BagMessage, BagReader
+from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import NANOSECONDS
@@ -319,6 +319,8 @@ class BagSource(Source):
                 "note: the bag's stamps and log times are of different clocks, so each measurement "
                 "is taken to have arrived when it was sampled",
             )
+        if self._reader.unchecked:
+            self.remarks += (f"note: {UNCHECKED}",)
 
     def parts(self, size: int | None = None, with_live: bool = True) -> Iterator[Part]:
         live = {n: f for n, f in self._live.items() if with_live or n == topics.INNOVATION}

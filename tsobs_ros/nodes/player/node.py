@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from tsobs_ros.bag.playback import BagSource, Event, Playback
-from tsobs_ros.bag.reader import BagMessage, BagReader
+from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.errors import BagReadError, ParameterError, printable
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.nodes.managed import ManagedNode
@@ -72,7 +72,8 @@ class Player(ManagedNode[PlayerParameters]):
             raise ParameterError("parameter 'bag' must name a bag folder or an .mcap file")
         if self.get_parameter("use_sim_time").value:
             self._warn("use_sim_time does not matter: the player makes the time")
-        reader = BagReader(Path(parameters.bag).expanduser())
+        self._reader = reader = BagReader(Path(parameters.bag).expanduser())
+        self._warned = False
         self._bag_start = reader.start_time or 0
         self._length = (reader.end_time or 0) - self._bag_start
         if refusal := self._refusal(parameters.position):
@@ -143,6 +144,7 @@ class Player(ManagedNode[PlayerParameters]):
 
     def cleanup(self) -> None:
         """Log what has been played."""
+        self._warn_of_unchecked()
         topics = self._topics
         self.get_logger().info(f"played {topics.messages} messages of {len(topics.by_name)} topics")
 
@@ -305,7 +307,13 @@ class Player(ManagedNode[PlayerParameters]):
         }
         self.offer_triggers(answers)
 
+    def _warn_of_unchecked(self) -> None:
+        if self._reader.unchecked and not self._warned:
+            self._warned = True
+            self._warn(f"{self._reader.path}: {UNCHECKED}")
+
     def _publish_diagnostics(self) -> None:
+        self._warn_of_unchecked()
         lags = self.take_lags()
         held_back, before = self._playback.held_back, self._held_back_before
         self._held_back_before = held_back
