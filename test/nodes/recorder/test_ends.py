@@ -69,7 +69,8 @@ def test_closing_records_what_has_arrived(ros, recording, capfd) -> None:
 
     assert recording.texts(recorder.path) == TEXTS
     lines = capfd.readouterr().err
-    assert lines.count(f"closing {recorder.path}: 150 messages of 1 topics, 0 lost\n") == 1
+    closing = f"closing {recorder.path}: 150 messages of 1 topics, 0 lost since the first of each"
+    assert lines.count(f"{closing}, 0 published before\n") == 1
     assert lines.count(f"recording to {recorder.path}") == 1
     assert lines.count("recording /joints [std_msgs/msg/String]") == 1
 

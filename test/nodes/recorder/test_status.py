@@ -18,9 +18,10 @@ from tsobs_ros.nodes.recorder.status import (
     statuses,
 )
 
-GOOD = TopicStatistics(100, 0, True)
-LOSSY = TopicStatistics(90, 3, True)
-UNKNOWN = TopicStatistics(5, 1, False)
+SINCE = 1_700_000_000_123_456_789
+GOOD = TopicStatistics(100, 0, True, SINCE, 480)
+LOSSY = TopicStatistics(90, 3, True, SINCE)
+UNKNOWN = TopicStatistics(5, 1, False, SINCE)
 
 
 def buffer(refused: int = 0) -> SnapshotBuffer:
@@ -76,6 +77,7 @@ def test_all_counts_are_given() -> None:
         "messages a second": "12.3",
         "MiB": "1.0",
         "lost": "0",
+        "published before the first": "480",
         "losses unknown of": "",
         "discarded while paused": "4",
         "topics": "1",
@@ -92,7 +94,8 @@ def test_all_counts_are_given() -> None:
 @pytest.mark.parametrize(
     ("topics", "level", "message", "unknown"),
     [
-        ({}, Level.OK, "nothing lost", ""),
+        ({}, Level.OK, "nothing lost since the first of each", ""),
+        ({"/n": TopicStatistics(0, 0, True)}, Level.OK, "nothing lost since the first of each", ""),
         ({"/a": GOOD, "/u": UNKNOWN._replace(lost=0)}, Level.OK, "losses unknown of /u", "/u"),
         ({"/u": UNKNOWN, "/l": LOSSY, "/v": UNKNOWN._replace(lost=0)}, Level.WARN,
          "messages lost of /l, /u", "/u, /v"),
@@ -105,8 +108,9 @@ def test_topics_are_reported_one_by_one(
     assert (status.name, status.level, status.message) == ("topics", level, message)
     assert recording.values["losses unknown of"] == unknown
     texts = {
-        "/a": "100 messages, 0 lost",
-        "/l": "90 messages, 3 lost",
+        "/n": "0 messages, nothing has arrived",
+        "/a": "100 messages, 0 lost since 2023-11-14T22:13:20.123+00:00, 480 published before",
+        "/l": "90 messages, 3 lost since 2023-11-14T22:13:20.123+00:00, 0 published before",
         "/u": "5 messages, at least 1 lost" if topics.get("/u") == UNKNOWN
         else "5 messages, losses unknown",
         "/v": "5 messages, losses unknown",
@@ -118,7 +122,7 @@ A, B = b"a", b"b"
 AB = A + B
 
 
-def counted(*steps: tuple[bytes, list[int | None]]) -> tuple[int, bool]:
+def counted(*steps: tuple[bytes, list[int | None]]) -> tuple[int, bool, int]:
     """Count numbers that arrive while publishers are there, each looked at twice in between."""
     counter = LossCounter()
     for publishers, numbers in steps:
@@ -126,7 +130,7 @@ def counted(*steps: tuple[bytes, list[int | None]]) -> tuple[int, bool]:
         counter.add(numbers, lambda there=there: there)
         counter.see(there)
         counter.see(there)
-    return counter.lost, counter.is_exact
+    return counter.lost, counter.is_exact, counter.earlier
 
 
 # What arrives of one publisher after the other, in order, some numbers missing.
@@ -141,28 +145,32 @@ def test_what_is_missing_of_publishers_that_follow_each_other_is_lost(
     gone: tuple[bytes, list[int | None]] = (b"", [])
     expected = sum(numbers[-1] - numbers[0] + 1 - len(numbers) for numbers in arrived)
 
-    assert counted(*(step for pair in steps for step in (pair, gone))) == (expected, True)
+    earlier = sum(numbers[0] - 1 for numbers in arrived)
+    found = counted(*(step for pair in steps for step in (pair, gone)))
+
+    assert found == (expected, True, earlier)
 
 
 @pytest.mark.parametrize(
     ("steps", "expected"),
     [
         # A publisher that restarts between two looks is neither lost nor hides a loss.
-        ([(A, [5, 6, 9]), (B, [12, 1, 2, 5])], (2 + 2, False)),
-        ([(A, [5, 6, 9]), (B, [1, 2, 5])], (2 + 2, True)),
-        ([(A, [5, 6, 9]), (b"", [11])], (2 + 1, True)),
+        ([(A, [5, 6, 9]), (B, [12, 1, 2, 5])], (2 + 2, False, 4)),
+        ([(A, [5, 6, 9]), (B, [1, 2, 5])], (2 + 2, True, 4)),
+        ([(A, [5, 6, 9]), (B, [3, 4])], (2, True, 4 + 2)),
+        ([(A, [5, 6, 9]), (b"", [11])], (2 + 1, True, 4)),
         # Several make losses unknown and are not counted.
-        ([(AB, [1, 2, 3])], (0, False)),
-        ([(A, [100]), (AB, [1, 101, 2, 102])], (0, False)),
+        ([(AB, [1, 2, 3])], (0, False, 0)),
+        ([(A, [100]), (AB, [1, 101, 2, 102])], (0, False, 99)),
         # One came and went before it could be seen.
-        ([(A, [100]), (A, [1, 101, 102])], (0, False)),
+        ([(A, [100]), (A, [1, 101, 102])], (0, False, 99)),
         # One is killed and still announced when the next one has come.
-        ([(A, [100, 102]), (AB, [1, 3]), (B, [4, 7, 9])], (1 + 3, False)),
+        ([(A, [100, 102]), (AB, [1, 3]), (B, [4, 7, 9])], (1 + 3, False, 99)),
         # The middleware gives no numbers.
-        ([(A, [None, None])], (0, False)),
+        ([(A, [None, None])], (0, False, 0)),
     ],
 )
 def test_losses_are_exact_while_there_is_one_publisher(
-    steps: list[tuple[bytes, list[int | None]]], expected: tuple[int, bool]
+    steps: list[tuple[bytes, list[int | None]]], expected: tuple[int, bool, int]
 ) -> None:
     assert counted(*steps) == expected

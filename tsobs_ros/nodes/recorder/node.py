@@ -100,8 +100,8 @@ class Recorder(ManagedNode[RecorderParameters]):
         unknown = len(statistics.loss_unknown)
         self.get_logger().info(
             f"closing {self.path}: {statistics.messages} messages of {len(statistics.topics)} "
-            f"topics, {statistics.lost} lost"
-            + (f", losses of {unknown} topics unknown" if unknown else "")
+            f"topics, {statistics.lost} lost since the first of each, {statistics.earlier} "
+            "published before" + (f", losses of {unknown} topics unknown" if unknown else "")
         )
 
     @property
@@ -131,7 +131,11 @@ class Recorder(ManagedNode[RecorderParameters]):
         return RecorderStatistics(
             topics={
                 name: TopicStatistics(
-                    recording.counts[name], topic.losses.lost, topic.losses.is_exact
+                    recording.counts[name],
+                    topic.losses.lost,
+                    topic.losses.is_exact,
+                    topic.since_ns,
+                    topic.losses.earlier,
                 )
                 for name, topic in self._finder.recorded.items()
             },

@@ -3,6 +3,7 @@
 """A recorder's counts, of lost messages too, and its statuses in /diagnostics."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 from typing import NamedTuple
 
 from tsobs_ros.bag.recording import SnapshotBuffer
@@ -19,21 +20,24 @@ class LossCounter:
     """Counts the numbers that are missing between two that arrived from the same publisher.
 
     The middleware gives the number of a message, but not its publisher. A gap is therefore a loss
-    only while the topic has one publisher; with several, losses are unknown. What a publisher sent
-    before its first or after its last message that arrived leaves no gap.
+    only while the topic has one publisher; with several, losses are unknown. The first number that
+    arrives of a publisher shows how many messages it had sent before. What it sends after the last
+    that arrives leaves no trace.
 
     >>> counter = LossCounter()
     >>> counter.add([7, 8, 11], lambda: frozenset({b"plant"}))
-    >>> counter.lost, counter.is_exact
-    (2, True)
+    >>> counter.earlier, counter.lost, counter.is_exact
+    (6, 2, True)
 
     Attributes:
-        lost: The number of messages known to be lost.
-        is_exact: False once `lost` may be too small: the topic has had several publishers at a
+        earlier: The number of messages that publishers sent before the first that arrived of each.
+        lost: The number of messages known to be lost since then.
+        is_exact: False once these may be too small: the topic has had several publishers at a
             time, or the middleware does not number messages.
     """
 
     def __init__(self) -> None:
+        self.earlier = 0
         self.lost = 0
         self.is_exact = True
         # Numbers begin at 1, so the first one is never the next one.
@@ -83,6 +87,8 @@ class LossCounter:
             unclear = bool(self._publishers) and 0 < self._next < number
             if len(publishers) > 1 or unclear:
                 self.is_exact = False
+            elif self.is_exact:
+                self.earlier += number - 1
             self._publishers = frozenset() if unclear else publishers
         self._next = number + 1
 
@@ -95,18 +101,29 @@ class TopicStatistics(NamedTuple):
         lost: Messages known to be lost, from gaps in the publisher's numbering.
         loss_known: Whether that is all: false once the topic has had several publishers at a
             time, or if the middleware does not number messages.
+        since_ns: Time of the first arrival, from which on losses are counted, ns since the epoch;
+            None before it.
+        earlier: Messages that publishers sent before the first that arrived of each.
     """
 
     messages: int
     lost: int
     loss_known: bool
+    since_ns: int | None = None
+    earlier: int = 0
 
     def __str__(self) -> str:
         """Return the counts as text."""
-        if self.loss_known:
-            return f"{self.messages} messages, {self.lost} lost"
-        lost = f"at least {self.lost} lost" if self.lost else "losses unknown"
-        return f"{self.messages} messages, {lost}"
+        if self.since_ns is None:
+            return "0 messages, nothing has arrived"
+        if not self.loss_known:
+            lost = f"at least {self.lost} lost" if self.lost else "losses unknown"
+            return f"{self.messages} messages, {lost}"
+        since = datetime.fromtimestamp(self.since_ns // 10**6 / 1e3, UTC)
+        return (
+            f"{self.messages} messages, {self.lost} lost since "
+            f"{since.isoformat(timespec='milliseconds')}, {self.earlier} published before"
+        )
 
 
 class RecorderStatistics(NamedTuple):
@@ -126,6 +143,11 @@ class RecorderStatistics(NamedTuple):
     def lost(self) -> int:
         """The messages known to be lost."""
         return sum(topic.lost for topic in self.topics.values())
+
+    @property
+    def earlier(self) -> int:
+        """The messages published before the first that arrived of each publisher."""
+        return sum(topic.earlier for topic in self.topics.values())
 
     @property
     def loss_unknown(self) -> list[str]:
@@ -162,6 +184,7 @@ def statuses(state: RecorderState) -> list[Status]:
         "messages a second": f"{state.rate:.1f}",
         "MiB": f"{counts.bytes / _MIB:.1f}",
         "lost": str(counts.lost),
+        "published before the first": str(counts.earlier),
         "losses unknown of": ", ".join(counts.loss_unknown),
         "discarded while paused": str(counts.discarded),
         "topics": str(len(counts.topics)),
@@ -200,7 +223,7 @@ def _verdict(state: RecorderState) -> tuple[Level, str]:
 
 def _topics(counts: RecorderStatistics) -> Status:
     topics = dict(sorted(counts.topics.items()))
-    level, message = Level.OK, "nothing lost"
+    level, message = Level.OK, "nothing lost since the first of each"
     if lossy := [name for name, topic in topics.items() if topic.lost]:
         level, message = Level.WARN, f"messages lost of {', '.join(lossy)}"
     elif counts.loss_unknown:

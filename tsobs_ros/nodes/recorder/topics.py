@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The topics a recorder subscribes to: found in the graph, with the QoS their publishers offer."""
 
+import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -74,6 +75,7 @@ class RecordedTopic:
         definition: Its type.
         offers: What its publishers offered when it was found.
         losses: What is missing of it.
+        since_ns: Time of the first arrival, ns since the epoch; None before it.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class RecordedTopic:
         self.definition = definition
         self.offers = offers
         self.losses = LossCounter()
+        self.since_ns: int | None = None
         self._subscribe = subscribe
         self._find_publishers = find_publishers
         self._subscriptions: dict[QosKind, DrainedSubscription] = {}
@@ -135,6 +138,8 @@ class RecordedTopic:
                 latch = Latch(number, publishers) if kind.latched else None
                 received.append(Received(data, source_ns, info["received_timestamp"], latch))
                 numbers.append(number)
+        if received and self.since_ns is None:
+            self.since_ns = min(each.received_ns for each in received) or time.time_ns()
         if numbers:
             self.losses.add(numbers, lambda: _gids(self._find_publishers()))
         if len(self._recent) > _REMEMBERED:
