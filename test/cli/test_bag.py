@@ -3,7 +3,10 @@
 """`tsobs bag`: info, verify and recover, for people and for programs."""
 
 import json
-from collections.abc import Callable
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -145,6 +148,52 @@ def test_wrong_usage_is_told(arguments: list[str], capsys: Captured) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
     assert "usage: tsobs bag" in capsys.readouterr().err
+
+
+@pytest.fixture
+def forbidden(bag: Path) -> Iterator[Path]:
+    """A folder with a bag in which nobody may look; root becomes another user for the test."""
+    # What root alone may be able to import is imported before.
+    for command in (
+        "bag info",
+        "bag verify",
+        "bag recover",
+        "compare",
+        "report",
+        "export --output x",
+    ):
+        assert main([*command.split(), str(bag.parent / "none")]) == 1
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "folder"
+        shutil.copytree(bag.parent, folder)
+        Path(name).chmod(0o755)
+        user = os.geteuid()
+        folder.chmod(0)
+        if user == 0:
+            os.seteuid(65534)
+        try:
+            yield folder
+        finally:
+            os.seteuid(user)
+            folder.chmod(0o755)
+
+
+@pytest.mark.parametrize("place", ["", "run", "run/run_0.mcap"])
+@pytest.mark.parametrize(
+    "command", ["bag info", "bag verify", "bag recover", "estimate", "compare", "report", "export"]
+)
+def test_what_may_not_be_read_is_named(
+    forbidden: Path, capsys: Captured, command: str, place: str
+) -> None:
+    output = (
+        [] if command in ("bag info", "bag verify") else ["--output", str(forbidden.parent / "out")]
+    )
+    assert main([*command.split(), str(forbidden / place), *output]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert "Permission denied" in line
+    assert str(forbidden / place) in line
+    assert "recover" not in line
 
 
 @pytest.fixture

@@ -118,7 +118,8 @@ class BagReader:
         try:
             return read_metadata(self.path)
         except BagReadError as error:
-            if any(self.path.glob("*.mcap")):
+            denied = isinstance(error.__cause__, PermissionError)
+            if not denied and any(self.path.glob("*.mcap")):
                 raise BagReadError(f"{error}; {RECOVER_HINT}") from error
             raise
 

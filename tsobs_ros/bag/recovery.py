@@ -547,7 +547,8 @@ def _find_files(bag: Path) -> _BagFiles:
         error = str(reason)
     listed = [bag / Path(file.path).name for file in metadata.files] if metadata else []
     try:
-        present = sorted(bag.glob("*.mcap"), key=_by_number)
+        # Not glob, which takes a folder that cannot be read for an empty one.
+        present = sorted((p for p in bag.iterdir() if p.suffix == ".mcap"), key=_by_number)
     except OSError as reason:
         raise BagReadError(f"{bag}: cannot read it: {reason}") from reason
     unlisted = [path for path in present if path not in listed]

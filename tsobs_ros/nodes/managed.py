@@ -27,9 +27,9 @@ The clean-up destroys all publishers, subscriptions, services, clients and timer
 `configure` began, also those of a `configure` that failed half-way. rclpy's lifecycle stops only
 lifecycle publishers, so callbacks check `active` before they work.
 
-A transition that fails with a TsobsError logs one line and leaves the node in the state it came
-from; only a clean-up, after which nothing is left to go back to, ends unconfigured all the same.
-Any other exception is a bug: it is logged with its traceback, and the node is cleaned up and
+A transition that fails with an expected error logs one line and leaves the node in the state it
+came from; only a clean-up, after which nothing is left to go back to, ends unconfigured all the
+same. Any other exception is a bug: it is logged with its traceback, and the node is cleaned up and
 unconfigured.
 """
 
@@ -42,19 +42,17 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from lifecycle_msgs.srv import ChangeState
-from rclpy.exceptions import NameValidationException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.time_source import TimeSource
 from std_srvs.srv import Trigger
 
-from tsobs_ros.errors import TsobsError, printable
+from tsobs_ros.errors import printable
 from tsobs_ros.nodes.parameters import ParameterBinding, parameter
+from tsobs_ros.nodes.runtime import EXPECTED
 from tsobs_ros.nodes.ticker import Ticking
 
 # How long the answer to a shutdown request may be on its way [s]; it is lost with the node.
 _FAREWELL = 0.5
-# What a user can mend; the second comes of a joint or a topic that ROS cannot name.
-_EXPECTED = (TsobsError, NameValidationException)
 
 Answer = Callable[[], tuple[bool, str]]
 """The work of a Trigger service; returns its success and a message."""
@@ -309,7 +307,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         try:
             step()
         except Exception as error:
-            expected = isinstance(error, _EXPECTED)
+            expected = isinstance(error, EXPECTED)
             if self._starting:
                 self._failure = self._failure or error
             else:

@@ -10,9 +10,9 @@ tears everything down in order. Nodes are ordinary rclpy nodes with three option
 * ``close()``: called before any node is destroyed. Bags and whatever must not be lost are closed
   here, because destroying a participant is the one step that may hang (see `limit_time_left`).
 
-Exit codes: 0 after a signal or a finished node, 1 after a TsobsError or malformed ROS arguments,
-with one line ``error: …`` on stderr. Anything else is a bug and keeps its traceback, after the
-same teardown.
+Exit codes: 0 after a signal or a finished node, 1 after an expected error or malformed ROS
+arguments, with one line ``error: …`` on stderr. Anything else is a bug and keeps its traceback,
+after the same teardown.
 
 rclpy's own signal handlers are not used: they shut the context down under a running callback,
 which loses early SIGTERMs and sometimes raises inside take. A flag that the loop reads is clean.
@@ -43,6 +43,10 @@ from rclpy.signals import SignalHandlerOptions
 from tsobs_ros.errors import InterruptionError, TsobsError, printable
 from tsobs_ros.nodes.ticker import Ticking
 from tsobs_ros.stop import StopFlag
+
+EXPECTED = (TsobsError, OSError, NameValidationException)
+"""What a user can mend; the second comes of files, the last of a joint or a topic that ROS cannot
+name."""
 
 COMPILER = "compiler"
 """Name of a thread that may be left behind while it compiles."""
@@ -94,7 +98,7 @@ def run(
             _spin(nodes, stop)
     except (ExternalShutdownException, ShutdownException, InterruptionError):
         pass  # the context was shut down from outside, or a signal came early: a clean end
-    except (TsobsError, NameValidationException) as error:
+    except EXPECTED as error:
         exit_code = _report(str(error))
     except BaseException:
         exit_code = 1
@@ -197,7 +201,7 @@ def _call_all(nodes: Sequence[RunnableNode], name: str, exit_code: int) -> int:
     for node in nodes:
         try:
             getattr(node, name, _nothing)()
-        except TsobsError as error:
+        except EXPECTED as error:
             exit_code = _report(str(error))
         except Exception:  # a bug
             with suppress(OSError):
