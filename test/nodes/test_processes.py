@@ -18,6 +18,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag import BagReader
+from tsobs_ros.bag.estimate_topics import TOPICS as OF_EVERY_OBSERVER
 from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 
@@ -176,6 +177,32 @@ def test_without_its_recorder_or_observer_the_rest_goes_on_and_takes_the_next_in
     assert all(a < b for a, b in itertools.pairwise(stamps))
     assert set(received) <= set(stamps)
     assert BagReader(second).topics[f"/{MEASUREMENTS}"].count > 60
+
+
+@pytest.mark.parametrize("method", ["certified", "high_gain"])
+def test_the_shipped_parameters_fit_together_and_the_recorder_awaits_nothing_for_ever(
+    watch: Watch, ros_process: Process, tmp_path: Path, method: str
+) -> None:
+    bag = tmp_path / "bag"
+    parameters = {"recorder": {"output": str(bag)}, "observer": {"method": method}}
+    processes = {
+        name: ros_process(
+            name, params_file=config_path(f"{name}.yaml"), parameters=parameters.get(name)
+        )
+        for name in ("recorder", "observer", "plant_simulator")
+    }
+    watch.wait_for_status("recorder: recording", "recording")
+    watch.wait_for_records(bag, *TOPICS)
+    player = ros_process(
+        "player", params_file=config_path("player.yaml"), parameters={"bag": str(bag)}
+    )
+    assert f"error: {bag}/bag_0.mcap: the file has no end" in player.finish(TIMEOUT).stderr
+    end(dict.fromkeys(processes.values(), signal.SIGTERM))
+
+    assert not any("[WARN]" in p.output for p in processes.values() if "takes any" not in p.output)
+    recorded = BagReader(bag).topics
+    assert {f"/observer/{name}" for name in OF_EVERY_OBSERVER} <= recorded.keys()
+    assert {"/diagnostics", "/ground_truth/joint_states", f"/{MEASUREMENTS}"} <= recorded.keys()
 
 
 def test_a_lifecycle_manager_drives_a_process_and_its_shutdown_ends_it(
