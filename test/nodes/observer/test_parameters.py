@@ -3,6 +3,7 @@
 """The observer's parameters: refused with a reason, or taken over all at once."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import CertificateError, DesignFileError, ParameterError, TsobsError
 from tsobs_ros.nodes.observer import Observer, create
+from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 SHIPPED = config_path(SHIPPED_DESIGN)
@@ -142,3 +144,17 @@ def test_a_request_changes_all_joints_or_nothing(
     for joint in node.joints:
         assert joint.faults.limits.hold == 1.0
         assert joint.tracker.estimator.model["gate"].tolist() == [4.0]
+
+
+def test_the_shipped_parameter_file_is_the_defaults() -> None:
+    def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, value in values.items():
+            if isinstance(value, dict):
+                found |= flat(value, f"{prefix}{name}.")
+            else:
+                found[prefix + name] = tuple(value) if isinstance(value, list) else value
+        return found
+
+    content = yaml.safe_load(config_path("observer.yaml").read_text(encoding="utf-8"))
+    assert flat(content["/**"]["ros__parameters"]) == flat(asdict(ObserverParameters()))
