@@ -11,16 +11,16 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from acceptance_ekf import GATE, KalmanFilter
 from numpy.typing import NDArray
 
 from tsobs_ros import campaign
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
+from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.options import GainMode
-from tsobs_ros.estimation.records import Basis, Hypothesis
-from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis
+from tsobs_ros.methods import ObserverSettings, make_ekf
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.simulation.plant import Scenario, Trajectories
@@ -147,20 +147,21 @@ def kalman(
         learns: Whether stiffness and gravity are states.
         gated: Whether it has a gate.
     """
-    nominal = design.arm_request.arm
-    uncertainty = design.request.uncertainty_model if learns else None
-    ekf = KalmanFilter(design, arm, uncertainty, GATE if gated else np.inf)
-    x, std = ekf.observe(runs.measurements, received(runs))
-    n, known = ekf.flow.state_count, arm or nominal
-    disturbance = x[..., 4:n] @ ekf.flow.disturbance.H[0]
-
-    def changed(parts: Array) -> Array:
-        return nominal.from_physical(known.to_physical(parts))
-
+    ekf = make_ekf(design, arm=arm, learns=learns, gate=GATE if gated else np.inf)
+    stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
+    rows = []
+    for y, u in zip(runs.measurements, runs.torques, strict=True):
+        ekf.reset()
+        rows.append(ekf.follow(stamps, y, u))
+    x, std, disturbance, disturbance_std, theta = (
+        np.stack([row[:, ekf.row_parts[name]] for row in rows])
+        for name in ("state", "state_bound", "disturbance", "disturbance_bound", "parameters")
+    )
+    to_design = design.arm_request.arm.from_physical
     return Found(
-        np.concatenate([changed(x[..., :4]), disturbance[..., np.newaxis]], axis=2),
-        np.concatenate([changed(std[..., :4]), std[..., 4:]], axis=2),
-        x[..., n:] if learns else None,
+        np.concatenate([to_design(x), disturbance], axis=2),
+        np.concatenate([to_design(std), disturbance_std], axis=2),
+        theta if learns else None,
     )
 
 

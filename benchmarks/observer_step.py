@@ -19,18 +19,19 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from acceptance_ekf import KalmanFilter
 from common import design_of, parser, show, timed, use_one_thread
 from filterpy.kalman import ExtendedKalmanFilter
+from scipy.linalg import block_diag
 
 import tsobs_ros as ts
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
+from tsobs_ros.estimation.baselines import THETA_WANDER
 from tsobs_ros.estimation.estimator import Estimator, correct_each, predict_each, read_each
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.methods import make_tracker
+from tsobs_ros.methods import make_ekf, make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.uncertainty import SINE
 from tsobs_ros.resources import FIXED_DESIGN, config_path
@@ -82,19 +83,18 @@ class _FilterpyAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
     """The same with θ as states, from the parts that `KalmanFilter` is made of."""
 
     def __init__(self, design: Design) -> None:
-        twin = KalmanFilter(design, uncertainty=design.request.uncertainty_model)
-        size = len(twin.phi)
-        super().__init__(dim_x=size, dim_z=1, dim_u=1)
-        self.flow, self.effects, self.phi, self.gamma = (
-            twin.flow,
-            twin.effects,
-            twin.phi,
-            twin.gamma,
-        )
-        self.x = np.zeros((size, 1))
-        self.P, self.Q, self.R = twin.covariance, twin.noise, design.request.measurement_covariance
-        self.H = twin.output[np.newaxis]
-        self._identity = np.eye(size)
+        twin = make_ekf(design, learns=True)
+        numbers, (n, k) = twin.numbers, twin.numbers.sizes[:2].tolist()
+        super().__init__(dim_x=n + k, dim_z=1, dim_u=1)
+        self.flow, self.effects = twin.flow, numbers.effects
+        self.phi, self.Q = block_diag(numbers.phi, np.eye(k)), np.zeros((n + k, n + k))
+        self.Q[:n, :n] = numbers.noise
+        self.Q[n:, n:] = THETA_WANDER * twin.flow.period * np.eye(k)
+        self.gamma = np.concatenate([numbers.gamma[:, 0], np.zeros(k)])
+        self.x = np.zeros((n + k, 1))
+        self.P, self.R = numbers.initial.copy(), design.request.measurement_covariance
+        self.H = numbers.output[np.newaxis]
+        self._identity = np.eye(n + k)
 
     def predict_x(self, u: Array) -> None:  # type: ignore[override]
         """Predict as the observer does, and linearise there."""

@@ -23,12 +23,14 @@ def test_the_defaults_are_those_of_the_node() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_only_the_certified_observer_learns(method: str) -> None:
+def test_the_certified_observer_learns_and_an_ekf_may(method: str) -> None:
     design = load_design(config_path(SHIPPED_DESIGN))
     learnt = ObserverSettings(method=method).learnt(design)
 
-    assert learnt == (tuple(design.request.uncertainty) if method == "certified" else ())
-    assert ObserverSettings(method=method, adapt=False).learnt(design) == ()
+    learns = method in ("certified", "ekf_augmented")
+    assert learnt == (tuple(design.request.uncertainty) if learns else ())
+    fixed = ObserverSettings(method=method, adapt=False).learnt(design)
+    assert fixed == (learnt if method == "ekf_augmented" else ())
 
 
 def test_trackers_may_share_an_observer(design: Design) -> None:

@@ -17,14 +17,15 @@ from tsobs_ros.design.file import ArmDesignFile, load_arm_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.history import CORRECTING, EXTRA
+from tsobs_ros.estimation.history import CORRECTING, EXTRA, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, Basis
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.methods import METHODS, ObserverSettings, make_tracker
+from tsobs_ros.methods import METHODS, ObserverSettings, make_runner
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.replay.passes import Pass, Ticks
+from tsobs_ros.replay.passes import Ticks, new_pass
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
@@ -238,7 +239,7 @@ def estimate(
     count = len(stamps)
     known, never = np.arange(1, count + 1), np.full(count, -1)
     ticks = Ticks(stamps, np.maximum.accumulate(stamps), known, known, never, np.zeros((0, 8)))
-    series = Pass(tracker, stamps, y, u, ticks)
+    series = new_pass(tracker, stamps, y, u, ticks)
     rows = series.new_rows(count)
     for begin in range(0, count, _BLOCK):
         end = min(begin + _BLOCK, count)
@@ -251,8 +252,12 @@ def estimate(
         innovation=series.results.innovations[used].reshape(-1, *outputs_shape),
         innovation_time=times[used],
         **_columns_of(rows, tracker.estimator, outputs_shape),
-        used=tracker.used,
-        rejected={reason.value: n for reason, n in tracker.rejected.items()},
+        used=int((series.results.outcomes == USED).sum()),
+        rejected={
+            reason.value: count
+            for code, reason in enumerate(REASONS)
+            if reason is not None and (count := int((series.results.outcomes == code).sum()))
+        },
     )
 
 
@@ -441,9 +446,9 @@ def _torques(torque: Any, times: Array) -> Array:
     return _columns("torque", torque, len(times), 1)
 
 
-def _tracker(design: Design, settings: ObserverSettings) -> Tracker:
+def _tracker(design: Design, settings: ObserverSettings) -> Tracker | KalmanFilter:
     if isinstance(design.request, ArmRequest):
-        return make_tracker(design, settings)
+        return make_runner(design, settings)
     learns = settings.adapt and design.request.uncertainty_model.count
     observer = design.adaptive if learns else design.observer
     # The domain of a T–S system is not an interval of its first state.
@@ -462,7 +467,9 @@ def _input_count(request: ArmRequest | TSRequest) -> int:
     return int(request.model.input_count + request.model.schedule.shape[1])
 
 
-def _columns_of(rows: Array, estimator: Estimator, outputs: tuple[int, ...]) -> dict[str, Any]:
+def _columns_of(
+    rows: Array, estimator: Estimator | KalmanFilter, outputs: tuple[int, ...]
+) -> dict[str, Any]:
     """Return the fields of `Estimates` that are in rows of `history.estimate_at`."""
     columns: dict[str, Any] = {}
     for name, shape in (

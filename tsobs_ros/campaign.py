@@ -14,11 +14,12 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.design.record import Design
+from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.methods import ObserverSettings, make_estimator
+from tsobs_ros.methods import EKFS, ObserverSettings, make_estimator, make_runner
 from tsobs_ros.report.metrics import SAME_JUMP, SIGMAS, MetricsOptions
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import simulate
@@ -99,7 +100,7 @@ def run_all(
     >>> [float(max(s.normalised_rmse)) < 0.2 for s in run_all(ts.load_design(), [case])]
     [True]
     """
-    estimator = make_estimator(design, settings or ObserverSettings())
+    estimator = _estimator(design, settings or ObserverSettings())
     count = threads or os.cpu_count() or 1
 
     def scores(case: Case) -> Scores:
@@ -134,22 +135,17 @@ def observe(
         ModelError: The method cannot observe this arm.
     """
     settings = settings or ObserverSettings()
-    estimator = estimator or make_estimator(design, settings)
-    # Nothing is late.
-    limits = TrackerOptions(
-        design.arm_request.x_max, history=0.0, restart_after=settings.stale_after, max_steps=1
-    )
-    tracker = Tracker(estimator, limits)
+    tracker = _runner(design, settings, estimator)
     stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
     rows, events = [], []
     for y, u in zip(runs.measurements, runs.torques, strict=True):
         tracker.reset()
         rows.append(tracker.follow(stamps, y, u))
         events.append(tracker.events)
-    shape = (len(rows), len(stamps))
+    shape, layout = (len(rows), len(stamps)), tracker.estimator
 
     def field(name: str, width: int) -> Array:
-        part = estimator.row_parts[name]
+        part = layout.row_parts[name]
         if part.stop == part.start:
             return np.full((*shape, width), np.nan)
         return np.stack([row[:, part] for row in rows])
@@ -163,10 +159,27 @@ def observe(
         field("parameter_bound", 0),
         {
             name: np.stack([row[:, place] for row in rows])
-            for place, name in enumerate(CONDITIONS, estimator.row_width - len(CONDITIONS))
+            for place, name in enumerate(CONDITIONS, layout.row_width - len(CONDITIONS))
         },
         tuple(events),
     )
+
+
+def _estimator(design: Design, settings: ObserverSettings) -> Estimator | None:
+    return None if settings.method in EKFS else make_estimator(design, settings)
+
+
+def _runner(
+    design: Design, settings: ObserverSettings, estimator: Estimator | None
+) -> Tracker | KalmanFilter:
+    estimator = estimator or _estimator(design, settings)
+    if estimator is None:
+        return make_runner(design, settings)
+    # Nothing is late.
+    limits = TrackerOptions(
+        design.arm_request.x_max, history=0.0, restart_after=settings.stale_after, max_steps=1
+    )
+    return Tracker(estimator, limits)
 
 
 def score(runs: Trajectories, observed: Observed, options: MetricsOptions | None = None) -> Scores:

@@ -7,25 +7,34 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tsobs_ros.checks import check_each, non_negative, shown
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
+from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import STALE_AFTER
 from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.paper.observer import PAPER_WARNING, paper_observer
 from tsobs_ros.yaml_files import read_yaml
 
 METHODS = {
     "certified": "the design's observer: certified gain, supervised, learning what is uncertain",
-    "ekf": "the same model with Riccati gains throughout, not supervised",
+    "ekf": "gated extended Kalman filter of the same model, disturbance and noise",
+    "ekf_augmented": "the same with the parameters that the design calls uncertain as states",
     "high_gain": "proportional observer: takes the disturbance for motion",
     "proportional_integral": "with an integral besides: takes the disturbance for motion",
     "paper": "the published method's observer, for the arm of its Example 3 only",
 }
 """The methods by name, each with what to know about it."""
+
+EKFS = ("ekf", "ekf_augmented")
+"""Those that run over recordings and arrays only."""
 
 RANGES = {
     "theta": (0.1, 100.0),
@@ -89,7 +98,7 @@ class ObserverSettings:
 
     def learnt(self, design: Design) -> tuple[str, ...]:
         """Return the names of the design's parameters that are learnt."""
-        learns = self.method == "certified" and self.adapt
+        learns = self.method == "ekf_augmented" or (self.method == "certified" and self.adapt)
         return design.request.uncertainty_model.names if learns else ()
 
     def as_parameters(self) -> dict[str, bool | int | float | str]:
@@ -188,6 +197,8 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
 
 def _make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     request = design.arm_request
+    if settings.method in EKFS:
+        raise ModelError(f"method {settings.method}: runs over recordings and arrays only")
     common = (request.period, request.measurement_std)
     match settings.method:
         case "certified":
@@ -198,8 +209,6 @@ def _make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
                 settings.torque_rate,
                 settings.supervision,
             )
-        case "ekf":
-            return design.observer(gain_mode=GainMode.RICCATI, torque_rate=settings.torque_rate)
         case "high_gain":
             return baselines.high_gain(request.arm, settings.theta, *common)
         case "proportional_integral":
@@ -233,10 +242,53 @@ def make_tracker(
     (4,)
     """
     settings = settings or ObserverSettings()
-    options = TrackerOptions(
+    return Tracker(estimator or make_estimator(design, settings), _limits(design, settings))
+
+
+def make_runner(
+    design: Design, settings: ObserverSettings, estimator: Estimator | None = None
+) -> Tracker | KalmanFilter:
+    """Return what runs a method over a recording or arrays; see `make_tracker`."""
+    if settings.method in EKFS:
+        return make_ekf(design, settings, learns=settings.method == "ekf_augmented")
+    return make_tracker(design, settings, estimator)
+
+
+def make_ekf(
+    design: Design,
+    settings: ObserverSettings | None = None,
+    *,
+    arm: ElasticJointArm | None = None,
+    learns: bool = False,
+    gate: float = baselines.GATE,
+) -> KalmanFilter:
+    """Return the EKF of a design: with its disturbance model, its noise and its start.
+
+    Args:
+        design: The design.
+        settings: Timeouts; the node's defaults if None.
+        arm: The arm that it takes for the true one; the design's if None.
+        learns: Whether the parameters that the design calls uncertain are states.
+        gate: Sigmas of an innovation beyond which a sample is left out; infinite: none is.
+
+    Raises:
+        ModelError: The design is not for an arm, or calls nothing uncertain that is to be a state.
+    """
+    request, known = design.arm_request, arm or design.arm_request.arm
+    uncertainty = request.uncertainty_model if learns else None
+    if uncertainty is not None and not uncertainty.count:
+        raise ModelError("method ekf_augmented: the design calls no parameter uncertain")
+    disturbance = request.disturbance_model
+    flow = ArmFlow(known, disturbance, request.process_noise, request.period)
+    std = np.concatenate([known.from_physical(request.initial_std), disturbance.initial_std])
+    options = _limits(design, settings or ObserverSettings())
+    return KalmanFilter(flow, request.measurement_std, std, uncertainty, gate=gate, options=options)
+
+
+def _limits(design: Design, settings: ObserverSettings) -> TrackerOptions:
+    return TrackerOptions(
         x_max=design.arm_request.x_max,
         history=settings.history,
         future_tolerance=settings.future_tolerance,
         restart_after=settings.stale_after,
     )
-    return Tracker(estimator or make_estimator(design, settings), options)

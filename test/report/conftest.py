@@ -15,7 +15,8 @@ from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design
-from tsobs_ros.report.comparison import rerun
+from tsobs_ros.estimation.records import Innovation, Measurement
+from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.report.run import RecordedRun, Series
 from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import simulate
@@ -54,6 +55,32 @@ def blank_run(measurements: Series, stamps: Any, **truth: Any) -> RecordedRun:
     )
 
 
+def observed(run: RecordedRun, tracker: Tracker) -> RecordedRun:
+    """Return the run with estimates at its stamps, each from the measurements up to it."""
+    stamps, values = run.measurements
+    innovations, rows, place = [], [], 0
+    for stamp in run.stamps.tolist():
+        while place < len(stamps) and stamps[place] <= stamp:
+            sample = Measurement(int(stamps[place]), values[place, :1], values[place, 1:])
+            outcome = tracker.offer(sample, stamp)
+            if isinstance(outcome, Innovation):
+                innovations.append((outcome.stamp, outcome.value[0]))
+            place += 1
+        one = tracker.estimate(stamp)
+        assert one is not None
+        parts = (one.state, one.state_bound, one.disturbance, one.disturbance_bound)
+        rows.append(np.concatenate(parts))
+    table, used = np.array(rows), np.array([stamp for stamp, _ in innovations])
+    return replace(
+        run,
+        states=table[:, :4],
+        state_bounds=table[:, 4:8],
+        disturbance=table[:, 8],
+        disturbance_bounds=table[:, 9],
+        innovations=Series(used, np.array([[value] for _, value in innovations])),
+    )
+
+
 @pytest.fixture(scope="session")
 def unobserved() -> RecordedRun:
     """Twenty seconds of the arm with a bias step at 8 s, and stamps that ask for estimates."""
@@ -71,7 +98,7 @@ def unobserved() -> RecordedRun:
 @pytest.fixture(scope="session")
 def simulated(unobserved: RecordedRun, design: Design) -> RecordedRun:
     """The same with the certified observer's estimates."""
-    return rerun(unobserved, design.observer(), design.request.x_max)
+    return observed(unobserved, Tracker(design.observer(), TrackerOptions(design.request.x_max)))
 
 
 @pytest.fixture

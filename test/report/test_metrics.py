@@ -10,17 +10,13 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.options import GainMode
-from tsobs_ros.estimation.records import Measurement
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.report.comparison import (
+    EkfComparison,
     ObserverErrors,
-    compare_with_ekf,
     render_comparison,
     render_metrics,
-    rerun,
 )
-from tsobs_ros.report.metrics import QUANTITIES, MetricsOptions, measure
+from tsobs_ros.report.metrics import MetricsOptions, measure
 from tsobs_ros.report.run import Series
 
 PERIOD = 5_000_000
@@ -206,9 +202,10 @@ def test_senseless_options_are_refused(name, value) -> None:
         MetricsOptions(**{name: value})
 
 
-def test_the_table_says_what_the_metrics_say(simulated, design) -> None:
-    comparison = compare_with_ekf(simulated, design)
-    metrics = comparison.observer
+def test_the_table_says_what_the_metrics_say(simulated) -> None:
+    metrics = measure(simulated)
+    worse = replace(simulated, states=1.5 * simulated.states)
+    comparison = EkfComparison(metrics, measure(worse), "ekf_augmented", 2)
 
     lines = render_metrics(metrics, comparison).splitlines()
 
@@ -219,7 +216,10 @@ def test_the_table_says_what_the_metrics_say(simulated, design) -> None:
     assert row[8:] == [f"{other.rmse:#.3g}", f"{one.rmse / other.rmse:.2f}"]
     table = lines[2:10]
     assert len({len(line) for line in table[1:]}) == 1, "columns are not aligned"
-    assert "plain" in lines[-1], "a plain EKF must be called one"
+    assert "gated at 5σ; ekf_augmented has the uncertain parameters as states" in lines[-1]
+    mapping = comparison.as_mapping()
+    assert mapping["ratio"]["motor_velocity"] == one.rmse / other.rmse
+    assert mapping["method"] == "ekf_augmented"
     assert any(line.startswith("jump of +0.1 rad at 8.00 s: errors settled") for line in lines)
 
 
@@ -229,65 +229,3 @@ def test_the_certified_observer_keeps_its_bound_on_simulated_data(simulated) -> 
     assert all(one.inside == 1.0 for one in metrics.quantities)
     assert all(one.ratio < 1.3 for one in metrics.quantities)
     assert all(event.settled_after < 5.0 for event in metrics.events)
-
-
-def test_an_ekf_compared_with_itself_is_as_good(unobserved, design) -> None:
-    ekf = rerun(unobserved, design.observer(gain_mode=GainMode.RICCATI), design.request.x_max)
-
-    comparison = compare_with_ekf(ekf, design)
-
-    assert set(comparison.ratios.values()) == {1.0}
-    assert comparison.normalised_ratio == 1.0
-
-
-def test_without_truth_there_is_no_ratio(simulated, design) -> None:
-    comparison = compare_with_ekf(replace(simulated, truth=None, true_disturbance=None), design)
-
-    for metrics in (comparison.observer, comparison.ekf):
-        stored = json.loads(json.dumps(metrics.as_mapping(), allow_nan=False))
-        assert list(stored["quantities"]) == [one.key for one in QUANTITIES]
-        assert stored["quantities"]["link_angle"]["rmse"] is None
-    mapping = comparison.as_mapping()
-    assert set(mapping["ratio"].values()) == {mapping["normalised_ratio"]} == {None}
-
-
-def test_a_rerun_takes_measurements_as_they_arrived(unobserved, design) -> None:
-    """One late, one twice, one not finite, one from after the end: as a tracker takes them."""
-    stamps, values = (a[:400].copy() for a in unobserved.measurements)
-    order = np.arange(400)
-    order[[100, 120]] = order[[120, 100]]
-    order[200] = 199
-    values[250, 0] = np.nan
-    stamps[399] += 10**12
-    run = replace(
-        unobserved,
-        measurements=Series(stamps[order], values[order]),
-        stamps=unobserved.stamps[:390],
-    )
-    tracker = Tracker(design.observer(), TrackerOptions(x_max=design.request.x_max))
-    expected, place = [], 0
-    for stamp in run.stamps.tolist():
-        while run.measurements.stamps[place] <= stamp:
-            y, u = run.measurements.values[place]
-            tracker.offer(
-                Measurement(int(run.measurements.stamps[place]), np.array([y]), np.array([u])),
-                stamp,
-            )
-            place += 1
-        expected.append(tracker.estimate(stamp).state)
-
-    again = rerun(run, design.observer(), design.request.x_max)
-
-    np.testing.assert_array_equal(again.states, expected)
-    assert len(again.innovations.stamps) == tracker.used
-    # What was measured 20 samples later arrived first, so those between had to be put before it.
-    assert tracker.rewinds > 0
-
-
-def test_estimates_before_the_first_measurement_are_blank(unobserved, design) -> None:
-    stamps = np.concatenate([unobserved.stamps[:1] - 10_000_000, unobserved.stamps[:50]])
-
-    again = rerun(replace(unobserved, stamps=stamps), design.observer(), design.request.x_max)
-
-    assert np.isnan(again.states[0]).all()
-    assert np.isfinite(again.states[1:]).all()

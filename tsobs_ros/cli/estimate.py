@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 # Repeated here, so that the parser needs no numpy.
 _ZERO = "assume_zero_torque"
-METHODS = ("certified", "ekf", "high_gain", "proportional_integral", "paper")
+METHODS = ("certified", "ekf", "ekf_augmented", "high_gain", "proportional_integral", "paper")
 
 
 def add_parser(commands: Commands) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Observers of the arm to compare with: proportional and proportional-integral.
+"""Observers of the arm to compare with: two of high gain, and extended Kalman filters.
 
 The proportional high-gain observer (PO),
 
@@ -14,30 +14,64 @@ International Journal of Control 74 (2001), measures the integral x₀' = y in p
 
 with the poles of the error at −θ (1, 1.1, 1.2, 1.3, 1.4). Its state is x̂ and then the error
 e₀ = ∫y − x̂₀ [rad s], as x₀ itself grows without bound if y has a mean. Both take a disturbance of y
-for motion. None of the observers here has a certificate, gates or health logic.
+for motion. Between two samples the last one is held, and the observer is integrated.
 
-Between two samples the last one is held, and the observer is integrated. The plain EKF to compare
-with is the certified estimator with Riccati gains.
+The extended Kalman filter (EKF) has the states [x; w] of a design, its noise and its start, or
+[x; w; θ] with its uncertain parameters. It is what somebody writes who knows about outliers: a
+sample that is further off than so many sigmas is left out, and if most of the last half second was,
+the covariance starts again. Late samples are put in their place. No observer here has a
+certificate.
 """
 
+import math
+from typing import Any, NamedTuple
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.state import Shape, new_model
+from tsobs_ros.estimation.history import (
+    DUPLICATE,
+    EXTRA,
+    FROM_FUTURE,
+    GATED,
+    NON_FINITE,
+    TOO_OLD,
+    USED,
+    ZERO_STAMP,
+)
+from tsobs_ros.estimation.records import NANOSECONDS, Basis
+from tsobs_ros.estimation.state import CONDITIONS, Shape, new_model
+from tsobs_ros.estimation.tracker import TrackerOptions
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import Always, RuleBase
-from tsobs_ros.model.matrices import product
+from tsobs_ros.model.linear_flow import cut_into_steps, flow_over
+from tsobs_ros.model.matrices import congruence, product
 from tsobs_ros.model.prediction import fill_matrix
 from tsobs_ros.model.stepping import INTEGRATED, Room
+from tsobs_ros.model.trigonometry import cosine, sine
+from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
 """Poles as multiples of −θ; distinct, so that a small change of a gain moves them little."""
 
 _STEP_LIMIT = 0.1
 """Largest step times |pole|: Runge–Kutta's own error is then about 1e-6 of the estimate a step."""
+
+GATE = 5.0
+"""Sigmas of the innovation beyond which an EKF leaves a sample out."""
+
+THETA_STD, THETA_WANDER = 0.2, 1e-6
+"""1σ of each θ of an EKF before any measurement, and the growth of its variance [1/s]."""
+
+_WINDOW, _MOST = 0.5, 0.6
+"""An EKF starts its covariance again if it left out such a share of the samples of so long [s]."""
+
+_ALONG_THE_ESTIMATE = float(Basis.STARTING.value)
 
 
 def high_gain(
@@ -208,3 +242,505 @@ def _of_arm(
         measurement_covariance=as_matrix("R", [[std * std]], (1, 1)),
         gravity_gain=arm.gravity_gain,
     )
+
+
+class EkfNumbers(NamedTuple):
+    """The model of an EKF, as its compiled functions take it.
+
+    Attributes:
+        sizes: Of [x; w] and of θ, of the window of the gate, of its ring, and terms of the series.
+        times: Longest lateness, the clock's tolerance and the longest gap [ns].
+        numbers: Nominal step [s], reach of the series [s], mgl/J₁ [1/s²], R [rad²], the gate, and
+            half width of the certificate's domain [rad].
+        series: Of the linear flow.
+        phi, gamma, noise: The linear flow over a nominal step.
+        output, disturbance: States to measured angle and to its disturbance, shape (n + k,).
+        scale: Physical units of the arm's states, shape (4,).
+        effects: Accelerations of link and motor by each θ, from [x, sin x₁, u], shape (k, 2, 6).
+        initial: Covariance before any measurement.
+    """
+
+    sizes: NDArray[np.int64]
+    times: NDArray[np.int64]
+    numbers: Array
+    series: Array
+    phi: Array
+    gamma: Array
+    noise: Array
+    output: Array
+    disturbance: Array
+    scale: Array
+    effects: Array
+    initial: Array
+
+
+class EkfMemory(NamedTuple):
+    """All that an EKF remembers: a ring of states after the last samples.
+
+    Attributes:
+        counts: Place of the oldest state, number of states, late samples, failures.
+        stamps: Of the samples [ns].
+        samples: Angle and torque.
+        x, P: The states.
+        left_out: Whether each of the last samples was left out.
+        seen: Number of samples since the covariance was started.
+    """
+
+    counts: NDArray[np.int64]
+    stamps: NDArray[np.int64]
+    samples: Array
+    x: Array
+    P: Array
+    left_out: NDArray[np.bool_]
+    seen: NDArray[np.int64]
+
+
+class KalmanFilter:
+    """An EKF of an arm, over stamped samples in any order.
+
+    Args:
+        flow: Prediction model of [x; w].
+        measurement_std: 1σ of a sample [rad].
+        initial_std: 1σ of [x; w] before any measurement, shape (n,).
+        uncertainty: Parameters to have as states; none if None.
+        gate: Sigmas, infinite for a filter that leaves nothing out.
+        options: Limits.
+
+    Attributes:
+        flow: Prediction model of [x; w].
+        options: Limits.
+        numbers: Its model.
+        memory: What it remembers.
+        row_parts: Places of an estimate's fields in a row, as of an `Estimator`.
+        row_width: Length of a row without what `history.estimate_at` adds.
+        shape: Its sizes.
+        lacking: The fields of a row that it has nothing for.
+    """
+
+    lacking = ("disturbance_rate",)
+
+    def __init__(
+        self,
+        flow: ArmFlow,
+        measurement_std: float,
+        initial_std: Array,
+        uncertainty: Uncertainty | None = None,
+        *,
+        gate: float = GATE,
+        options: TrackerOptions,
+    ) -> None:
+        self.flow, self.options = flow, options
+        effects = np.zeros((0, 2, TORQUE + 1))
+        if uncertainty is not None and uncertainty.count:
+            effects = np.ascontiguousarray(uncertainty.directions[:, 0, [1, 3]])
+        n, k, step, linear = flow.state_count, len(effects), flow.nominal, flow.linear
+        std = np.concatenate([initial_std, np.full(k, THETA_STD)])
+        padding = np.zeros(k)
+        disturbance = np.concatenate([np.zeros(4), flow.disturbance.H[0], padding])
+        window = max(10, round(_WINDOW / flow.period))
+        limits = (options.history, options.future_tolerance, options.restart_after)
+        self.numbers = EkfNumbers(
+            np.array([n, k, window, options.max_steps, linear.terms]),
+            np.array([round(min(each, 1e9) * NANOSECONDS) for each in limits]),
+            np.array(
+                [
+                    flow.period,
+                    linear.reach,
+                    flow.arm.gravity_gain,
+                    positive("measurement_std", measurement_std) ** 2,
+                    gate,
+                    options.x_max,
+                ]
+            ),
+            linear.series,
+            np.ascontiguousarray(step.phi),
+            np.ascontiguousarray(step.gamma),
+            np.ascontiguousarray(step.noise),
+            np.concatenate([flow.output_matrix[0], padding]),
+            disturbance,
+            flow.arm.to_physical(np.ones(4)),
+            effects,
+            np.diag(std * std),
+        )
+        size, ring = n + k, options.max_steps
+        self.memory = EkfMemory(
+            np.zeros(4, np.int64),
+            np.zeros(ring, np.int64),
+            np.zeros((ring, 2)),
+            np.zeros((ring, size)),
+            np.zeros((ring, size, size)),
+            np.zeros((ring, window), np.bool_),
+            np.zeros(ring, np.int64),
+        )
+        self.shape = Shape(n, 4, 1, 1, k)
+        widths = {"state": 4, "state_bound": 4, "disturbance": 1, "disturbance_rate": 0}
+        widths |= {"disturbance_bound": 1, "parameters": k, "parameter_bound": k}
+        self.row_parts: dict[str, slice] = {}
+        at = 0
+        for name, width in widths.items():
+            self.row_parts[name] = slice(at, at + width)
+            at += width
+        self.row_width = at + len(CONDITIONS)
+
+    @property
+    def estimator(self) -> "KalmanFilter":
+        """The filter itself, whose rows are laid out as those of an `Estimator`."""
+        return self
+
+    @property
+    def events(self) -> dict[str, int]:
+        """What a supervision counts: nothing."""
+        return {}
+
+    @property
+    def rewinds(self) -> int:
+        """Number of late samples put in their place."""
+        return int(self.memory.counts[2])
+
+    @property
+    def failures(self) -> int:
+        """Number of estimates that were not finite."""
+        return int(self.memory.counts[3])
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.memory.counts[:] = 0
+
+    def advance(
+        self,
+        ticks: tuple[NDArray[np.int64], ...],
+        samples: tuple[NDArray[np.int64], Array, Array],
+        results: tuple[NDArray[np.int64], Array, Array],
+        newest: NDArray[np.int64],
+        rows: Array,
+    ) -> None:
+        """Use samples and estimate, tick by tick.
+
+        Args:
+            ticks: Stamps, times on the clock [ns], ends of the samples that each includes, and
+                the sample before which it forgets everything or -1, shape (m,) each.
+            samples: Stamps [ns], angles [rad] and torques [N m] in the order of arrival.
+            results: Outcomes, codes of `history.REASONS`, of which those below 0 are of samples
+                that are skipped; innovations y − ŷ and 1σ expected of them [rad]; written.
+            newest: Stamp of the newest sample in use [ns], 0 without an estimate; written.
+            rows: The estimates, written where there are any, shape (m, row_width + EXTRA).
+        """
+        size = len(self.numbers.output)
+        vectors, matrices = np.zeros((3, size)), np.zeros((8, size, size))
+        gammas = np.zeros((2, self.numbers.sizes[0], 1))
+        _advance_ekf(
+            self.numbers, self.memory, ticks, samples, results, newest, rows,
+            vectors, matrices, gammas,
+        )  # fmt: skip
+
+    def follow(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
+        """Use samples one after the other, and return the estimates at their stamps.
+
+        Args:
+            stamps: Ascending [ns], shape (m,).
+            y: Angles, NaN of a sample that is lost with its torque [rad], shape (m, 1).
+            u: Torques [N m], shape (m, 1).
+
+        Returns:
+            Rows, NaN without an estimate, shape (m, row_width + EXTRA).
+        """
+        times, angles = np.array(stamps, np.int64), np.array(y, np.float64)[:, 0]
+        torques, count = np.array(u, np.float64)[:, 0], len(times)
+        ticks = (times, times, np.arange(1, count + 1), np.full(count, -1))
+        results = (np.zeros(count, np.int64), *np.empty((2, count)))
+        newest, rows = np.zeros(count, np.int64), np.empty((count, self.row_width + EXTRA))
+        self.advance(ticks, (times, angles, torques), results, newest, rows)
+        rows[newest == 0] = np.nan
+        return rows
+
+
+@compiled_nogil
+def _advance_ekf(
+    model: EkfNumbers,
+    memory: EkfMemory,
+    ticks: Any,
+    samples: Any,
+    results: Any,
+    newest: Any,
+    rows: Array,
+    vectors: Array,
+    matrices: Array,
+    gammas: Array,
+) -> None:
+    """Use samples and estimate; see `KalmanFilter.advance`. The last three are scratch."""
+    stamps, now, ends, resets = ticks
+    times, y, u = samples
+    outcomes, innovations, expected = results
+    n, k, x_max = model.sizes[0], model.sizes[1], model.numbers[5]
+    counts, size, ring = memory.counts, n + k, model.sizes[3]
+    x, P = vectors[0], matrices[0]
+    begin = 0
+    for tick in range(len(stamps)):
+        for sample in range(begin, ends[tick]):
+            if sample == resets[tick]:
+                counts[1] = 0
+            if outcomes[sample] < 0:
+                continue
+            outcomes[sample] = _use(
+                model, memory, times[sample], y[sample], u[sample], now[tick], innovations,
+                expected, sample, vectors, matrices, gammas,
+            )  # fmt: skip
+        if resets[tick] >= 0 and not begin <= resets[tick] < ends[tick]:
+            counts[1] = 0
+        begin = max(begin, ends[tick])
+        newest[tick] = 0
+        # The newest state that is not after the tick.
+        place = counts[1] - 1
+        while place >= 0 and memory.stamps[(counts[0] + place) % ring] > stamps[tick]:
+            place -= 1
+        slot = (counts[0] + place) % ring
+        elapsed = stamps[tick] - memory.stamps[slot]
+        if place < 0 or elapsed > model.times[2]:
+            continue
+        _copy_state(memory.x[slot], memory.P[slot], x, P)
+        _predict(model, elapsed / 1e9, memory.samples[slot, 1], vectors, matrices, gammas)
+        row, total = rows[tick], 0.0
+        for i in range(len(row)):
+            row[i] = 0.0
+        for i in range(4):
+            row[i] = model.scale[i] * x[i]
+            row[4 + i] = model.scale[i] * math.sqrt(P[i, i]) if P[i, i] >= 0.0 else math.nan
+        for i in range(size):
+            row[8] += model.disturbance[i] * x[i]
+            for j in range(size):
+                total += model.disturbance[i] * P[i, j] * model.disturbance[j]
+        row[9] = math.sqrt(total) if total >= 0.0 else math.nan
+        for i in range(k):
+            variance = P[n + i, n + i]
+            row[10 + i] = x[n + i]
+            row[10 + k + i] = math.sqrt(variance) if variance >= 0.0 else math.nan
+        row[10 + 2 * k] = _ALONG_THE_ESTIMATE
+        # It takes its parameters for valid, and the noise for the design's.
+        row[11 + 2 * k], row[12 + 2 * k] = 1.0 if k > 0 else 0.0, 1.0
+        inside = abs(row[0]) <= x_max
+        row[len(row) - 2], row[len(row) - 1] = 1.0 if inside else 0.0, elapsed / 1e9
+        finite = True
+        for i in range(10):
+            finite = finite and math.isfinite(row[i])
+        if not finite:
+            # It diverged: what follows starts over.
+            counts[1] = 0
+            counts[3] += 1
+        else:
+            newest[tick] = memory.stamps[(counts[0] + counts[1] - 1) % ring]
+
+
+@compiled
+def _use(
+    model: EkfNumbers,
+    memory: EkfMemory,
+    stamp: int,
+    y: float,
+    u: float,
+    now: int,
+    innovations: Array,
+    expected: Array,
+    sample: int,
+    vectors: Array,
+    matrices: Array,
+    gammas: Array,
+) -> int:
+    """Use a sample, in its place; return its outcome."""
+    counts, ring = memory.counts, model.sizes[3]
+    if not math.isfinite(y):
+        return NON_FINITE
+    if stamp <= 0:
+        return ZERO_STAMP
+    if stamp > now + model.times[1]:
+        return FROM_FUTURE
+    later, length = 0, counts[1]
+    newest = memory.stamps[(counts[0] + length - 1) % ring]
+    while later < length and memory.stamps[(counts[0] + length - 1 - later) % ring] > stamp:
+        later += 1
+    if later < length and memory.stamps[(counts[0] + length - 1 - later) % ring] == stamp:
+        return DUPLICATE
+    if later > 0:
+        if later == length or newest - stamp > model.times[0]:
+            return TOO_OLD
+        counts[2] += 1
+    # The sample, and those after it again.
+    stamps, samples = np.empty(later + 1, np.int64), np.empty((later + 1, 2))
+    stamps[0], samples[0, 0], samples[0, 1] = stamp, y, u
+    for i in range(later):
+        slot = (counts[0] + length - later + i) % ring
+        stamps[1 + i] = memory.stamps[slot]
+        samples[1 + i, 0], samples[1 + i, 1] = memory.samples[slot, 0], memory.samples[slot, 1]
+    counts[1] = length - later
+    outcome = USED
+    for i in range(later + 1):
+        code = _correct(
+            model, memory, stamps[i], samples[i, 0], samples[i, 1], vectors, matrices, gammas
+        )
+        if i == 0:
+            outcome = code
+            innovations[sample], expected[sample] = vectors[2, 0], vectors[2, 1]
+    return outcome
+
+
+@compiled
+def _correct(
+    model: EkfNumbers,
+    memory: EkfMemory,
+    stamp: int,
+    y: float,
+    u: float,
+    vectors: Array,
+    matrices: Array,
+    gammas: Array,
+) -> int:
+    """Predict to a sample from the newest state, correct unless it is too far off, and remember."""
+    counts, size, window, ring = memory.counts, len(model.output), model.sizes[2], model.sizes[3]
+    x, cross, P = vectors[0], vectors[1], matrices[0]
+    last = (counts[0] + counts[1] - 1) % ring
+    elapsed = stamp - memory.stamps[last]
+    left_out, seen, torque = memory.left_out, memory.seen[last], 0.0
+    if counts[1] == 0 or elapsed > model.times[2]:
+        counts[1], slot, seen = 0, counts[0], 0
+        _start(model, x, P)
+        for i in range(window):
+            left_out[slot, i] = False
+    else:
+        slot, torque = (last + 1) % ring, memory.samples[last, 1]
+        _copy_state(memory.x[last], memory.P[last], x, P)
+        for i in range(window):
+            left_out[slot, i] = left_out[last, i]
+        _predict(model, elapsed / 1e9, torque, vectors, matrices, gammas)
+    if math.isfinite(u):
+        torque = u
+    spread, innovation = model.numbers[3], y
+    for i in range(size):
+        cross[i] = 0.0
+        for j in range(size):
+            cross[i] += P[i, j] * model.output[j]
+        spread += model.output[i] * cross[i]
+        innovation -= model.output[i] * x[i]
+    is_out = abs(innovation) > model.numbers[4] * math.sqrt(spread)
+    left_out[slot, seen % window] = is_out
+    seen += 1
+    gone = 0
+    for i in range(window):
+        gone += left_out[slot, i]
+    if seen >= window and gone > _MOST * window:
+        seen = 0
+        _copy_state(x, model.initial, x, P)
+        for i in range(window):
+            left_out[slot, i] = False
+    elif not is_out:
+        for i in range(size):
+            x[i] += cross[i] / spread * innovation
+            for j in range(size):
+                P[i, j] -= cross[i] * cross[j] / spread
+    vectors[2, 0], vectors[2, 1] = innovation, math.sqrt(spread)
+    memory.stamps[slot], memory.seen[slot] = stamp, seen
+    memory.samples[slot, 0], memory.samples[slot, 1] = y, torque
+    _copy_state(x, P, memory.x[slot], memory.P[slot])
+    counts[1] += 1
+    if counts[1] == ring:
+        counts[0] = (counts[0] + 1) % ring
+        counts[1] -= 1
+    return GATED if is_out else USED
+
+
+@compiled
+def _start(model: EkfNumbers, x: Array, P: Array) -> None:
+    for i in range(len(x)):
+        x[i] = 0.0
+        for j in range(len(x)):
+            P[i, j] = model.initial[i, j]
+
+
+@compiled
+def _copy_state(x: Array, P: Array, to_x: Array, to_P: Array) -> None:
+    for i in range(len(x)):
+        to_x[i] = x[i]
+        for j in range(len(x)):
+            to_P[i, j] = P[i, j]
+
+
+@compiled
+def _predict(
+    model: EkfNumbers,
+    duration: float,
+    u: float,
+    vectors: Array,
+    matrices: Array,
+    gammas: Array,
+) -> None:
+    """Move the state and the covariance, the first of the vectors and matrices, over a time [s]."""
+    n, k, terms = model.sizes[0], model.sizes[1], model.sizes[4]
+    period, reach, gravity = model.numbers[0], model.numbers[1], model.numbers[2]
+    size = n + k
+    x, moved, P, jacobian, scratch = vectors[0], vectors[1], matrices[0], matrices[1], matrices[2]
+    nothing = matrices[3]
+    whole, rest = cut_into_steps(duration, period)
+    for step in range(whole + 1):
+        length = period if step < whole else rest
+        if not length > 0.0:
+            return
+        phi, gamma, noise = model.phi, model.gamma, model.noise
+        if step == whole:
+            phi, gamma, noise = matrices[4], gammas[0], matrices[5]
+            flow_over(
+                model.series, terms, reach, length, phi, gamma, noise, matrices[6:8], gammas[1],
+                n, 1, True,
+            )  # fmt: skip
+        half = 0.5 * length
+        for part in range(2):
+            if part == 1:
+                # The parameters wander.
+                for i in range(size):
+                    for j in range(size):
+                        jacobian[i, j] = 1.0 if i == j else 0.0
+                        scratch[i, j] = 0.0
+                        if i < n and j < n:
+                            jacobian[i, j] = phi[i, j]
+                for i in range(n):
+                    moved[i] = gamma[i, 0] * u
+                    for j in range(n):
+                        moved[i] += phi[i, j] * x[j]
+                for i in range(n):
+                    x[i] = moved[i]
+                congruence(jacobian, P, nothing, scratch, P, size, size)
+                for i in range(size):
+                    for j in range(size):
+                        if i < n and j < n:
+                            P[i, j] += noise[i, j]
+                        elif i == j:
+                            P[i, i] += THETA_WANDER * length
+            _kick(model.effects, half, half * gravity, u, x, jacobian)
+            congruence(jacobian, P, nothing, scratch, P, size, size)
+
+
+@compiled
+def _kick(
+    effects: Array, half: float, half_kick: float, u: float, x: Array, jacobian: Array
+) -> None:
+    """Give half a kick by gravity and by the parameters; write its Jacobian."""
+    size, k = x.shape[0], effects.shape[0]
+    angle, slope = sine(x[0]), cosine(x[0])
+    for i in range(size):
+        for j in range(size):
+            jacobian[i, j] = 1.0 if i == j else 0.0
+    jacobian[1, 0] -= half_kick * slope
+    link, motor = -half_kick * angle, 0.0
+    for row in range(2):
+        place = 1 + 2 * row
+        for i in range(k):
+            theta, effect = x[size - k + i], effects[i, row]
+            push = effect[SINE] * angle + effect[TORQUE] * u
+            for j in range(4):
+                push += effect[j] * x[j]
+                jacobian[place, j] += half * theta * effect[j]
+            jacobian[place, 0] += half * theta * effect[SINE] * slope
+            jacobian[place, size - k + i] = half * push
+            if row == 0:
+                link += half * theta * push
+            else:
+                motor += half * theta * push
+    x[1] += link
+    x[3] += motor

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import chain, repeat
 from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, ModelError
-from tsobs_ros.methods import ObserverSettings, make_estimator, make_tracker
+from tsobs_ros.methods import ObserverSettings, make_runner
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.fit import check_unit_of_angles
 from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
@@ -79,7 +79,7 @@ def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list
     for one in observers:
         try:
             for design in one.designs:
-                make_estimator(design, one.settings)
+                make_runner(design, one.settings)
             fitting.append(one)
         except ModelError as error:
             remarks.append(f"{one.name} is left out: {error}")
@@ -116,11 +116,12 @@ class Run:
         self.observer, self.windows = observer, windows
         self.estimates = 0
         self._source = source
-        estimators = {id(one): make_estimator(one, observer.settings) for one in observer.designs}
-        trackers = [
-            make_tracker(design, observer.settings, estimators[id(design)])
-            for design in observer.designs
-        ]
+        estimators: dict[int, Any] = {}
+        trackers = []
+        for design in observer.designs:
+            one = make_runner(design, observer.settings, estimators.get(id(design)))
+            estimators[id(design)] = one.estimator
+            trackers.append(one)
         self.replay = Replay(trackers, observer.settings.stale_after)
         names = map(observer.settings.learnt, observer.designs)
         learnt = dict(zip(source.joints, names, strict=True))

@@ -12,10 +12,11 @@ import numpy as np
 
 from tsobs_ros.bag.joint_series import Flags, Times
 from tsobs_ros.checks import Array
+from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.history import CORRECTING, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.replay.passes import LEFT_OUT, Pass, Ticks
+from tsobs_ros.replay.passes import LEFT_OUT, Ticks, new_pass
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Samples
 from tsobs_ros.replay.table import EstimateTable, Recorded
@@ -39,7 +40,9 @@ class Replay:
     _schedule: Schedule
     _table: EstimateTable
 
-    def __init__(self, trackers: Sequence[Tracker], stale_after: float = 5.0) -> None:
+    def __init__(
+        self, trackers: Sequence[Tracker | KalmanFilter], stale_after: float = 5.0
+    ) -> None:
         self._trackers = tuple(trackers)
         self._stale_after = stale_after
         self.rejected: Counter[RejectReason] = Counter()
@@ -186,7 +189,7 @@ class _Joint:
 
     def __init__(
         self,
-        tracker: Tracker,
+        tracker: Tracker | KalmanFilter,
         joint: int,
         samples: Samples,
         schedule: Schedule,
@@ -210,7 +213,7 @@ class _Joint:
             np.where(resets >= 0, self._count[resets], -1),
             _NOTHING if recorded is None else np.ascontiguousarray(recorded.estimates[:, joint]),
         )
-        self._pass = Pass(
+        self._pass = new_pass(
             tracker,
             samples.stamps[own],
             samples.y[own, column],

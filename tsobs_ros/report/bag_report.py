@@ -117,13 +117,20 @@ def make_bag_report(
     """
     run = read_run(bag, joint, namespace=namespace)
     given = [] if design is None else [design]
-    ((file,),) = choose_designs(
-        bag, run.ran, [run.joint], given, others_allowed=other_design
+    joints = tuple(joint for joint in run.joints if joint in run.ran.designs) or (run.joint,)
+    # Only the design of the joint that the report is on is in question.
+    named = [f"{run.joint}={path}" for path in given]
+    ((*chosen,),) = choose_designs(
+        bag, run.ran, joints, named, others_allowed=other_design
     ).values()
+    files = dict(zip(joints, chosen, strict=True))
+    file = files[run.joint]
     std = expected_innovation(file.design)
     options = MetricsOptions(innovation_std=std)
     metrics = measure(run, options)
-    comparison = compare_with_ekf(run, file.design, options) if ekf else None
+    comparison = None
+    if ekf and run.truth is not None:
+        comparison = compare_with_ekf(run, bag, files, run.ran.settings(), options)
     page = html and find_spec("plotly") is not None
     remarks = [*run.ran.doubt(given), *run.ran.remarks]
     if run.truth is None:
@@ -134,25 +141,34 @@ def make_bag_report(
         remarks.append("note: the run is too short to have a settled part, so there are no errors")
     if html and not page:
         remarks.append(f"note: no report.html: {missing_library('plotly')}")
-    names = ["report.png", *(["report.html"] if page else []), "report.json"]
-    files = tuple(output / name for name in names)
+    outputs = ["report.png", *(["report.html"] if page else []), "report.json"]
+    written = tuple(output / name for name in outputs)
     health = None if run.health is None else sum_up(run.health.values)
     events = tuple(_events(run))
     report = BagReport(
-        bag, run.joint, file, metrics, health, events, run.origin, comparison, files, tuple(remarks)
+        bag,
+        run.joint,
+        file,
+        metrics,
+        health,
+        events,
+        run.origin,
+        comparison,
+        written,
+        tuple(remarks),
     )
     try:
         output.mkdir(parents=True, exist_ok=True)
         # Here, so that matplotlib and plotly are needed only for what they draw.
         from tsobs_ros.report.figures import draw_run
 
-        draw_run(run, metrics, files[0], std)
+        draw_run(run, metrics, written[0], std)
         if page:
             from tsobs_ros.report.page import write_html
 
-            write_html(run, metrics, files[1], std)
+            write_html(run, metrics, written[1], std)
         text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
-        files[-1].write_text(text + "\n", encoding="utf-8")
+        written[-1].write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise ReportError(f"cannot write the report: {error}") from error
     return report

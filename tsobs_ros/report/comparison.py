@@ -2,31 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """Observers over the same measurements, side by side, as numbers and as text for terminals.
 
-The reference is a plain EKF with the model, disturbance states and noise densities of the design;
-only its gain is the Kalman gain along its own estimate for ever. It has no gates and no health
-logic.
+The reference is an EKF with the disturbance model, noise and start of the design, and with a gate
+(`estimation.baselines`). Where ours learns parameters there are two, as only the truth shows which
+one is the better rival: one keeps the nominal parameters, the other has them as states.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.joint_series import JointSeries
+from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.design.record import Design
-from tsobs_ros.errors import printable
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.options import GainMode
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.replay.estimate import Run
-from tsobs_ros.replay.passes import CERTAIN
-from tsobs_ros.replay.replay import Replay
-from tsobs_ros.replay.schedule import Schedule
-from tsobs_ros.replay.source import Samples, Source, Truth, passes
+from tsobs_ros.errors import BagReadError, printable
+from tsobs_ros.estimation.baselines import GATE
+from tsobs_ros.methods import EKFS, ObserverSettings
+from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
+from tsobs_ros.replay.source import BagSource, Source, Truth, passes
 from tsobs_ros.replay.table import EstimateTable
 from tsobs_ros.report.metrics import (
     QUANTITIES,
@@ -42,7 +40,10 @@ DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
 
 _NOTHING = "–"
-_ABOUT_THE_EKF = "EKF: same model, data and windows, plain: it does not look for outliers or jumps"
+_EKFS = {
+    "ekf": "the nominal parameters",
+    "ekf_augmented": "the uncertain parameters as states",
+}
 
 
 @dataclass(frozen=True)
@@ -52,10 +53,14 @@ class EkfComparison:
     Attributes:
         observer: Metrics of the recorded estimates.
         ekf: Metrics of the EKF.
+        method: Its name, one of `methods.EKFS`.
+        rivals: How many there were to choose the best from.
     """
 
     observer: RunMetrics
     ekf: RunMetrics
+    method: str = EKFS[0]
+    rivals: int = 1
 
     @property
     def ratios(self) -> dict[str, float | None]:
@@ -71,6 +76,7 @@ class EkfComparison:
     def as_mapping(self) -> dict[str, Any]:
         """Return the EKF's errors and the ratios as plain data."""
         return {
+            "method": self.method,
             "rmse": {one.key: one.rmse for one in self.ekf.quantities},
             "normalised_rmse": self.ekf.normalised_rmse,
             "ratio": self.ratios,
@@ -95,6 +101,12 @@ class ObserverErrors:
     innovation_rms: float | None
     metrics: RunMetrics | None
 
+    @property
+    def normalised_rmse(self) -> float:
+        """Normalised RMSE of the states, infinite if it is not known."""
+        known = None if self.metrics is None else self.metrics.normalised_rmse
+        return math.inf if known is None else known
+
     def as_mapping(self) -> dict[str, Any]:
         """Return everything as plain data that JSON can hold."""
         return {
@@ -113,53 +125,37 @@ def expected_innovation(design: Design) -> float:
 
 
 def compare_with_ekf(
-    run: RecordedRun, design: Design, options: MetricsOptions | None = None
+    run: RecordedRun,
+    bag: Path,
+    files: Mapping[str, ArmDesignFile],
+    settings: ObserverSettings,
+    options: MetricsOptions | None = None,
 ) -> EkfComparison:
-    """Run an EKF over the measurements of a run and measure both over the same windows.
+    """Run EKFs over the measurements of a recorded run, as `tsobs compare` does.
+
+    If ours learns parameters, there are two: one with the nominal parameters, and one that has
+    those as states. The comparison is with the better one.
 
     Args:
         run: The recorded run.
-        design: The design, for the model, disturbance states and noise densities of the EKF.
+        bag: The bag that it is from.
+        files: Design file of each joint that the observer observed.
+        settings: Those that it ran with.
         options: Options of the measures.
     """
-    ekf = rerun(run, design.observer(gain_mode=GainMode.RICCATI), design.arm_request.x_max)
-    return EkfComparison(measure(run, options), measure(ekf, options))
-
-
-def rerun(run: RecordedRun, observer: Estimator, x_max: float) -> RecordedRun:
-    """Return the run with the estimates that another observer makes of its measurements.
-
-    The measurements are offered in their order of arrival and the estimates asked for at the
-    recorded stamps, each after the measurements up to its stamp.
-
-    Args:
-        run: The recorded run.
-        observer: The other observer.
-        x_max: Half width of its domain [rad].
-    """
-    # Without those that no estimate could know of.
-    known = run.measurements.stamps <= run.stamps[-1]
-    stamps, values = (array[known] for array in run.measurements)
-    there = np.ones((len(stamps), 1), np.bool_)
-    y, u = values[:, :1], values[:, 1:]
-    samples = Samples(stamps, stamps, stamps, y, u, named=there, complete=there)
-    trackers = [Tracker(observer, TrackerOptions(x_max=x_max))]
-    counts = np.searchsorted(np.maximum.accumulate(stamps), run.stamps, side="right")
-    schedule = Schedule(
-        stamps=run.stamps,
-        now=run.stamps,
-        min_known=counts,
-        max_known=counts,
-        reset_after=np.full(len(run.stamps), -1),
-        log_times=run.stamps,
-        publish_times=run.stamps,
-        evidence=np.full(samples.count, CERTAIN),
-    )
-    table = EstimateTable(len(run.stamps), samples.count, 1)
-    replay = Replay(trackers, stale_after=math.inf)
-    replay.enter(samples, schedule, table)
-    replay.advance(schedule.count)
-    return replace(run, **_estimates_of(table, stamps))
+    source = BagSource(bag, topic=run.topic, joints=tuple(files))
+    learns = settings.learnt(files[run.joint].design)
+    observers = [
+        Observer(method, replace(settings, method=method), tuple(files.values()))
+        for method in (EKFS if learns else EKFS[:1])
+    ]
+    runs = make_runs(source, observers, rate=None, as_live=True)
+    run_all(source, runs, None)
+    own = [one for one in compare_runs(source, runs, options) if one.joint == run.joint]
+    best = min(own, key=lambda one: one.normalised_rmse)
+    if best.metrics is None:
+        raise BagReadError(f"{bag}: no EKF could be run over the measurements of {run.joint}")
+    return EkfComparison(measure(run, options), best.metrics, best.observer, len(own))
 
 
 def compare_runs(
@@ -250,8 +246,20 @@ def render_comparison(rows: Sequence[ObserverErrors]) -> str:
     for joint in joints:
         own = [row for row in rows if row.joint == joint]
         title = [printable(joint)] if len(joints) > 1 else []
-        parts.append("\n".join([*title, *_aligned(_cells(own)), "", _note(own)]))
+        ekfs = [row.observer for row in own if row.observer in _EKFS]
+        notes = [_note(own), *([about_ekfs(ekfs)] if ekfs else [])]
+        parts.append("\n".join([*title, *_aligned(_cells(own)), "", *notes]))
     return "\n\n".join(parts)
+
+
+def about_ekfs(methods: Sequence[str], *, better: bool = False) -> str:
+    """Return the line on what EKFs have in common with ours, and in what they differ."""
+    known = ", ".join(f"{name} has {_EKFS[name]}" for name in methods)
+    better_one = ", the better one of ekf and ekf_augmented" if better else ""
+    return (
+        f"EKF: same disturbance model, noise and data as ours, gated at {GATE:g}σ; "
+        f"{known}{better_one}"
+    )
 
 
 def _cells(rows: Sequence[ObserverErrors]) -> list[list[str]]:
@@ -306,7 +314,7 @@ def render_metrics(metrics: RunMetrics, comparison: EkfComparison | None = None)
         rows[0] += ["EKF RMSE", "RMSE/EKF"]
         for row, error, ratio in zip(rows[1:], errors, ratios, strict=True):
             row += [_number(error), _quotient(ratio)]
-        below.append(_ABOUT_THE_EKF)
+        below.append(about_ekfs([comparison.method], better=comparison.rivals > 1))
     above = (
         f"{metrics.measurements} measurements, {metrics.estimates} estimates in "
         f"{metrics.duration:.1f} s; errors over the {metrics.settled_time:.1f} s that count as "

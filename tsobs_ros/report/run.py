@@ -73,6 +73,7 @@ class RecordedRun:
         health: Numbers of `estimation.events.Condition` at their stamps, values (h, 6); None if
             not recorded.
         topic: Name of the measurements' topic.
+        joints: All that there are estimates of.
         ran: What the observer ran, as far as the bag has it.
         passes: Number of passes over the recorded time; this is the longest one.
     """
@@ -90,6 +91,7 @@ class RecordedRun:
     true_disturbance: Series | None = None
     health: Series | None = None
     topic: str = "joint_measurements"
+    joints: tuple[str, ...] = ()
     ran: RecordedObserver = field(default_factory=RecordedObserver)
     passes: int = 1
 
@@ -143,11 +145,12 @@ def read_run(
     reader = BagReader(bag)
     suffixes = {key: suffix for key, (suffix, _) in _wanted("", observer).items()}
     names = {key: _find(reader, suffix, namespace) for key, suffix in suffixes.items()}
-    ran = RecordedObserver()
+    ran, joints = RecordedObserver(), tuple[str, ...]()
     if names["states"] is not None:
         ran = recorded_observer(reader, names["states"].removesuffix(f"/{topics.STATES}"))
         names["measurements"] = names["measurements"] or _there(reader, ran.measurements)
-        joint = _choose_joint(reader, names["states"], joint)
+        joints = _observed_joints(reader, names["states"])
+        joint = _choose_joint(reader.path, joints, joint)
     wanted = _wanted(joint or "", observer)
     required = {key: names[key] for key in wanted if key not in _OPTIONAL}
     if missing := [wanted[key][0] for key, name in required.items() if name is None]:
@@ -178,6 +181,7 @@ def read_run(
         disturbance=align(chosen["disturbance"], states.stamps)[:, 0],
         disturbance_bounds=align(chosen["disturbance_bound"], states.stamps)[:, 0],
         topic=str(names["measurements"]),
+        joints=joints,
         ran=ran,
         passes=len(streams["states"]),
         **{key: chosen[key].ordered() for key in _OPTIONAL if key in chosen},
@@ -223,19 +227,22 @@ def _there(reader: BagReader, name: str | None) -> str | None:
     return None if info is None or info.type != JOINT_STATE else info.name
 
 
-def _choose_joint(reader: BagReader, topic: str, joint: str | None) -> str:
-    """Return the joint to read, of those that there are estimates of."""
+def _observed_joints(reader: BagReader, topic: str) -> tuple[str, ...]:
+    """Return the joints that the first estimates are of."""
     messages = islice(reader.messages([topic]), _FIRST_MESSAGES)
     groups, _ = JointStateDecoder().decode_all([message.data for message in messages])
     sides = dict.fromkeys(name for group in groups for name in group.names)
-    joints = [side.removesuffix("_link") for side in sides if side.endswith("_link")]
+    return tuple(side.removesuffix("_link") for side in sides if side.endswith("_link"))
+
+
+def _choose_joint(bag: Path, joints: tuple[str, ...], joint: str | None) -> str:
     if joint in joints or (joint is None and len(joints) == 1):
         return joint or joints[0]
     has = ", ".join(joints) or "none"
     if joint is None and joints:
-        raise BagReadError(f"{reader.path}: estimates of several joints, choose one of: {has}")
+        raise BagReadError(f"{bag}: estimates of several joints, choose one of: {has}")
     whom = "" if joint is None else f" of joint '{joint}'"
-    raise BagReadError(f"{reader.path}: no estimate{whom} on {topic}; joints: {has}")
+    raise BagReadError(f"{bag}: no estimate{whom}; joints: {has}")
 
 
 def _as_named(health: JointSeries) -> JointSeries:
