@@ -89,7 +89,7 @@ def test_scores_are_those_of_a_report() -> None:
             assert scores.normalised_rmse[run] == pytest.approx(expected.normalised_rmse, rel=1e-12)
 
 
-@pytest.mark.parametrize("method", ["certified", "ekf", "high_gain"])
+@pytest.mark.parametrize("method", ["certified", "high_gain"])
 def test_what_is_observed_is_what_a_tracker_estimates(method: str) -> None:
     learning = load_design(config_path(SHIPPED_DESIGN))
     # A dropout is longer than what is bridged, and the first samples are lost.

@@ -444,6 +444,17 @@ class KalmanFilter:
         Returns:
             Rows, NaN without an estimate, shape (m, row_width + EXTRA).
         """
+        return self._follow(stamps, y, u)[0]
+
+    def misfits(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
+        """Use samples as `follow` does, and return |innovation| / 1σ of those used, shape (i,)."""
+        _, outcomes, innovations, expected = self._follow(stamps, y, u)
+        used = outcomes == USED
+        return np.asarray(np.abs(innovations[used]) / expected[used])
+
+    def _follow(
+        self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
+    ) -> tuple[Array, NDArray[np.int64], Array, Array]:
         times, angles = np.array(stamps, np.int64), np.array(y, np.float64)[:, 0]
         torques, count = np.array(u, np.float64)[:, 0], len(times)
         ticks = (times, times, np.arange(1, count + 1), np.full(count, -1))
@@ -451,7 +462,7 @@ class KalmanFilter:
         newest, rows = np.zeros(count, np.int64), np.empty((count, self.row_width + EXTRA))
         self.advance(ticks, (times, angles, torques), results, newest, rows)
         rows[newest == 0] = np.nan
-        return rows
+        return rows, *results
 
 
 @compiled_nogil

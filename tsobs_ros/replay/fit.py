@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The unit of a log's angles, judged by the arm that they are to be of."""
 
-from dataclasses import replace
+import math
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import LogError
-from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.methods import ObserverSettings, make_ekf
 from tsobs_ros.replay.columns import UNITS
 from tsobs_ros.replay.log import LogSource
 
@@ -18,7 +18,6 @@ _DEGREE = UNITS["angle"]["deg"]
 # Of the misfits of arms in 72 kinds of motion: those of angles in rad were at most 2.2, those of
 # degrees read as rad at least 44.
 _MISFIT, _FIT, _MIN_RATIO = 15.0, 6.0, 10.0
-_AT_ONCE = 64
 _MIN_USED = 50
 
 
@@ -56,15 +55,9 @@ def _misfit(
     design: Design, settings: ObserverSettings, stamps: Times, angles: Array, torques: Array
 ) -> float:
     """Return the median of |innovation| / expected 1σ of an EKF, 0 of too few measurements."""
-    tracker = make_tracker(design, replace(settings, method="ekf"))
-    found = []
-    stamps = stamps - stamps[0] + 10**9
-    y, u = angles[:, np.newaxis], torques[:, np.newaxis]
-    for begin in range(0, len(stamps), _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
-        outcomes = tracker.offer_many(stamps[part], y[part], u[part], int(stamps[part][-1]))
-        used = outcomes.codes == 0
-        found.append(np.abs(outcomes.innovations[used]) / outcomes.expected_std[used])
+    ekf, order = make_ekf(design, settings, gate=math.inf), np.argsort(stamps, kind="stable")
+    times = stamps[order] - stamps.min() + 10**9
+    found = ekf.misfits(times, angles[order, np.newaxis], torques[order, np.newaxis])
     # While the estimate settles, large innovations are expected.
-    sizes = np.concatenate(found)[len(stamps) // 8 :]
+    sizes = found[len(stamps) // 8 :]
     return float(np.median(sizes)) if len(sizes) >= _MIN_USED else 0.0

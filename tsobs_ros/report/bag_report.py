@@ -143,19 +143,17 @@ def make_bag_report(
         remarks.append(f"note: no report.html: {missing_library('plotly')}")
     outputs = ["report.png", *(["report.html"] if page else []), "report.json"]
     written = tuple(output / name for name in outputs)
-    health = None if run.health is None else sum_up(run.health.values)
-    events = tuple(_events(run))
     report = BagReport(
-        bag,
-        run.joint,
-        file,
-        metrics,
-        health,
-        events,
-        run.origin,
-        comparison,
-        written,
-        tuple(remarks),
+        bag=bag,
+        joint=run.joint,
+        design=file,
+        metrics=metrics,
+        health=None if run.health is None else sum_up(run.health.values),
+        events=tuple(_events(run)),
+        begin=run.origin,
+        comparison=comparison,
+        files=written,
+        remarks=tuple(remarks),
     )
     try:
         output.mkdir(parents=True, exist_ok=True)
