@@ -35,7 +35,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "paper": {*CORE, "design", "simulation"},
     "methods": {*CORE, "design", "paper"},
     "replay": {*CORE, "bag", "design", "methods"},
-    "report": {*CORE, "bag", "design", "replay"},
+    "report": {*CORE, "bag", "design", "methods", "replay"},
     "nodes": {*CORE, "bag", "design", "methods", "simulation"},
     "executables": {"nodes"},
     "cli": {
