@@ -49,6 +49,23 @@ def tampered(tmp_path: Path) -> Callable[[Callable[[dict[str, Any]], None]], Pat
     return write
 
 
+def test_a_design_and_a_files_name_do_not_command_the_terminal(
+    tampered: Callable[[Callable[[dict[str, Any]], None]], Path],
+    hostile: str,
+    check_shown: Callable[[str], None],
+    capsys: Captured,
+) -> None:
+    hostile = hostile.replace("\0", "")  # which no argument can have
+    path = str(tampered(lambda data: data["solver"].update(name=hostile, status=hostile)))
+    assert main(["verify", path]) == 0
+    assert main(["verify", hostile]) == 1
+    with pytest.raises(SystemExit, match="2"):
+        main(["verify", path, hostile])
+    told = capsys.readouterr()
+    check_shown(told.out + told.err)
+    assert (told.out + told.err).count(r"x\x1b[2J") == 4
+
+
 def triple_the_gain(data: dict[str, Any]) -> None:
     data["gain"]["K"] = [3.0 * value for value in data["gain"]["K"]]
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tsobs_ros.cli.common import Commands, add_json, show
-from tsobs_ros.errors import DesignFileError
+from tsobs_ros.errors import DesignFileError, printable
 
 
 def add_parser(commands: Commands) -> None:
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     save_design(design, options.output)
     show(
         {"design": str(options.output), **design.summary()},
-        f"{design.text()}\nwritten to {options.output}",
+        f"{design.text()}\nwritten to {printable(str(options.output))}",
         options.json,
     )
     return 0

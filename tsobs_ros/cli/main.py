@@ -26,7 +26,7 @@ from tsobs_ros.cli import (
     verify,
 )
 from tsobs_ros.cli.common import complain
-from tsobs_ros.errors import TsobsError, missing_library
+from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.stop import interrupt
 
 _COMMANDS = (demo, design, verify, estimate, compare, export, report, bag, paper, config)
@@ -35,7 +35,10 @@ _COMMANDS = (demo, design, verify, estimate, compare, export, report, bag, paper
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `tsobs` with the given arguments, `sys.argv` by default; return the exit code."""
-    options = _parser().parse_args(argv)
+    parser = _parser()
+    options, unknown = parser.parse_known_args(argv)
+    if unknown:  # as parse_args, but they may be any file's name, by a pattern
+        parser.error(printable(f"unrecognized arguments: {' '.join(unknown)}"))
     command: Callable[[argparse.Namespace], int] = options.command
     if threading.current_thread() is threading.main_thread():
         interrupt()

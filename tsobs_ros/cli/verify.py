@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from tsobs_ros.cli.common import Commands, add_json, complain, show
+from tsobs_ros.errors import printable
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
 
@@ -35,7 +36,7 @@ def run(options: argparse.Namespace) -> int:
         holds, plain, text = proof.holds, proof.as_mapping(), proof.text()
     else:
         holds, plain, text = design.certificate.holds, design.summary(), design.text()
-    show({"design": str(path), **plain}, f"{path}\n{text}", options.json)
+    show({"design": str(path), **plain}, f"{printable(str(path))}\n{text}", options.json)
     if not holds:
         complain(f"{path}: the certificate does not hold")
     return 0 if holds else 1

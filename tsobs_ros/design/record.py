@@ -13,7 +13,7 @@ from scipy.linalg import solve_triangular
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.design.certificate import CertificateReport, check_certificate
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.errors import ModelError
+from tsobs_ros.errors import ModelError, printable
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.options import (
     TORQUE_RATE,
@@ -274,4 +274,4 @@ class Design:
                 for name, bound in zip(names, self.bound_std, strict=True)
             ]
         verdict = "the certificate holds" if report.holds else "THE CERTIFICATE DOES NOT HOLD"
-        return "\n".join([*lines, verdict])
+        return "\n".join(map(printable, [*lines, verdict]))

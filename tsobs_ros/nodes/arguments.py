@@ -9,6 +9,7 @@ from types import ModuleType
 
 from rclpy.utilities import remove_ros_args
 
+from tsobs_ros.errors import printable
 from tsobs_ros.nodes.parameters import describe
 
 _HELP = {"-h", "--help"}
@@ -40,6 +41,6 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
     except RuntimeError as error:
         # rclpy does not export the type. What is malformed is for rclpy.init to report.
         if type(error).__name__ == "UnknownROSArgsError":
-            parser.error(f"unrecognized ROS arguments: {error}")
+            parser.error(printable(f"unrecognized ROS arguments: {error}"))
         return
-    parser.parse_args(own)
+    parser.parse_args(list(map(printable, own)))
