@@ -15,6 +15,7 @@ topics, sensor_msgs/msg/JointState without another type:
   ~/parameters_bound (out)     1 sigma bound of each
   ~/innovation (out)           measured minus expected angle of each measurement in use [rad]
   ~/restarts (out)             number of restarts; latched
+  ~/design (out)               std_msgs/msg/String: design and parameters, as JSON; latched
   ~/health (out)               what the estimates are worth, ten times a second
   /diagnostics (out)           diagnostic_msgs/msg/DiagnosticArray, once a second
 
