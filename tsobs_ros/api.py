@@ -291,7 +291,7 @@ def estimate_bag(
     compared; else at every measurement.
 
     Args:
-        path: A bag's folder, an MCAP file, or a log with the suffix .csv, .tsv or .txt.
+        path: A bag's folder, an MCAP file, or a log: any other file.
         design: A design or its file; if None, the one that the bag's observer ran, else the shipped
             one.
         rate: Estimate at this rate [Hz] instead.

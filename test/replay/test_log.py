@@ -23,7 +23,7 @@ from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.cells import MAX_LINE
-from tsobs_ros.replay.estimate import Observer, make_runs
+from tsobs_ros.replay.estimate import Observer, make_runs, open_source
 from tsobs_ros.replay.log import LogSource
 from tsobs_ros.report.export import export_bag
 
@@ -441,6 +441,18 @@ def test_degrees_are_told_from_radians_by_the_arm(
         run("time,angle,torque", 1 / DEGREE)
     for header in ("time,angle [deg],torque", "time,angle [rad],torque"):
         run(header, 1 / DEGREE)
+
+
+def test_a_log_may_have_any_name_but_no_report(tmp_path, arms, write_bag, capsys) -> None:
+    path = log(tmp_path, "t,q [rad],tau", "1,2,3").rename(tmp_path / "arm.dat")
+    (bag,) = write_bag(arms.messages(10)).glob("*.mcap")
+
+    assert open_source(path).count == 1
+    assert open_source(bag.rename(tmp_path / "bag.csv")).count == 10
+    assert main(["report", str(path)]) == 1
+    assert f"no estimates to report on; first write a bag of them: tsobs estimate {path}" in (
+        capsys.readouterr().err
+    )
 
 
 def test_degrees_and_milliseconds_end_the_command_with_what_to_write(tmp_path, capsys) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tsobs_ros.cli.common import Commands, add_json, show
+from tsobs_ros.errors import LogError
 
 
 def add_parser(commands: Commands) -> None:
@@ -32,6 +33,13 @@ def add_parser(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Report on a recorded run."""
+    from tsobs_ros.replay.estimate import is_log
+
+    if is_log(options.bag):
+        raise LogError(
+            f"{options.bag}: a log has no estimates to report on; first write a bag of them: "
+            f"tsobs estimate {options.bag}"
+        )
     return report_on(
         options.bag,
         options.output or options.bag.parent,

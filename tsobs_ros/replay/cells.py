@@ -36,7 +36,6 @@ _FORMATS: Sequence[tuple[bytes, str]] = (
     (b"PAR1", "a Parquet file: write it as CSV"),
     (b"\x89HDF", "an HDF5 or MATLAB file: write it as CSV"),
     (b"MATLAB ", "a MATLAB file: write it with writetable"),
-    (b"\x89MCAP", "an MCAP file: give it the suffix .mcap"),
     (b"SQLite format", "an SQLite file: convert it with ros2 bag convert"),
 )
 _MARKS: Sequence[tuple[bytes, str]] = (

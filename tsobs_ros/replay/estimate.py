@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import encode_text
+from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
@@ -28,7 +29,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
-from tsobs_ros.errors import BagWriteError, ModelError
+from tsobs_ros.errors import BagWriteError, LogError, ModelError
 from tsobs_ros.methods import ObserverSettings, make_runner
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.fit import check_unit_of_angles
@@ -40,8 +41,7 @@ from tsobs_ros.replay.source import BagSource, Samples, Source
 from tsobs_ros.replay.table import Agreement, AgreementCount, EstimateTable
 from tsobs_ros.replay.windows import Window, Windows
 
-LOGS = (".csv", ".tsv", ".txt")
-"""Suffixes of logs."""
+_OF_BAGS = (".mcap", ".yaml", ".db3")
 
 _BLOCK = 4096
 _LATCHED = QosProfile(durability="transient_local", depth=1)
@@ -271,6 +271,21 @@ class Run:
         return self._agreement.result() if self.windows.as_live else None
 
 
+def is_log(path: Path) -> bool:
+    """Return whether a path is of a file that is none of a bag's.
+
+    Raises:
+        LogError: The file cannot be read.
+    """
+    if not path.is_file() or path.suffix.lower() in _OF_BAGS:
+        return False
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAGIC)) != MAGIC
+    except OSError as error:
+        raise LogError(f"{path}: cannot read it: {error}") from error
+
+
 def open_source(
     path: str | Path,
     *,
@@ -280,7 +295,7 @@ def open_source(
     units: Mapping[str, str] | None = None,
     assume_zero_torque: bool | None = None,
 ) -> Source:
-    """Open a bag, or a log if the suffix is one of `LOGS`.
+    """Open a bag, or a log if it is a file that is none of a bag's.
 
     Args:
         path: The file or folder.
@@ -296,7 +311,7 @@ def open_source(
         LogError: The log cannot be read.
     """
     path, no_torque = Path(path), assume_zero_torque
-    if path.is_file() and path.suffix.lower() in LOGS:
+    if is_log(path):
         return LogSource(
             path, columns=columns, units=units, joints=joints, assume_zero_torque=bool(no_torque)
         )

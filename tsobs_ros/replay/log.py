@@ -28,6 +28,7 @@ from tsobs_ros.replay.times import LATEST, NO_TIME, TimeReader, check_period
 _BLOCK = 4096
 # Lines that are not in order are sorted in memory.
 _MAX_SORTED = 5_000_000
+_LARGEST = 1e9
 _MANY_EQUAL = 0.1
 _AFTER_RESTART = 1_000_000
 
@@ -190,7 +191,8 @@ class LogSource(Source):
             values = np.zeros((len(block), 2 * joints))
             for place, (column, factor) in enumerate(self._numbers):
                 values[:, place] = self._read(block, times + place, column)
-                values[:, place] *= factor
+                with np.errstate(over="ignore"):
+                    values[:, place] *= factor
             yield _Block(stamps, values[:, :joints], values[:, joints:])
 
     def _read(self, rows: Sequence[Row], place: int, column: Column) -> list[float]:
@@ -320,7 +322,8 @@ def _spread(angles: Array) -> float:
     """Return the largest range of a joint's angle [rad], but for a tenth of them."""
     spreads = [0.0]
     for joint in angles.T:
-        there = joint[np.isfinite(joint)]
+        # Larger ones are no angles.
+        there = joint[np.abs(joint) < _LARGEST]
         if len(there):
             spreads.append(float(np.subtract(*np.percentile(there, (95, 5)))))
     return max(spreads)

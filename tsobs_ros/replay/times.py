@@ -74,10 +74,10 @@ class TimeReader:
         """
         if self._factor is not None and self._decimal != ",":
             with suppress(ValueError):
-                times = np.array([float(cells[0]) for _, cells in rows]) * self._factor
+                times = np.array([float(cells[0]) for _, cells in rows])
                 # So small that what was rounded is less than half a nanosecond.
-                if (np.abs(times) < _EXACT).all():
-                    return np.rint(times).astype(np.int64)
+                if (np.abs(times) < _EXACT / self._factor).all():
+                    return np.rint(times * self._factor).astype(np.int64)
         return np.array([self._stamp(line, cells) for line, cells in rows], np.int64)
 
     def _stamp(self, line: int, cells: Sequence[str]) -> int:
