@@ -47,7 +47,13 @@ def run(command: str, bag: Path, patience: float = 600.0) -> tuple[float, float,
         Processor time [s], largest resident size [MB], exit code, and the last line of its output.
     """
     code = [sys.executable, __file__, "--one", command, str(bag), "--patience", str(patience)]
-    done = subprocess.run(code, capture_output=True, text=True, check=False)
+    try:
+        # What waits for ever needs no processor time.
+        done = subprocess.run(
+            code, capture_output=True, text=True, check=False, timeout=20.0 * patience
+        )
+    except subprocess.TimeoutExpired:
+        return patience, float("nan"), -1, "hangs"
     *lines, measured = done.stdout.splitlines() or [""]
     if not measured.startswith("cost "):
         return patience, float("nan"), done.returncode, (done.stderr.splitlines() or [""])[-1]

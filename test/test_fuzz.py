@@ -1,6 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Hostile files are read or refused with an error; `benchmarks/fuzz.py` tries many more."""
+"""Hostile files are read or refused with an error; `benchmarks/fuzz.py` tries many more.
+
+And bags that are made to cost much stay in the bounds of docs/security.md;
+`benchmarks/fuzz_bounds.py` runs all commands on all of them.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,3 +30,41 @@ def test_hostile_files_are_read_or_refused(name: str, bench: ModuleType, tmp_pat
     outcome = bench.fuzz(name, bench.TARGETS[name](good), INPUTS, 1, folder, tmp_path / "failed")
 
     assert set(outcome.results) == {"read", "refused"}, outcome.failures
+
+
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        ("metadata: 80 MB", "read"),
+        ("metadata: base 60", "verify"),
+        ("metadata: pipe", "info"),
+        ("metadata: device", "recover"),
+        ("alikes: wrapped chunks", "recover"),
+        ("bombs: zstd, messages", "verify"),
+        ("bombs: lz4, states little", "recover"),
+        ("sparse: 20 GB, chunk", "recover"),
+        ("summary: one chunk", "read"),
+        ("summary: one message index", "info"),
+        ("summary: channels", "read"),
+        ("many chunks that overlap", "read"),
+        ("type of 300 levels", "verify"),
+        ("pipe", "info"),
+        ("pipe", "recover"),
+        ("device", "read"),
+        ("loop of links", "verify"),
+    ],
+)
+def test_no_bag_costs_more_than_is_stated(
+    name: str, command: str, benchmark: Callable[[str], ModuleType], tmp_path: Path
+) -> None:
+    bounds, bags = benchmark("fuzz_bounds"), benchmark("fuzz_bags")
+    bags.BAGS[name](tmp_path)
+    (file,) = tmp_path.iterdir()
+    size = file.stat().st_blocks * 512 if file.is_file() else 0
+    bag = tmp_path if file.name == "metadata.yaml" else file
+
+    # A process with more processor time is killed; other processes may slow it down threefold.
+    _, memory, code, text = bounds.run(command, bag, patience=3.0 * bounds.seconds_of(size))
+
+    assert code in (0, 1), text
+    assert memory < bounds.MAX_MEMORY

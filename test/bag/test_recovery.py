@@ -10,8 +10,10 @@ import struct
 import subprocess
 import sys
 import tracemalloc
+import zlib
 from collections.abc import Callable
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import NamedTuple
@@ -232,6 +234,47 @@ def test_bytes_missing_in_the_last_chunk_of_a_finished_file_make_nothing_up(
     place = start + 110
     result, found = recovered(tmp_path, remove(data, place, place + size), keep_unchecked=True)
     assert result.unchecked == len(found) - PER_CHUNK * (CHUNKS - 1)
+
+
+def repeat(data: bytes, start: int, end: int) -> bytes:
+    return data[:end] + data[start:]
+
+
+@pytest.mark.parametrize("tail", [b"", bytes(100), b"end"], ids=["end", "zeros", "bytes"])
+@pytest.mark.parametrize("has_checksums", [True, False], ids=["checked", "unchecked"])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_damage_in_any_chunk_of_a_finished_file_makes_nothing_up(
+    compression: str, has_checksums: bool, tail: bytes
+) -> None:
+    """Whatever follows its end: a checksum decides, or what follows a chunk without one."""
+    number = zlib.crc32(f"{compression} {has_checksums} {tail!r}".encode())
+    choose = random.Random(number)
+    stream = BytesIO()
+    writer = Writer(stream, 900, CompressionType[compression.upper()], enable_crcs=has_checksums)
+    writer.start(profile="ros2")
+    schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+    channel = writer.register_channel("/a", "cdr", schema)
+    texts = [choose.randbytes(30).hex() for _ in range(40)]
+    for place, text in enumerate(texts):
+        writer.add_message(channel, 10**18 + place, cdr(text), place)
+    writer.finish()
+    data = stream.getvalue()
+    true = {(cdr(text), 10**18 + place, place) for place, text in enumerate(texts)}
+    chunks = places(data, Opcode.CHUNK)
+    assert len(chunks) > 3
+    made_up = 0
+    for case in range(40 * len(chunks)):
+        first, last = chunks[case % len(chunks)]
+        start = choose.randrange(first, last)
+        # Messages have equal sizes: a whole one less leaves what looks like messages.
+        size = choose.choice([1, 2, 8, RECORD.size + 22 + len(cdr(texts[0])), 250])
+        damage = choose.choice([remove, insert, repeat] + [flip] * has_checksums)
+        found = scanned(damage(data, start, min(start + size, last)) + tail)
+        assert set(found) <= true or not has_checksums, f"{damage} {size} at byte {start}"
+        made_up += not set(found) <= true
+        assert len(found) == len(set(found))
+    # Nothing can tell the very last byte of a chunk without a checksum from the next record's.
+    assert made_up <= 2
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

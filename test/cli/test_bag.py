@@ -19,6 +19,7 @@ from tsobs_ros.cli.main import main
 STRING = "std_msgs/msg/String"
 HELLO = b"\0\1\0\0\6\0\0\0hello\0"
 NOON = 1_795_262_400_000_000_000
+TOPIC = {"offered_qos_profiles": "[]", "topic_type_hash": ""}
 Captured = pytest.CaptureFixture[str]
 
 
@@ -84,6 +85,45 @@ def test_info_counts_what_an_unfinished_bag_holds(killed: Path, capsys: Captured
     assert out.startswith("NOT FINISHED: ")
     assert "the file has no end" in out
     assert f"Messages:     {summary['messages']}" in out
+
+
+@pytest.mark.parametrize("use_chunking", [True, False])
+def test_messages_without_a_checksum_are_counted_everywhere(
+    tmp_path: Path, use_chunking: bool, capsys: Captured
+) -> None:
+    """The first two messages have one if there are chunks."""
+    path, note = tmp_path / "x.mcap", "have no checksum: damage in them is not noticed"
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=1, use_chunking=use_chunking)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
+        channel = writer.register_channel("/a", "cdr", schema, TOPIC)
+        for number in range(5):
+            writer.add_message(channel, NOON + number, HELLO, NOON)
+        writer.finish()
+    if use_chunking:
+        data = bytearray(path.read_bytes())
+        for span in BagReader(path).summaries[0].spans[2:]:
+            data[span.offset + 33 : span.offset + 37] = bytes(4)
+        path.write_bytes(data)
+    count = 3 if use_chunking else 5
+
+    reader = BagReader(path)
+    assert (len(list(reader.messages())), reader.unchecked) == (5, count)
+    results = []
+    for command in ("info", "verify", "recover"):
+        assert main(["bag", command, str(path), "--json"]) == 0
+        results.append(json.loads(capsys.readouterr().out))
+    info, verified, recovered = results
+    assert info["unchecked"] == verified["unchecked"] == count
+    assert recovered["files"][0]["unchecked"] == count
+    assert not recovered["whole"]
+    assert main(["bag", "info", str(path)]) == 0
+    assert f"Unchecked:    {count} messages {note}\n" in capsys.readouterr().out
+    assert main(["bag", "verify", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert f"remark: x.mcap: {count} messages {note}\n" in out
+    assert f"OK, but {count} UNCHECKED, 5 messages in 1 file" in out
 
 
 def test_info_on_what_is_no_bag_is_one_line(tmp_path: Path, capsys: Captured) -> None:

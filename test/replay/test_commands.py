@@ -40,6 +40,19 @@ def test_estimate_writes_a_bag_beside_the_bag(bag: Path, capsys) -> None:
     assert "exists already" in capsys.readouterr().err
 
 
+def test_estimate_says_that_measurements_are_unchecked(bag: Path, capsys) -> None:
+    (file,) = bag.glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    for span in BagReader(bag).summaries[0].spans:
+        data[span.offset + 33 : span.offset + 37] = bytes(4)  # the checksum of the chunk
+    file.write_bytes(data)
+
+    assert main(["estimate", str(bag)]) == 0
+
+    note = "note: messages have no checksum: damage in them is not noticed"
+    assert note in capsys.readouterr().out
+
+
 def test_estimate_says_how_much_of_the_live_run_it_has_reproduced(bag: Path, capsys) -> None:
     live, again = f"{bag}_live", f"{bag}_again"
     main(["estimate", str(bag), "--output", live, "--rate", "90"])

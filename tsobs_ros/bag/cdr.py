@@ -197,8 +197,9 @@ class MessageLayout:
                     break
             return place
 
-        self._walks[name] = walk
-        return walk
+        # A definition of three hundred structs, each of one other, must not take as many steps.
+        self._walks[name] = walk if len(parts) > 1 else parts[0]
+        return self._walks[name]
 
 
 def _short(name: str) -> str:
@@ -241,7 +242,7 @@ def _primitive(field: _Field, element: int) -> _Walk:
 
 
 def _many(field: _Field, walk: _Walk) -> _Walk:
-    if not field.is_array:
+    if not field.is_array or field.size == 1:
         return walk
 
     def walk_all(data: bytes, place: int, order: str) -> int:
