@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from acceptance_demands import Demand, cost_demands, demands, rival
 from acceptance_runs import Found, Outcome, high_gain, kalman, ours, outcome
-from common import design_of, parser, show, use_one_thread
+from common import at_least, design_of, parser, show, use_one_thread
 from observer_step import step_costs
 
 from tsobs_ros.design.record import Design
@@ -303,9 +303,11 @@ def _update(page: Path, text: str) -> None:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
-    made.add_argument("--runs", type=int, default=40, help="number of runs of each scenario")
-    made.add_argument("--first-seed", type=int, default=9000)
-    made.add_argument("--processes", type=int, default=2)
+    made.add_argument(
+        "--runs", type=at_least(1, int), default=40, help="number of runs of each scenario"
+    )
+    made.add_argument("--first-seed", type=at_least(0, int), default=9000)
+    made.add_argument("--processes", type=at_least(1, int), default=2)
     made.add_argument("--update", type=Path, metavar="PAGE", help="also write into a page")
     made.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="default: all")
     options = made.parse_args()

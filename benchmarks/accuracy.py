@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import design_of, parser, show, use_one_thread
+from common import at_least, design_of, parser, show, use_one_thread
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
@@ -118,8 +118,10 @@ def _table(results: dict[str, Any]) -> Iterator[str]:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
-    made.add_argument("--seeds", type=int, default=20, help="number of runs of each scenario")
-    made.add_argument("--first-seed", type=int, default=1000)
+    made.add_argument(
+        "--seeds", type=at_least(1, int), default=20, help="number of runs of each scenario"
+    )
+    made.add_argument("--first-seed", type=at_least(0, int), default=1000)
     made.add_argument(
         "--gain-mode", choices=[mode.value for mode in GainMode], default=GainMode.CERTIFIED.value
     )

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import parser, show, timed
+from common import at_least, parser, show, timed
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
@@ -145,8 +145,8 @@ def _text(results: dict[str, Any]) -> str:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__, design=False)
-    made.add_argument("--messages", type=int, default=200_000, metavar="N")
-    made.add_argument("--repeats", type=int, default=5, metavar="N")
+    made.add_argument("--messages", type=at_least(1, int), default=200_000, metavar="N")
+    made.add_argument("--repeats", type=at_least(1, int), default=5, metavar="N")
     made.add_argument("--folder", type=Path, help="where to write (default: a temporary folder)")
     options = made.parse_args()
     messages = _messages(options.messages)

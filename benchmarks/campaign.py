@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from common import parser, show, use_one_thread
+from common import at_least, parser, show, use_one_thread
 
 from tsobs_ros.campaign import observe, run_all, score
 from tsobs_ros.design.file import load_design
@@ -73,7 +73,7 @@ def _whole(design: Design, scenario: Scenario, runs: int, threads: int) -> dict[
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
-    made.add_argument("--runs", type=int, default=400)
+    made.add_argument("--runs", type=at_least(1, int), default=400)
     made.add_argument("--scenario", choices=list(SCENARIOS), default="stiff_bias_step")
     options = made.parse_args()
     design = load_design(options.design or config_path(SHIPPED_DESIGN))

@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import design_of, parser, show, use_one_thread
+from common import at_least, design_of, parser, show, use_one_thread
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
@@ -143,10 +143,12 @@ def _if_tight(runs: int, n: int) -> dict[str, float]:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
-    made.add_argument("--runs", type=int, default=1500)
-    made.add_argument("--first-seed", type=int, default=7000)
-    made.add_argument("--rates", type=float, nargs="+", default=[100.0, 200.0, 500.0, 1000.0])
-    made.add_argument("--scales", type=float, nargs="*", default=[1.5, 3.0], metavar="S")
+    made.add_argument("--runs", type=at_least(2, int), default=1500)
+    made.add_argument("--first-seed", type=at_least(0, int), default=7000)
+    made.add_argument(
+        "--rates", type=at_least(1.0), nargs="+", default=[100.0, 200.0, 500.0, 1000.0]
+    )
+    made.add_argument("--scales", type=at_least(1.0), nargs="*", default=[1.5, 3.0], metavar="S")
     options = made.parse_args()
     if options.runs < 100:
         made.error("runs: expected at least 100, fewer say nothing")

@@ -17,6 +17,7 @@ from typing import IO, Any
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
+from tsobs_ros.errors import TsobsError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 # 102 and above may collide with the ports Linux hands out for outgoing connections.
@@ -50,6 +51,19 @@ def parser(description: str | None, *, design: bool = True) -> argparse.Argument
     if design:
         made.add_argument("--design", type=Path, metavar="FILE", help="default: the shipped design")
     return made
+
+
+def at_least(least: float, kind: type[float] = float) -> Callable[[str], float]:
+    """Return the type of an option that is a number, or an integer, of at least so much."""
+
+    def read(text: str) -> float:
+        value = kind(text)
+        if not least <= value < float("inf"):
+            raise argparse.ArgumentTypeError(f"expected at least {least:g}, got {text}")
+        return value
+
+    read.__name__ = kind.__name__  # argparse names it if the text is no number
+    return read
 
 
 def claim_domain() -> int:
@@ -86,7 +100,10 @@ def join_ros(domain: int | None = None) -> Any:
 
 def design_of(options: argparse.Namespace) -> Design:
     """Return the design a benchmark was asked to use, its certificate checked."""
-    return load_design(options.design or config_path(SHIPPED_DESIGN))
+    try:
+        return load_design(options.design or config_path(SHIPPED_DESIGN))
+    except TsobsError as error:
+        sys.exit(f"error: {error}")
 
 
 def timed(action: Callable[[], object]) -> float:

@@ -16,7 +16,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from common import design_of, parser, show, use_one_thread
+from common import at_least, design_of, parser, show, use_one_thread
 
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.fault_shapes import FaultKind
@@ -165,9 +165,11 @@ def _seconds(delay: float | None) -> str:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
-    made.add_argument("--seeds", type=int, default=20, help="number of runs of each scenario")
-    made.add_argument("--first-seed", type=int, default=3000)
-    made.add_argument("--noise-duration", type=float, default=180.0, metavar="S")
+    made.add_argument(
+        "--seeds", type=at_least(1, int), default=20, help="number of runs of each scenario"
+    )
+    made.add_argument("--first-seed", type=at_least(0, int), default=3000)
+    made.add_argument("--noise-duration", type=at_least(1.0), default=180.0, metavar="S")
     made.add_argument("cases", nargs="*", metavar="CASE", help="default: all")
     options = made.parse_args()
     unknown = [name for name in options.cases if name not in _CASES]

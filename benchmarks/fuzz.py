@@ -25,6 +25,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from common import at_least
 from fuzz_targets import TARGETS, Target
 
 from tsobs_ros.errors import TsobsError
@@ -126,12 +127,14 @@ def _in_process(job: tuple[str, int, int, Path]) -> Outcome:
 def main() -> int:
     """Fuzz all targets and return 1 if any input ended in a way it must not."""
     made = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    made.add_argument("--inputs", type=int, default=100_000, help="in all (default: 100,000)")
+    made.add_argument(
+        "--inputs", type=at_least(1, int), default=100_000, help="in all (default: 100,000)"
+    )
     made.add_argument(
         "--target", action="append", choices=TARGETS, help="only this one; may be given repeatedly"
     )
-    made.add_argument("--seed", type=int, default=1)
-    made.add_argument("--jobs", type=int, default=2)
+    made.add_argument("--seed", type=at_least(0, int), default=1)
+    made.add_argument("--jobs", type=at_least(1, int), default=2)
     made.add_argument("--keep", type=Path, default=Path("fuzz_failures"), metavar="FOLDER")
     options = made.parse_args()
     names = options.target or list(TARGETS)

@@ -9,7 +9,7 @@ design. All contenders take turns on the same samples.
 import time
 
 import numpy as np
-from common import parser, show, use_one_thread
+from common import at_least, parser, show, use_one_thread
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
@@ -75,8 +75,8 @@ def _costs(counts: list[int], seconds: float) -> dict[str, float]:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__, design=False)
-    made.add_argument("--seconds", type=float, default=30.0, help="simulated time")
-    made.add_argument("--joints", type=int, default=7, help="number of joints")
+    made.add_argument("--seconds", type=at_least(1.0), default=30.0, help="simulated time")
+    made.add_argument("--joints", type=at_least(1, int), default=7, help="number of joints")
     options = made.parse_args()
     costs = _costs([1, options.joints], options.seconds)
     lines = ["one tick, offer and estimate, median:"]

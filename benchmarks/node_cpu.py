@@ -15,7 +15,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
-from common import claim_domain, design_of, parser, show
+from common import at_least, claim_domain, design_of, parser, show
 from node_processes import Process, design_for, executable, helper, joint_names
 
 _WARM_UP = 12.0
@@ -88,8 +88,8 @@ def _shares(processes: list[Process], seconds: float, turns: int) -> dict[str, l
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
-    made.add_argument("--seconds", type=float, default=6.0, help="length of a turn")
-    made.add_argument("--turns", type=int, default=5)
+    made.add_argument("--seconds", type=at_least(1.0), default=6.0, help="length of a turn")
+    made.add_argument("--turns", type=at_least(1, int), default=5)
     made.add_argument("--only", type=float, metavar="RATE", help="only cases of this rate [Hz]")
     options = made.parse_args()
     lines = [

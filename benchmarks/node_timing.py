@@ -22,7 +22,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from common import claim_domain, design_of, parser, show
+from common import at_least, claim_domain, design_of, parser, show
 from node_processes import Process, design_for, executable, helper, joint_names
 
 _WARM_UP = 10.0
@@ -87,8 +87,10 @@ def _punctuality(estimates: list[list[int]], rate: float) -> dict[str, float]:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
-    made.add_argument("--seconds", type=float, default=60.0, help="of the run at 1 kHz")
-    made.add_argument("--latency-seconds", type=float, default=20.0, help="of each run at 500 Hz")
+    made.add_argument("--seconds", type=at_least(1.0), default=60.0, help="of the run at 1 kHz")
+    made.add_argument(
+        "--latency-seconds", type=at_least(1.0), default=20.0, help="of each run at 500 Hz"
+    )
     options = made.parse_args()
     taken = _run(1000.0, "tick", options.seconds, options)
     punctuality = _punctuality(taken["estimates"], 1000.0)

@@ -19,7 +19,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
-from common import design_of, parser, show, timed, use_one_thread
+from common import at_least, design_of, parser, show, timed, use_one_thread
 from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg import block_diag
 
@@ -318,10 +318,16 @@ def _measure(options: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
-    made.add_argument("--seconds", type=float, default=30.0, help="simulated time of one arm")
-    made.add_argument("--arms", type=int, default=250, help="runs in a batch")
-    made.add_argument("--late", type=int, default=5000, help="samples that come together")
-    made.add_argument("--turns", type=int, default=7, help="repetitions of what is not a step")
+    made.add_argument(
+        "--seconds", type=at_least(1.0), default=30.0, help="simulated time of one arm"
+    )
+    made.add_argument("--arms", type=at_least(1, int), default=250, help="runs in a batch")
+    made.add_argument(
+        "--late", type=at_least(1, int), default=5000, help="samples that come together"
+    )
+    made.add_argument(
+        "--turns", type=at_least(1, int), default=7, help="repetitions of what is not a step"
+    )
     choices = ("steps", "batch", "series", "late", "start")
     made.add_argument("--parts", nargs="+", choices=choices, default=choices)
     options = made.parse_args()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import design_of, parser, show, timed, use_one_thread
+from common import at_least, design_of, parser, show, timed, use_one_thread
 
 from tsobs_ros.bag.estimate_topics import sides
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
@@ -102,8 +102,8 @@ def _measure(folder: Path, design: Design, seconds: float, repeats: int) -> dict
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
-    made.add_argument("--seconds", type=float, default=120.0, help="length of the bag")
-    made.add_argument("--repeats", type=int, default=5)
+    made.add_argument("--seconds", type=at_least(1.0), default=120.0, help="length of the bag")
+    made.add_argument("--repeats", type=at_least(1, int), default=5)
     options = made.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         design = design_of(options)

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from common import claim_domain, join_ros, parser, show
+from common import at_least, claim_domain, join_ros, parser, show
 
 _SENSOR_RATE = 1000
 _START = 1_700_000_000 * 10**9
@@ -148,8 +148,8 @@ def _table(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__, design=False)
-    made.add_argument("--seconds", type=float, default=60.0, help="of playing at each rate")
-    made.add_argument("--rates", type=float, nargs="+", default=[0.5, 1.0, 2.0])
+    made.add_argument("--seconds", type=at_least(1.0), default=60.0, help="of playing at each rate")
+    made.add_argument("--rates", type=at_least(0.01), nargs="+", default=[0.5, 1.0, 2.0])
     options = made.parse_args()
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     domain = claim_domain()

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from common import claim_domain, join_ros, parser, show
+from common import at_least, claim_domain, join_ros, parser, show
 
 _NAMES = [f"joint_{k}" for k in range(3)]
 _SIZE = 156
@@ -188,7 +188,7 @@ def _table(rows: list[dict[str, Any]], killed: dict[str, Any]) -> str:
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__, design=False)
-    made.add_argument("--seconds", type=float, default=60.0, help="of recording each load")
+    made.add_argument("--seconds", type=at_least(1.0), default=60.0, help="of recording each load")
     made.add_argument("--publish", action="store_true", help=argparse.SUPPRESS)
     made.add_argument("--first", type=int, help=argparse.SUPPRESS)
     made.add_argument("--topics", type=int, help=argparse.SUPPRESS)

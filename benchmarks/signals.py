@@ -31,7 +31,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from common import claim_domain, parser, show
+from common import at_least, claim_domain, parser, show
 from node_processes import Process, command_of
 from tqdm import tqdm
 
@@ -259,11 +259,15 @@ def text(table: Sequence[dict[str, Any]], deviations: Sequence[Stop]) -> str:
 def arguments() -> argparse.Namespace:
     """Read the command line."""
     made = parser(__doc__, design=False)
-    made.add_argument("-n", "--stops", type=int, default=100, help="of each executable alone")
-    made.add_argument("--pairs", type=int, default=50, help="stops of each pair together")
-    made.add_argument("--until", type=float, default=3.0, help="latest first signal [s]")
-    made.add_argument("--jobs", type=int, default=2, help="stops at the same time")
-    made.add_argument("--seed", type=int, default=1)
+    made.add_argument(
+        "-n", "--stops", type=at_least(0, int), default=100, help="of each executable alone"
+    )
+    made.add_argument(
+        "--pairs", type=at_least(0, int), default=50, help="stops of each pair together"
+    )
+    made.add_argument("--until", type=at_least(0.0), default=3.0, help="latest first signal [s]")
+    made.add_argument("--jobs", type=at_least(1, int), default=2, help="stops at the same time")
+    made.add_argument("--seed", type=at_least(0, int), default=1)
     made.add_argument("--only", nargs="+", choices=EXECUTABLES, default=EXECUTABLES)
     return made.parse_args()
 

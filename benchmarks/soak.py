@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from common import claim_domain, design_of, join_ros, parser, show
+from common import at_least, claim_domain, design_of, join_ros, parser, show
 from node_processes import Process, design_for, executable, hear
 
 _JOINT = "elastic_joint"
@@ -227,10 +227,12 @@ def _soak(options: Any, folder: Path) -> list[list[float]]:
 def main() -> int:
     """Soak, draw and judge; return 1 if anything grows."""
     made = parser(__doc__)
-    made.add_argument("--seconds", type=float, default=600.0)
-    made.add_argument("--every", type=float, default=2.0, help="time between rows [s]")
-    made.add_argument("--rate", type=float, default=1000.0, help="of sensor and observer [Hz]")
-    made.add_argument("--share", type=float, default=0.02, help="of bad input")
+    made.add_argument("--seconds", type=at_least(1.0), default=600.0)
+    made.add_argument("--every", type=at_least(0.1), default=2.0, help="time between rows [s]")
+    made.add_argument(
+        "--rate", type=at_least(1.0), default=1000.0, help="of sensor and observer [Hz]"
+    )
+    made.add_argument("--share", type=at_least(0.0), default=0.02, help="of bad input")
     made.add_argument("--output", type=Path, default=Path("soak"), help="folder to write to")
     made.add_argument("--sensor", action="store_true", help="be the sensor; for the script itself")
     options = made.parse_args()

@@ -15,6 +15,8 @@ import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.design.record import Design
+from tsobs_ros.report.export import export_bag
+from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.signals import BiasStep
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -218,6 +220,21 @@ def test_a_bag_of_estimates_is_reproduced(tmp_path: Path, design: Design) -> Non
     (estimates,) = again.joints.values()
     assert estimates.state.shape[0] > 400
     assert np.isfinite(estimates.state[-1]).all()
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_path_is_text_or_a_path(kind: type, tmp_path: Path, design: Design) -> None:
+    design_file, bag = kind(tmp_path / "x.yaml"), kind(tmp_path / "bag")
+    ts.save_design(design, design_file)
+    assert ts.load_design(design_file).request == design.request
+    assert ts.load_request(kind(config_path("elastic_joint.request.yaml"))) == design.request
+
+    ts.estimate_bag(kind(LOG), design_file, output=bag)
+    assert len(ts.compare(bag, design_file, methods=["certified", "ekf"])) == 2
+    assert ts.BagReader(bag).topics
+    ts.BagWriter(kind(tmp_path / "new")).close()
+    (exported,) = export_bag(bag, kind(tmp_path / "csv"), topics=["/joint_measurements"])
+    assert exported.path.is_file()
 
 
 def test_a_comparison_is_a_table() -> None:

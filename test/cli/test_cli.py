@@ -217,6 +217,15 @@ def test_a_senseless_request_is_refused_by_name(
     assert named in err
 
 
+def test_a_design_is_no_request(tmp_path: Path, capsys: Captured) -> None:
+    pytest.importorskip("cvxpy")
+    assert main(["design", str(SHIPPED), "--output", str(tmp_path / "x.yaml")]) == 1
+    err = capsys.readouterr().err
+    assert f"error: {SHIPPED}: format: expected a request, got a finished design" in err
+    assert f"`-p design:={SHIPPED}`" in err
+    assert not (tmp_path / "x.yaml").exists()
+
+
 def test_a_ts_model_is_designed_and_verified(tmp_path: Path, capsys: Captured) -> None:
     pytest.importorskip("cvxpy")
     output = tmp_path / "ts.yaml"
@@ -262,6 +271,11 @@ def test_help_is_there(capsys: Captured, command: list[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         main([*command, "--help"])
     assert capsys.readouterr().out.startswith(" ".join(["usage: tsobs", *command]))
+
+
+def test_the_folder_of_shipped_files_is_printed(capsys: Captured) -> None:
+    assert main(["config"]) == 0
+    assert Path(capsys.readouterr().out.rstrip("\n"), SHIPPED_DESIGN).is_file()
 
 
 def test_the_version_is_printed(capsys: Captured) -> None:

@@ -311,7 +311,7 @@ class Exported(NamedTuple):
 
 
 def export_bag(
-    bag: Path, output: Path, *, topics: Sequence[str] = (), format: str = "csv"
+    bag: str | Path, output: str | Path, *, topics: Sequence[str] = (), format: str = "csv"
 ) -> list[Exported]:
     """Write each topic to a file of its name, below a folder.
 
@@ -332,7 +332,7 @@ def export_bag(
         raise BagReadError(f"{bag}: no topic {', '.join(unknown)}; topics: {has}")
     chosen = topics or [name for name, info in reader.topics.items() if info.count]
     write = _write_parquet if format == "parquet" else _write_csv
-    paths = {topic: _file_of(topic, output, format) for topic in chosen}
+    paths = {topic: _file_of(topic, Path(output), format) for topic in chosen}
     for path in paths.values():
         if os.path.lexists(path):
             raise ExportError(f"{path}: exists already, files are not overwritten")
