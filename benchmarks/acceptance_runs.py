@@ -22,6 +22,7 @@ from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis
 from tsobs_ros.methods import ObserverSettings, make_ekf
 from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.report.comparison import THETAS
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.signals import BiasStep
@@ -31,9 +32,6 @@ SCALE = np.array([0.226, 0.60, 3.55, 4.64])
 
 WINDOWS = {"settled": (45.0, 60.0), "full": (20.0, 60.0)}
 """Parts of a run [s]."""
-
-GRID = np.geomspace(0.7, 20.0, 12)
-"""θ of the PO and the PIO [1/s]."""
 
 STEP, CALM, HOLD = 30.0, (20.0, 30.0), 5.0
 """When the sensor steps, the calm before it, how long errors have to stay small after it [s]."""
@@ -183,7 +181,7 @@ def high_gain(
     """Return the outcome at the best θ of the grid, chosen for each window."""
     request = design.arm_request
     found: dict[str, list[Array]] = {name: [] for name in WINDOWS}
-    for theta in GRID.tolist():
+    for theta in THETAS:
         observer = kind(request.arm, theta, request.period, request.measurement_std)
         states = observer.observe(runs.measurements, received(runs)).state
         squares = _squares(request.arm.from_physical(states), runs)
@@ -193,7 +191,7 @@ def high_gain(
     errors, tuning = {}, {}
     for name, each in found.items():
         best = int(np.mean(each, axis=1).argmin())
-        errors[name], tuning[name] = each[best], float(GRID[best])
+        errors[name], tuning[name] = each[best], THETAS[best]
     return Outcome(errors, tuning=tuning)
 
 

@@ -11,8 +11,10 @@ from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
+from tsobs_ros.design.file import load_design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.baselines import (
     high_gain,
     high_gain_matrix,
@@ -21,11 +23,14 @@ from tsobs_ros.estimation.baselines import (
     proportional_integral_matrix,
 )
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.history import GATED
 from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.methods import make_ekf
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper.observer import paper_observer
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.integrator import ArmIntegrator
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -141,6 +146,51 @@ def test_riccati_gains_are_the_textbook_filter_on_a_linear_arm() -> None:
         state = ekf.predict(state, u, PERIOD)
         textbook.predict(u[:, None])
     np.testing.assert_allclose(state.covariance, textbook.P, atol=1e-9)
+
+
+@pytest.mark.parametrize("learns", [False, True])
+def test_an_ekf_puts_late_samples_in_their_place(learns: bool) -> None:
+    """The bits are those of samples in order, whatever the order and the ticks."""
+    design = load_design(config_path(SHIPPED_DESIGN))
+    count, random = 400, np.random.default_rng(5)
+    stamps = 10**9 + 5_000_000 * np.arange(count)
+    y, u = RUN.measurements[0, :count, 0].copy(), RUN.torques[0, :count, 0]
+    y[100] += 1.0  # is left out
+    ends = [make_ekf(design, learns=learns).follow(stamps, y[:, None], u[:, None])[-1]]
+    late = np.argsort(np.arange(count) + random.uniform(0.0, 8.0, count), kind="stable")
+    ekf = make_ekf(design, learns=learns)
+    known = np.array([150, 151, 300, count])
+    rows = np.empty((4, len(ends[0])))
+    outcomes, newest = np.zeros(count, np.int64), np.zeros(4, np.int64)
+    ticks = (stamps[[200, 200, 320, count - 1]], np.full(4, stamps[-1]), known, np.full(4, -1))
+    samples = (stamps[late], y[late], u[late])
+    ekf.advance(ticks, samples, (outcomes, *np.empty((2, count))), newest, rows)
+
+    assert ekf.rewinds > 50
+    assert rows[-1].tolist() == ends[0].tolist()
+    assert outcomes[late == 100] == GATED
+
+
+def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
+    request = ArmRequest(arm=LINEAR, disturbance=(DisturbanceTerm("bias"),))
+    std = np.sqrt(np.diag(request.initial_covariance))
+    flow, options = request.flow, TrackerOptions(x_max=0.75)
+    ekf = baselines.KalmanFilter(flow, request.measurement_std, std, gate=np.inf, options=options)
+    textbook = KalmanFilter(dim_x=5, dim_z=1, dim_u=1)
+    step = flow.transition(PERIOD)
+    textbook.F, textbook.B, textbook.Q = step.phi, step.gamma, step.noise
+    textbook.H, textbook.R = flow.output_matrix, request.measurement_covariance
+    textbook.P = request.initial_covariance.copy()
+    random = np.random.default_rng(2)
+    y, u = random.normal(0.0, 0.3, (300, 1)), random.normal(size=(300, 1))
+    rows = ekf.follow(10**9 + 5_000_000 * np.arange(300), y, u)
+    for k in range(300):
+        textbook.update(y[k])
+        states = LINEAR.to_physical(textbook.x[:4, 0])
+        np.testing.assert_allclose(rows[k, ekf.row_parts["state"]], states, atol=1e-7)
+        bound = np.sqrt(textbook.P[4, 4])
+        np.testing.assert_allclose(rows[k, ekf.row_parts["disturbance_bound"]], bound, rtol=1e-6)
+        textbook.predict(u[k, :, None])
 
 
 def follow(estimator: Estimator) -> tuple[Tracker, Array]:

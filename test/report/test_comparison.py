@@ -2,8 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Observers side by side: each measured as if it had been recorded."""
 
+import json
+
+import pytest
+
+import tsobs_ros as ts
+from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.comparison import compare_runs, expected_innovation, render_comparison
@@ -32,3 +39,49 @@ def test_each_is_measured_as_if_it_had_been_recorded(
     assert lines["RMSE"] == ["RMSE", "unit", "certified", "ekf", "high_gain"]
     assert lines["sensor disturbance"][-1] == "–"
     assert float(lines["link angle"][-3]) < float(lines["link angle"][-1])
+
+
+def test_high_gain_observers_have_the_best_gain_there_is_a_truth_for(
+    simulated, write_bag, messages_of, capsys
+) -> None:
+    bag = str(write_bag(messages_of(simulated)))
+    known = {}
+    for option in ([], ["--param", "theta=2.5"]):
+        assert main(["compare", bag, "--method", "certified", "high_gain", "--json", *option]) == 0
+        result = json.loads(capsys.readouterr().out)
+        known[bool(option)] = result["errors"][1]["normalised_rmse"]
+        tuned = [remark for remark in result["remarks"] if remark.startswith("high_gain: θ = ")]
+        assert len(tuned) == (not option)
+
+    assert known[False] < 0.8 * known[True]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, None),
+        ({"disturbance": "bias_step"}, None),
+        ({"noise_std": 0.09}, "times as large as the design expects, as of a noisier sensor"),
+        (
+            {"arm": ElasticJointArm(link_inertia=2.0, stiffness=4.0)},
+            "it seems to be of another arm",
+        ),
+        ({"factor": -1.0}, "the torque of another sign, unit or joint"),
+        ({"factor": 10.0}, "the torque of another sign, unit or joint"),
+    ],
+)
+def test_a_design_that_does_not_fit_is_named_as_the_likely_cause(
+    design, tmp_path, capsys, change, said
+) -> None:
+    factor = change.pop("factor", 1.0)
+    run = ts.simulate(change.pop("arm", design), duration=25.0, seed=3, **change)
+    rows = zip(run.time.tolist(), run.angle.tolist(), run.torque.tolist(), strict=True)
+    lines = [f"{t:.4f},{y:.6f},{factor * u:.6f}" for t, y, u in rows]
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join(["time [s],angle [rad],torque [N m]", *lines]))
+
+    assert main(["estimate", str(log)]) == 0
+
+    warnings = [line for line in capsys.readouterr().out.splitlines() if "warning: " in line]
+    assert len(warnings) == (said is not None)
+    assert said is None or said in warnings[0]

@@ -571,7 +571,8 @@ def _use(
     if later < length and memory.stamps[(counts[0] + length - 1 - later) % ring] == stamp:
         return DUPLICATE
     if later > 0:
-        if later == length or newest - stamp > model.times[0]:
+        # Before a ring that has turned there were others, which it does not remember.
+        if (later == length and counts[0] != 0) or newest - stamp > model.times[0]:
             return TOO_OLD
         counts[2] += 1
     # The sample, and those after it again.

@@ -14,6 +14,7 @@ from tsobs_ros.estimation.events import (
     COAST_AFTER,
     HYPOTHESES,
     LEARNINGS,
+    NOISY,
     STALE_AFTER,
     Condition,
     Event,
@@ -33,6 +34,11 @@ _BOUNDS = {
     Basis.OUTSIDE: "void",
     Basis.HYPOTHESIS: "of another hypothesis",
 }
+
+_WRONG = (Basis.CONTRADICTED, Basis.HYPOTHESIS, Basis.OUTSIDE)
+# Of simulated arms: at most .05 of the time if the design is theirs, at least .4 with another arm,
+# a torque of another sign or ten times as large; angles in degrees are noise of 47 times.
+_OFTEN, _OTHER_UNIT = 0.3, 20.0
 
 _MAX_EVENTS, _MAX_LINES = 200, 20
 
@@ -112,9 +118,29 @@ class Health(NamedTuple):
         """Share of the estimates with a certified bound."""
         return self.bases.get(Basis.CERTIFIED, 0.0)
 
+    @property
+    def misfit(self) -> str | None:
+        """What does not fit the design, and its likely cause, in a sentence; None if all does."""
+        wrong = sum(self.bases.get(basis, 0.0) for basis in _WRONG)
+        often = f"for {100.0 * wrong:.0f} % of the time the measurements do not fit the design"
+        if wrong >= _OFTEN and self.noise_scale >= _OTHER_UNIT:
+            return f"{often}: the angles seem to be in another unit than rad, or of another joint"
+        if wrong >= _OFTEN:
+            return (
+                f"{often}: it seems to be of another arm, the torque of another sign, unit or "
+                "joint, or there is a force that the design lacks"
+            )
+        if self.noise_scale >= NOISY:
+            return (
+                f"innovations are {self.noise_scale:.1f} times as large as the design expects, as "
+                "of a noisier sensor: measurement_std in its request seems to be too small"
+            )
+        return None
+
     def as_mapping(self) -> dict[str, Any]:
         """Return it as plain data."""
         return {
+            "misfit": self.misfit,
             "noise_scale": {"median": self.noise_scale, "max": self.max_noise_scale},
             "certified": self.certified,
             "bases": {basis.name.lower(): share for basis, share in self.bases.items()},
@@ -134,6 +160,7 @@ class Health(NamedTuple):
             f"noise {self.noise_scale:.2f} times the design's, at most {self.max_noise_scale:.2f}",
             f"bounds {bounds}",
             f"at the end {LEARNINGS[self.learning][1]}; {HYPOTHESES[self.hypothesis][1]}",
+            *([f"warning: {self.misfit}"] if self.misfit else []),
         )
 
 

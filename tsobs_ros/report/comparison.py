@@ -39,6 +39,13 @@ from tsobs_ros.report.run import RecordedRun, Series, Stamps
 DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
 
+THETAS = tuple(np.geomspace(0.7, 20.0, 12).tolist())
+"""θ to choose the best from for observers of high gain [rad/s]."""
+
+HIGH_GAIN = ("high_gain", "proportional_integral")
+MAX_TUNED = 50_000
+"""Measurements of a recording in which the best θ is looked for, which takes two dozen runs."""
+
 _NOTHING = "–"
 _EKFS = {
     "ekf": "the nominal parameters",
@@ -156,6 +163,37 @@ def compare_with_ekf(
     if best.metrics is None:
         raise BagReadError(f"{bag}: no EKF could be run over the measurements of {run.joint}")
     return EkfComparison(measure(run, options), best.metrics, best.observer, len(own))
+
+
+def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer], list[str]]:
+    """Return the observers, those of high gain with the best θ of `THETAS`, and remarks on them.
+
+    The best one has the smallest error of the states over the settled parts. Without a truth, or
+    in a recording of more than `MAX_TUNED` measurements, θ is left as it is.
+    """
+    tuned, remarks = [], []
+    for one in observers:
+        if one.settings.method not in HIGH_GAIN:
+            tuned.append(one)
+            continue
+        choices = [
+            replace(one, name=f"{theta:.2f}", settings=replace(one.settings, theta=theta))
+            for theta in (THETAS if source.count <= MAX_TUNED else ())
+        ]
+        errors = dict.fromkeys((choice.name for choice in choices), 0.0)
+        if choices:
+            runs = make_runs(source, choices, rate=None, as_live=True)
+            run_all(source, runs, None)
+            for row in compare_runs(source, runs):
+                errors[row.observer] += row.normalised_rmse
+        best = min(choices, key=lambda choice: errors[choice.name], default=one)
+        if errors and errors[best.name] < math.inf:
+            tuned.append(replace(best, name=one.name))
+            remarks.append(f"{one.name}: θ = {best.name} rad/s, the best of {len(choices)}")
+        else:
+            tuned.append(one)
+            remarks.append(f"{one.name}: θ = {one.settings.theta:g} rad/s, not tuned to this arm")
+    return tuned, remarks
 
 
 def compare_runs(
