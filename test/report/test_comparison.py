@@ -17,6 +17,8 @@ from tsobs_ros.report.comparison import compare_runs, expected_innovation, rende
 from tsobs_ros.report.metrics import MetricsOptions, measure
 from tsobs_ros.report.run import read_run
 
+SOFT = ElasticJointArm(link_inertia=2.0, stiffness=4.0)
+
 
 def test_each_is_measured_as_if_it_had_been_recorded(
     simulated, write_bag, messages_of, design, tmp_path
