@@ -17,6 +17,7 @@ sys.path.insert(0, {str(ROOT)!r})
 from rclpy.node import Node
 from tsobs_ros.errors import NodeError
 from tsobs_ros.nodes import runtime
+from tsobs_ros.nodes.managed import ManagedParameters as Parameters
 
 class Worker(Node):
     def __init__(self, name="worker"):
@@ -107,6 +108,13 @@ ENDS = {
             raise NodeError("no design:\\n  elastic_joint.yaml is missing")
         """,
         (1, "", "error: no design: elastic_joint.yaml is missing\n"),
+    ),
+    "a file that may not be read": (
+        """
+        def Case():
+            raise PermissionError(13, "Permission denied", "bag\\x1b[2J")
+        """,
+        (1, "", "error: [Errno 13] Permission denied: 'bag\\x1b[2J'\n"),
     ),
     "a known error while spinning": (
         """
