@@ -46,6 +46,8 @@ RECOVER_HINT = "'tsobs bag recover' makes a whole bag of what it holds"
 RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 """Channel, log time [ns], publish time [ns], sequence and data of a message."""
 
+# More than there can be schemas and channels.
+_MAX_OTHERS = 2**18
 _MESSAGE_BODY_SIZE = MESSAGE.size - RECORD.size
 _CHUNK_HEAD = struct.Struct("<BQQQQII")
 _MAX_CHUNK_HEAD_SIZE = 80
@@ -77,7 +79,7 @@ def split_messages(records: bytes) -> Iterator[RawMessage]:
     """
     # Local names: a bag has millions of messages.
     opcode, head_size, unpack = MESSAGE_OPCODE, MESSAGE.size, MESSAGE.unpack_from
-    start, size = 0, len(records)
+    start, size, others = 0, len(records), 0
     try:
         while start < size:
             if records[start] == opcode:
@@ -90,11 +92,15 @@ def split_messages(records: bytes) -> Iterator[RawMessage]:
             else:
                 kind, length = RECORD.unpack_from(records, start)
                 end = start + RECORD.size + length
-                if end > size or not kind:  # zeros are no records without a body
+                others += 1
+                # Zeros are no records without a body.
+                if end > size or not kind or others > _MAX_OTHERS:
                     break
             start = end
     except struct.error as error:
         raise RecordError(f"the record at byte {start} of {size} is cut off") from error
+    if others > _MAX_OTHERS:
+        raise RecordError(f"more than {_MAX_OTHERS} records are no messages, too many to read")
     if start != size:
         length = RECORD.unpack_from(records, start)[1]
         raise RecordError(
@@ -134,11 +140,14 @@ class ContentLimit:
     Args:
         size: The file's size, bytes.
         is_trusted: Whether there is no limit.
+
+    Attributes:
+        records_left: How many more records there may be.
     """
 
     def __init__(self, size: int, is_trusted: bool) -> None:
         self._bytes_left = 2**64 if is_trusted else 2**30 + 100 * size
-        self._records_left = 2**64 if is_trusted else 2**19 + size // 4
+        self.records_left = 2**64 if is_trusted else 2**19 + size // 4
 
     def count_chunk(self, chunk: Chunk) -> None:
         """Count a chunk before it is decompressed.
@@ -156,8 +165,8 @@ class ContentLimit:
         Raises:
             RecordError: There are too many.
         """
-        self._records_left -= number
-        if min(self._bytes_left, self._records_left) < 0:
+        self.records_left -= number
+        if min(self._bytes_left, self.records_left) < 0:
             raise RecordError(
                 "the chunks decompress to too much for a file of this size; --trusted reads them"
             )

@@ -58,6 +58,9 @@ _DESCRIPTIONS = frozenset(map(int, Opcode)).difference(
 _CANDIDATE_COST = 4096
 """The cost of looking at one candidate, in bytes that can be read in that time."""
 
+_MAX_FRONT = 2**20
+"""The largest number of records that are kept of a damaged chunk."""
+
 _RECORD_COST = 300
 """The cost of looking at a record in a chunk, in bytes that can be read in that time."""
 
@@ -214,7 +217,7 @@ class DamagedFile:
                 raise RecordError("the file ends inside of a chunk")
             self._content.count_chunk(chunk)
             records = chunk_records(chunk)
-            found = _whole_records(records, chunk)
+            found = _whole_records(records, chunk, self._content.records_left)
             cost += len(records) + _RECORD_COST * found.number
             self._content.count_records(found.number)
             if found.size < len(records):
@@ -392,8 +395,8 @@ class _Front(NamedTuple):
         return Content(records[: self.size], is_checked, described)
 
 
-def _whole_records(records: bytes, chunk: Chunk) -> _Front:
-    """Return the whole records in the front of a chunk's.
+def _whole_records(records: bytes, chunk: Chunk, max_number: int = _MAX_FRONT) -> _Front:
+    """Return the whole records in the front of a chunk's, until there are too many.
 
     A record of a kind or size that cannot be in the chunk is no cut. Neither is a message of
     another time, unless a checksum covers all of them.
@@ -405,7 +408,7 @@ def _whole_records(records: bytes, chunk: Chunk) -> _Front:
     if chunk.uncompressed_crc and len(records) == chunk.uncompressed_size:
         first_time, last_time = 0, 2**64
     message, unpack = int(Opcode.MESSAGE), RECORD.unpack_from
-    while at + RECORD.size <= available:
+    while at + RECORD.size <= available and count <= max_number:
         opcode, length = unpack(records, at)
         end = at + RECORD.size + length
         if opcode == message:
