@@ -54,6 +54,8 @@ _BLOCK_SIZE = 2**20
 _MAX_FINDINGS = 1_000
 _MAX_TEXT = 1_000
 _COUNTED = 10_000
+# In messages, which take a tenth as long.
+_DESCRIPTION_COST = 10
 _MAX_LAYOUTS = 2**23
 
 
@@ -358,7 +360,7 @@ class _File:
         at, size, count = 0, len(records), 0
         while at < size:
             count += 1
-            if count == _COUNTED:
+            if count >= _COUNTED:
                 self._content.count_records(count)
                 count = 0
             opcode, length = RECORD.unpack_from(records, at) if at + RECORD.size <= size else (0, 0)
@@ -372,6 +374,7 @@ class _File:
                 entries.setdefault(channel, array("Q")).extend((log_time, at))
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._describe(parse_record(records[at:end]))
+                count += _DESCRIPTION_COST
             else:
                 raise RecordError(f"a record of kind {opcode:#04x} is inside of a chunk")
             at = end
