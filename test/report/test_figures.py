@@ -72,6 +72,12 @@ def test_the_label_of_a_jump_stays_above_its_own_panel(simulated, tmp_path, jump
     assert columns.max() < 0.57 * 1400
 
 
+def test_a_name_is_no_formula(short, tmp_path) -> None:
+    draw_run(replace(short, name=r"a$\frac{$b"), measure(short), tmp_path / "run.svg")
+
+    assert "<svg" in (tmp_path / "run.svg").read_text(encoding="utf-8")
+
+
 def test_a_figure_survives_what_a_bag_may_lack(robot, tmp_path) -> None:
     nothing = np.full(robot.states.shape, np.nan)
     run = replace(

@@ -99,7 +99,10 @@ def _head(figure: Figure, run: RecordedRun, metrics: RunMetrics, height: float) 
     def at(inches: float) -> float:
         return 1.0 - inches / height
 
-    figure.text(0.02, at(0.14), run.name, fontsize=13, fontweight="bold", va="top")
+    # A name is no formula.
+    figure.text(
+        0.02, at(0.14), run.name, fontsize=13, fontweight="bold", va="top", parse_math=False
+    )
     figure.text(0.02, at(0.40), content.headline(run, metrics), fontsize=9, color=MUTED, va="top")
     figure.legend(
         handles=_legend(run),

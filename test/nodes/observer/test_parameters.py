@@ -9,13 +9,17 @@ from typing import Any
 import pytest
 import yaml
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
 
+from tsobs_ros.design.published import read_record
 from tsobs_ros.errors import CertificateError, DesignFileError, ParameterError, TsobsError
+from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.observer import Observer, create
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
-SHIPPED = config_path(SHIPPED_DESIGN)
+SHIPPED, FIXED = config_path(SHIPPED_DESIGN), str(config_path(FIXED_DESIGN))
 TS_DESIGN = Path(__file__).parents[2] / "design/data/system.design.yaml"
 
 
@@ -159,3 +163,25 @@ def test_the_shipped_parameter_file_is_the_defaults(make: Callable[..., Observer
     assert node.parameters == ObserverParameters()
     declared = set(node.list_parameters([], 0).names)
     assert declared - shipped.keys() == {"use_sim_time", "start_type_description_service"}
+
+
+def test_what_runs_is_published_for_those_who_come_later(
+    make: Callable[..., Observer], ros: Any
+) -> None:
+    node = make(joints=["hip", "knee"], joint_designs=[FIXED, ""], settle_time=1.5)
+    ros.spin_until(lambda: node.active)
+    assert node.set_parameters([Parameter("supervision.gate", value=4.0)])[0].successful
+    listener, received = ros.node("listener"), list[Any]()
+    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    listener.create_subscription(String, "/observer/design", received.append, qos)
+    ros.spin_until(lambda: received)
+
+    record = read_record(received[-1].data)
+    assert record.measurements == "/joint_measurements"
+    own = {joint: one for one in record.designs for joint in one.joints}
+    for joint, path in (("hip", FIXED), ("knee", str(SHIPPED))):
+        assert own[joint].file == path
+        assert own[joint].text == Path(path).read_text(encoding="utf-8")
+    known = ObserverSettings().with_parameters(record.parameters)
+    assert (known.settle_time, known.supervision.gate) == (1.5, 4.0)
+    assert known == node.parameters.settings
