@@ -7,7 +7,11 @@ is written. The time is that of the work itself, from opening the bag to the new
 starting Python and loading the design take another half second, however long the bag is.
 """
 
+import os
+import subprocess
+import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -99,12 +103,56 @@ def _measure(folder: Path, design: Design, seconds: float, repeats: int) -> dict
     }
 
 
+def _use(arguments: list[str]) -> dict[str, float]:
+    """Return the time [s] and the largest memory [MB] of a command."""
+    begun = time.monotonic()
+    child = subprocess.Popen(
+        [sys.executable, "-m", "tsobs_ros.cli.main", *arguments, "--json"],
+        stdout=subprocess.DEVNULL,
+    )
+    _, status, usage = os.wait4(child.pid, 0)
+    assert status == 0, arguments
+    return {"seconds": time.monotonic() - begun, "megabytes": usage.ru_maxrss / 1000}
+
+
+def _memory(folder: Path, design: Design, seconds: float) -> dict[str, dict[str, float]]:
+    """Return the use of each command that goes through a bag and its estimates."""
+    bag, live = str(folder / "bag"), str(folder / "live")
+    # What is compiled at first use takes memory that it does not take again.
+    first = folder / "first"
+    _record(first, design, 10.0)
+    _use(["estimate", str(first), "--output", str(folder / "of_first")])
+    _use(["report", str(folder / "of_first"), "--output", str(folder / "report_of_first")])
+    _record(Path(bag), design, seconds)
+    commands = {
+        "estimate": ["estimate", bag, "--output", live],
+        "estimate again": ["estimate", live, "--output", str(folder / "again")],
+        "compare": ["compare", live, "--method", "certified", "ekf"],
+        "report": ["report", live, "--output", str(folder / "report")],
+        "export": ["export", live, "--output", str(folder / "tables")],
+        "bag info": ["bag", "info", live],
+        "bag verify": ["bag", "verify", live],
+    }
+    return {name: _use(arguments) for name, arguments in commands.items()}
+
+
 def main() -> None:
     """Measure and print."""
     made = parser(__doc__)
     made.add_argument("--seconds", type=at_least(1.0), default=120.0, help="length of the bag")
     made.add_argument("--repeats", type=at_least(1, int), default=5)
+    made.add_argument("--memory", action="store_true", help="measure the memory of all commands")
     options = made.parse_args()
+    if options.memory:
+        with tempfile.TemporaryDirectory() as folder:
+            used = _memory(Path(folder), design_of(options), options.seconds)
+        lines = [
+            f"  {name:<16}{one['seconds']:8.0f} s{one['megabytes']:8.0f} MB"
+            for name, one in used.items()
+        ]
+        text = "\n".join([f"{options.seconds:g} s at 200 Hz:", *lines])
+        show({"seconds_of_bag": options.seconds, **used}, text, options.json)
+        return
     with tempfile.TemporaryDirectory() as folder:
         design = design_of(options)
         results = _measure(Path(folder), design, options.seconds, options.repeats)

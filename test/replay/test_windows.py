@@ -2,11 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings in windows: what comes out is what one window with everything gives."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
+from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.methods import ObserverSettings
+from tsobs_ros.replay.estimate import Observer, make_runs, run_all
+from tsobs_ros.replay.source import BagSource
+from tsobs_ros.report.comparison import RunScores
 
 DECODE = JointStateDecoder()
 SECOND = 10**9
@@ -85,3 +92,50 @@ def test_windows_change_nothing(
     assert result(parts, tmp_path / "parts") == expected
     assert not observed or expected[-1].complete, expected[-1].text()
     assert parts.samples.count < 600
+
+
+WINDOW = 400
+
+
+def peak(work, bag) -> int:
+    """Return how many bytes Python had allocated at once during some work."""
+    tracemalloc.start()
+    try:
+        work(bag)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_memory_does_not_grow_with_the_recording(arms, write_bag, design, tmp_path) -> None:
+    files = (ArmDesignFile.of(design),)
+
+    def estimate_and_compare(bag, output=None) -> None:
+        source = BagSource(bag)
+        observers = [
+            Observer(name, ObserverSettings(method=method), files)
+            for name, method in (("observer", "certified"), ("other", "high_gain"))
+        ]
+        runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
+        scores = RunScores(source, runs, size=WINDOW)
+        run_all(source, runs, output, after_window=scores.add)
+        scores.errors()
+
+    peaks = []
+    for times in (3, 12):
+        messages = [
+            (topic, restamped(data, k), time + k * 3 * SECOND)
+            for k in range(times)
+            for topic, data, time in arms.messages(600)
+        ]
+        bag, observed = write_bag(messages, f"bag_{times}"), tmp_path / f"observed_{times}"
+        estimate_and_compare(bag, observed)
+        peaks.append([peak(estimate_and_compare, path) for path in (bag, observed)])
+
+    for short, four_times_as_long in zip(*peaks, strict=True):
+        assert four_times_as_long < 1.25 * short, peaks
+
+
+def restamped(data: bytes, times: int) -> bytes:
+    stamp, names, position, _, effort, _ = DECODE(data)
+    return JointStateEncoder(names)(stamp + times * 3 * SECOND, position, (), effort)

@@ -13,7 +13,12 @@ from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
-from tsobs_ros.report.comparison import compare_runs, expected_innovation, render_comparison
+from tsobs_ros.report.comparison import (
+    RunScores,
+    compare_runs,
+    expected_innovation,
+    render_comparison,
+)
 from tsobs_ros.report.metrics import MetricsOptions, measure
 from tsobs_ros.report.run import read_run
 
@@ -87,3 +92,21 @@ def test_a_design_that_does_not_fit_is_named_as_the_likely_cause(
     warnings = [line for line in capsys.readouterr().out.splitlines() if "warning: " in line]
     assert len(warnings) == (said is not None)
     assert said is None or said in warnings[0]
+
+
+def test_windows_give_the_errors_of_the_whole(
+    simulated, write_bag, messages_of, design, approximately
+) -> None:
+    source = BagSource(write_bag(messages_of(simulated)))
+    observer = Observer("certified", ObserverSettings(), (ArmDesignFile.of(design),))
+    (whole,) = runs = make_runs(source, [observer], rate=None, as_live=False)
+    run_all(source, runs, None)
+    (expected,) = compare_runs(source, runs)
+
+    parts = make_runs(source, [observer], rate=None, as_live=False, window=400)
+    scores = RunScores(source, parts, size=400)
+    run_all(source, parts, None, after_window=scores.add)
+    (found,) = scores.errors()
+
+    assert parts[0].samples.count < whole.samples.count / 4
+    assert found.as_mapping() == approximately(expected.as_mapping())

@@ -17,7 +17,7 @@ from tsobs_ros.report import panels as content
 from tsobs_ros.report.figures import draw_run
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.page import write_html
-from tsobs_ros.report.panels import MAX_CURVE, Curve, panels, settling_spans, thin, time_range
+from tsobs_ros.report.panels import MAX_CURVE, Curve, picture, thin
 from tsobs_ros.report.run import Series
 
 
@@ -34,7 +34,7 @@ def robot(simulated):
 
 def test_a_figure_shows_truth_only_where_it_is_known(simulated, robot, tmp_path) -> None:
     for name, run in (("known.png", simulated), ("unknown.png", robot)):
-        draw_run(run, measure(run), tmp_path / name)
+        draw_run(picture(run, measure(run)), tmp_path / name)
 
     assert imread(tmp_path / "known.png").shape[1] == 1400
     assert has_colour(tmp_path / "known.png", content.TRUTH_COLOUR)
@@ -48,7 +48,7 @@ def test_the_same_run_gives_the_same_file_and_no_global_change(short, tmp_path, 
     before, pyplot = dict(matplotlib.rcParams), "matplotlib.pyplot" in sys.modules
     path, contents = tmp_path / name, []
     for _ in range(2):
-        draw(short, measure(short), path)
+        draw(picture(short, measure(short)), path)
         contents.append(path.read_bytes())
 
     assert contents[0] == contents[1]
@@ -62,7 +62,7 @@ def test_the_label_of_a_jump_stays_above_its_own_panel(simulated, tmp_path, jump
     fault = 0.1 * (stamps > stamps[0] + jump * 1e9)[:, np.newaxis]
     run = replace(simulated, true_disturbance=Series(stamps, fault))
 
-    draw_run(run, measure(run), tmp_path / "run.png")
+    draw_run(picture(run, measure(run)), tmp_path / "run.png")
 
     above = imread(tmp_path / "run.png")[118:138, :, :3]
     near = np.abs(above - np.array(to_rgb(content.EVENT_COLOUR))).max(axis=-1) < 0.1
@@ -88,27 +88,34 @@ def test_a_figure_survives_what_a_bag_may_lack(robot, tmp_path) -> None:
         disturbance_bounds=nothing[:, 0],
     )
 
-    draw_run(run, measure(run), tmp_path / "run.png")
-    write_html(run, measure(run), tmp_path / "run.html")
+    draw_run(picture(run, measure(run)), tmp_path / "run.png")
+    write_html(picture(run, measure(run)), tmp_path / "run.html")
 
     assert has_colour(tmp_path / "run.png", content.ESTIMATE_COLOUR)
     assert (tmp_path / "run.html").stat().st_size > 1_000_000
 
 
-def test_long_curves_are_thinned_evenly() -> None:
-    times = np.arange(3 * MAX_CURVE + 1, dtype=float)
+def test_thinning_keeps_every_extreme_and_gap() -> None:
+    times = np.arange(30 * MAX_CURVE + 1, dtype=float)
+    values = np.sin(0.001 * times)
+    values[[777, 80_001]] = 9.0, -9.0
+    values[100_000:101_000] = np.nan
 
-    thinned = thin(Curve(times, 2.0 * times))
+    thinned = thin(Curve(times, values))
 
     assert MAX_CURVE / 2 < len(thinned.times) <= MAX_CURVE
-    assert set(np.diff(thinned.times)) == {4.0}
-    np.testing.assert_array_equal(thinned.values, 2.0 * thinned.times)
+    assert (np.diff(thinned.times) > 0).all()
+    assert thinned.values[thinned.times == 777.0] == 9.0
+    assert thinned.values[thinned.times == 80_001.0] == -9.0
+    gap = (thinned.times > 100_100) & (thinned.times < 100_900)
+    assert gap.any()
+    assert np.isnan(thinned.values[gap]).all()
     short = Curve(times[:MAX_CURVE], times[:MAX_CURVE])
     np.testing.assert_array_equal(thin(short).times, short.times)
 
 
 def test_panels_hold_the_run_in_its_units(simulated) -> None:
-    shown = panels(simulated, measure(simulated), innovation_std=0.03)
+    shown = picture(simulated, measure(simulated), innovation_std=0.03).panels
 
     assert [(panel.values.label, panel.unit) for panel in shown] == [
         ("link angle", "rad"),
@@ -121,13 +128,12 @@ def test_panels_hold_the_run_in_its_units(simulated) -> None:
     np.testing.assert_array_equal(shown[0].values.dots.values, simulated.measurements.values[:, 0])
     np.testing.assert_array_equal(shown[2].values.truth.values, simulated.truth.values[:, 2])
     np.testing.assert_array_equal(shown[4].values.estimate.values, simulated.disturbance)
-    np.testing.assert_array_equal(shown[3].values.bound, simulated.state_bounds[:, 3])
     assert shown[5].values.level[0] == pytest.approx(0.09)
     assert all(panel.values.dots is None for panel in shown[1:5])
 
 
 def test_noise_and_void_bounds_have_a_panel(troubled, tmp_path) -> None:
-    panel = panels(troubled, measure(troubled))[-1]
+    panel = picture(troubled, measure(troubled)).panels[-1]
 
     plot, (coloured, name) = panel.values, panel.values.other
     assert (plot.label, name) == ("noise scale", "coloured power")
@@ -137,11 +143,11 @@ def test_noise_and_void_bounds_have_a_panel(troubled, tmp_path) -> None:
     assert span == pytest.approx((8.1, 10.0), abs=0.01)
     assert "25 % force" in panel.remark
     run = replace(troubled, truth=None, true_disturbance=None)
-    draw_run(run, measure(run), tmp_path / "run.png")
+    draw_run(picture(run, measure(run)), tmp_path / "run.png")
     pixels = imread(tmp_path / "run.png")[..., :3]
     marked = 0.13 * np.array(to_rgb(content.EVENT_COLOUR)) + 0.87
     assert (np.abs(pixels - marked).max(axis=-1) < 0.02).sum() > 1000
-    write_html(run, measure(run), tmp_path / "run.html")
+    write_html(picture(run, measure(run)), tmp_path / "run.html")
     assert "coloured power" in (tmp_path / "run.html").read_text(encoding="utf-8")
 
 
@@ -149,29 +155,31 @@ def test_wild_first_guesses_do_not_flatten_the_rest(simulated) -> None:
     states = simulated.states.copy()
     states[:20] = 1e3
 
-    panel = panels(replace(simulated, states=states), measure(simulated))[0]
+    panel = picture(replace(simulated, states=states), measure(simulated)).panels[0]
 
     assert panel.values.limits[1] < 1.5
 
 
 def test_spans_that_do_not_count_are_the_windows_complement(simulated) -> None:
-    spans = list(settling_spans(simulated, measure(simulated)))
+    shown = picture(simulated, measure(simulated))
 
-    assert spans == [pytest.approx((0.0013, 5.0013)), pytest.approx((8.0, 13.0))]
+    assert list(shown.unsettled) == [pytest.approx((0.0013, 5.0013)), pytest.approx((8.0, 13.0))]
 
 
 def test_a_wrong_stamp_does_not_stretch_the_time_axis(simulated) -> None:
     stamps, values = (a.copy() for a in simulated.measurements)
-    assert time_range(simulated) == (0.0, 20.0)
+    metrics = measure(simulated)
+    assert picture(simulated, metrics).time_range == (0.0, 20.0)
     stamps[100] += 10**15
 
-    assert time_range(replace(simulated, measurements=Series(stamps, values))) == (0.0, 19.9963)
+    run = replace(simulated, measurements=Series(stamps, values))
+    assert picture(run, metrics).time_range == (0.0, 19.9963)
 
 
 def test_a_page_needs_nothing_but_itself(simulated, tmp_path) -> None:
     path = tmp_path / "run.html"
 
-    write_html(replace(simulated, name="<b>&run"), measure(simulated), path, 0.03)
+    write_html(picture(replace(simulated, name="<b>&run"), measure(simulated), 0.03), path)
 
     text = path.read_text(encoding="utf-8")
     assert "<title>&lt;b&gt;&amp;run</title>" in text

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.report.run import Series, align, hold, interpolate_motion, read_run
+from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.report.panels import picture
+from tsobs_ros.report.run import Series, align, find_run, hold, interpolate_motion, read_run
 
 SECOND = 1_000_000_000
 
@@ -199,3 +201,30 @@ def test_alignment_is_by_stamp_and_the_first_of_equals_counts() -> None:
 
     np.testing.assert_array_equal(aligned, [1.0, np.nan, 3.0, np.nan])
     assert np.isnan(align(Series(series.stamps[:0], series.values[:0]), np.array([1]))).all()
+
+
+def test_parts_are_the_whole(simulated, messages_of, write_bag, approximately) -> None:
+    bag = write_bag(messages_of(simulated))
+    options = MetricsOptions(innovation_std=0.03)
+    whole, parts = read_run(bag), find_run(bag, size=2000)
+
+    assert len(list(parts)) > 10
+    for name in ("stamps", "states", "state_bounds", "disturbance", "disturbance_bounds"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_array_equal(joined, getattr(whole, name))
+    metrics = measure(whole, options)
+    assert measure(parts, options).as_mapping() == approximately(metrics.as_mapping())
+    for one, other in zip(
+        picture(parts, metrics, 0.03).panels, picture(whole, metrics, 0.03).panels, strict=True
+    ):
+        assert one.remark == other.remark
+        for shown, expected in ((one.values, other.values), (one.error, other.error)):
+            if expected is None:
+                assert shown is None
+                continue
+            assert shown.limits == pytest.approx(expected.limits)
+            for name in ("dots", "truth", "estimate"):
+                curve = getattr(expected, name)
+                assert (getattr(shown, name) is None) == (curve is None)
+                if curve is not None:
+                    np.testing.assert_allclose(getattr(shown, name), curve, atol=1e-9)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import Observer, Run
     from tsobs_ros.replay.source import Source
+    from tsobs_ros.report.comparison import ObserverErrors
 
 # Repeated here, so that the parser needs no numpy.
 _ZERO = "assume_zero_torque"
@@ -119,6 +120,7 @@ def estimate(
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import make_runs, open_source, run_all, without_misfits
     from tsobs_ros.replay.windows import WINDOW
+    from tsobs_ros.report.comparison import RunScores
 
     begin = time.monotonic()
     parameters = _parameters(options)
@@ -144,11 +146,19 @@ def estimate(
             observers, tuned = tune(source, observers)
             remarks += tuned
     as_live = options.rate is None and options.at != "measurements"
-    window = WINDOW if len(observers) == 1 else None
-    runs = make_runs(source, observers, rate=options.rate, as_live=as_live, window=window)
+    runs = make_runs(source, observers, rate=options.rate, as_live=as_live, window=WINDOW)
+    scores = RunScores(source, runs) if len(runs) > 1 else None
     with progress(source.count * len(runs), " samples", quiet=options.json) as advance:
-        run_all(source, runs, output, estimates_only=estimates_only, progress=advance)
-    mapping, text = _result(source, runs, output, time.monotonic() - begin, remarks)
+        run_all(
+            source,
+            runs,
+            output,
+            estimates_only=estimates_only,
+            progress=advance,
+            after_window=scores.add if scores is not None else lambda: None,
+        )
+    errors = [] if scores is None else scores.errors()
+    mapping, text = _result(source, runs, errors, output, time.monotonic() - begin, remarks)
     show(mapping, text, options.json)
     if source.damage is not None:
         complain(f"{source.damage}; estimated up to there")
@@ -212,20 +222,20 @@ def _about(source: "Source", observers: "Sequence[Observer]") -> list[str]:
 def _result(
     source: "Source",
     runs: "list[Run]",
+    errors: "list[ObserverErrors]",
     output: Path | None,
     seconds: float,
     remarks: Sequence[str],
 ) -> tuple[dict[str, Any], str]:
     """Return the result for programs and for people."""
     from tsobs_ros.replay.health import list_events, map_events
-    from tsobs_ros.report.comparison import compare_runs, render_comparison
+    from tsobs_ros.report.comparison import render_comparison
 
     begin, end = source.span
     duration = float(end - begin) * 1e-9
     # At most one of several observers was the live one.
     agreements = [one for one in (run.agreement() for run in runs) if one is not None]
     agreement = max(agreements, key=lambda one: one.reproduced, default=None)
-    errors = compare_runs(source, runs) if len(runs) > 1 else []
     lines = [
         f"{source.path}: {source.count:,} measurements of {', '.join(source.joints)} "
         f"over {duration:.1f} s, in {seconds:.1f} s"

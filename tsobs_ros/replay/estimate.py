@@ -104,6 +104,8 @@ class Run:
         samples: The measurements of the window.
         schedule: The ticks of the window.
         table: The estimates and innovations of the window.
+        made: The ticks of the window that were made, and the messages that were used by then.
+        horizon: Smallest log time of what follows the window [ns].
         topics: The topics of JointStates that there may be messages of.
         record_topic: The topic of its record.
     """
@@ -111,6 +113,8 @@ class Run:
     samples: Samples
     schedule: Schedule
     table: EstimateTable
+    made: tuple[slice, slice]
+    horizon: float
 
     def __init__(self, observer: Observer, source: Source, windows: Windows) -> None:
         self.observer, self.windows = observer, windows
@@ -191,12 +195,13 @@ class Run:
                 taken = slice(taken.start, self._use_rest(window, taken.stop))
             progress(taken.stop - taken.start)
             yield self._published(ticks, taken)
+        messages = slice(begun, self.replay.taken)
+        self.made, self.horizon = (slice(0, window.ticks), messages), window.horizon
         self._agreement.began(self.replay.began_without_past)
         if window.recorded is not None:
-            made = slice(0, window.ticks)
-            same = window.recorded.same(self.table, made)
-            self._agreement.add_ticks(self.schedule.stamps[made], same)
-            messages = slice(begun, self.replay.taken)
+            ticks = self.made[0]
+            same = window.recorded.same(self.table, ticks)
+            self._agreement.add_ticks(self.schedule.stamps[ticks], same)
             self._agreement.add_messages(window.recorded.innovations, self.table, messages)
             self._agreement.add_not_recorded(window.not_recorded)
 
@@ -353,6 +358,7 @@ def run_all(
     *,
     estimates_only: bool = False,
     progress: Callable[[int], None] = lambda _: None,
+    after_window: Callable[[], None] = lambda: None,
 ) -> None:
     """Run observers over the measurements and write their messages.
 
@@ -362,6 +368,7 @@ def run_all(
         output: Folder of the new bag, which must not exist; None to write none.
         estimates_only: Leave out the measurements, and the truth of a simulation.
         progress: Called with the number of measurements that an observer has taken since.
+        after_window: Called when all observers have made a window's ticks.
 
     Raises:
         BagWriteError: The folder exists, the definition of JointStates is not to be found, or the
@@ -371,6 +378,7 @@ def run_all(
         for window in runs[0].windows.over(runs):
             for _ in _blocks(runs, window, progress):
                 pass
+            after_window()
         return
     own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
     definition = next(own, None) or find_definition(JOINT_STATE)
@@ -395,6 +403,7 @@ def run_all(
                 end = bisect_left(waiting, horizon, key=_log_time)
                 writer.write_all(waiting[:end])
                 del waiting[:end]
+            after_window()
 
 
 def _text_definition() -> MessageDefinition:

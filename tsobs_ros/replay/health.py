@@ -197,13 +197,6 @@ class HealthSum:
         )
 
 
-def sum_up(conditions: Array) -> Health | None:
-    """Return the health in conditions' numbers, NaN without an estimate, shape (n, 6)."""
-    health = HealthSum()
-    health.add(conditions)
-    return health.result()
-
-
 class EventFinder:
     """Finds the events that a node would have logged, part by part.
 

@@ -22,7 +22,6 @@ from tsobs_ros.bag.joint_series import (
     Times,
     Wanted,
     read_blocks,
-    read_joint_series,
     require_joint_states,
     until_damage,
 )
@@ -39,8 +38,8 @@ _TRUTH = TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_tr
 
 # Stamps this far back are not late any more: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
-# So many messages in a row must lie back: one straggler is no restart.
-_RESTART_MESSAGES = 10
+RESTART_MESSAGES = 10
+"""So many messages in a row must lie back: one straggler is no restart."""
 SAME_CLOCK = NANOSECONDS
 """Clocks that differ by this or more are not the same clock [ns]."""
 _FIRST_MESSAGES = 1000
@@ -83,7 +82,7 @@ class Samples:
     @cached_property
     def passes(self) -> list[tuple[int, int]]:
         """The begin and end of each pass of time; the first may be empty, or go on."""
-        return passes(self.stamps.tolist(), self.newest)
+        return passes(self.stamps, self.newest)
 
     @property
     def usable(self) -> Flags:
@@ -151,24 +150,29 @@ def samples_of(series: JointSeries, assume_zero_torque: bool) -> Samples:
     return Samples(series.stamps, series.log_times, series.publish_times, y, u, series.named, there)
 
 
-def restarts(stamps: Sequence[int], highest: int = 0) -> list[int]:
+def restarts(stamps: Sequence[int] | Times, highest: int = 0) -> list[int]:
     """Return the places where stamps [ns] go back by more than a second, and stay back.
 
     Args:
         stamps: In order of arrival [ns].
         highest: Largest one before these, since time restarted [ns].
     """
-    found = []
+    found: list[int] = []
+    if isinstance(stamps, np.ndarray):
+        # They hardly ever go back.
+        if (np.diff(stamps, prepend=highest) >= 0).all():
+            return found
+        stamps = stamps.tolist()
     for place, stamp in enumerate(stamps):
         floor = highest - _RESTART
-        if 0 < stamp < floor and max(stamps[place : place + _RESTART_MESSAGES]) < floor:
+        if 0 < stamp < floor and max(stamps[place : place + RESTART_MESSAGES]) < floor:
             found.append(place)
             highest = stamp
         highest = max(highest, stamp)
     return found
 
 
-def passes(stamps: Sequence[int], highest: int = 0) -> list[tuple[int, int]]:
+def passes(stamps: Sequence[int] | Times, highest: int = 0) -> list[tuple[int, int]]:
     """Return the begin and end of each pass of time; a second one follows a restart."""
     return list(pairwise([0, *restarts(stamps, highest), len(stamps)]))
 
@@ -266,9 +270,9 @@ class Source(ABC):
     def messages(self) -> Iterator[BagMessage]:
         """Yield the messages of `topics` in order of log time, up to any damage."""
 
-    def truth(self) -> Truth:
-        """Return the recorded truth."""
-        return Truth(None, None)
+    def truth(self, size: int | None = None) -> Iterator[Truth]:
+        """Yield the recorded truth in parts of some messages; in one part if None."""
+        return iter(())
 
 
 class BagSource(Source):
@@ -339,11 +343,11 @@ class BagSource(Source):
         names = [topic.name for topic in self.topics]
         return until_damage(self._reader.messages(names), self._damaged)
 
-    def truth(self) -> Truth:
+    def truth(self, size: int | None = None) -> Iterator[Truth]:
         there = self._there({name: name for name in _TRUTH})
         wanted = {full: self._wanted(name) for name, full in there.items()}
-        series = read_joint_series(self._reader, wanted, on_damage=self._damaged)
-        return Truth(*(series.get(there.get(name, "")) for name in _TRUTH))
+        for series, _ in read_blocks(self._reader, wanted, size, on_damage=self._damaged):
+            yield Truth(*(series.get(there.get(name, "")) for name in _TRUTH))
 
     def _damaged(self, error: BagReadError) -> None:
         self.damage = error

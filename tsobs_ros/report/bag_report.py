@@ -13,7 +13,14 @@ import numpy as np
 from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.replay.designs import choose_designs
-from tsobs_ros.replay.health import EventFinder, Health, JointEvent, list_events, map_events, sum_up
+from tsobs_ros.replay.health import (
+    EventFinder,
+    Health,
+    HealthSum,
+    JointEvent,
+    list_events,
+    map_events,
+)
 from tsobs_ros.report.comparison import (
     EkfComparison,
     compare_with_ekf,
@@ -21,7 +28,8 @@ from tsobs_ros.report.comparison import (
     render_metrics,
 )
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
-from tsobs_ros.report.run import RecordedRun, read_run
+from tsobs_ros.report.panels import picture
+from tsobs_ros.report.run import RunParts, find_run
 
 
 class ReportError(TsobsError, RuntimeError):
@@ -115,7 +123,8 @@ def make_bag_report(
         ReportError: A file cannot be written.
         ModuleNotFoundError: matplotlib is not installed.
     """
-    run = read_run(bag, joint, namespace=namespace)
+    parts = find_run(bag, joint, namespace=namespace)
+    run = parts.run
     given = [] if design is None else [design]
     joints = tuple(joint for joint in run.joints if joint in run.ran.designs) or (run.joint,)
     # Only the design of the joint that the report is on is in question.
@@ -127,13 +136,13 @@ def make_bag_report(
     file = files[run.joint]
     std = expected_innovation(file.design)
     options = MetricsOptions(innovation_std=std)
-    metrics = measure(run, options)
+    metrics = measure(parts, options)
     comparison = None
-    if ekf and run.truth is not None:
-        comparison = compare_with_ekf(run, bag, files, run.ran.settings(), options)
+    if ekf and parts.has_truth:
+        comparison = compare_with_ekf(run, metrics, bag, files, run.ran.settings(), options)
     page = html and find_spec("plotly") is not None
     remarks = [*run.ran.doubt(given), *run.ran.remarks]
-    if run.truth is None:
+    if not parts.has_truth:
         remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:
         remarks.append(f"note: time restarted {run.passes - 1} times; this is the longest pass")
@@ -143,13 +152,14 @@ def make_bag_report(
         remarks.append(f"note: no report.html: {missing_library('plotly')}")
     outputs = ["report.png", *(["report.html"] if page else []), "report.json"]
     written = tuple(output / name for name in outputs)
+    health, events = _health(parts)
     report = BagReport(
         bag=bag,
         joint=run.joint,
         design=file,
         metrics=metrics,
-        health=None if run.health is None else sum_up(run.health.values),
-        events=tuple(_events(run)),
+        health=health,
+        events=events,
         begin=run.origin,
         comparison=comparison,
         files=written,
@@ -160,11 +170,12 @@ def make_bag_report(
         # Here, so that matplotlib and plotly are needed only for what they draw.
         from tsobs_ros.report.figures import draw_run
 
-        draw_run(run, metrics, written[0], std)
+        shown = picture(parts, metrics, std)
+        draw_run(shown, written[0])
         if page:
             from tsobs_ros.report.page import write_html
 
-            write_html(run, metrics, written[1], std)
+            write_html(shown, written[1])
         text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
         written[-1].write_text(text + "\n", encoding="utf-8")
     except OSError as error:
@@ -172,10 +183,11 @@ def make_bag_report(
     return report
 
 
-def _events(run: RecordedRun) -> list[JointEvent]:
-    if run.health is None:
-        return []
-    stamps, values = run.health
-    finder = EventFinder([run.joint], run.topic)
-    finder.add(stamps, stamps, values[:, np.newaxis])
-    return finder.events
+def _health(parts: RunParts) -> tuple[Health | None, tuple[JointEvent, ...]]:
+    found, health = EventFinder([parts.run.joint], parts.run.topic), HealthSum()
+    for part in parts:
+        if part.health is not None:
+            stamps, values = part.health
+            found.add(stamps, stamps, values[:, np.newaxis])
+            health.add(values)
+    return health.result(), tuple(found.events)

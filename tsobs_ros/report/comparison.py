@@ -8,10 +8,11 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -22,19 +23,22 @@ from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
+from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.replay.source import BagSource, Source, Truth, passes
-from tsobs_ros.replay.table import EstimateTable
+from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.report.metrics import (
     QUANTITIES,
     SIGMAS,
     MetricsOptions,
     RunMetrics,
-    measure,
-    root_mean_square,
+    Score,
+    SquareSum,
+    measure_scores,
+    score,
 )
-from tsobs_ros.report.run import RecordedRun, Series, Stamps
+from tsobs_ros.report.run import RecordedRun, Series
 
 DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
@@ -133,6 +137,7 @@ def expected_innovation(design: Design) -> float:
 
 def compare_with_ekf(
     run: RecordedRun,
+    metrics: RunMetrics,
     bag: Path,
     files: Mapping[str, ArmDesignFile],
     settings: ObserverSettings,
@@ -144,7 +149,8 @@ def compare_with_ekf(
     those as states. The comparison is with the better one.
 
     Args:
-        run: The recorded run.
+        run: The recorded run, or a part of it.
+        metrics: Its metrics.
         bag: The bag that it is from.
         files: Design file of each joint that the observer observed.
         settings: Those that it ran with.
@@ -156,13 +162,14 @@ def compare_with_ekf(
         Observer(method, replace(settings, method=method), tuple(files.values()))
         for method in (EKFS if learns else EKFS[:1])
     ]
-    runs = make_runs(source, observers, rate=None, as_live=True)
-    run_all(source, runs, None)
-    own = [one for one in compare_runs(source, runs, options) if one.joint == run.joint]
+    runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
+    scores = RunScores(source, runs, options)
+    run_all(source, runs, None, after_window=scores.add)
+    own = [one for one in scores.errors() if one.joint == run.joint]
     best = min(own, key=lambda one: one.normalised_rmse)
     if best.metrics is None:
         raise BagReadError(f"{bag}: no EKF could be run over the measurements of {run.joint}")
-    return EkfComparison(measure(run, options), best.metrics, best.observer, len(own))
+    return EkfComparison(metrics, best.metrics, best.observer, len(own))
 
 
 def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer], list[str]]:
@@ -199,66 +206,177 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
 def compare_runs(
     source: Source, runs: Sequence[Run], options: MetricsOptions | None = None
 ) -> list[ObserverErrors]:
-    """Measure finished runs over the same measurements; if time restarted, the longest pass."""
-    truth, options = source.truth(), options or MetricsOptions()
-    errors = []
-    for joint, name in enumerate(source.joints):
-        for run in runs:
-            recorded = _recorded_run(source, run, joint, truth)
-            metrics = None
-            if recorded is not None:
-                std = expected_innovation(run.observer.designs[joint])
-                metrics = measure(recorded, replace(options, innovation_std=std))
-            innovation = root_mean_square(run.table.innovations[:, joint])
-            errors.append(ObserverErrors(run.observer.name, name, innovation, metrics))
-    return errors
+    """Measure finished runs over one window with all measurements."""
+    scores = RunScores(source, runs, options, size=None)
+    scores.add()
+    return scores.errors()
 
 
-def _recorded_run(source: Source, run: Run, joint: int, truth: Truth) -> RecordedRun | None:
-    """Return a joint's part of a run as if it had been recorded; None without estimates."""
-    ticks = np.flatnonzero(np.isfinite(run.table.states[:, joint, 0]))
-    if not len(ticks):
-        return None
-    spans = passes(run.schedule.stamps[ticks].tolist())
-    begin, end = max(spans, key=lambda span: span[1] - span[0])
-    ticks = ticks[begin:end]
-    samples = run.samples
-    there = samples.complete[:, joint]
-    measured = np.column_stack([samples.y[there, joint], samples.u[there, joint]])
-    return RecordedRun(
-        name=run.observer.name,
-        joint=source.joints[joint],
-        measurements=Series(samples.stamps[there], measured),
-        stamps=run.schedule.stamps[ticks],
-        truth=_series(truth.states, 2 * joint, 2),
-        true_disturbance=_series(truth.disturbance, joint, 1),
-        passes=len(spans),
-        **_estimates_of(run.table, samples.stamps, joint, ticks),
-    )
+class RunScores:
+    """Measures runs over the same measurements; if time restarted, the longest pass.
 
-
-def _estimates_of(
-    table: EstimateTable,
-    stamps: Stamps,
-    joint: int = 0,
-    ticks: slice | NDArray[np.intp] = slice(None),
-) -> dict[str, Any]:
-    """Return the estimates of a joint at some ticks as the fields of a `RecordedRun`.
+    What must be gone through twice is in temporary files, 0.1 kB for each estimate.
 
     Args:
-        table: The estimates.
-        stamps: Of the measurements [ns].
-        joint: Index of the joint.
-        ticks: Some of the ticks.
+        source: The measurements.
+        runs: The runs.
+        options: Options of the measures.
+        size: Number of messages of the truth that are read at once.
     """
-    used = ~np.isnan(table.innovations[:, joint])
-    return {
-        "states": table.states[ticks, joint],
-        "state_bounds": table.state_bounds[ticks, joint],
-        "disturbance": table.disturbances[ticks, joint, 0],
-        "disturbance_bounds": table.disturbance_bounds[ticks, joint, 0],
-        "innovations": Series(stamps[used], table.innovations[used, joint, np.newaxis]).ordered(),
-    }
+
+    def __init__(
+        self,
+        source: Source,
+        runs: Sequence[Run],
+        options: MetricsOptions | None = None,
+        size: int | None = WINDOW,
+    ) -> None:
+        self._runs, self._truth = runs, _TruthReader(source, size)
+        self._scores = [
+            (run, joint, _RunScore(run, joint, name, options or MetricsOptions()))
+            for joint, name in enumerate(source.joints)
+            for run in runs
+        ]
+
+    def add(self) -> None:
+        """Add what the runs have made of their window."""
+        ticks, _ = self._runs[0].made
+        log_times = self._runs[0].schedule.log_times[ticks]
+        until = self._runs[0].horizon
+        truth = self._truth.read(min([*log_times[:1].tolist(), until]), until + NANOSECONDS)
+        for _, _, one in self._scores:
+            one.add(truth)
+
+    def errors(self) -> list[ObserverErrors]:
+        """Return the errors of all observers, joint by joint."""
+        return [one.errors() for _, _, one in self._scores]
+
+
+class _TruthReader:
+    """Reads the truth that goes with windows."""
+
+    def __init__(self, source: Source, size: int | None) -> None:
+        self._parts, self._read_until = source.truth(size), -math.inf
+        self._kept = Truth(None, None)
+
+    def read(self, begin: float, end: float) -> Truth:
+        """Return the truth that was recorded from a second before one log time to another [ns]."""
+        kept = [
+            series if series is None else series.take(series.log_times >= begin - NANOSECONDS)
+            for series in self._kept
+        ]
+        while self._read_until < end:
+            part = next(self._parts, None)
+            if part is None:
+                break
+            times = [int(one.log_times[-1]) for one in part if one is not None and one.count]
+            self._read_until = max([self._read_until, *times])
+            kept = [
+                after if before is None or after is None else before.followed_by(after)
+                for before, after in zip(kept, part, strict=True)
+            ]
+        self._kept = Truth(*kept)
+        return self._kept
+
+
+class _RunScore:
+    """Measures a joint of a run, window by window."""
+
+    def __init__(self, run: Run, joint: int, name: str, options: MetricsOptions) -> None:
+        self._run, self._joint, self._name = run, joint, name
+        std = expected_innovation(run.observer.designs[joint])
+        self._options = replace(options, innovation_std=std)
+        self._innovations = SquareSum()
+        self._pass, self._longest = _PassScores(), _PassScores()
+        self._newest = 0
+
+    def add(self, truth: Truth) -> None:
+        run, joint = self._run, self._joint
+        ticks, messages = run.made
+        self._innovations.add(run.table.innovations[messages, joint])
+        there = np.flatnonzero(np.isfinite(run.table.states[ticks, joint, 0]))
+        stamps = run.schedule.stamps[there]
+        for number, (begin, end) in enumerate(passes(stamps, self._newest)):
+            if number:
+                self._end_pass()
+            if begin == end:
+                continue
+            self._newest = max(self._newest, int(stamps[begin:end].max()))
+            self._pass.add(self._part(there[begin:end], messages, truth), self._options)
+
+    def _end_pass(self) -> None:
+        if self._pass.count > self._longest.count:
+            self._pass, self._longest = self._longest, self._pass
+        self._pass.close()
+        self._pass, self._newest = _PassScores(), 0
+
+    def _part(self, ticks: NDArray[np.intp], messages: slice, truth: Truth) -> RecordedRun:
+        """Return a part of the run as if it had been recorded."""
+        run, joint = self._run, self._joint
+        samples, table = run.samples.take(messages), run.table
+        there = samples.complete[:, joint]
+        measured = np.column_stack([samples.y[there, joint], samples.u[there, joint]])
+        innovations = table.innovations[messages, joint]
+        used = ~np.isnan(innovations)
+        stamps = run.schedule.stamps[ticks]
+        return RecordedRun(
+            name=run.observer.name,
+            joint=self._name,
+            measurements=Series(samples.stamps[there], measured),
+            stamps=stamps,
+            states=table.states[ticks, joint],
+            state_bounds=table.state_bounds[ticks, joint],
+            disturbance=table.disturbances[ticks, joint, 0],
+            disturbance_bounds=table.disturbance_bounds[ticks, joint, 0],
+            innovations=Series(samples.stamps[used], innovations[used, np.newaxis]).ordered(),
+            truth=_series(truth.states, 2 * joint, 2),
+            true_disturbance=_series(truth.disturbance, joint, 1),
+            begin=self._pass.origin,
+            since=self._pass.until,
+            until=int(stamps[-1]) + 1,
+        )
+
+    def errors(self) -> ObserverErrors:
+        self._end_pass()
+        self._pass.close()
+        metrics, scores = None, self._longest
+        if scores.count:
+            metrics = measure_scores(scores, self._options)
+        scores.close()
+        innovation = self._innovations.root_mean()
+        return ObserverErrors(self._run.observer.name, self._name, innovation, metrics)
+
+
+class _PassScores:
+    """Scores of the parts of a pass of time, in a temporary file.
+
+    Attributes:
+        count: Number of estimates.
+        origin: Stamp that times count from [ns]; None before the first part.
+        until: End of the parts until now [ns].
+    """
+
+    def __init__(self) -> None:
+        self.count, self._parts = 0, 0
+        self.origin: int | None = None
+        self.until: int | None = None
+        self._file = TemporaryFile()  # noqa: SIM115 (`close` closes it)
+
+    def add(self, part: RecordedRun, options: MetricsOptions) -> None:
+        self.origin, self.until = part.origin, part.until
+        self.count += len(part.stamps)
+        self._parts += 1
+        for one in score(part, options):
+            np.save(self._file, np.zeros((0, 2)) if one is None else one)
+
+    def close(self) -> None:
+        self._file.close()
+
+    def __iter__(self) -> Iterator[Score]:
+        self._file.seek(0)
+        for _ in range(self._parts):
+            fields = [np.load(self._file) for _ in Score._fields]
+            yield Score(*fields[:5], *(one.item() for one in fields[5:]))
 
 
 def _series(series: JointSeries | None, begin: int, names: int) -> Series | None:

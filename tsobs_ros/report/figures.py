@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run as one picture, drawn without any display and without matplotlib's global state."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -15,9 +14,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from tsobs_ros.report import panels as content
-from tsobs_ros.report.metrics import SIGMAS, RunMetrics
-from tsobs_ros.report.panels import ERROR, Panel, Plot
-from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.report.metrics import SIGMAS
+from tsobs_ros.report.panels import ERROR, Panel, Picture, Plot
 from tsobs_ros.style import MUTED, STYLE
 
 _WIDTH = 10.0
@@ -27,31 +25,25 @@ _TOP, _BOTTOM = 1.0, 0.52
 _FAINT, _STRONG = 0.13, 0.32
 
 
-def draw_run(
-    run: RecordedRun,
-    metrics: RunMetrics,
-    path: Path,
-    innovation_std: float | None = None,
-) -> None:
+def draw_run(picture: Picture, path: Path) -> None:
     """Draw a run, 1400 pixels wide as PNG.
 
     Args:
-        run: The recorded run, with or without truth.
-        metrics: Its metrics.
+        picture: What is shown.
         path: The file, `.png` or `.svg`; it is replaced.
-        innovation_std: 1σ the design expects of an innovation [rad]; None if unknown.
 
     Raises:
         OSError: The file cannot be written.
     """
     with matplotlib.rc_context(STYLE):
-        figure = _figure(run, metrics, content.panels(run, metrics, innovation_std))
+        figure = _figure(picture)
         # Without the date the same run gives the same SVG.
         metadata = {"Date": None} if path.suffix == ".svg" else {}
         figure.savefig(path, dpi=_DPI, metadata=metadata)
 
 
-def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> Figure:
+def _figure(picture: Picture) -> Figure:
+    panels = picture.panels
     with_errors = any(panel.error is not None for panel in panels)
     heights = [_TALL if panel.values.estimate else _FLAT for panel in panels]
     height = sum(heights) + _TOP + _BOTTOM
@@ -82,30 +74,30 @@ def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> F
             right[-1].set_title("  ·  ".join(panel.remark), loc="left", fontsize=8.5, pad=5)
     for column in (left, right):
         for axes in column:
-            _mark_events(axes, run, metrics)
+            _mark_events(axes, picture)
             axes.tick_params(labelbottom=axes is column[-1])
     for axes in [column[-1] for column in (left, right) if column]:
         axes.set_xlabel("time since the first sample [s]")
     left[0].xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
-    left[0].set_xlim(content.time_range(run))
-    _label_jumps(left[0], metrics)
+    left[0].set_xlim(picture.time_range)
+    _label_jumps(left[0], picture)
     figure.align_ylabels(left)
     figure.align_ylabels(right)
-    _head(figure, run, metrics, height)
+    _head(figure, picture, height)
     return figure
 
 
-def _head(figure: Figure, run: RecordedRun, metrics: RunMetrics, height: float) -> None:
+def _head(figure: Figure, picture: Picture, height: float) -> None:
     def at(inches: float) -> float:
         return 1.0 - inches / height
 
     # A name is no formula.
     figure.text(
-        0.02, at(0.14), run.name, fontsize=13, fontweight="bold", va="top", parse_math=False
+        0.02, at(0.14), picture.name, fontsize=13, fontweight="bold", va="top", parse_math=False
     )
-    figure.text(0.02, at(0.40), content.headline(run, metrics), fontsize=9, color=MUTED, va="top")
+    figure.text(0.02, at(0.40), picture.headline, fontsize=9, color=MUTED, va="top")
     figure.legend(
-        handles=_legend(run),
+        handles=_legend(picture),
         loc="upper left",
         bbox_to_anchor=(0.013, at(0.58)),
         ncols=6,
@@ -115,13 +107,13 @@ def _head(figure: Figure, run: RecordedRun, metrics: RunMetrics, height: float) 
     )
 
 
-def _legend(run: RecordedRun) -> list[Line2D | Patch]:
+def _legend(picture: Picture) -> list[Line2D | Patch]:
     entries: list[Line2D | Patch] = [
         Line2D(
             [], [], marker="o", ls="", ms=3.5, color=content.MEASUREMENT_COLOUR, label="measured"
         )
     ]
-    if run.truth is not None or run.true_disturbance is not None:
+    if picture.has_truth:
         entries.append(Line2D([], [], color=content.TRUTH_COLOUR, lw=3.0, label="true"))
     blue = content.ESTIMATE_COLOUR
     return [
@@ -153,7 +145,7 @@ def _draw(axes: Axes, plot: Plot, unit: str) -> None:
     if plot.truth is not None:
         axes.plot(*plot.truth, color=content.TRUTH_COLOUR, lw=3.0, zorder=3)
     blue = content.ESTIMATE_COLOUR
-    for sigmas, times, lower, upper in plot.bands():
+    for sigmas, times, lower, upper in plot.bands or ():
         alpha = _STRONG - _FAINT if sigmas == 1.0 else _FAINT
         axes.fill_between(times, lower, upper, color=blue, alpha=alpha, lw=0, zorder=4)
     if plot.label == ERROR:
@@ -185,18 +177,18 @@ def _write_beside(axes: Axes, panel: Panel) -> None:
     )
 
 
-def _mark_events(axes: Axes, run: RecordedRun, metrics: RunMetrics) -> None:
-    for begin, end in content.settling_spans(run, metrics):
+def _mark_events(axes: Axes, picture: Picture) -> None:
+    for begin, end in picture.unsettled:
         axes.axvspan(begin, end, color=content.SETTLING_COLOUR, lw=0, zorder=0)
-    for event in metrics.events:
+    for event in picture.events:
         if event.what == "jump":
             axes.axvline(event.time, color=content.EVENT_COLOUR, lw=1.0, ls=(0, (2, 2)), zorder=6)
 
 
-def _label_jumps(axes: Axes, metrics: RunMetrics) -> None:
+def _label_jumps(axes: Axes, picture: Picture) -> None:
     begin, end = axes.get_xlim()
     last = -np.inf
-    for event in metrics.events:
+    for event in picture.events:
         # A label is up to 40 % wide, and must not cover the one before it.
         if event.what != "jump" or event.time - last < 0.4 * (end - begin):
             continue

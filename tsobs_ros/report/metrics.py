@@ -8,9 +8,8 @@ start and after each jump of the true disturbance, which no estimator can know a
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -171,33 +170,119 @@ class RunMetrics:
         return data
 
 
-def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetrics:
+class Score(NamedTuple):
+    """What is measured of a part of a run.
+
+    Attributes:
+        times: Of the estimates, since the run's origin [s], shape (m,).
+        error: Estimate − truth of all `QUANTITIES`, NaN if unknown, shape (m, 5).
+        bounds: 1σ bound of each, shape (m, 5).
+        innovations: Time [s] and innovation [rad], shape (i, 2); None if not recorded.
+        jumps: Time [s] and size [rad] of the true disturbance's large steps, shape (s, 2).
+        measurements: Number of measurements.
+        last_measured: Time of the last measurement [s].
+        has_truth: Whether any truth was recorded.
+    """
+
+    times: Array
+    error: Array
+    bounds: Array
+    innovations: Array | None
+    jumps: Array
+    measurements: int
+    last_measured: float
+    has_truth: bool
+
+
+def score(run: RecordedRun, options: MetricsOptions) -> Score:
+    """Return what is measured of a run, or of a part of it."""
+    error, innovations = errors(run), None
+    if run.innovations is not None:
+        seconds = run.innovations.seconds(run.origin)
+        innovations = np.column_stack([seconds, run.innovations.values[:, 0]])
+    measured = run.measurements.seconds(run.origin)
+    return Score(
+        times=run.times,
+        error=np.full((len(run.times), len(QUANTITIES)), np.nan) if error is None else error,
+        bounds=np.column_stack([run.state_bounds, run.disturbance_bounds]),
+        innovations=innovations,
+        jumps=_large_steps(run, options.jump_threshold),
+        measurements=len(measured),
+        last_measured=float(measured.max(initial=-math.inf)),
+        has_truth=error is not None,
+    )
+
+
+def measure(
+    run: RecordedRun | Iterable[RecordedRun], options: MetricsOptions | None = None
+) -> RunMetrics:
     """Measure a run.
 
     Args:
-        run: The recorded run; without truth only its bounds and innovations are measured.
+        run: The recorded run, or its parts, which are gone through twice; without truth only its
+            bounds and innovations are measured.
         options: Options of the measures; the defaults if None.
     """
     options = options or MetricsOptions()
-    jumps = _find_jumps(run, options.jump_threshold)
-    windows = _settled_windows(run, jumps, options.start_settle_time, options.jump_settle_time)
-    settled = inside_windows(run.times, windows)
-    error = errors(run)
-    bounds = np.column_stack([run.state_bounds, run.disturbance_bounds])
-    quantities = tuple(
-        _quantity(key, None if error is None else error[settled, place], bounds[settled, place])
-        for place, (key, _, _) in enumerate(QUANTITIES)
+    parts = [run] if isinstance(run, RecordedRun) else run
+    return measure_scores(_Scored(parts, options), options)
+
+
+class _Scored:
+    """Scores of parts, made each time that they are gone through."""
+
+    def __init__(self, parts: Iterable[RecordedRun], options: MetricsOptions) -> None:
+        self._parts, self._options = parts, options
+
+    def __iter__(self) -> Iterator[Score]:
+        return (score(part, self._options) for part in self._parts)
+
+
+def measure_scores(scores: Iterable[Score], options: MetricsOptions) -> RunMetrics:
+    """Measure a run by its scores, which are gone through twice."""
+    whole = _Whole()
+    for one in scores:
+        whole.add(one)
+    jumps = whole.jumps()
+    last = min(whole.last, whole.last_measured)
+    windows = _settled_windows(
+        whole.first, last, jumps, options.start_settle_time, options.jump_settle_time
     )
+    quantities = [_Quantity(key) for key, _, _ in QUANTITIES]
+    innovations = SquareSum()
+    begins = [whole.first, *(jump.time for jump in jumps)]
+    settlings = [_Settling(begin, options.hold_time) for begin in begins]
+    for one in scores:
+        settled = inside_windows(one.times, windows)
+        for place, quantity in enumerate(quantities):
+            quantity.add(one.error[settled, place], one.bounds[settled, place])
+        if one.innovations is not None:
+            of_settled = inside_windows(one.innovations[:, 0], windows)
+            innovations.add(one.innovations[of_settled, 1])
+        if whole.has_truth and len(one.times):
+            outside = whole.is_outside(one)
+            of_event = np.searchsorted(begins, one.times, side="right") - 1
+            for event in range(max(0, int(of_event[0])), int(of_event[-1]) + 1):
+                here = of_event == event
+                settlings[event].add(one.times[here], outside[here])
+    measured = tuple(quantity.result() for quantity in quantities)
+    std, size = options.innovation_std, innovations.root_mean()
+    known = std is not None and size is not None
     return RunMetrics(
-        quantities=quantities,
-        normalised_rmse=_normalised([one.rmse for one in quantities[:4]], options.scale),
-        nis=_nis(run, windows, options.innovation_std),
-        events=_settle_events(run.times, jumps, error, SIGMAS * bounds, options.hold_time),
+        quantities=measured,
+        normalised_rmse=_normalised([one.rmse for one in measured[:4]], options.scale),
+        nis=_bounded((size / std) * (size / std)) if known and std and size is not None else None,
+        events=tuple(
+            Event("jump" if place else "start", one.begin, size, one.after)
+            for place, (one, size) in enumerate(
+                zip(settlings, [0.0, *(jump.size for jump in jumps)], strict=True)
+            )
+        ),
         windows=windows,
         settled_time=sum(end - begin for begin, end in windows),
-        duration=float(run.times[-1] - run.times[0]),
-        estimates=len(run.stamps),
-        measurements=len(run.measurements.stamps),
+        duration=whole.last - whole.first,
+        estimates=whole.estimates,
+        measurements=whole.measurements,
     )
 
 
@@ -218,23 +303,100 @@ def errors(run: RecordedRun) -> Array | None:
     )
 
 
-def _quantity(key: str, error: Array | None, bound: Array) -> QuantityMetrics:
-    if error is None or not np.isfinite(error).any():
-        return QuantityMetrics(key, None, root_mean_square(bound), None, None)
-    known = np.isfinite(error) & np.isfinite(bound)
-    rmse, size = root_mean_square(error), root_mean_square(bound[known])
-    inside = float((np.abs(error[known]) <= SIGMAS * bound[known]).mean()) if known.any() else None
-    ratio = _bounded(rmse / size) if rmse is not None and size else None
-    return QuantityMetrics(key, rmse, size, ratio, inside)
+class _Whole:
+    """What must be known of a whole run before it is measured."""
+
+    def __init__(self) -> None:
+        self.first, self.last = math.inf, -math.inf
+        self.last_measured = -math.inf
+        self.estimates, self.measurements, self.has_truth = 0, 0, False
+        self._steps: list[Array] = []
+        self._limits = np.full(len(QUANTITIES), np.inf)
+        self._known = np.zeros(len(QUANTITIES), np.bool_)
+
+    def add(self, part: Score) -> None:
+        """Add a part."""
+        if len(part.times):
+            self.first = min(self.first, float(part.times[0]))
+            self.last = float(part.times[-1])
+        self.last_measured = max(self.last_measured, part.last_measured)
+        self.estimates += len(part.times)
+        self.measurements += part.measurements
+        self.has_truth |= part.has_truth
+        self._steps.append(part.jumps)
+        limits = SIGMAS * part.bounds
+        limits[~np.isfinite(limits)] = np.inf
+        self._limits = np.minimum(self._limits, limits.min(axis=0, initial=np.inf))
+        self._known |= np.isfinite(part.error).any(axis=0)
+
+    def is_outside(self, part: Score) -> NDArray[np.bool_]:
+        """Return at which times some error is not known to be small, shape (m,).
+
+        The limit is the smallest of the run, as the bound is wide while an estimate settles.
+        """
+        judged = self._known & np.isfinite(self._limits)
+        # "Not inside" rather than "outside", so that an unknown error is not taken for a small one.
+        return np.asarray(~(np.abs(part.error) <= self._limits)[:, judged].all(axis=1))
+
+    def jumps(self) -> tuple[Jump, ...]:
+        """Return the jumps of the true disturbance during the estimates."""
+        found, before = [], -math.inf
+        for time, size in np.concatenate(self._steps).tolist() if self._steps else ():
+            # A fault that chatters is one event, which begins with its first jump.
+            if self.first < time <= self.last and time - before > SAME_JUMP:
+                found.append(Jump(time, size))
+            before = time
+        return tuple(found)
+
+
+class SquareSum:
+    """A root mean square of finite values, summed up part by part."""
+
+    def __init__(self) -> None:
+        self._sum, self.count = 0.0, 0
+
+    def add(self, values: Array) -> None:
+        """Add values, shape (n,)."""
+        finite = values[np.isfinite(values)]
+        with np.errstate(over="ignore"):
+            self._sum += float(np.sum(finite**2))
+        self.count += len(finite)
+
+    def root_mean(self) -> float | None:
+        """Return the root mean square; None without a value."""
+        return _bounded(math.sqrt(self._sum / self.count)) if self.count else None
+
+
+class _Quantity:
+    """Measures of one quantity, summed up part by part."""
+
+    def __init__(self, key: str) -> None:
+        self._key, self._inside = key, 0
+        self._error, self._bound, self._bound_with_error = SquareSum(), SquareSum(), SquareSum()
+
+    def add(self, error: Array, bound: Array) -> None:
+        known = np.isfinite(error) & np.isfinite(bound)
+        self._error.add(error)
+        self._bound.add(bound)
+        self._bound_with_error.add(bound[known])
+        self._inside += int((np.abs(error[known]) <= SIGMAS * bound[known]).sum())
+
+    def result(self) -> QuantityMetrics:
+        rmse, known = self._error.root_mean(), self._bound_with_error
+        if rmse is None:
+            return QuantityMetrics(self._key, None, self._bound.root_mean(), None, None)
+        size = known.root_mean()
+        inside = self._inside / known.count if known.count else None
+        return QuantityMetrics(
+            self._key, rmse, size, _bounded(rmse / size) if size else None, inside
+        )
 
 
 def root_mean_square(values: Array) -> float | None:
     """Return the root mean square of the finite values, None if there is none."""
-    finite = values[np.isfinite(values)]
-    if not len(finite):
-        return None
-    with np.errstate(over="ignore"):
-        return _bounded(math.sqrt(float(np.mean(finite**2))))
+    squares = SquareSum()
+    squares.add(values)
+    return squares.root_mean()
 
 
 def _normalised(rmse: list[float | None], scale: tuple[float, ...]) -> float | None:
@@ -244,106 +406,72 @@ def _normalised(rmse: list[float | None], scale: tuple[float, ...]) -> float | N
     return _bounded(math.sqrt(sum(r * r for r in relative) / 4.0))
 
 
-def _nis(run: RecordedRun, windows: Windows, std: float | None) -> float | None:
-    if std is None or run.innovations is None or not len(run.innovations.stamps):
-        return None
-    settled = inside_windows(run.innovations.seconds(run.origin), windows)
-    size = root_mean_square(run.innovations.values[settled, 0])
-    return None if size is None else _bounded((size / std) * (size / std))
-
-
 def _bounded(value: float) -> float:
     """Return a number that JSON can hold: a diverged estimate is squared past the largest one."""
     return min(value, sys.float_info.max)
 
 
-def _find_jumps(run: RecordedRun, threshold: float) -> tuple[Jump, ...]:
-    """Return the jumps of the true disturbance, above the threshold [rad] from sample to sample."""
+def _large_steps(run: RecordedRun, threshold: float) -> Array:
+    """Return times [s] and sizes [rad] of the true disturbance's steps above a threshold [rad]."""
     if run.true_disturbance is None:
-        return ()
-    times = run.true_disturbance.seconds(run.origin)
-    steps = np.diff(run.true_disturbance.values[:, 0])
-    found, last = [], -math.inf
-    for place in np.flatnonzero(np.abs(steps) > threshold):
-        time = float(times[place + 1])
-        # A fault that chatters is one event, which begins with its first jump.
-        if run.times[0] < time <= run.times[-1] and time - last > SAME_JUMP:
-            found.append(Jump(time, float(steps[place])))
-        last = time
-    return tuple(found)
+        return np.zeros((0, 2))
+    stamps, values = run.true_disturbance
+    steps = np.diff(values[:, 0])
+    large = (np.abs(steps) > threshold) & run.covers(stamps[1:])
+    seconds = run.true_disturbance.seconds(run.origin)[1:]
+    return np.column_stack([seconds[large], steps[large]])
 
 
 def _settled_windows(
-    run: RecordedRun, jumps: Sequence[Jump], after_start: float, after_jump: float
+    first: float, last: float, jumps: Sequence[Jump], after_start: float, after_jump: float
 ) -> Windows:
     """Return the parts of a run without the times [s] after its start and after each jump.
 
     The run ends with its last measurement: predictions of an observer that is left running are no
     measure of it.
     """
-    measured = run.measurements.ordered().seconds(run.origin)
-    last = min([float(run.times[-1]), *measured[-1:].tolist()])
-    starts = run.times[0] + after_start
     # A jump during the start does not end the start, hence the running maximum.
-    begins = np.maximum.accumulate([starts] + [jump.time + after_jump for jump in jumps]).tolist()
+    starts = [first + after_start] + [jump.time + after_jump for jump in jumps]
+    begins = np.maximum.accumulate(starts).tolist()
     ends = [jump.time for jump in jumps] + [last]
     return tuple((a, b) for a, b in zip(begins, ends, strict=True) if a < b)
 
 
 def inside_windows(times: Array, windows: Windows) -> NDArray[np.bool_]:
     """Return which times [s] lie in one of the windows, their ends not included, shape (n,)."""
-    inside = np.zeros(len(times), dtype=bool)
-    for begin, end in windows:
-        inside |= (times >= begin) & (times < end)
-    return inside
+    # They neither overlap nor touch.
+    edges = np.array(windows).reshape(-1)
+    return np.asarray(np.searchsorted(edges, times, side="right") % 2 == 1)
 
 
-def _settle_events(
-    times: Array, jumps: Sequence[Jump], error: Array | None, limits: Array, hold_time: float
-) -> tuple[Event, ...]:
-    """Return the start and the jumps with the time the errors took to settle after each.
+class _Settling:
+    """Finds when errors have come to stay small after an event, part by part.
 
     Args:
-        times: Of the errors [s], shape (m,).
-        jumps: In order.
-        error: NaN if unknown, shape (m, k); None without truth.
-        limits: Largest error that counts as small, shape (m, k). The smallest over the run is
-            used: the bound is wide while an estimate settles.
-        hold_time: Time that the errors must stay small [s].
+        begin: Time of the event [s].
+        hold_time: Time that errors must stay small [s].
+
+    Attributes:
+        after: Seconds until then; None if not seen.
     """
-    begins = [float(times[0])] + [jump.time for jump in jumps]
-    ends = [*begins[1:], math.inf]
-    outside = None if error is None else _outside(error, limits)
-    return tuple(
-        Event(
-            "jump" if place else "start",
-            begin,
-            jumps[place - 1].size if place else 0.0,
-            None if outside is None else _settling(times, outside, begin, end, hold_time),
-        )
-        for place, (begin, end) in enumerate(zip(begins, ends, strict=True))
-    )
 
+    def __init__(self, begin: float, hold_time: float) -> None:
+        self.begin, self._hold_time = begin, hold_time
+        self.after: float | None = None
+        self._quiet_since: float | None = None
 
-def _outside(error: Array, limits: Array) -> NDArray[np.bool_]:
-    """Return at which times some error is not known to be small, shape (m,)."""
-    judged = np.isfinite(error).any(axis=0) & np.isfinite(limits).any(axis=0)
-    smallest = np.where(np.isfinite(limits), limits, np.inf).min(axis=0)
-    # "Not inside" rather than "outside", so that an unknown error is not taken for a small one.
-    return np.asarray(~(np.abs(error) <= smallest)[:, judged].all(axis=1))
-
-
-def _settling(
-    times: Array, outside: NDArray[np.bool_], begin: float, end: float, hold_time: float
-) -> float | None:
-    """Return how long after `begin` the errors have come to stay small, None if not by `end`."""
-    here = (times >= begin) & (times < end)
-    times, outside = times[here], outside[here]
-    if not len(times):
-        return None
-    # Quiet spells lie between neighbouring errors that are too large, and at both ends.
-    borders = [-1, *np.flatnonzero(outside).tolist(), len(times)]
-    for before, after in pairwise(borders):
-        if after - before > 1 and times[after - 1] - times[before + 1] >= hold_time:
-            return float(times[before + 1] - begin)
-    return None
+    def add(self, times: Array, outside: NDArray[np.bool_]) -> None:
+        """Add times and whether an error is too large then, shape (n,) each."""
+        if self.after is not None or not len(times):
+            return
+        # Quiet spells lie between neighbouring errors that are too large, and at both ends.
+        borders = np.concatenate([[-1], np.flatnonzero(outside), [len(times)]])
+        for spell in np.flatnonzero(np.diff(borders) > 1).tolist():
+            before, after = int(borders[spell]), int(borders[spell + 1])
+            if before >= 0 or self._quiet_since is None:
+                self._quiet_since = float(times[before + 1])
+            if times[after - 1] - self._quiet_since >= self._hold_time:
+                self.after = self._quiet_since - self.begin
+                return
+        if outside[-1]:
+            self._quiet_since = None

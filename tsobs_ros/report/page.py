@@ -3,19 +3,17 @@
 """A run as an interactive page: the figure's panels, to zoom into and to read values from."""
 
 import html
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
 from tsobs_ros.checks import Array
 from tsobs_ros.report import panels as content
-from tsobs_ros.report.metrics import RunMetrics
-from tsobs_ros.report.panels import ERROR, Panel, Plot
-from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.report.panels import ERROR, Picture, Plot
 from tsobs_ros.style import INK, MUTED
 
 _ROW = 210
@@ -23,36 +21,37 @@ _HEAD = 130
 _CELL: dict[str, Any] = {}
 
 
-def write_html(
-    run: RecordedRun, metrics: RunMetrics, path: Path, innovation_std: float | None = None
-) -> None:
+def write_html(picture: Picture, path: Path) -> None:
     """Write a page that needs nothing but itself: no network, no second file.
 
     plotly.js is inlined, which is most of the page's 6 MB: with a script beside it, a page that is
     sent or moved alone would be blank.
 
     Args:
-        run: The recorded run, with or without truth.
-        metrics: Its metrics.
+        picture: What is shown.
         path: The page; it is replaced.
-        innovation_std: 1σ the design expects of an innovation [rad]; None if unknown.
 
     Raises:
         OSError: The page cannot be written.
     """
-    shown = content.panels(run, metrics, innovation_std)
-    figure = _figure(run, metrics, shown)
-    text = figure.to_html(
-        include_plotlyjs=True,
-        full_html=True,
+    body = _figure(picture).to_html(
+        include_plotlyjs=False,
+        full_html=False,
         div_id="run",  # a random one would make each page of the same run another
         config={"displaylogo": False, "responsive": True},
     )
-    title = f"<head><title>{html.escape(run.name)}</title>"
-    path.write_text(text.replace("<head>", title, 1), encoding="utf-8")
+    # One after the other: together they would take several times their size of memory.
+    with path.open("w", encoding="utf-8") as page:
+        page.write(f"<html>\n<head><title>{html.escape(picture.name)}</title>")
+        page.write('<meta charset="utf-8" /></head>\n<body>\n<script>')
+        page.write(get_plotlyjs())
+        page.write("</script>\n")
+        page.write(body)
+        page.write("\n</body>\n</html>\n")
 
 
-def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> Any:
+def _figure(picture: Picture) -> Any:
+    panels = picture.panels
     rows_with_error = [row for row, panel in enumerate(panels, 1) if panel.error is not None]
     rows = range(1, len(panels) + 1)
     columns = 2 if rows_with_error else 1
@@ -82,15 +81,15 @@ def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> A
                 col=2,
                 font={"size": 11},
             )
-    _mark_events(figure, run, metrics)
+    _mark_events(figure, picture)
     figure.update_layout(
         template="plotly_white",
         height=_HEAD + _ROW * len(panels),
         margin={"l": 80, "r": 30, "t": _HEAD, "b": 50},
         font={"color": INK, "size": 12},
         title={
-            "text": f"<b>{html.escape(run.name)}</b><br><span style='font-size:13px;"
-            f"color:{MUTED}'>{content.headline(run, metrics)}</span>",
+            "text": f"<b>{html.escape(picture.name)}</b><br><span style='font-size:13px;"
+            f"color:{MUTED}'>{picture.headline}</span>",
             "x": 0.01,
             "xanchor": "left",
         },
@@ -99,7 +98,7 @@ def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> A
     )
     # All follow the first, so that zooming into one zooms into all.
     figure.update_xaxes(
-        range=content.time_range(run), matches="x", showticklabels=False, showspikes=True
+        range=picture.time_range, matches="x", showticklabels=False, showspikes=True
     )
     for row, column in [(rows[-1], 1), *([(rows_with_error[-1], 2)] if rows_with_error else [])]:
         figure.update_xaxes(
@@ -110,7 +109,7 @@ def _figure(run: RecordedRun, metrics: RunMetrics, panels: Sequence[Panel]) -> A
 
 def _add_plot(figure: Any, plot: Plot, unit: str, place: tuple[int, int]) -> None:
     row, column = place
-    for sigmas, times, lower, upper in plot.bands():
+    for sigmas, times, lower, upper in plot.bands or ():
         known = np.isfinite(lower)
         times, lower, upper = times[known], lower[known], upper[known]
         _add(
@@ -169,12 +168,12 @@ def _add(
     figure.add_trace(trace, row=place[0], col=place[1])
 
 
-def _mark_events(figure: Any, run: RecordedRun, metrics: RunMetrics) -> None:
-    for begin, end in content.settling_spans(run, metrics):
+def _mark_events(figure: Any, picture: Picture) -> None:
+    for begin, end in picture.unsettled:
         figure.add_vrect(
             begin, end, fillcolor=content.SETTLING_COLOUR, opacity=1.0, line_width=0, layer="below"
         )
-    for event in metrics.events:
+    for event in picture.events:
         if event.what == "jump":
             line = {"color": content.EVENT_COLOUR, "dash": "dot", "width": 1}
             figure.add_vline(event.time, line=line)

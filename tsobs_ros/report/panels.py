@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Panels of curves on one time axis: the content of a run's figure and of its page."""
 
-from collections.abc import Iterator
-from typing import NamedTuple
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,21 +13,29 @@ from tsobs_ros.checks import Array
 from tsobs_ros.estimation.events import BOUNDS
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import Hypothesis
+from tsobs_ros.replay.thinning import ThinnedValues
 from tsobs_ros.report.metrics import (
     QUANTITIES,
     SIGMAS,
+    Event,
     Quantity,
     RunMetrics,
     errors,
     inside_windows,
 )
-from tsobs_ros.report.run import RecordedRun, Series
+from tsobs_ros.report.run import RecordedRun
 
 MAX_CURVE = 5000
 """Longer curves are thinned: more points than pixels only make files large."""
 
 MAX_BAND = 1500
 """Longer bands are thinned further, for they are drawn as polygons."""
+
+# Thinned only if there are so many times more points.
+_WAITING = 3
+_FOR_QUANTILES = 20_000
+# Measurements may be ahead of the estimates of a part [s].
+_MAX_AHEAD = 4.0
 
 ERROR = "error"
 """Label of a plot of errors."""
@@ -52,6 +61,23 @@ class Curve(NamedTuple):
     values: Array
 
 
+class Bands(NamedTuple):
+    """Edges of the bands of 3σ and of 1σ.
+
+    Attributes:
+        times: [s], shape (n,).
+        edges: Lower 3σ, lower 1σ, upper 1σ and upper 3σ, shape (n, 4).
+    """
+
+    times: Array
+    edges: Array
+
+    def __iter__(self) -> Iterator[Any]:
+        """Yield the bands as (σ, times, lower edge, upper edge)."""
+        for place, sigmas in enumerate((SIGMAS, 1.0)):
+            yield sigmas, self.times, self.edges[:, place], self.edges[:, 3 - place]
+
+
 class Plot(NamedTuple):
     """Curves over time; what is None is not drawn.
 
@@ -61,7 +87,7 @@ class Plot(NamedTuple):
         dots: Measured values.
         truth: True values.
         estimate: Estimated values, or their error.
-        bound: 1σ bound at the estimate's times, shape (n,).
+        bands: Bounds of it.
         level: A constant ± line, e.g. what is expected of noise, and what to call it.
         other: Values of a second quantity, and what to call it.
         spans: Parts of the time that are marked, (begin, end) in seconds.
@@ -72,20 +98,10 @@ class Plot(NamedTuple):
     dots: Curve | None = None
     truth: Curve | None = None
     estimate: Curve | None = None
-    bound: Array | None = None
+    bands: Bands | None = None
     level: tuple[float, str] | None = None
     other: tuple[Curve, str] | None = None
     spans: tuple[tuple[float, float], ...] = ()
-
-    def bands(self) -> Iterator[tuple[float, Array, Array, Array]]:
-        """Yield the bands of 3σ and 1σ as (σ, times, lower edge, upper edge), thinned."""
-        if self.estimate is None or self.bound is None:
-            return
-        step = -(-len(self.bound) // MAX_BAND)
-        times, values, bound = (each[::step] for each in (*self.estimate, self.bound))
-        centre = np.zeros(len(times)) if self.label == ERROR else values
-        for sigmas in (SIGMAS, 1.0):
-            yield sigmas, times, centre - sigmas * bound, centre + sigmas * bound
 
 
 class Panel(NamedTuple):
@@ -104,109 +120,266 @@ class Panel(NamedTuple):
     error: Plot | None = None
 
 
-def panels(
-    run: RecordedRun, metrics: RunMetrics, innovation_std: float | None = None
-) -> list[Panel]:
-    """Return a run's panels: four states, disturbance and, if recorded, innovations and health.
+class Picture(NamedTuple):
+    """What the figure and the page of a run show.
+
+    Attributes:
+        name: The run's origin.
+        headline: A line on the run as a whole.
+        panels: Four states, disturbance and, if recorded, innovations and health.
+        time_range: Begin and end of the time axis [s]: all measurements and estimates.
+        unsettled: Parts that do not count as settled, (begin, end) in seconds.
+        events: The start and the jumps.
+        has_truth: Whether any truth was recorded.
+    """
+
+    name: str
+    headline: str
+    panels: tuple[Panel, ...]
+    time_range: tuple[float, float]
+    unsettled: tuple[tuple[float, float], ...]
+    events: tuple[Event, ...]
+    has_truth: bool
+
+
+def picture(
+    run: RecordedRun | Iterable[RecordedRun],
+    metrics: RunMetrics,
+    innovation_std: float | None = None,
+) -> Picture:
+    """Return what is shown of a run.
 
     Args:
-        run: The recorded run.
+        run: The recorded run, or its parts.
         metrics: Its metrics.
         innovation_std: 1σ the design expects of an innovation [rad]; None if unknown.
     """
-    error = errors(run)
-    made = [
-        _panel(run, metrics, place, None if error is None else error[:, place])
-        for place in range(len(QUANTITIES))
-    ]
-    if run.innovations is not None and len(run.innovations.stamps):
-        made.append(_innovation_panel(run, metrics, innovation_std))
-    if run.health is not None and len(run.health.stamps):
-        made.append(_health_panel(run.health, run.origin))
-    return made
+    quantities = [_Quantity(place, metrics) for place in range(len(QUANTITIES))]
+    innovations, sizes = _Extremes(), ThinnedValues(_FOR_QUANTILES)
+    health: list[tuple[Array, Array]] = []
+    first, last, measured, part = math.inf, 0.0, 0.0, None
+    known, has_truth = False, False
+    for part in [run] if isinstance(run, RecordedRun) else run:
+        if len(part.times):
+            first, last = min(first, float(part.times[0])), float(part.times[-1])
+        measured = max(measured, float(part.measurements.seconds(part.origin).max(initial=0.0)))
+        has_truth |= part.truth is not None or part.true_disturbance is not None
+        known |= part.truth is not None
+        error = errors(part)
+        for quantity in quantities:
+            quantity.add(part, None if error is None else error[:, quantity.place])
+        if part.innovations is not None and len(part.innovations.stamps):
+            times, values = part.innovations.seconds(part.origin), part.innovations.values[:, 0]
+            innovations.add(times, values)
+            sizes.add(np.abs(values[np.isfinite(values)]))
+        if part.health is not None and len(part.health.stamps):
+            health.append((part.health.seconds(part.origin), part.health.values))
+    assert part is not None, "a run has a part"
+    made = [quantity.panel() for quantity in quantities]
+    if innovations.there:
+        made.append(_innovation_panel(innovations.curve(), sizes, metrics, innovation_std))
+    if health:
+        made.append(_health_panel(*map(np.concatenate, zip(*health, strict=True))))
+    return Picture(
+        name=part.name,
+        headline=_headline(metrics, has_truth=known),
+        panels=tuple(made),
+        # A stamp from a wrong clock must not squeeze the rest.
+        time_range=(0.0, measured if last <= measured <= last + 1.0 else last),
+        unsettled=tuple(_unsettled(first, last, metrics)),
+        events=metrics.events,
+        has_truth=has_truth,
+    )
 
 
-def thin(curve: Curve) -> Curve:
-    """Return every k-th point, so that at most `MAX_CURVE` are left."""
-    step = -(-len(curve.times) // MAX_CURVE) or 1
-    return Curve(curve.times[::step], curve.values[::step])
+def thin(curve: Curve, max_points: int = MAX_CURVE) -> Curve:
+    """Return the lowest and the highest point of each of equal times, if there are too many.
+
+    Args:
+        curve: In ascending order of times.
+        max_points: The largest number of points that are left.
+    """
+    times, values = curve
+    if len(times) <= max_points:
+        return curve
+    bins = _bins(times, max_points // 2)
+    begins = np.flatnonzero(np.diff(bins, prepend=-1))
+    finite = np.isfinite(values)
+    order = np.lexsort((values, ~finite, bins))
+    counts = np.add.reduceat(finite, begins, dtype=np.int64)
+    chosen = np.unique([order[begins], order[begins + np.maximum(counts - 1, 0)]])
+    return Curve(times[chosen], values[chosen])
 
 
-def time_range(run: RecordedRun) -> tuple[float, float]:
-    """Return the begin and end of the time axis [s]: all measurements and estimates."""
-    measured = run.measurements.ordered().seconds(run.origin)
-    last = float(measured[-1]) if len(measured) else 0.0
-    # A stamp from a wrong clock must not squeeze the rest.
-    end = float(run.times[-1])
-    return 0.0, last if end <= last <= end + 1.0 else end
+def _bins(times: Array, count: int) -> NDArray[np.int64]:
+    """Return the number of each time among as many equal times."""
+    edges = np.linspace(times[0], times[-1], count + 1)[1:-1]
+    return np.searchsorted(edges, times, side="right").astype(np.int64)
 
 
-def settling_spans(run: RecordedRun, metrics: RunMetrics) -> Iterator[tuple[float, float]]:
-    """Yield the parts of a run that do not count as settled, (begin, end) in seconds."""
-    begin = float(run.times[0])
+class _Extremes:
+    """A curve that is thinned as it grows; none of its extremes is lost."""
+
+    def __init__(self) -> None:
+        self._parts: list[Curve] = []
+        self._count = 0
+
+    @property
+    def there(self) -> bool:
+        return self._count > 0
+
+    def add(self, times: Array, values: Array) -> None:
+        self._parts.append(Curve(times, values))
+        self._count += len(times)
+        if self._count > _WAITING * MAX_CURVE:
+            self._parts = [self.curve()]
+            self._count = len(self._parts[0].times)
+
+    def curve(self) -> Curve:
+        times, values = (np.concatenate(each) for each in zip(*self._parts, strict=True))
+        order = np.argsort(times, kind="stable")
+        return thin(Curve(times[order], values[order]))
+
+
+class _Ranges:
+    """Bands that are thinned as they grow, so that each is as wide as it ever was at its time."""
+
+    def __init__(self) -> None:
+        self._parts: list[Bands] = []
+        self._count = 0
+
+    def add(self, times: Array, centre: Array, bound: Array) -> None:
+        edges = [centre + sigmas * bound for sigmas in (-SIGMAS, -1.0, 1.0, SIGMAS)]
+        self._parts.append(Bands(times, np.column_stack(edges)))
+        self._count += len(times)
+        if self._count > _WAITING * MAX_BAND:
+            self._parts = [self.bands()]
+            self._count = len(self._parts[0].times)
+
+    def bands(self) -> Bands:
+        times = np.concatenate([part.times for part in self._parts])
+        edges = np.concatenate([part.edges for part in self._parts])
+        if len(times) <= MAX_BAND:
+            return Bands(times, edges)
+        begins = np.flatnonzero(np.diff(_bins(times, MAX_BAND), prepend=-1))
+        lower = np.fmin.reduceat(edges[:, :2], begins)
+        return Bands(times[begins], np.hstack([lower, np.fmax.reduceat(edges[:, 2:], begins)]))
+
+
+def _unsettled(first: float, last: float, metrics: RunMetrics) -> Iterator[tuple[float, float]]:
+    begin = first
     for window_begin, window_end in metrics.windows:
         yield begin, window_begin
         begin = window_end
-    if begin < run.times[-1]:
-        yield begin, float(run.times[-1])
+    if begin < last:
+        yield begin, last
 
 
-def headline(run: RecordedRun, metrics: RunMetrics) -> str:
-    """Return one line on the run as a whole."""
+def _headline(metrics: RunMetrics, *, has_truth: bool) -> str:
     parts = [f"{metrics.duration:.1f} s", f"{metrics.estimates} estimates"]
     parts.append(f"{metrics.measurements} measurements")
     if metrics.normalised_rmse is not None:
         parts.append(f"normalised RMSE {metrics.normalised_rmse:.3g}")
     if metrics.nis is not None:
         parts.append(f"innovation² / expected {metrics.nis:.2f}")
-    if run.truth is None:
+    if not has_truth:
         parts.append("no ground truth recorded")
     return "  ·  ".join(parts)
 
 
-def _panel(run: RecordedRun, metrics: RunMetrics, place: int, error: Array | None) -> Panel:
-    quantity = QUANTITIES[place]
-    values = np.column_stack([run.states, run.disturbance])[:, place]
-    bounds = np.column_stack([run.state_bounds, run.disturbance_bounds])[:, place]
-    source, column = (run.true_disturbance, 0) if place == 4 else (run.truth, place)
-    truth = dots = None
-    if source is not None:
-        truth = Curve(source.seconds(run.origin), source.values[:, column])
-    if place == 0:
-        measured = run.measurements.ordered()
-        dots = Curve(measured.seconds(run.origin), measured.values[:, 0])
-    estimate = thin(Curve(run.times, values))
-    bound = thin(Curve(run.times, bounds)).values
-    shown = Plot(
-        label=quantity.name,
-        limits=_limits(dots, truth, estimate, bound),
-        dots=None if dots is None else thin(dots),
-        truth=None if truth is None else thin(truth),
-        estimate=estimate,
-        bound=bound,
-    )
-    errors_shown = None
-    if error is not None and np.isfinite(error).any():
-        size = _max_error(run, metrics, error, bounds)
-        curve = thin(Curve(run.times, error))
-        errors_shown = Plot(ERROR, (-size, size), estimate=curve, bound=bound)
-    return Panel(quantity.unit, _remark(metrics, quantity), shown, errors_shown)
+class _Quantity:
+    """Gathers the panel of an estimated quantity part by part.
+
+    Args:
+        place: Of the quantity in `QUANTITIES`.
+        metrics: Metrics of the run.
+    """
+
+    def __init__(self, place: int, metrics: RunMetrics) -> None:
+        self.place, self._metrics = place, metrics
+        self._dots, self._truth = _Extremes(), _Extremes()
+        self._estimate, self._error = _Extremes(), _Extremes()
+        self._bands, self._error_bands = _Ranges(), _Ranges()
+        self._error_is_known = False
+        self._error_size = 0.0
+        # Values, and the share of them on each side that need not be in the picture.
+        self._shares = {
+            name: (share, ThinnedValues(_FOR_QUANTILES))
+            for name, share in (("estimate", 0.01), ("upper", 0.1), ("lower", 0.1), ("dots", 0.002))
+        }
+
+    def add(self, run: RecordedRun, error: Array | None) -> None:
+        values = np.column_stack([run.states, run.disturbance])[:, self.place]
+        bound = np.column_stack([run.state_bounds, run.disturbance_bounds])[:, self.place]
+        self._estimate.add(run.times, values)
+        self._bands.add(run.times, values, bound)
+        self._show("estimate", values)
+        self._show("upper", values + SIGMAS * bound)
+        self._show("lower", values - SIGMAS * bound)
+        source, column = (run.true_disturbance, 0) if self.place == 4 else (run.truth, self.place)
+        if source is not None:
+            own = run.covers(source.stamps)
+            self._truth.add(source.seconds(run.origin)[own], source.values[own, column])
+        if self.place == 0:
+            measured = run.measurements.ordered()
+            times = measured.seconds(run.origin)
+            # What is outside of the time axis must not squeeze the rest.
+            own = (times >= 0.0) & (times <= run.times.max(initial=0.0) + _MAX_AHEAD)
+            self._dots.add(times[own], measured.values[own, 0])
+            self._show("dots", measured.values[:, 0])
+        if error is not None:
+            self._error_is_known |= bool(np.isfinite(error).any())
+            self._error.add(run.times, error)
+            self._error_bands.add(run.times, np.zeros(len(bound)), bound)
+            size = _max_error(run, self._metrics, error, bound)
+            self._error_size = max(self._error_size, size)
+
+    def _show(self, name: str, values: Array) -> None:
+        self._shares[name][1].add(values[np.isfinite(values)])
+
+    def panel(self) -> Panel:
+        quantity = QUANTITIES[self.place]
+        truth = self._truth.curve() if self._truth.there else None
+        shown = Plot(
+            label=quantity.name,
+            limits=self._limits(truth),
+            dots=self._dots.curve() if self._dots.there else None,
+            truth=truth,
+            estimate=self._estimate.curve(),
+            bands=self._bands.bands(),
+        )
+        error = None
+        if self._error_is_known:
+            size = self._error_size or 1.0
+            bands = self._error_bands.bands()
+            error = Plot(ERROR, (-size, size), estimate=self._error.curve(), bands=bands)
+        return Panel(quantity.unit, _remark(self._metrics, quantity), shown, error)
+
+    def _limits(self, truth: Curve | None) -> tuple[float, float]:
+        """Return a range with all truth and nearly all else: the first guesses may be far off."""
+        edges = []
+        if truth is not None and np.isfinite(truth.values).any():
+            edges += [float(np.nanmin(truth.values)), float(np.nanmax(truth.values))]
+        for share, kept in self._shares.values():
+            if len(kept.values):
+                edges += np.quantile(kept.values, [share, 1.0 - share]).tolist()
+        low, high = (min(edges), max(edges)) if edges else (-1.0, 1.0)
+        margin = 0.08 * (high - low) or 0.1
+        return low - margin, high + margin
 
 
-def _innovation_panel(run: RecordedRun, metrics: RunMetrics, std: float | None) -> Panel:
-    assert run.innovations is not None
-    curve = Curve(run.innovations.seconds(run.origin), run.innovations.values[:, 0])
-    finite = curve.values[np.isfinite(curve.values)]
-    size = 1.2 * float(np.quantile(np.abs(finite), 0.998)) if len(finite) else 1.0
+def _innovation_panel(
+    curve: Curve, sizes: ThinnedValues, metrics: RunMetrics, std: float | None
+) -> Panel:
+    size = 1.2 * float(np.quantile(sizes.values, 0.998)) if len(sizes.values) else 1.0
     size = max(size, 3.5 * (std or 0.0)) or 1.0
     level = None if std is None else (SIGMAS * std, f"±{SIGMAS:g}σ expected")
     remark = () if metrics.nis is None else (f"mean square {metrics.nis:.2f} × expected",)
-    return Panel("rad", remark, Plot("innovation", (-size, size), dots=thin(curve), level=level))
+    return Panel("rad", remark, Plot("innovation", (-size, size), dots=curve, level=level))
 
 
-def _health_panel(health: Series, origin: int) -> Panel:
+def _health_panel(times: Array, values: Array) -> Panel:
     """Return the history of noise scale and coloured power; void bounds are marked."""
-    times, values = health.seconds(origin), health.values
     scale, coloured = Curve(times, values[:, 0]), Curve(times, values[:, 1])
     void = ~np.isin(values[:, 2], _NOT_VOID)
     low, high = min(0.0, float(coloured.values.min())), float(max(scale.values.max(), 1.5))
@@ -263,25 +436,4 @@ def _max_error(run: RecordedRun, metrics: RunMetrics, error: Array, bounds: Arra
     joined = np.concatenate(
         [(SIGMAS + 1.0) * bounds[settled], 1.2 * np.abs(error[settled]), transient[after_start]]
     )
-    return float(joined[np.isfinite(joined)].max(initial=0.0)) or 1.0
-
-
-def _limits(
-    dots: Curve | None, truth: Curve | None, estimate: Curve, bound: Array
-) -> tuple[float, float]:
-    """Return a range with all truth and nearly all else: the first guesses may be far off."""
-    edges = []
-    if truth is not None and np.isfinite(truth.values).any():
-        edges += [float(np.nanmin(truth.values)), float(np.nanmax(truth.values))]
-    for values, share in (
-        (estimate.values, 0.01),
-        (estimate.values + SIGMAS * bound, 0.1),
-        (estimate.values - SIGMAS * bound, 0.1),
-        (np.empty(0) if dots is None else dots.values, 0.002),
-    ):
-        finite = values[np.isfinite(values)]
-        if len(finite):
-            edges += np.quantile(finite, [share, 1.0 - share]).tolist()
-    low, high = (min(edges), max(edges)) if edges else (-1.0, 1.0)
-    margin = 0.08 * (high - low) or 0.1
-    return low - margin, high + margin
+    return float(joined[np.isfinite(joined)].max(initial=0.0))

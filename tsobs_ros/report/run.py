@@ -2,25 +2,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_series import JointSeries, Wanted, read_joint_series
+from tsobs_ros.bag.joint_series import JointSeries, Wanted, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
-from tsobs_ros.replay.source import passes
+from tsobs_ros.replay.source import RESTART_MESSAGES, restarts
 
 Stamps = NDArray[np.int64]
 """Integer nanoseconds, shape (n,)."""
@@ -30,7 +32,18 @@ MAX_GAP = 0.1
 
 
 _FIRST_MESSAGES = 1000
-_OPTIONAL = ("innovations", "truth", "true_disturbance", "health")
+_TRUTH = ("truth", "true_disturbance")
+_OPTIONAL = ("innovations", *_TRUTH, "health")
+_WIDTHS = {
+    **dict.fromkeys(("states", "bounds", "truth"), 4),
+    **dict.fromkeys(("disturbance", "disturbance_bound", "innovations", "true_disturbance"), 1),
+    "measurements": 2,
+    "health": len(topics.CONDITIONS),
+}
+BLOCK = 2**16
+"""Number of messages that are read at once, of all topics: some 40 s at 200 Hz."""
+# Messages may be recorded this late [ns], and truth before a part still serves it.
+_LATENESS, _BEFORE = 2 * NANOSECONDS, NANOSECONDS
 
 
 class Series(NamedTuple):
@@ -49,9 +62,21 @@ class Series(NamedTuple):
         stamps, places = np.unique(self.stamps, return_index=True)
         return Series(stamps, self.values[places])
 
+    def take(self, chosen: NDArray[np.bool_] | slice) -> "Series":
+        """Return some of the values."""
+        return Series(self.stamps[chosen], self.values[chosen])
+
+    def followed_by(self, other: "Series") -> "Series":
+        """Return these values and others behind them."""
+        return Series(*(np.concatenate(both) for both in zip(self, other, strict=True)))
+
     def seconds(self, origin: int) -> Array:
         """Return the stamps as seconds since `origin` [ns], shape (n,)."""
         return np.asarray((self.stamps - origin) / NANOSECONDS, dtype=np.float64)
+
+
+def _no_series(width: int) -> Series:
+    return Series(np.zeros(0, np.int64), np.zeros((0, width)))
 
 
 @dataclass(frozen=True)
@@ -76,6 +101,9 @@ class RecordedRun:
         joints: All that there are estimates of.
         ran: What the observer ran, as far as the bag has it.
         passes: Number of passes over the recorded time; this is the longest one.
+        begin: Origin of the times [ns]; None if it is in these data.
+        since: Begin of this part of a run [ns], truth may begin earlier; None for the first.
+        until: End of this part of a run [ns], truth may go on; None for the last.
     """
 
     name: str
@@ -94,10 +122,24 @@ class RecordedRun:
     joints: tuple[str, ...] = ()
     ran: RecordedObserver = field(default_factory=RecordedObserver)
     passes: int = 1
+    begin: int | None = None
+    since: int | None = None
+    until: int | None = None
+
+    def covers(self, stamps: Stamps) -> NDArray[np.bool_]:
+        """Return whether stamps are of this part and of no other, shape (n,)."""
+        there = np.ones(len(stamps), np.bool_)
+        if self.since is not None:
+            there &= stamps >= self.since
+        if self.until is not None:
+            there &= stamps < self.until
+        return there
 
     @cached_property
     def origin(self) -> int:
         """Stamp that times count from: the first measurement's, or estimate's if earlier [ns]."""
+        if self.begin is not None:
+            return self.begin
         first = int(self.stamps[0])
         stamped = self.measurements.stamps[self.measurements.stamps > 0]
         return min(first, int(stamped.min())) if len(stamped) else first
@@ -127,7 +169,20 @@ def read_run(
     namespace: str | None = None,
     observer: str = "observer",
 ) -> RecordedRun:
-    """Read a run from a bag.
+    """Read a run from a bag at once; see `find_run`."""
+    (run,) = find_run(bag, joint, namespace=namespace, observer=observer, size=None)
+    return run
+
+
+def find_run(
+    bag: Path,
+    joint: str | None = None,
+    *,
+    namespace: str | None = None,
+    observer: str = "observer",
+    size: int | None = BLOCK,
+) -> "RunParts":
+    """Find a run in a bag.
 
     The topics are found by how their names end, so that any namespace will do. If the recorded
     time restarts, as in a looped bag, the pass with the longest estimates is read.
@@ -137,6 +192,7 @@ def read_run(
         joint: Name of the joint; None if there are estimates of one only.
         namespace: Namespace of all topics, for a bag with several arms.
         observer: Name of the observer node.
+        size: Number of messages in a part, divisible by 4; None for one part.
 
     Raises:
         BagReadError: The bag cannot be read, lacks a topic that is needed or messages of the
@@ -156,36 +212,195 @@ def read_run(
     if missing := [wanted[key][0] for key, name in required.items() if name is None]:
         has = ", ".join(reader.topics) or "none"
         raise BagReadError(f"{bag}: no topic ends in {', '.join(missing)}; topics: {has}")
-    there = {key: name for key, name in names.items() if name is not None}
-    read = read_joint_series(reader, {name: wanted[key][1] for key, name in there.items()})
-    if "health" in there:
-        read[there["health"]] = _as_named(read[there["health"]])
-    streams = {key: _passes(read[name]) for key, name in there.items()}
+    there = {name: (key, wanted[key][1]) for key, name in names.items() if name is not None}
+    streams = _survey(reader, there)
     if empty := [str(name) for key, name in required.items() if not streams[key]]:
         raise BagReadError(f"{bag}: no message about joint '{joint}' on {', '.join(empty)}")
-    begin, states = max(streams["states"], key=lambda one: int(np.ptp(one[1].stamps)))
+    states = max(streams["states"], key=lambda one: one.last - one.first)
     # Each topic restarts at its own moment, but all of them at about the same.
     chosen = {
-        key: min(spans, key=lambda one: abs(one[0] - begin))[1]
+        key: min(spans, key=lambda one: abs(one.log_time - states.log_time))
         for key, spans in streams.items()
         if spans
     }
-    states = states.ordered()
-    return RecordedRun(
-        name="/".join(Path(bag).absolute().parts[-2:]),
-        joint=str(joint),
-        measurements=chosen["measurements"],
-        stamps=states.stamps,
-        states=states.values,
-        state_bounds=align(chosen["bounds"], states.stamps),
-        disturbance=align(chosen["disturbance"], states.stamps)[:, 0],
-        disturbance_bounds=align(chosen["disturbance_bound"], states.stamps)[:, 0],
-        topic=str(names["measurements"]),
-        joints=joints,
-        ran=ran,
-        passes=len(streams["states"]),
-        **{key: chosen[key].ordered() for key in _OPTIONAL if key in chosen},
+    return RunParts(
+        reader,
+        {name: one for name, one in there.items() if one[0] in chosen},
+        chosen,
+        RecordedRun(
+            name="/".join(Path(bag).absolute().parts[-2:]),
+            joint=str(joint),
+            measurements=_no_series(2),
+            stamps=_no_series(0).stamps,
+            states=_no_series(4).values,
+            state_bounds=_no_series(4).values,
+            disturbance=np.zeros(0),
+            disturbance_bounds=np.zeros(0),
+            topic=str(names["measurements"]),
+            joints=joints,
+            ran=ran,
+            passes=len(streams["states"]),
+            begin=min([states.first, *chosen["measurements"].first_stamped]),
+        ),
+        size,
     )
+
+
+class _Span(NamedTuple):
+    """A pass over the stamps of a topic.
+
+    Attributes:
+        begin: Place of its first message among those about the joint.
+        end: Place after its last message.
+        log_time: Of its first message [ns].
+        first: Smallest stamp [ns].
+        last: Largest stamp [ns].
+        first_stamped: Smallest stamp above zero, none or one.
+    """
+
+    begin: int
+    end: int
+    log_time: int
+    first: int
+    last: int
+    first_stamped: tuple[int, ...]
+
+
+class _PassFinder:
+    """Finds the passes over a topic's stamps, block by block."""
+
+    def __init__(self) -> None:
+        self.spans: list[_Span] = []
+        self._waiting = np.zeros((2, 0), np.int64)
+        self._count, self._highest = 0, 0
+
+    def add(self, log_times: Stamps, stamps: Stamps, *, is_last: bool) -> None:
+        """Add messages; whether time restarts at one shows in the next ones."""
+        log_times, stamps = np.concatenate([self._waiting, [log_times, stamps]], axis=1)
+        known = len(stamps) if is_last else max(0, len(stamps) - RESTART_MESSAGES)
+        edges = [edge for edge in restarts(stamps, self._highest) if edge < known]
+        for number, (begin, end) in enumerate(pairwise([0, *edges, known])):
+            if begin == end:
+                continue
+            own = stamps[begin:end]
+            span = _Span(
+                self._count + begin,
+                self._count + end,
+                int(log_times[begin]),
+                int(own.min()),
+                int(own.max()),
+                tuple(own[own > 0][:1].tolist() and [int(own[own > 0].min())]),
+            )
+            self._highest = max(span.last, 0 if number else self._highest)
+            if number or not self.spans:
+                self.spans.append(span)
+                continue
+            last = self.spans[-1]
+            self.spans[-1] = last._replace(
+                end=span.end,
+                first=min(last.first, span.first),
+                last=max(last.last, span.last),
+                first_stamped=tuple(sorted(last.first_stamped + span.first_stamped)[:1]),
+            )
+        self._count += known
+        self._waiting = np.stack([log_times[known:], stamps[known:]])
+
+
+def _survey(reader: BagReader, there: Mapping[str, tuple[str, Wanted]]) -> dict[str, list[_Span]]:
+    finders = {key: _PassFinder() for key, _ in there.values()}
+    for block, is_last in _blocks(reader, there, BLOCK):
+        for key, series in block.items():
+            named = series.named.all(axis=1)
+            stamps, log_times = series.stamps[named], series.log_times[named]
+            finders[key].add(log_times, stamps, is_last=is_last)
+    return {key: finder.spans for key, finder in finders.items()}
+
+
+def _blocks(
+    reader: BagReader, there: Mapping[str, tuple[str, Wanted]], size: int | None
+) -> Iterator[tuple[dict[str, JointSeries], bool]]:
+    """Yield the topics of a run block by block, and whether it is the last one."""
+    wanted = {name: own for name, (_, own) in there.items()}
+    for block in read_blocks(reader, wanted, size):
+        found = {there[name][0]: series for name, series in block.series.items()}
+        if "health" in found:
+            found["health"] = _as_named(found["health"])
+        yield found, block.horizon == math.inf
+
+
+class RunParts:
+    """A recorded run in parts of bounded size, read from the bag each time that they are needed.
+
+    Args:
+        reader: The bag.
+        there: What to read of which topic, and the name of a run's part that it is.
+        spans: The pass to read of each.
+        run: What all parts have in common.
+        size: Number of messages in a part; None for one part.
+
+    Attributes:
+        run: The same.
+        has_truth: Whether there is any.
+    """
+
+    def __init__(
+        self,
+        reader: BagReader,
+        there: Mapping[str, tuple[str, Wanted]],
+        spans: Mapping[str, _Span],
+        run: RecordedRun,
+        size: int | None,
+    ) -> None:
+        self.run, self._size = run, size
+        self._reader, self._there, self._spans = reader, there, spans
+        self.has_truth = "truth" in spans
+
+    def __iter__(self) -> Iterator[RecordedRun]:
+        count = dict.fromkeys(self._spans, 0)
+        waiting = {key: _no_series(_WIDTHS[key]) for key in self._spans}
+        since: int | None = None
+        for block, is_last in _blocks(self._reader, self._there, self._size):
+            for key, series in block.items():
+                span, named = self._spans[key], series.named.all(axis=1)
+                places = count[key] + np.arange(int(named.sum()))
+                count[key] += len(places)
+                own = (span.begin <= places) & (places < span.end)
+                stamps = series.stamps[named][own]
+                values = series.values[named][own].reshape(len(stamps), _WIDTHS[key])
+                waiting[key] = waiting[key].followed_by(Series(stamps, values))
+            latest = waiting["states"].stamps.max(initial=0)
+            until = None if is_last else int(latest) - _LATENESS
+            part = self._part(waiting, since, until)
+            if len(part.stamps) or is_last:
+                yield part
+                since = until
+                waiting = {
+                    key: one.take(one.stamps >= (until or 0) - (_BEFORE if key in _TRUTH else 0))
+                    if key != "measurements"
+                    else one.take(slice(0))
+                    for key, one in waiting.items()
+                }
+
+    def _part(
+        self, waiting: Mapping[str, Series], since: int | None, until: int | None
+    ) -> RecordedRun:
+        run = replace(self.run, since=since, until=until)
+        known = {
+            key: one if key in (*_TRUTH, "measurements") else one.take(run.covers(one.stamps))
+            for key, one in waiting.items()
+        }
+        states = known["states"].ordered()
+        optional: dict[str, Any] = {key: known[key].ordered() for key in _OPTIONAL if key in known}
+        return replace(
+            run,
+            measurements=known["measurements"],
+            stamps=states.stamps,
+            states=states.values,
+            state_bounds=align(known["bounds"], states.stamps),
+            disturbance=align(known["disturbance"], states.stamps)[:, 0],
+            disturbance_bounds=align(known["disturbance_bound"], states.stamps)[:, 0],
+            **optional,
+        )
 
 
 def _wanted(joint: str, observer: str) -> dict[str, tuple[str, Wanted]]:
@@ -251,18 +466,6 @@ def _as_named(health: JointSeries) -> JointSeries:
     own = slice(begin, begin + len(topics.CONDITIONS))
     given = health.given[:, own]
     return replace(health, values=health.values[:, own], named=health.named[:, own], given=given)
-
-
-def _passes(series: JointSeries) -> list[tuple[int, Series]]:
-    """Return each pass over the stamps in order of recording, with its first log time [ns]."""
-    named = series.named.all(axis=1)
-    if not named.any():
-        return []
-    log_times, stamps = series.log_times[named], series.stamps[named]
-    values = series.values[named].reshape(len(stamps), -1)
-    return [
-        (int(log_times[a]), Series(stamps[a:b], values[a:b])) for a, b in passes(stamps.tolist())
-    ]
 
 
 def align(series: Series, stamps: Stamps) -> Array:
