@@ -73,7 +73,8 @@ def test_the_label_of_a_jump_stays_above_its_own_panel(simulated, tmp_path, jump
 
 
 def test_a_name_is_no_formula(short, tmp_path) -> None:
-    draw_run(replace(short, name=r"a$\frac{$b"), measure(short), tmp_path / "run.svg")
+    shown = picture(replace(short, name=r"a$\frac{$b"), measure(short))
+    draw_run(shown, tmp_path / "run.svg")
 
     assert "<svg" in (tmp_path / "run.svg").read_text(encoding="utf-8")
 

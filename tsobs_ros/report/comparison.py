@@ -162,10 +162,8 @@ def compare_with_ekf(
         Observer(method, replace(settings, method=method), tuple(files.values()))
         for method in (EKFS if learns else EKFS[:1])
     ]
-    runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
-    scores = RunScores(source, runs, options)
-    run_all(source, runs, None, after_window=scores.add)
-    own = [one for one in scores.errors() if one.joint == run.joint]
+    errors = _errors_of(source, observers, options)
+    own = [one for one in errors if one.joint == run.joint]
     best = min(own, key=lambda one: one.normalised_rmse)
     if best.metrics is None:
         raise BagReadError(f"{bag}: no EKF could be run over the measurements of {run.joint}")
@@ -189,9 +187,7 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
         ]
         errors = dict.fromkeys((choice.name for choice in choices), 0.0)
         if choices:
-            runs = make_runs(source, choices, rate=None, as_live=True)
-            run_all(source, runs, None)
-            for row in compare_runs(source, runs):
+            for row in _errors_of(source, choices):
                 errors[row.observer] += row.normalised_rmse
         best = min(choices, key=lambda choice: errors[choice.name], default=one)
         if errors and errors[best.name] < math.inf:
@@ -201,6 +197,16 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
             tuned.append(one)
             remarks.append(f"{one.name}: θ = {one.settings.theta:g} rad/s, not tuned to this arm")
     return tuned, remarks
+
+
+def _errors_of(
+    source: Source, observers: Sequence[Observer], options: MetricsOptions | None = None
+) -> list[ObserverErrors]:
+    """Run observers when the recorded one estimated, if there is one, and measure them."""
+    runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
+    scores = RunScores(source, runs, options)
+    run_all(source, runs, None, after_window=scores.add)
+    return scores.errors()
 
 
 def compare_runs(
