@@ -18,6 +18,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -71,6 +72,10 @@ def fuzz(name: str, target: Target, inputs: int, seed: int, folder: Path, keep: 
     """
     outcome, random_ = Outcome(name), random.Random(f"{seed} {name}")
     path = folder / target.file_name
+    for seed_file in target.seeds:  # what is compiled on first use is so before it counts
+        path.write_bytes(seed_file)
+        with suppress(TsobsError):
+            target.read(path)
     signal.signal(signal.SIGALRM, _hang)
     memory = _memory()
     for number in range(inputs):

@@ -373,8 +373,12 @@ def read_metadata(folder: Path) -> BagMetadata:
             has a value that makes no sense.
     """
     path = folder / FILE_NAME
-    if not path.exists():
-        raise BagReadError(f"{folder}: not a bag folder, it has no {FILE_NAME}")
+    try:
+        path.lstat()
+    except FileNotFoundError as error:
+        raise BagReadError(f"{folder}: not a bag folder, it has no {FILE_NAME}") from error
+    except OSError as error:
+        raise BagReadError(f"{folder}: cannot read it: {error.strerror}") from error
     root = read_yaml(path, "bag's metadata", BagReadError)
     try:
         if ROOT_KEY not in root:

@@ -175,7 +175,10 @@ class _Findings(dict[tuple[str, str], Finding]):
 
 def _check_folder(bag: Path, errors: _Findings) -> tuple[BagMetadata | None, list[Path]]:
     """Check a folder and its metadata.yaml; return that, and the files to read."""
-    present = {path.name: path for path in sorted(bag.iterdir())}
+    try:
+        present = {path.name: path for path in sorted(bag.iterdir())}
+    except OSError as error:
+        raise BagReadError(f"{bag}: cannot read it: {error.strerror}") from error
     unlisted = [path for name, path in present.items() if name.endswith(".mcap")]
     try:
         metadata = read_metadata(bag)
