@@ -322,7 +322,7 @@ def test_what_is_wrong_with_a_log_is_said_with_its_place(tmp_path, lines, option
     ("content", "match"),
     [
         (None, "cannot read it"),
-        (gzip.compress(b"t,q,tau\n1,2,3\n"), "gzip data: unpack it first"),
+        (gzip.compress(b"t,q,tau\n1,2,3\n", mtime=0), "gzip data: unpack it first"),
         (b"PK\x03\x04" + bytes(100), "Excel workbook.*save it as CSV"),
         (b"PAR1" + bytes(100), "a Parquet file: write it as CSV"),
         (bytes(range(256)) * 20, "no text"),
