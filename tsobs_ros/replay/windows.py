@@ -21,8 +21,8 @@ from tsobs_ros.replay.schedule import Past, Schedule, as_recorded, at_rate, at_s
 from tsobs_ros.replay.source import Live, Samples, Source, places_of_innovations
 from tsobs_ros.replay.table import Recorded
 
-WINDOW = 2**16
-"""Number of messages in a window: some 40 s of a bag with live estimates at 200 Hz."""
+WINDOW = 2**15
+"""Number of messages in a window: some 25 s of a bag with live estimates at 200 Hz."""
 
 
 @dataclass(frozen=True)

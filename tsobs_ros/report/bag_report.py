@@ -3,6 +3,7 @@
 """The report on a bag: a table, a figure, an interactive page, and the same numbers as JSON."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,7 +30,7 @@ from tsobs_ros.report.comparison import (
 )
 from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
 from tsobs_ros.report.panels import picture
-from tsobs_ros.report.run import RunParts, find_run
+from tsobs_ros.report.run import RecordedRun, RunParts, find_run
 
 
 class ReportError(TsobsError, RuntimeError):
@@ -136,7 +137,8 @@ def make_bag_report(
     file = files[run.joint]
     std = expected_innovation(file.design)
     options = MetricsOptions(innovation_std=std)
-    metrics = measure(parts, options)
+    health = _HealthOf(parts)
+    metrics = measure(health, options)
     comparison = None
     if ekf and parts.has_truth:
         comparison = compare_with_ekf(run, metrics, bag, files, run.ran.settings(), options)
@@ -152,14 +154,13 @@ def make_bag_report(
         remarks.append(f"note: no report.html: {missing_library('plotly')}")
     outputs = ["report.png", *(["report.html"] if page else []), "report.json"]
     written = tuple(output / name for name in outputs)
-    health, events = _health(parts)
     report = BagReport(
         bag=bag,
         joint=run.joint,
         design=file,
         metrics=metrics,
-        health=health,
-        events=events,
+        health=health.sum.result(),
+        events=tuple(health.finder.events),
         begin=run.origin,
         comparison=comparison,
         files=written,
@@ -183,11 +184,17 @@ def make_bag_report(
     return report
 
 
-def _health(parts: RunParts) -> tuple[Health | None, tuple[JointEvent, ...]]:
-    found, health = EventFinder([parts.run.joint], parts.run.topic), HealthSum()
-    for part in parts:
-        if part.health is not None:
-            stamps, values = part.health
-            found.add(stamps, stamps, values[:, np.newaxis])
-            health.add(values)
-    return health.result(), tuple(found.events)
+class _HealthOf:
+    """The parts of a run, whose health is gathered as they pass."""
+
+    def __init__(self, parts: RunParts) -> None:
+        self._parts = parts
+        self.sum, self.finder = HealthSum(), EventFinder([parts.run.joint], parts.run.topic)
+
+    def __iter__(self) -> Iterator[RecordedRun]:
+        for part in self._parts:
+            if part.health is not None:
+                stamps, values = part.health
+                self.finder.add(stamps, stamps, values[:, np.newaxis])
+                self.sum.add(values)
+            yield part

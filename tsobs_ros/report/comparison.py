@@ -8,11 +8,10 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -33,10 +32,9 @@ from tsobs_ros.report.metrics import (
     SIGMAS,
     MetricsOptions,
     RunMetrics,
-    Score,
+    ScoreFile,
     SquareSum,
     measure_scores,
-    score,
 )
 from tsobs_ros.report.run import RecordedRun, Series
 
@@ -293,7 +291,7 @@ class _RunScore:
         std = expected_innovation(run.observer.designs[joint])
         self._options = replace(options, innovation_std=std)
         self._innovations = SquareSum()
-        self._pass, self._longest = _PassScores(), _PassScores()
+        self._pass, self._longest = ScoreFile(), ScoreFile()
         self._newest = 0
 
     def add(self, truth: Truth) -> None:
@@ -314,7 +312,7 @@ class _RunScore:
         if self._pass.count > self._longest.count:
             self._pass, self._longest = self._longest, self._pass
         self._pass.close()
-        self._pass, self._newest = _PassScores(), 0
+        self._pass, self._newest = ScoreFile(), 0
 
     def _part(self, ticks: NDArray[np.intp], messages: slice, truth: Truth) -> RecordedRun:
         """Return a part of the run as if it had been recorded."""
@@ -351,38 +349,6 @@ class _RunScore:
         scores.close()
         innovation = self._innovations.root_mean()
         return ObserverErrors(self._run.observer.name, self._name, innovation, metrics)
-
-
-class _PassScores:
-    """Scores of the parts of a pass of time, in a temporary file.
-
-    Attributes:
-        count: Number of estimates.
-        origin: Stamp that times count from [ns]; None before the first part.
-        until: End of the parts until now [ns].
-    """
-
-    def __init__(self) -> None:
-        self.count, self._parts = 0, 0
-        self.origin: int | None = None
-        self.until: int | None = None
-        self._file = TemporaryFile()  # noqa: SIM115 (`close` closes it)
-
-    def add(self, part: RecordedRun, options: MetricsOptions) -> None:
-        self.origin, self.until = part.origin, part.until
-        self.count += len(part.stamps)
-        self._parts += 1
-        for one in score(part, options):
-            np.save(self._file, np.zeros((0, 2)) if one is None else one)
-
-    def close(self) -> None:
-        self._file.close()
-
-    def __iter__(self) -> Iterator[Score]:
-        self._file.seek(0)
-        for _ in range(self._parts):
-            fields = [np.load(self._file) for _ in Score._fields]
-            yield Score(*fields[:5], *(one.item() for one in fields[5:]))
 
 
 def _series(series: JointSeries | None, begin: int, names: int) -> Series | None:

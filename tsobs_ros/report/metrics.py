@@ -9,7 +9,9 @@ start and after each jump of the true disturbance, which no estimator can know a
 import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
+from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -219,23 +221,51 @@ def measure(
     """Measure a run.
 
     Args:
-        run: The recorded run, or its parts, which are gone through twice; without truth only its
-            bounds and innovations are measured.
+        run: The recorded run, or its parts; without truth only its bounds and innovations are
+            measured.
         options: Options of the measures; the defaults if None.
     """
     options = options or MetricsOptions()
-    parts = [run] if isinstance(run, RecordedRun) else run
-    return measure_scores(_Scored(parts, options), options)
+    if isinstance(run, RecordedRun):
+        return measure_scores([score(run, options)], options)
+    with closing(ScoreFile()) as scores:
+        for part in run:
+            scores.add(part, options)
+        return measure_scores(scores, options)
 
 
-class _Scored:
-    """Scores of parts, made each time that they are gone through."""
+class ScoreFile:
+    """Scores of the parts of a run in a temporary file, 0.1 kB for each estimate.
 
-    def __init__(self, parts: Iterable[RecordedRun], options: MetricsOptions) -> None:
-        self._parts, self._options = parts, options
+    Attributes:
+        count: Number of estimates.
+        origin: Stamp that times count from [ns]; None before the first part.
+        until: End of the parts until now [ns].
+    """
+
+    def __init__(self) -> None:
+        self.count, self._parts = 0, 0
+        self.origin: int | None = None
+        self.until: int | None = None
+        self._file = TemporaryFile()  # noqa: SIM115 (`close` closes it)
+
+    def add(self, part: RecordedRun, options: MetricsOptions) -> None:
+        """Add a part."""
+        self.origin, self.until = part.origin, part.until
+        self.count += len(part.stamps)
+        self._parts += 1
+        for one in score(part, options):
+            np.save(self._file, np.zeros((0, 2)) if one is None else one)
+
+    def close(self) -> None:
+        """Delete the file."""
+        self._file.close()
 
     def __iter__(self) -> Iterator[Score]:
-        return (score(part, self._options) for part in self._parts)
+        self._file.seek(0)
+        for _ in range(self._parts):
+            fields = [np.load(self._file) for _ in Score._fields]
+            yield Score(*fields[:5], *(one.item() for one in fields[5:]))
 
 
 def measure_scores(scores: Iterable[Score], options: MetricsOptions) -> RunMetrics:

@@ -18,6 +18,7 @@ from tsobs_ros.style import INK, MUTED
 
 _ROW = 210
 _HEAD = 130
+_PIECE = 2**16
 _CELL: dict[str, Any] = {}
 
 
@@ -34,19 +35,23 @@ def write_html(picture: Picture, path: Path) -> None:
     Raises:
         OSError: The page cannot be written.
     """
-    body = _figure(picture).to_html(
-        include_plotlyjs=False,
-        full_html=False,
-        div_id="run",  # a random one would make each page of the same run another
-        config={"displaylogo": False, "responsive": True},
-    )
-    # One after the other: together they would take several times their size of memory.
     with path.open("w", encoding="utf-8") as page:
         page.write(f"<html>\n<head><title>{html.escape(picture.name)}</title>")
         page.write('<meta charset="utf-8" /></head>\n<body>\n<script>')
-        page.write(get_plotlyjs())
+        # In pieces, and before there is a figure: together they would take several times as much.
+        script = get_plotlyjs()
+        for begin in range(0, len(script), _PIECE):
+            page.write(script[begin : begin + _PIECE])
+        del script
         page.write("</script>\n")
-        page.write(body)
+        page.write(
+            _figure(picture).to_html(
+                include_plotlyjs=False,
+                full_html=False,
+                div_id="run",  # a random one would make each page of the same run another
+                config={"displaylogo": False, "responsive": True},
+            )
+        )
         page.write("\n</body>\n</html>\n")
 
 
