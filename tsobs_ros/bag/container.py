@@ -134,7 +134,7 @@ def chunk_records(chunk: Chunk) -> bytes:
 class ContentLimit:
     """What the chunks of a file may decompress to: 1 GiB and 100 bytes for each byte of the file.
 
-    In these there may be 524,288 records, and one for each four bytes of the file. Without a
+    In these there may be 524,288 records, and one for each six bytes of the file. Without a
     limit, a file of some kilobytes can be hours of work.
 
     Args:
@@ -147,7 +147,7 @@ class ContentLimit:
 
     def __init__(self, size: int, is_trusted: bool) -> None:
         self._bytes_left = 2**64 if is_trusted else 2**30 + 100 * size
-        self.records_left = 2**64 if is_trusted else 2**19 + size // 4
+        self.records_left = 2**64 if is_trusted else 2**19 + size // 6
 
     def count_chunk(self, chunk: Chunk) -> None:
         """Count a chunk before it is decompressed.
