@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import islice
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,8 @@ from tsobs_ros.bag.reader import BagMessage, BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.errors import BagReadError
 
-_BLOCK = 8192
+_STEP = 8192
+_DATA, _LOG_TIME, _PUBLISH_TIME = map(itemgetter, (2, 3, 4))
 
 Times = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -82,31 +84,26 @@ class _Builder:
     """Gathers one topic's messages and turns them into arrays, a block at a time."""
 
     def __init__(self, wanted: Wanted) -> None:
+        self.waiting: list[BagMessage] = []
         self._wanted = wanted
         self._decoder = JointStateDecoder()
-        self._waiting: list[BagMessage] = []
         self._blocks: list[JointSeries] = []
         self._others: dict[str, None] = {}
 
-    def add(self, message: BagMessage) -> None:
-        self._waiting.append(message)
-        if len(self._waiting) >= _BLOCK:
-            self._decode()
-
     def take(self) -> JointSeries:
-        """Return what has been added since the last call."""
-        self._decode()
+        """Return what has been decoded since the last call."""
         first, *rest = self._blocks
         self._blocks = []
         return first.followed_by(*rest)
 
-    def _decode(self) -> None:
-        messages, self._waiting = self._waiting, []
-        block = _empty(len(messages), self._wanted)
-        block.log_times[:] = [message.log_time for message in messages]
-        block.publish_times[:] = [message.publish_time for message in messages]
+    def decode(self) -> None:
+        """Decode the messages that wait."""
+        block = _empty(len(self.waiting), self._wanted)
+        block.log_times[:] = list(map(_LOG_TIME, self.waiting))
+        block.publish_times[:] = list(map(_PUBLISH_TIME, self.waiting))
         # What is malformed names nobody, and so is no sample of anybody.
-        groups, _ = self._decoder.decode_all([message.data for message in messages])
+        groups, _ = self._decoder.decode_all(list(map(_DATA, self.waiting)))
+        self.waiting.clear()
         for group in groups:
             self._place(group, block)
         self._blocks.append(replace(block, other_names=tuple(self._others)))
@@ -164,29 +161,26 @@ def read_blocks(
         require_joint_states(reader, name)
     builders = {name: _Builder(each) for name, each in wanted.items()}
     messages = until_damage(reader.messages(list(wanted)), on_damage)
+    add = {name: builder.waiting.append for name, builder in builders.items()}
+    step = _STEP if size is None else min(_STEP, size // 4)
     while True:
         count, horizon = 0, math.inf
-        for message in islice(messages, size):
-            builders[message.topic].add(message)
-            count += 1
-            if size is not None and 4 * count == 3 * size:
-                horizon = message.log_time
+        while size is None or count < size:
+            some = list(islice(messages, step if size is None else min(step, size - count)))
+            for message in some:
+                add[message[0]](message)
+            for builder in builders.values():
+                builder.decode()
+            count += len(some)
+            if size is not None and horizon == math.inf and 4 * count >= 3 * size:
+                horizon = some[-1].log_time if some else math.inf
+            if len(some) < step:
+                break
         whole = size is None or count < size
         series = {name: builder.take() for name, builder in builders.items()}
         yield Block(series, math.inf if whole else horizon)
         if whole:
             return
-
-
-def read_joint_series(
-    reader: BagReader,
-    wanted: Mapping[str, Wanted],
-    *,
-    on_damage: Callable[[BagReadError], None] | None = None,
-) -> dict[str, JointSeries]:
-    """Read some topics of a bag at once; see `read_blocks`."""
-    (block,) = read_blocks(reader, wanted, on_damage=on_damage)
-    return block.series
 
 
 def require_joint_states(reader: BagReader, topic: str) -> None:
