@@ -249,7 +249,7 @@ ARM = [
     (("design", "rate"), True, "design.rate: expected a number, got True"),
     (("design", "rate"), math.nan, "design.rate: expected a finite number, got nan"),
     (("design", "rate"), "inf", "design.rate: expected a finite number above 0, got inf"),
-    (("design", "rate"), 10**400, "design.rate: expected a finite number, got 1000000"),
+    (("design", "rate"), 10**400, "not valid YAML: line \\d+: a number of 401 digits"),
     (("design", "rate"), 0.0, "design.rate: expected a finite number above 0, got 0.0"),
     (("design", "x_max"), 4.0, "design.x_max: expected 0 < x_max <= π, got 4.0"),
     (("design", "arm", "mass"), 3.0, "design.arm: unknown entry 'mass', expected some of link_in"),
@@ -409,7 +409,7 @@ def test_numpy_numbers_are_saved_as_numbers(shipped: Design, tmp_path: Path) -> 
 def test_what_is_no_file_is_named(load: Any, tmp_path: Path) -> None:
     with pytest.raises(DesignFileError, match=r"nothing\.yaml: no such design file"):
         load(tmp_path / "nothing.yaml")
-    with pytest.raises(DesignFileError, match="cannot read the design file: Is a directory"):
+    with pytest.raises(DesignFileError, match="cannot read the design file: not a regular file"):
         load(tmp_path)
     path = tmp_path / "my.yaml"
     with path.open("wb") as file:

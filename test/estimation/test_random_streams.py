@@ -7,10 +7,10 @@ import tracemalloc
 from typing import Any
 
 import numpy as np
-from faults.arm import Arm
-from faults.streams import Arrival, Mix, arrivals, mixes
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from staging.arm import Arm
+from staging.streams import Arrival, Mix, arrivals, mixes
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import NANOSECONDS, Innovation, RejectReason

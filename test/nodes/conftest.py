@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from faults.stage import Stage
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.serialization import serialize_message
+from staging.stage import Stage
 from std_msgs.msg import String
 
 from tsobs_ros.bag import BagWriter

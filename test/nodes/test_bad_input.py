@@ -10,8 +10,6 @@ import math
 import numpy as np
 import pytest
 import rclpy
-from faults.arm import Arm
-from faults.stage import BEGIN, SIGMAS, TOPIC, Event, Stage, Watcher, good
 from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
@@ -21,6 +19,8 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
+from staging.arm import Arm
+from staging.stage import BEGIN, SIGMAS, TOPIC, Event, Stage, Watcher, good
 from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason

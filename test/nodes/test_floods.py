@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from faults.arm import Arm
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from staging.arm import Arm
 
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 from tsobs_ros.nodes.messages import to_nanoseconds

@@ -6,10 +6,10 @@ import gc
 import tracemalloc
 
 import pytest
-from faults.arm import Arm
-from faults.stage import Event, Stage
-from faults.streams import Mix, arrivals, mixes
 from hypothesis import HealthCheck, Phase, given, settings
+from staging.arm import Arm
+from staging.stage import Event, Stage
+from staging.streams import Mix, arrivals, mixes
 from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.records import NANOSECONDS

@@ -4,8 +4,11 @@
 
 import numpy as np
 import pytest
-from faults.arm import Arm
-from faults.stage import (
+from rcl_interfaces.msg import Log
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+from staging.arm import Arm
+from staging.stage import (
     BEGIN,
     MS,
     PERIOD,
@@ -17,9 +20,6 @@ from faults.stage import (
     tracker_of,
     values,
 )
-from rcl_interfaces.msg import Log
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from faults.arm import Arm
-from faults.stage import (
+from sensor_msgs.msg import JointState
+from staging.arm import Arm
+from staging.stage import (
     BEGIN,
     ESTIMATES,
     MS,
@@ -23,7 +24,6 @@ from faults.stage import (
     tracker_of,
     values,
 )
-from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation.records import NANOSECONDS, Innovation, RejectReason

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faults.arm import Arm
-from faults.stage import BEGIN, OUTPUTS, PERIOD, TOPIC, Event, Stage, good
 from rcl_interfaces.msg import Log
 from rclpy.parameter import Parameter
+from staging.arm import Arm
+from staging.stage import BEGIN, OUTPUTS, PERIOD, TOPIC, Event, Stage, good
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.bag import BagReader, BagWriter

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faults.arm import Arm
-from faults.stage import BEGIN, MS, PERIOD
+from staging.arm import Arm
+from staging.stage import BEGIN, MS, PERIOD
 
 from tsobs_ros.estimation.events import BOUNDS, Condition
 from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status

@@ -22,7 +22,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from faults.arm import Arm
+from staging.arm import Arm
 from tsobs_ros.estimation.records import NANOSECONDS, Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.draining import DrainedSubscription

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from hypothesis import strategies as st
 
-from faults.arm import Arm
+from staging.arm import Arm
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
 
 _MS = 1_000_000
