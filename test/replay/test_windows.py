@@ -12,6 +12,7 @@ from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.design.file import ArmDesignFile
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
+from tsobs_ros.replay.log import LogSource
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.comparison import RunScores
 
@@ -92,6 +93,21 @@ def test_windows_change_nothing(
     assert result(parts, tmp_path / "parts") == expected
     assert not observed or expected[-1].complete, expected[-1].text()
     assert parts.samples.count < 600
+
+
+def test_windows_of_a_log_change_nothing(arms, estimate, tmp_path) -> None:
+    log = tmp_path / "log.csv"
+    rows = [
+        f"{0.005 * k % 35:.3f},{arms.y[k % 600, 0]},{arms.u[k % 600, 0]}" for k in range(11_000)
+    ]
+    rows[5000] = "25.000,,0.1"
+    log.write_text("\n".join(["time [s],angle [rad],torque [N m]", *rows]))
+
+    whole = estimate(LogSource(log), output="whole")
+    parts = estimate(LogSource(log), output="parts", window=4096)
+
+    assert result(parts, tmp_path / "parts") == result(whole, tmp_path / "whole")
+    assert parts.samples.count < 7000
 
 
 WINDOW = 400
