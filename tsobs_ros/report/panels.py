@@ -156,7 +156,7 @@ def picture(
     """
     quantities = [_Quantity(place, metrics) for place in range(len(QUANTITIES))]
     innovations, sizes = _Extremes(), ThinnedValues(_FOR_QUANTILES)
-    health: list[tuple[Array, Array]] = []
+    health = _Health()
     first, last, measured, part = math.inf, 0.0, 0.0, None
     known, has_truth = False, False
     for part in [run] if isinstance(run, RecordedRun) else run:
@@ -173,13 +173,13 @@ def picture(
             innovations.add(times, values)
             sizes.add(np.abs(values[np.isfinite(values)]))
         if part.health is not None and len(part.health.stamps):
-            health.append((part.health.seconds(part.origin), part.health.values))
+            health.add(part.health.seconds(part.origin), part.health.values)
     assert part is not None, "a run has a part"
     made = [quantity.panel() for quantity in quantities]
     if innovations.there:
         made.append(_innovation_panel(innovations.curve(), sizes, metrics, innovation_std))
-    if health:
-        made.append(_health_panel(*map(np.concatenate, zip(*health, strict=True))))
+    if health.count:
+        made.append(health.panel())
     return Picture(
         name=part.name,
         headline=_headline(metrics, has_truth=known),
@@ -378,42 +378,56 @@ def _innovation_panel(
     return Panel("rad", remark, Plot("innovation", (-size, size), dots=curve, level=level))
 
 
-def _health_panel(times: Array, values: Array) -> Panel:
-    """Return the history of noise scale and coloured power; void bounds are marked."""
-    scale, coloured = Curve(times, values[:, 0]), Curve(times, values[:, 1])
-    void = ~np.isin(values[:, 2], _NOT_VOID)
-    low, high = min(0.0, float(coloured.values.min())), float(max(scale.values.max(), 1.5))
-    high = max(high, float(coloured.values.max()))
-    margin = 0.08 * (high - low)
-    taken_for = [
-        f"{100.0 * share:.3g} % {_words(one)}"
-        for one in Hypothesis
-        if (share := (values[:, 4] == one).mean())
-    ]
-    remark = (
-        f"median {np.median(scale.values):.2f}, at most {scale.values.max():.2f}",
-        f"marked: void bound, {100.0 * void.mean():.3g} %",
-        *taken_for,
-    )
-    plot = Plot(
-        "noise scale",
-        (low - margin, high + margin),
-        estimate=thin(scale),
-        other=(thin(coloured), "coloured power"),
-        spans=tuple(_spans(times, void)),
-    )
-    return Panel("design's = 1", remark, plot)
+class _Health:
+    """Gathers the history of noise scale and coloured power; void bounds are marked."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._scale, self._coloured = _Extremes(), _Extremes()
+        self._scales = ThinnedValues(_FOR_QUANTILES)
+        self._void = 0
+        self._hypotheses = np.zeros(len(Hypothesis), np.int64)
+        # Times at which bounds become void and others again, in turn.
+        self._edges: list[float] = []
+        self._last = 0.0
+
+    def add(self, times: Array, values: Array) -> None:
+        self._scale.add(times, values[:, 0])
+        self._coloured.add(times, values[:, 1])
+        self._scales.add(values[:, 0])
+        void = ~np.isin(values[:, 2], _NOT_VOID)
+        was_void = len(self._edges) % 2
+        changes = np.diff(void.astype(np.int8), prepend=was_void) != 0
+        self._edges += times[changes].tolist()
+        self._void += int(void.sum())
+        self._hypotheses += [(values[:, 4] == one).sum() for one in Hypothesis]
+        self.count, self._last = self.count + len(times), float(times[-1])
+
+    def panel(self) -> Panel:
+        scale, coloured = self._scale.curve(), self._coloured.curve()
+        largest = float(scale.values.max())
+        low = min(0.0, float(coloured.values.min()))
+        high = max(largest, 1.5, float(coloured.values.max()))
+        margin = 0.08 * (high - low)
+        shares = zip(Hypothesis, (self._hypotheses / self.count).tolist(), strict=True)
+        remark = (
+            f"median {np.median(self._scales.values):.2f}, at most {largest:.2f}",
+            f"marked: void bound, {100.0 * self._void / self.count:.3g} %",
+            *(f"{100.0 * share:.3g} % {_words(one)}" for one, share in shares if share),
+        )
+        ends = [*self._edges, self._last][: 2 * ((len(self._edges) + 1) // 2)]
+        plot = Plot(
+            "noise scale",
+            (low - margin, high + margin),
+            estimate=scale,
+            other=(coloured, "coloured power"),
+            spans=tuple(zip(ends[::2], ends[1::2], strict=True)),
+        )
+        return Panel("design's = 1", remark, plot)
 
 
 def _words(code: Hypothesis) -> str:
     return code.name.lower().replace("_", " ")
-
-
-def _spans(times: Array, marked: NDArray[np.bool_]) -> Iterator[tuple[float, float]]:
-    """Yield begin and end of each run of marked times."""
-    edges = np.flatnonzero(np.diff(marked.astype(np.int8), prepend=0, append=0)).reshape(-1, 2)
-    for begin, end in edges.tolist():
-        yield float(times[begin]), float(times[min(end, len(times) - 1)])
 
 
 def _remark(metrics: RunMetrics, quantity: Quantity) -> tuple[str, ...]:
