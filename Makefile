@@ -12,7 +12,7 @@ SOURCES := setup.py setup.cfg pyproject.toml package.xml $(wildcard config/*.yam
 EXTRAS := design,report,export
 # The NumPy that a ROS found was built for; another one breaks its messages.
 NUMPY = $$(test -s $(VENV)/.ros || $(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)')
-PYTEST_ARGS ?= -n 2
+PYTEST_ARGS ?= -n 3
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
