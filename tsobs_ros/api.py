@@ -32,7 +32,7 @@ from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import KINDS, Component, Excitation, Sine, parse_kinds
 
 if TYPE_CHECKING:
-    from tsobs_ros.replay.estimate import Run
+    from tsobs_ros.replay.estimate import Observer, Run
     from tsobs_ros.replay.source import Source
     from tsobs_ros.report.comparison import ObserverErrors
 
@@ -309,7 +309,11 @@ def estimate_bag(
     >>> estimates.joints["elastic_joint"].state.shape
     (600, 4)
     """
-    source, (run,) = _run(path, design, settings, (), rate, joints, output)
+    from tsobs_ros.replay.estimate import make_runs, run_all
+
+    source, observers = _observers(path, design, settings, (), joints)
+    (run,) = runs = make_runs(source, observers, rate=rate, as_live=rate is None)
+    run_all(source, runs, None if output is None else Path(output))
     agreement = run.agreement()
     return BagEstimates(
         joints={name: _joint(source, run, place) for place, name in enumerate(source.joints)},
@@ -352,30 +356,21 @@ def compare(
     >>> [row.observer for row in rows]
     ['certified', 'high_gain']
     """
-    from tsobs_ros.report.comparison import compare_runs
+    from tsobs_ros.report.comparison import compare_observers
 
-    source, runs = _run(path, design, None, methods, None, joints, None)
-    return Comparison(compare_runs(source, runs))
+    return Comparison(compare_observers(*_observers(path, design, None, methods, joints)))
 
 
-def _run(
+def _observers(
     path: str | Path,
     design: Design | str | Path | None,
     settings: ObserverSettings | None,
     methods: Sequence[str],
-    rate: float | None,
     joints: Sequence[str],
-    output: str | Path | None,
-) -> "tuple[Source, list[Run]]":
+) -> "tuple[Source, list[Observer]]":
     # Not needed for arrays, and slow to import.
     from tsobs_ros.replay.designs import choose_designs
-    from tsobs_ros.replay.estimate import (
-        Observer,
-        make_runs,
-        open_source,
-        run_all,
-        without_misfits,
-    )
+    from tsobs_ros.replay.estimate import Observer, open_source, without_misfits
 
     no_torque = None if settings is None else settings.assume_zero_torque
     source = open_source(path, joints=joints, assume_zero_torque=no_torque)
@@ -392,9 +387,7 @@ def _run(
     ]
     if not single:
         observers, _ = without_misfits(observers)
-    runs = make_runs(source, observers, rate=rate, as_live=rate is None)
-    run_all(source, runs, None if output is None else Path(output))
-    return source, runs
+    return source, observers
 
 
 def _joint(source: "Source", run: "Run", joint: int) -> Estimates:

@@ -15,7 +15,6 @@ from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.comparison import (
     RunScores,
-    compare_runs,
     expected_innovation,
     render_comparison,
 )
@@ -32,9 +31,10 @@ def test_each_is_measured_as_if_it_had_been_recorded(
     settings = [ObserverSettings(method=method) for method in ("certified", "ekf", "high_gain")]
     observers = [Observer(one.method, one, (ArmDesignFile.of(design),)) for one in settings]
     runs = make_runs(source, observers, rate=None, as_live=False)
-    run_all(source, runs, tmp_path / "new")
+    scores = RunScores(source, runs)
+    run_all(source, runs, tmp_path / "new", after_window=scores.add)
 
-    errors = compare_runs(source, runs)
+    errors = scores.errors()
 
     options = MetricsOptions(innovation_std=expected_innovation(design))
     for one in errors[:2]:
@@ -99,14 +99,13 @@ def test_windows_give_the_errors_of_the_whole(
 ) -> None:
     source = BagSource(write_bag(messages_of(simulated)))
     observer = Observer("certified", ObserverSettings(), (ArmDesignFile.of(design),))
-    (whole,) = runs = make_runs(source, [observer], rate=None, as_live=False)
-    run_all(source, runs, None)
-    (expected,) = compare_runs(source, runs)
+    found = []
+    for window in (None, 400):
+        (run,) = runs = make_runs(source, [observer], rate=None, as_live=False, window=window)
+        scores = RunScores(source, runs, size=window)
+        run_all(source, runs, None, after_window=scores.add)
+        found += scores.errors()
+    expected, of_windows = found
 
-    parts = make_runs(source, [observer], rate=None, as_live=False, window=400)
-    scores = RunScores(source, parts, size=400)
-    run_all(source, parts, None, after_window=scores.add)
-    (found,) = scores.errors()
-
-    assert parts[0].samples.count < whole.samples.count / 4
-    assert found.as_mapping() == approximately(expected.as_mapping())
+    assert run.samples.count < source.count / 4
+    assert of_windows.as_mapping() == approximately(expected.as_mapping())

@@ -160,7 +160,7 @@ def compare_with_ekf(
         Observer(method, replace(settings, method=method), tuple(files.values()))
         for method in (EKFS if learns else EKFS[:1])
     ]
-    errors = _errors_of(source, observers, options)
+    errors = compare_observers(source, observers, options)
     own = [one for one in errors if one.joint == run.joint]
     best = min(own, key=lambda one: one.normalised_rmse)
     if best.metrics is None:
@@ -185,7 +185,7 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
         ]
         errors = dict.fromkeys((choice.name for choice in choices), 0.0)
         if choices:
-            for row in _errors_of(source, choices):
+            for row in compare_observers(source, choices):
                 errors[row.observer] += row.normalised_rmse
         best = min(choices, key=lambda choice: errors[choice.name], default=one)
         if errors and errors[best.name] < math.inf:
@@ -197,22 +197,13 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
     return tuned, remarks
 
 
-def _errors_of(
+def compare_observers(
     source: Source, observers: Sequence[Observer], options: MetricsOptions | None = None
 ) -> list[ObserverErrors]:
     """Run observers when the recorded one estimated, if there is one, and measure them."""
     runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
     scores = RunScores(source, runs, options)
     run_all(source, runs, None, after_window=scores.add)
-    return scores.errors()
-
-
-def compare_runs(
-    source: Source, runs: Sequence[Run], options: MetricsOptions | None = None
-) -> list[ObserverErrors]:
-    """Measure finished runs over one window with all measurements."""
-    scores = RunScores(source, runs, options, size=None)
-    scores.add()
     return scores.errors()
 
 
