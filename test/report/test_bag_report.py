@@ -18,13 +18,16 @@ from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 SHIPPED = str(config_path(SHIPPED_DESIGN))
 
 
-def test_a_report_of_a_simulated_bag(simulated, messages_of, write_bag, design, tmp_path) -> None:
+def test_a_report_of_a_simulated_bag(
+    simulated, messages_of, write_bag, design, approximately, tmp_path
+) -> None:
     output = tmp_path / "new" / "folder"
 
     report = make_bag_report(write_bag(messages_of(simulated)), output, design=SHIPPED)
 
     options = MetricsOptions(innovation_std=expected_innovation(design))
-    assert report.metrics == measure(simulated, options)
+    expected = measure(simulated, options).as_mapping()
+    assert report.metrics.as_mapping() == approximately(expected)
     # The very number that `tsobs compare` shows.
     rows = {row.observer: row.metrics for row in ts.compare(report.bag, SHIPPED, methods=EKFS)}
     best = min(rows, key=lambda name: rows[name].normalised_rmse)

@@ -6,14 +6,14 @@ import numpy as np
 
 from tsobs_ros.checks import Array
 
-_MAX_KEPT = 2**18
+_MAX_KEPT = 2**16
 
 
 class ThinnedValues:
-    """Every k-th of the values that were added; all of them until there are 262,144.
+    """Every k-th of the values that were added; all of them until there are 65,536.
 
     A quantile of n values kept is one of all values whose share is off by about √(¼/n) at most if
-    neighbours are independent: 0.1 % of the values. Neighbours that are alike make it better.
+    neighbours are independent: 0.2 % of the values. Neighbours that are alike make it better.
 
     >>> thinned = ThinnedValues(max_kept=4)
     >>> for begin in range(0, 12, 3):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run as one picture, drawn without any display and without matplotlib's global state."""
 
+import gc
 from pathlib import Path
 
 import matplotlib
@@ -40,6 +41,9 @@ def draw_run(picture: Picture, path: Path) -> None:
         # Without the date the same run gives the same SVG.
         metadata = {"Date": None} if path.suffix == ".svg" else {}
         figure.savefig(path, dpi=_DPI, metadata=metadata)
+        del figure
+    # Its parts refer to each other, and would else stay as long as the page needs memory.
+    gc.collect()
 
 
 def _figure(picture: Picture) -> Figure:

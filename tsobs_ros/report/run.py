@@ -40,8 +40,8 @@ _WIDTHS = {
     "measurements": 2,
     "health": len(topics.CONDITIONS),
 }
-BLOCK = 2**15
-"""Number of messages that are read at once, of all topics: some 20 s at 200 Hz."""
+BLOCK = 2**14
+"""Number of messages that are read at once, of all topics: some 10 s at 200 Hz."""
 # Messages may be recorded this late [ns], and truth before a part still serves it.
 _LATENESS, _BEFORE = 2 * NANOSECONDS, NANOSECONDS
 
