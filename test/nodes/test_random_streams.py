@@ -88,7 +88,7 @@ def test_anything_may_come_and_a_reset_observer_is_a_new_one(
 def test_memory_is_bounded(playing: Stage) -> None:
     mix = Mix(seed=7, weights=(20, *[1] * 8, 0, 1), period=5_000_000, bias=0.0)
     sizes = []
-    for part in range(4):
+    for part in range(6):
         play(playing, mix._replace(seed=part), 600)
         playing.watcher.published.clear()
         if part == 1:
@@ -97,5 +97,6 @@ def test_memory_is_bounded(playing: Stage) -> None:
             gc.collect()
             sizes.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
-    # Only what comes to stay is counted: 600 messages kept would be a quarter of a megabyte.
-    assert sizes[2] - sizes[1] < 60_000, sizes
+    # Only what comes to stay is counted: 600 messages kept would be a quarter of a megabyte. The
+    # windows that diagnostics look back over have filled before.
+    assert sizes[-1] - sizes[-2] < 60_000, sizes
