@@ -199,7 +199,10 @@ def test_the_shipped_parameters_fit_together_and_the_recorder_awaits_nothing_for
     assert f"error: {bag}/bag_0.mcap: the file has no end" in player.finish(TIMEOUT).stderr
     end(dict.fromkeys(processes.values(), signal.SIGTERM))
 
-    assert not any("[WARN]" in p.output for p in processes.values() if "takes any" not in p.output)
+    # A busy machine may make the others warn of late samples or a slow plant.
+    assert "[WARN]" not in processes["recorder"].output
+    for process in processes.values():
+        assert "ignored unknown parameters" not in process.output
     recorded = BagReader(bag).topics
     assert {f"/observer/{name}" for name in OF_EVERY_OBSERVER} <= recorded.keys()
     assert {"/diagnostics", "/ground_truth/joint_states", f"/{MEASUREMENTS}"} <= recorded.keys()
