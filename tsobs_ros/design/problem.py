@@ -81,6 +81,16 @@ class DesignProblem(ABC):
 
     @property
     @abstractmethod
+    def output_names(self) -> tuple[str, ...]:
+        """The names of the p outputs, alone."""
+
+    @property
+    @abstractmethod
+    def input_names(self) -> tuple[str, ...]:
+        """The names of the inputs and then of the scheduled signals, alone."""
+
+    @property
+    @abstractmethod
     def headline(self) -> str:
         """The problem in words, for reports."""
 

@@ -263,6 +263,21 @@ class ArmRequest(DesignProblem):
         )
 
     @property
+    def output_names(self) -> tuple[str, ...]:
+        """What is measured: the link's angle."""
+        return ("link_angle",)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """The motor's torque."""
+        return ("torque",)
+
+    @property
+    def torque_sides(self) -> tuple[str, ...]:
+        """The sides whose torque disturbance is estimated, some of motor and link."""
+        return ()
+
+    @property
     def headline(self) -> str:
         """The disturbance and the domain in words."""
         return f"disturbance {self.disturbance_model.label}, |q1| <= {self.x_max:.4g} rad"
@@ -453,6 +468,17 @@ class TSRequest(DesignProblem):
     def state_names(self) -> tuple[str, ...]:
         """x1 to xn."""
         return tuple(f"x{i + 1}" for i in range(self.model.state_count))
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """y1 to yp."""
+        return tuple(f"y{i + 1}" for i in range(self.model.C.shape[0]))
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """u1 to um, then the scheduled signals s1 and so on."""
+        inputs = tuple(f"u{i + 1}" for i in range(self.model.input_count))
+        return inputs + tuple(f"s{i + 1}" for i in range(self.model.schedule.shape[1]))
 
     @property
     def headline(self) -> str:

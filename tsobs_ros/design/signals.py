@@ -1,0 +1,102 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The places of a design's signals in messages, which are all JointStates.
+
+An arm has angles, velocities and torques. A driver publishes the side that its encoder is on under
+the joint's name; only with encoders on both sides the motor has an entry of its own. A T–S system
+has an entry a signal, whose value is its `position`.
+"""
+
+from typing import Literal, NamedTuple, TypeAlias
+
+from tsobs_ros.design.request import ArmRequest, TSRequest
+
+Field: TypeAlias = Literal["position", "velocity", "effort"]
+
+
+class Place(NamedTuple):
+    """Where a number is in a JointState.
+
+    Attributes:
+        name: Of the entry.
+        field: Of the message.
+    """
+
+    name: str
+    field: Field
+
+
+class Signals(NamedTuple):
+    """The places of a joint's signals.
+
+    Attributes:
+        outputs: Of each measured output, p places.
+        inputs: Of each input and then each scheduled signal, m places.
+        states: Of each state of the plant in estimates.
+        disturbances: Entry of each output in disturbances and innovations, p names.
+        torques: Of each torque disturbance in estimates, the motor's first.
+        other_inputs: Of each input if its place in `inputs` has no number; or None for each
+    """
+
+    outputs: tuple[Place, ...]
+    inputs: tuple[Place, ...]
+    states: tuple[Place, ...]
+    disturbances: tuple[str, ...]
+    torques: tuple[Place, ...]
+    other_inputs: tuple[Place | None, ...]
+
+
+def signals(request: ArmRequest | TSRequest, joint: str, alone: bool) -> Signals:
+    """Return the places of a joint's signals in measurements and estimates.
+
+    Args:
+        request: Of the joint's design.
+        joint: Its name.
+        alone: Whether it is the only one of its node; entries of a T–S system have the joint's
+            name before theirs if not.
+
+    >>> signals(ArmRequest(), "elbow", alone=True).outputs
+    (Place(name='elbow', field='position'),)
+    """
+    if isinstance(request, ArmRequest):
+        return _of_arm(request, joint)
+    outputs, inputs, states = (
+        tuple(name if alone else f"{joint}/{name}" for name in names)
+        for names in (request.output_names, request.input_names, request.state_names)
+    )
+    return Signals(
+        _positions(outputs),
+        _positions(inputs),
+        _positions(states),
+        outputs,
+        (),
+        (None,) * len(inputs),
+    )
+
+
+def _of_arm(request: ArmRequest, joint: str) -> Signals:
+    link, motor = f"{joint}_link", f"{joint}_motor"
+    names = request.output_names
+    both = len({name.partition("_")[0] for name in names}) == 2
+    outputs: list[Place] = []
+    for name in names:
+        side, _, quantity = name.partition("_")
+        field: Field = "position" if quantity == "angle" else "velocity"
+        outputs.append(Place(motor if both and side == "motor" else joint, field))
+    return Signals(
+        tuple(outputs),
+        (Place(joint, "effort"),),
+        (
+            Place(link, "position"),
+            Place(link, "velocity"),
+            Place(motor, "position"),
+            Place(motor, "velocity"),
+        ),
+        (joint,) if len(names) == 1 else tuple(f"{joint}/{name}" for name in names),
+        tuple(Place(motor if side == "motor" else link, "effort") for side in request.torque_sides),
+        (Place(motor, "effort") if both else None,),
+    )
+
+
+def _positions(names: tuple[str, ...]) -> tuple[Place, ...]:
+    return tuple(Place(name, "position") for name in names)
