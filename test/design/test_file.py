@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tsobs_ros.design.file import load_design, load_request, parse_design, save_design
+from tsobs_ros.design.names import Labels
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
 from tsobs_ros.errors import CertificateError, DesignFileError, ModelError
@@ -141,6 +142,31 @@ def test_a_scheduled_system_with_more_than_one_premise_is_read(
     np.testing.assert_array_equal(
         model.weights(np.array([0.4, 0.0]), held), model.weights(np.array([0.4, 9.0]), -held)
     )
+
+
+def test_names_and_units_are_read_back_and_stand_in_reports(
+    pendulum_data: dict[str, Any], tmp_path: Path
+) -> None:
+    """Signals that a file leaves out are numbered; a scheduled signal may be an output."""
+    data = changed(pendulum_data, ("names",), {"states": ["tilt", "speed"], "scheduled": ["y2"]})
+    units = {"states": ["rad", "rad/s"], "outputs": ["V", ""], "inputs": ["N m"]}
+    data = changed(data, ("units",), {**units, "scheduled": ["rad/s"]})
+    premises = {"angle": {"state": [1, 0]}, "load": {"scheduled": [1]}}
+    request = load_request(written(tmp_path, changed(data, ("system", "premises"), premises)))
+    assert isinstance(request, TSRequest)
+    assert request.state_names == ("tilt", "speed")
+    assert (request.output_names, request.output_units) == (("y1", "y2"), ("V", ""))
+    assert (request.input_names, request.input_units) == (("u1", "y2"), ("N m", "rad/s"))
+
+    save_design(Design(request, np.eye(3), np.zeros((3, 2)), SolverReport()), tmp_path / "a.yaml")
+    again = parse_design(tmp_path / "a.yaml")
+    assert (again.request.names, again.request.units) == (request.names, request.units)
+    assert again.summary()["outputs"] == ("y1", "y2")
+    assert "outputs (y1 [V], y2), inputs u1 [N m], y2 [rad/s]" in again.text()
+    proved = load_design(DATA / "system.design.yaml")
+    text = replace(proved, request=replace(proved.request, names=Labels(("tilt", "speed")))).text()
+    for name in ("tilt", "speed", "disturbance of y2, state 1"):
+        assert re.search(rf"\n  {name} +0\.\d{{5}}\n", text)
 
 
 def test_a_file_that_cannot_be_written_is_named(shipped: Design, tmp_path: Path) -> None:
@@ -308,6 +334,16 @@ SYSTEM = [
     (("system", "slope_vertices"), [[[1]]], r"slope_vertices\[0\]: expected shape \(2, 2\), got"),
     (("disturbance",), [{"kind": "clean"}], r"disturbance\[0\]: expected a list, got"),
     (("process_noise",), [1.0], r"process_noise: expected shape \(2,\), got \(1,\)"),
+    (("names",), ["a"], r"names: expected a mapping, got \['a'\]"),
+    (("names",), {"torques": ["a"]}, "names: unknown entry 'torques', expected some of states, ou"),
+    (("names",), {"states": ["a", 3]}, r"names.states\[1\]: expected text, got 3"),
+    (("names",), {"states": ["a"]}, "names.states: expected 2, one for each state, got 1"),
+    (("names",), {"states": ["a", "b/c"]}, r"names.states\[1\]: expected a letter, .* got 'b/c'"),
+    (("names",), {"states": ["a", "a"]}, r"names.states\[1\]: .* 'a', which names.states\[0\] has"),
+    (("names",), {"outputs": ["e", "u1"]}, r"names.inputs\[0\]: .* 'u1', which names.outputs\[1\]"),
+    (("names",), {"scheduled": ["s"]}, "names.scheduled: expected 0, one for each scheduled sig"),
+    (("units",), {"states": ["m", "m"], "inputs": ["N"]}, "units.outputs: expected 2, .* got none"),
+    (("units",), {"states": ["m", "\n"]}, r"units.states\[1\]: expected at most 60 printable char"),
     (("rate",), "high", "rate: expected a number, got 'high'"),
     (("certify_uncertainty",), "yes", "certify_uncertainty: expected true or false, got 'yes'"),
     (("uncertainty", "gravity", "E"), [[0]], r"uncertainty.gravity.E: expected shape \(2, 2\), go"),

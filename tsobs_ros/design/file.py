@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import UNSET, UnsetType
 
 from tsobs_ros.checks import Array, as_matrix, shown
+from tsobs_ros.design.names import NO_LABELS, Labels
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
 from tsobs_ros.errors import DesignFileError
@@ -350,6 +351,8 @@ class SystemFile(msgspec.Struct, kw_only=True):
     """What a design file of a T–S system has of its request; see `TSRequest`."""
 
     system: SystemEntry
+    names: Labels | UnsetType = UNSET
+    units: Labels | UnsetType = UNSET
     disturbance: list[list[DisturbanceTerm]] | UnsetType = UNSET
     process_noise: Numbers
     measurement_std: Numbers
@@ -369,6 +372,8 @@ class SystemFile(msgspec.Struct, kw_only=True):
             directions = {name: DirectionEntry(E=E, bound=bound) for name, E, bound in each}
         return cls(
             system=SystemEntry.of(request),
+            names=request.names if request.names != NO_LABELS else UNSET,
+            units=request.units if request.units != NO_LABELS else UNSET,
             disturbance=[list(terms) for terms in request.disturbance],
             process_noise=np.asarray(request.process_noise),
             measurement_std=np.asarray(request.measurement_std),
@@ -404,6 +409,8 @@ class SystemFile(msgspec.Struct, kw_only=True):
             D_s=None if isinstance(self.D_s, UnsetType) else self.D_s,
             uncertainty=uncertainty,
             certify_uncertainty=self.certify_uncertainty,
+            names=NO_LABELS if isinstance(self.names, UnsetType) else self.names,
+            units=NO_LABELS if isinstance(self.units, UnsetType) else self.units,
         )
 
 

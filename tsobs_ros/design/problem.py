@@ -76,8 +76,8 @@ class DesignProblem(ABC):
 
     @property
     @abstractmethod
-    def state_names(self) -> Sequence[str]:
-        """The plant's states in words, with units if known."""
+    def state_names(self) -> tuple[str, ...]:
+        """The names of the plant's states, alone."""
 
     @property
     @abstractmethod
@@ -88,6 +88,17 @@ class DesignProblem(ABC):
     @abstractmethod
     def input_names(self) -> tuple[str, ...]:
         """The names of the inputs and then of the scheduled signals, alone."""
+
+    @property
+    @abstractmethod
+    def state_labels(self) -> Sequence[str]:
+        """The plant's states in words, with units if known."""
+
+    @property
+    def disturbance_labels(self) -> Sequence[str]:
+        """The disturbance's states in words."""
+        count = self.disturbance_model.state_count
+        return [f"disturbance state {i + 1}" for i in range(count)]
 
     @property
     @abstractmethod

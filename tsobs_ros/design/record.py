@@ -266,8 +266,7 @@ class Design:
             f"certified decay without noise: {report.contraction_rate:.4g} 1/s",
         ]
         if report.holds:
-            names = list(request.state_names)
-            names += [f"disturbance state {i + 1}" for i in range(len(self.K) - len(names))]
+            names = [*request.state_labels, *request.disturbance_labels]
             lines.append("certified 1-sigma bounds before a sample:")
             lines += [
                 f"  {name:<24}{bound:.5f}"

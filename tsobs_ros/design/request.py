@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive, shown
+from tsobs_ros.design.names import NO_LABELS, Labels, checked_names, checked_units, labelled
 from tsobs_ros.design.problem import DesignProblem
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TorqueLimits
@@ -254,6 +255,11 @@ class ArmRequest(DesignProblem):
 
     @property
     def state_names(self) -> tuple[str, ...]:
+        """The arm's four states."""
+        return ("link_angle", "link_velocity", "motor_angle", "motor_velocity")
+
+    @property
+    def state_labels(self) -> tuple[str, ...]:
         """The arm's four states with their units."""
         return (
             "link angle [rad]",
@@ -350,6 +356,8 @@ class TSRequest(DesignProblem):
         D_s: Channels to outputs, shape (p, channels); by default one channel an output.
         uncertainty: Uncertain directions of the rules' matrices and their bounds.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
+        names: Names of the signals; x1, y1, u1, s1 and so on in groups without any.
+        units: Their units, of all groups or of none.
 
     Raises:
         ModelError: A value is out of range or of the wrong shape.
@@ -366,6 +374,8 @@ class TSRequest(DesignProblem):
     D_s: ArrayLike | None = None
     uncertainty: Uncertainty | None = None
     certify_uncertainty: bool = False
+    names: Labels = NO_LABELS
+    units: Labels = NO_LABELS
 
     def __post_init__(self) -> None:
         n, p = self.model.state_count, self.model.C.shape[0]
@@ -385,7 +395,7 @@ class TSRequest(DesignProblem):
         for name in ("measurement_std", "initial_std"):
             _require_squares(name, checked[name].tolist())
         _require_no_alias(chain.from_iterable(self.disturbance), self.rate)
-        _ = self.flow
+        _ = self.flow, self._names, self._units
         if self.slope_vertices and self.model.premise_known:
             raise ModelError(
                 "slope_vertices: expected none, the premise is made of scheduled signals only "
@@ -464,35 +474,93 @@ class TSRequest(DesignProblem):
             "and estimate"
         )
 
+    @cached_property
+    def _names(self) -> Labels:
+        return checked_names(self.names, self._signal_counts)
+
+    @cached_property
+    def _units(self) -> Labels:
+        return checked_units(self.units, self._signal_counts)
+
+    @property
+    def _signal_counts(self) -> dict[str, int]:
+        model = self.model
+        return {
+            "states": model.state_count,
+            "outputs": len(model.C),
+            "inputs": model.input_count,
+            "scheduled": int(model.schedule.shape[1]),
+        }
+
     @property
     def state_names(self) -> tuple[str, ...]:
-        """x1 to xn."""
-        return tuple(f"x{i + 1}" for i in range(self.model.state_count))
+        """The names of the states, x1 and so on if the request gives none."""
+        return self._names.states
 
     @property
     def output_names(self) -> tuple[str, ...]:
-        """y1 to yp."""
-        return tuple(f"y{i + 1}" for i in range(self.model.C.shape[0]))
+        """The names of the outputs, y1 and so on if the request gives none."""
+        return self._names.outputs
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """u1 to um, then the scheduled signals s1 and so on."""
-        inputs = tuple(f"u{i + 1}" for i in range(self.model.input_count))
-        return inputs + tuple(f"s{i + 1}" for i in range(self.model.schedule.shape[1]))
+        """The names of the inputs, then of the scheduled signals; u1 and s1 and so on if none."""
+        return self._names.inputs + self._names.scheduled
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """The units of the states, empty texts if the request gives none."""
+        return self._units.states
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """The units of the outputs, empty texts if the request gives none."""
+        return self._units.outputs
+
+    @property
+    def input_units(self) -> tuple[str, ...]:
+        """The units of `input_names`, empty texts if the request gives none."""
+        return self._units.inputs + self._units.scheduled
+
+    @property
+    def state_labels(self) -> tuple[str, ...]:
+        """The names of the states with their units."""
+        return labelled(self.state_names, self.state_units)
+
+    @property
+    def disturbance_labels(self) -> tuple[str, ...]:
+        """The disturbance's states by their channels, which have the outputs' names but for D_s."""
+        labels: list[str] = []
+        for channel, terms in enumerate(self.disturbance):
+            name = f"channel {channel + 1}" if self.D_s is not None else self.output_names[channel]
+            count = sum(term.model().state_count for term in terms)
+            labels += [f"disturbance of {name}, state {i + 1}" for i in range(count)]
+        return tuple(labels)
 
     @property
     def headline(self) -> str:
         """The system, its disturbance and the claim in words."""
         model = self.model
+        outputs = ", ".join(labelled(self.output_names, self.output_units))
+        inputs = ", ".join(labelled(self.input_names, self.input_units))
         return (
             f"T-S system: {model.rule_count} rules, {model.state_count} states, "
-            f"{model.C.shape[0]} outputs, disturbance {self.disturbance_model.label}; {self.claim}"
+            f"{model.C.shape[0]} outputs ({outputs}), inputs {inputs}, "
+            f"disturbance {self.disturbance_model.label}; {self.claim}"
         )
 
     @property
     def details(self) -> dict[str, Any]:
-        """The claim as plain data."""
+        """The signals' names and units, and the claim, as plain data."""
         return {
+            "states": self.state_names,
+            "outputs": self.output_names,
+            "inputs": self.input_names,
+            "units": {
+                "states": self.state_units,
+                "outputs": self.output_units,
+                "inputs": self.input_units,
+            },
             "claim": self.claim,
             "covers_estimated_premise": self.covers_estimated_premise,
         }

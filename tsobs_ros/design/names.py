@@ -1,0 +1,124 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Names and units of a T–S system's signals, as its file gives them and messages have them."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+
+import msgspec
+
+from tsobs_ros.checks import shown
+from tsobs_ros.errors import ModelError
+
+_PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_MAX_LENGTH = 60
+
+_ABBREVIATIONS = {"states": "x", "outputs": "y", "inputs": "u", "scheduled": "s"}
+
+
+class Labels(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Names, or units, of signals in the order of the model; a group left out has none.
+
+    Attributes:
+        states: Of x.
+        outputs: Of y.
+        inputs: Of u, scheduled signals not among them.
+        scheduled: Of s.
+    """
+
+    states: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    scheduled: tuple[str, ...] = ()
+
+
+NO_LABELS = Labels()
+"""Those of a request that gives none."""
+
+
+def checked_names(names: Labels, counts: Mapping[str, int]) -> Labels:
+    """Return the names of all signals; groups without names get x1, y1, u1, s1 and so on.
+
+    A scheduled signal with the name of an output is that measurement. Else the names of outputs,
+    inputs and scheduled signals differ, as these are entries of one message, and so do those of
+    the states.
+
+    Args:
+        names: As a request gives them.
+        counts: Number of signals by group.
+
+    Raises:
+        ModelError: There is not one name a signal, one is not plain, or two signals share one;
+            the text names the entry.
+    """
+    filled = {}
+    for group, given in _groups(names):
+        if given:
+            _require_count("names", group, given, counts[group])
+            for i, name in enumerate(given):
+                if len(name) > _MAX_LENGTH or not _PLAIN.fullmatch(name):
+                    raise ModelError(
+                        f"names.{group}[{i}]: expected a letter, then letters, digits and "
+                        f"underscores, {_MAX_LENGTH} at most, got {shown(name)}"
+                    )
+        numbered = (f"{_ABBREVIATIONS[group]}{i + 1}" for i in range(counts[group]))
+        filled[group] = given or tuple(numbered)
+    _require_distinct(filled, ("states",))
+    _require_distinct(filled, ("outputs", "inputs"))
+    _require_distinct(filled, ("inputs", "scheduled"))
+    return Labels(**filled)
+
+
+def checked_units(units: Labels, counts: Mapping[str, int]) -> Labels:
+    """Return the units of all signals, empty texts if a request gives none.
+
+    Args:
+        units: As a request gives them: all of them, or none at all.
+        counts: Number of signals by group.
+
+    Raises:
+        ModelError: There is not one unit a signal, or one is not printable; the text names the
+            entry.
+    """
+    if units == NO_LABELS:
+        return Labels(**{group: ("",) * counts[group] for group in _ABBREVIATIONS})
+    for group, given in _groups(units):
+        _require_count("units", group, given, counts[group])
+        for i, unit in enumerate(given):
+            if len(unit) > _MAX_LENGTH or not unit.isprintable():
+                raise ModelError(
+                    f"units.{group}[{i}]: expected at most {_MAX_LENGTH} printable characters, "
+                    f"got {shown(unit)}"
+                )
+    return units
+
+
+def labelled(names: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
+    """Return each name with its unit, if it has one, as in "angle [rad]"."""
+    pairs = zip(names, units, strict=True)
+    return tuple(f"{name} [{unit}]" if unit else name for name, unit in pairs)
+
+
+def _groups(labels: Labels) -> Iterator[tuple[str, tuple[str, ...]]]:
+    for group in _ABBREVIATIONS:
+        yield group, getattr(labels, group)
+
+
+def _require_count(entry: str, group: str, given: Sequence[str], count: int) -> None:
+    if len(given) != count:
+        signal = "scheduled signal" if group == "scheduled" else group.removesuffix("s")
+        got = len(given) or "none"
+        raise ModelError(f"{entry}.{group}: expected {count}, one for each {signal}, got {got}")
+
+
+def _require_distinct(names: Mapping[str, Sequence[str]], groups: Sequence[str]) -> None:
+    places: dict[str, str] = {}
+    for group in groups:
+        for i, name in enumerate(names[group]):
+            place = f"names.{group}[{i}]"
+            if name in places:
+                raise ModelError(
+                    f"{place}: expected a name that no other has, got {shown(name)}, "
+                    f"which {places[name]} has"
+                )
+            places[name] = place
