@@ -22,7 +22,7 @@ from tsobs_ros.bag.estimate_topics import sides
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
@@ -69,7 +69,7 @@ def _record(path: Path, design: Design, seconds: float) -> None:
 
 def _estimate(bag: Path, design: Design, output: Path | None) -> None:
     source = BagSource(bag)
-    observer = Observer("observer", ObserverSettings(), (ArmDesignFile.of(design),))
+    observer = Observer("observer", ObserverSettings(), (DesignFile.of(design),))
     runs = make_runs(source, [observer], rate=None, as_live=True, window=WINDOW)
     run_all(source, runs, output)
     done = runs[0].estimates

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, shown
 from tsobs_ros.design import file
-from tsobs_ros.design.file import ArmDesignFile, load_arm_design
+from tsobs_ros.design.file import DesignFile, load_arm_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
@@ -377,7 +377,7 @@ def _observers(
     if design is None:
         (files,) = choose_designs(path, source.ran, source.joints).values()
     else:
-        file = ArmDesignFile.of(design) if isinstance(design, Design) else load_arm_design(design)
+        file = DesignFile.of(design) if isinstance(design, Design) else load_arm_design(design)
         files = (file,) * len(source.joints)
     settings = settings or source.ran.settings()
     single = len(methods) <= 1

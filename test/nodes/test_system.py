@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder
@@ -161,7 +161,7 @@ def estimated_again(bag: Path, output: Path, design: Design) -> Run:
     source = BagSource(bag)
     (run,) = make_runs(
         source,
-        [Observer("observer", ObserverSettings(), (ArmDesignFile.of(design),))],
+        [Observer("observer", ObserverSettings(), (DesignFile.of(design),))],
         rate=None,
         as_live=True,
     )

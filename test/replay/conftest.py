@@ -13,7 +13,7 @@ import pytest
 from tsobs_ros.bag import BagWriter
 from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.designs import DIAGNOSTICS, STRING
@@ -94,7 +94,7 @@ def estimate(design: Design, tmp_path: Path) -> Callable[..., Run]:
         observer = Observer(
             "observer",
             ObserverSettings(**settings),
-            (ArmDesignFile.of(design),) * len(source.joints),
+            (DesignFile.of(design),) * len(source.joints),
         )
         (made,) = make_runs(source, [observer], rate=rate, as_live=as_live, window=window)
         run_all(source, [made], None if output is None else tmp_path / output)

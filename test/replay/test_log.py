@@ -18,7 +18,7 @@ import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.methods import ObserverSettings
@@ -401,7 +401,7 @@ def test_the_unit_of_times_is_found(tmp_path, rate, start, jitter, gap, unit) ->
 
 @pytest.fixture(scope="module")
 def observer() -> Observer:
-    return Observer("observer", ObserverSettings(), (ArmDesignFile.of(ts.load_design()),))
+    return Observer("observer", ObserverSettings(), (DesignFile.of(ts.load_design()),))
 
 
 def write_motion(

@@ -8,7 +8,7 @@ import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.replay.estimate import Observer, make_runs, run_all
@@ -29,7 +29,7 @@ def test_each_is_measured_as_if_it_had_been_recorded(
 ) -> None:
     source = BagSource(write_bag(messages_of(simulated)))
     settings = [ObserverSettings(method=method) for method in ("certified", "ekf", "high_gain")]
-    observers = [Observer(one.method, one, (ArmDesignFile.of(design),)) for one in settings]
+    observers = [Observer(one.method, one, (DesignFile.of(design),)) for one in settings]
     runs = make_runs(source, observers, rate=None, as_live=False)
     scores = RunScores(source, runs)
     run_all(source, runs, tmp_path / "new", after_window=scores.add)
@@ -98,7 +98,7 @@ def test_windows_give_the_errors_of_the_whole(
     simulated, write_bag, messages_of, design, approximately
 ) -> None:
     source = BagSource(write_bag(messages_of(simulated)))
-    observer = Observer("certified", ObserverSettings(), (ArmDesignFile.of(design),))
+    observer = Observer("certified", ObserverSettings(), (DesignFile.of(design),))
     found = []
     for window in (None, 400):
         (run,) = runs = make_runs(source, [observer], rate=None, as_live=False, window=window)

@@ -11,6 +11,7 @@ INNOVATION = "innovation"
 RESTARTS = "restarts"
 HEALTH = "health"
 PARAMETERS, PARAMETER_BOUNDS = "parameters_estimate", "parameters_bound"
+TORQUE_DISTURBANCE, TORQUE_DISTURBANCE_BOUND = "torque_disturbance", "torque_disturbance_bound"
 
 TOPICS = (STATES, STATE_BOUNDS, DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS, HEALTH)
 """The JointStates that every observer publishes.
@@ -24,7 +25,10 @@ OF_JOINTS = (DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS)
 """Those whose names are those of the joints."""
 
 PARAMETER_TOPICS = (PARAMETERS, PARAMETER_BOUNDS)
-"""What it publishes besides where it learns parameters."""
+"""What it publishes besides if it learns parameters."""
+
+TORQUE_TOPICS = (TORQUE_DISTURBANCE, TORQUE_DISTURBANCE_BOUND)
+"""What it publishes besides if a design has a torque disturbance; `effort` of the sides."""
 
 SLOW_PERIOD = 100_000_000
 """Parameters and health change slowly: they are published ten times a second [ns]."""

@@ -100,8 +100,8 @@ def load_design(path: FilePath) -> Design:
     return design
 
 
-class ArmDesignFile(NamedTuple):
-    """A design file of an arm, whose certificate holds.
+class DesignFile(NamedTuple):
+    """A design file, whose certificate holds.
 
     Attributes:
         name: Its path, wherever it is from.
@@ -114,7 +114,7 @@ class ArmDesignFile(NamedTuple):
     design: Design
 
     @classmethod
-    def of(cls, design: Design, name: str = "a design without a file") -> "ArmDesignFile":
+    def of(cls, design: Design, name: str = "a design without a file") -> "DesignFile":
         """Return a design as `save_design` would write it."""
         return cls(name, design_text(design), design)
 
@@ -134,23 +134,34 @@ def checksum(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def load_arm_design(path: FilePath, text: str | None = None) -> ArmDesignFile:
-    """Read the design file of an arm and re-check its certificate.
+def load_design_file(path: FilePath, text: str | None = None) -> DesignFile:
+    """Read a design file with its text, and re-check its certificate.
 
     Args:
         path: The file.
         text: Its content, if that is known without reading it.
 
     Raises:
-        DesignFileError: As for `load_design`, or the design is for a T–S system.
+        DesignFileError: As for `load_design`.
         CertificateError: As for `load_design`.
     """
     text = read_text(path) if text is None else text
     design = parse_design(path, text)
     design.certificate.require(str(path))
+    return DesignFile(str(path), text, design)
+
+
+def load_arm_design(path: FilePath, text: str | None = None) -> DesignFile:
+    """Read the design file of an arm; see `load_design_file`.
+
+    Raises:
+        DesignFileError: As for `load_design`, or the design is for a T–S system.
+        CertificateError: As for `load_design`.
+    """
+    file = load_design_file(path, text)
     with naming(path):
-        _ = design.arm_request
-    return ArmDesignFile(str(path), text, design)
+        _ = file.design.arm_request
+    return file
 
 
 def parse_design(path: FilePath, text: str | None = None) -> Design:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import DesignFileError
 from tsobs_ros.yaml_files import MAX_BYTES
 
@@ -50,7 +50,7 @@ class ObserverRecord(msgspec.Struct, kw_only=True):
 def record_text(
     measurements: str,
     joints: Sequence[str],
-    files: Sequence[ArmDesignFile],
+    files: Sequence[DesignFile],
     parameters: Mapping[str, Value],
 ) -> str:
     """Return the text of a record.

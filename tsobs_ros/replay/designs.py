@@ -16,7 +16,7 @@ from typing import NamedTuple
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import CdrReader
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.design.file import IDENTITY_LENGTH, ArmDesignFile, checksum, load_arm_design
+from tsobs_ros.design.file import IDENTITY_LENGTH, DesignFile, checksum, load_arm_design
 from tsobs_ros.design.published import Value, read_record
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
 from tsobs_ros.methods import SETTING_NAMES, ObserverSettings
@@ -45,7 +45,7 @@ class RanDesign(NamedTuple):
     def __str__(self) -> str:
         return f"{self.file:.200} (SHA-256 {self.sha256:.{IDENTITY_LENGTH}})"
 
-    def equals(self, file: ArmDesignFile) -> bool:
+    def equals(self, file: DesignFile) -> bool:
         """Return whether it is a file's content."""
         return len(self.sha256) >= IDENTITY_LENGTH and file.sha256.startswith(self.sha256)
 
@@ -122,7 +122,7 @@ def choose_designs(
     given: Sequence[str] = (),
     *,
     others_allowed: bool = False,
-) -> dict[str, tuple[ArmDesignFile, ...]]:
+) -> dict[str, tuple[DesignFile, ...]]:
     """Return the designs to estimate with by the names of their files, each with one a joint.
 
     Args:
@@ -149,9 +149,9 @@ def choose_designs(
             f"--design: expected at most one file for the joints without their own, got "
             f"{', '.join(shared)}"
         )
-    loaded: dict[str, ArmDesignFile] = {}
+    loaded: dict[str, DesignFile] = {}
 
-    def load(joint: str, path: str) -> ArmDesignFile:
+    def load(joint: str, path: str) -> DesignFile:
         file = loaded[path] if path in loaded else load_arm_design(path)
         loaded[path] = file
         for each in ran.designs.get(joint, ()):
@@ -163,7 +163,7 @@ def choose_designs(
                 )
         return file
 
-    def recorded(joint: str) -> ArmDesignFile:
+    def recorded(joint: str) -> DesignFile:
         return _recorded(bag, ran, joint, loaded)
 
     if own or not shared:
@@ -174,7 +174,7 @@ def choose_designs(
             for joint in joints
         }
         return {"own": tuple(files.values())}
-    found: dict[str, tuple[ArmDesignFile, ...]] = {}
+    found: dict[str, tuple[DesignFile, ...]] = {}
     for path in shared:
         stem = Path(path).name.split(".")[0].replace("-", "_").replace(" ", "_")
         name = stem if stem not in found else f"{stem}_{len(found) + 1}"
@@ -183,8 +183,8 @@ def choose_designs(
 
 
 def _recorded(
-    bag: str | Path, ran: RecordedObserver, joint: str, loaded: dict[str, ArmDesignFile]
-) -> ArmDesignFile:
+    bag: str | Path, ran: RecordedObserver, joint: str, loaded: dict[str, DesignFile]
+) -> DesignFile:
     """Return the design that the observer ran for a joint; the shipped one if nothing is known."""
     if not ran.designs:
         return load_arm_design(config_path(SHIPPED_DESIGN))

@@ -26,7 +26,7 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, Message
 from tsobs_ros.checks import Array
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
@@ -61,7 +61,7 @@ class Observer:
 
     name: str
     settings: ObserverSettings
-    files: tuple[ArmDesignFile, ...]
+    files: tuple[DesignFile, ...]
 
     @property
     def designs(self) -> tuple[Design, ...]:

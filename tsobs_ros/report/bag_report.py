@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.replay.designs import choose_designs
 from tsobs_ros.replay.health import (
@@ -56,7 +56,7 @@ class BagReport:
 
     bag: Path
     joint: str
-    design: ArmDesignFile
+    design: DesignFile
     metrics: RunMetrics
     health: Health | None
     events: tuple[JointEvent, ...]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.joint_series import JointSeries
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
@@ -137,7 +137,7 @@ def compare_with_ekf(
     run: RecordedRun,
     metrics: RunMetrics,
     bag: Path,
-    files: Mapping[str, ArmDesignFile],
+    files: Mapping[str, DesignFile],
     settings: ObserverSettings,
     options: MetricsOptions | None = None,
 ) -> EkfComparison:

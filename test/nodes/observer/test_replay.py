@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.bag import BagReader, BagWriter
 from tsobs_ros.bag.joint_states import JointStateDecoder
-from tsobs_ros.design.file import ArmDesignFile
+from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.events import EventKind
 from tsobs_ros.estimation.health import Level
@@ -120,7 +120,7 @@ def scene(stage: Stage, manage: Callable[[Any], Any], tmp_path: Path) -> Scene:
 
 def estimated(bag: Path, design: Design, output: Path) -> Run:
     source = BagSource(bag)
-    observer = Observer("observer", ObserverSettings(), (ArmDesignFile.of(design),))
+    observer = Observer("observer", ObserverSettings(), (DesignFile.of(design),))
     (run,) = make_runs(source, [observer], rate=None, as_live=True)
     run_all(source, [run], output)
     return run

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tsobs_ros.bag.estimate_topics import PARAMETER_TOPICS, TOPICS
+from tsobs_ros.bag.estimate_topics import PARAMETER_TOPICS, TOPICS, TORQUE_TOPICS
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
@@ -25,14 +25,15 @@ def test_the_shipped_file_has_every_parameter_and_selects_the_topics_of_the_read
     )
     assert replace(shipped, topics=(), regex="") == RecorderParameters()
     selection = shipped.resolved(full, full)
-    estimates = [f"/arm/observer/{n}" for n in (*TOPICS, *PARAMETER_TOPICS)]
+    estimates = [f"/arm/observer/{n}" for n in (*TOPICS, *PARAMETER_TOPICS, *TORQUE_TOPICS)]
     others = ("joint_measurements", "joint_torque_command", "ground_truth/joint_states",
-              "ground_truth/disturbance", "/diagnostics")  # fmt: skip
+              "ground_truth/disturbance", "ground_truth/torque_disturbance",
+              "/diagnostics")  # fmt: skip
     topics = [*estimates, *map(full, others)]
     assert [topic for topic in topics if not selection.wants(topic, [])] == []
     assert not selection.wants("/arm/camera", [])
     # It awaits only those that always come.
-    assert not {*topics[-4:-1], estimates[1], *estimates[-2:]} & set(selection.listed())
+    assert not {*topics[-5:-1], estimates[1], *estimates[-4:]} & set(selection.listed())
 
 
 @pytest.mark.parametrize(

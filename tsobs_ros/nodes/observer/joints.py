@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.file import ArmDesignFile, load_arm_design
+from tsobs_ros.design.file import DesignFile, load_arm_design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import EventLog
 from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
@@ -56,7 +56,7 @@ class ObservedJoint:
     def __init__(
         self,
         name: str,
-        loaded: ArmDesignFile,
+        loaded: DesignFile,
         estimator: Estimator,
         parameters: ObserverParameters,
         source: str = "joint_measurements",
