@@ -267,9 +267,10 @@ class Design:
         ]
         if report.holds:
             names = [*request.state_labels, *request.disturbance_labels]
+            width = max(24, *(len(name) + 1 for name in names))
             lines.append("certified 1-sigma bounds before a sample:")
             lines += [
-                f"  {name:<24}{bound:.5f}"
+                f"  {name:<{width}}{bound:.5f}"
                 for name, bound in zip(names, self.bound_std, strict=True)
             ]
         verdict = "the certificate holds" if report.holds else "THE CERTIFICATE DOES NOT HOLD"
