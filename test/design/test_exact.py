@@ -205,8 +205,8 @@ def test_the_exact_verdict_turns_where_the_true_margin_does(shipped: Design) -> 
     assert not beyond.holds
 
 
-def test_an_arm_too_fast_to_enclose_is_said_to_be() -> None:
+def test_a_model_too_fast_to_enclose_is_refused() -> None:
     arm = ElasticJointArm(link_damping=5e5)
     request = ArmRequest(arm=arm, disturbance=(DisturbanceTerm("clean"),))
-    with pytest.raises(ModelError, match="the arm is too fast for the period"):
+    with pytest.raises(ModelError, match="the model is too fast for the period"):
         verify_exactly(Design(request, np.eye(4), np.zeros((4, 1)), SolverReport()))

@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
+from scipy.optimize import brentq
 
+from tsobs_ros.design.certificate import check_certificate
+from tsobs_ros.design.exact import verify_exactly
 from tsobs_ros.design.file import load_design, load_request, save_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
@@ -213,6 +216,70 @@ def test_certified_uncertainty_covers_its_box_at_a_price(known: Design) -> None:
                 > 0
             )
     assert "stiffness +0.05" in design.certificate.inequalities[-1].where
+
+
+def uncertain(request: TSRequest, E: Array, bound: float) -> TSRequest:
+    known = system_uncertainty(request.model, {"k": E}, {"k": bound})
+    return replace(request, uncertainty=known, certify_uncertainty=True)
+
+
+def test_every_kind_of_vertex_is_proved_exactly(known: Design, example: Design) -> None:
+    """One rule, rules, slope vertices, and both at the corners of an uncertainty's box."""
+    of_rules = np.zeros((2, 3, 3))
+    of_rules[:, 1, 0] = [-4.0, -9.0]
+    friction = np.array([[0.0, 0.0], [0.0, -1.0]])
+    designs = [
+        known,
+        example,
+        synthesise(single()),
+        synthesise(uncertain(known.request, of_rules, 0.05)),
+        synthesise(uncertain(replace(example.request, decay_rate=0.05), friction, 0.1)),
+    ]
+    for design, pairs in zip(designs, (4, 4, 1, 16, 16), strict=True):
+        report = verify_exactly(design)
+        assert report.holds, report.text()
+        assert len(report.inequalities) == 1 + pairs
+        for exact, rounded in zip(
+            report.inequalities, design.certificate.inequalities, strict=True
+        ):
+            assert (exact.name, exact.where) == (rounded.name, rounded.where)
+            assert exact.margin == pytest.approx(rounded.margin, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"slope_vertices": [[[0.0, 1.0], [-9.81, -0.2]], [[0.0, 1.0], [-3.4, -0.2]]]},
+        {"process_noise": [0.0, 1.01e-3]},
+        {"measurement_std": [0.01, 0.0202]},
+        {"rate": 99.0},
+        {"decay_rate": 0.1},
+        {"disturbance": [CLEAN, [DisturbanceTerm("bias", {"density": 1.1e-6})]]},
+        {"D_s": [[1.0, 0.0], [0.0, 0.98]]},
+        {"uncertainty": {"k": np.array([[0.0, 0.0], [-1.0, 0.0]])}},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_a_tampered_design_is_not_proved_exactly(example: Design, change: dict[str, Any]) -> None:
+    request = example.request
+    if "uncertainty" in change:
+        request = uncertain(request, change["uncertainty"]["k"], 0.2)
+    else:
+        request = replace(request, **change)
+    report = verify_exactly(replace(example, request=request))
+    assert not report.holds
+    assert not replace(example, request=request).certificate.holds
+
+
+def test_the_exact_verdict_turns_where_the_margin_of_a_system_does(example: Design) -> None:
+    """Scale P until one vertex fails: both checks see it at the same scale, to 1e-8."""
+
+    def margin(factor: float) -> float:
+        return check_certificate(example.request, factor * example.P, example.K).worst.margin
+
+    edge = brentq(margin, 1.0, 1.01)
+    assert verify_exactly(replace(example, P=(edge - 1e-8) * example.P)).holds
+    assert not verify_exactly(replace(example, P=(edge + 1e-8) * example.P)).holds
 
 
 def test_disturbances_act_through_D_s() -> None:

@@ -16,11 +16,14 @@ positive, which integers decide. The margins are proved as well: μ is printed o
 still holds with μ X a second taken away. Candidates for μ come from the check in floating point;
 the proof does not rely on them.
 
-The model is the request's: A and the arm's noise are computed from its parameters without
-rounding; the disturbance's S, H and G and the directions of uncertainty are those that are stored.
+The model is the request's: A and the arm's noise are computed from its parameters, and the mean of
+a T–S system's rules from their matrices, without rounding; the disturbance's S, H and G and the
+directions of uncertainty are those that are stored. Memberships do not enter: every blend of the
+vertices is covered.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -32,7 +35,7 @@ from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.vertices import KickCorner, kick_corners, linear_directions
@@ -104,14 +107,13 @@ def verify_exactly(design: Design) -> ExactReport:
     """Check the certificate of a design in exact rational arithmetic.
 
     Raises:
-        ModelError: The design is for a T–S system, or the arm is so fast for the period that its
-            flow cannot be enclosed.
+        ModelError: The model is so fast for the period that its flow cannot be enclosed.
     """
     return ExactReport(tuple(_inequalities(design)))
 
 
 def _inequalities(design: Design) -> Iterator[ExactInequality]:
-    request = design.arm_request
+    request = design.request
     if request.disturbance_model.arbitrary:
         yield ExactInequality("disturbance has a model", "", False, 0.0)
         return
@@ -131,11 +133,9 @@ def _inequalities(design: Design) -> Iterator[ExactInequality]:
     yield positive
     if not positive.holds:
         return
-    problem = _Problem(request, P, rational(design.K))
-    places = [vertex.where for vertex in request.vertices()]
-    pairs = product(problem.corners, repeat=2)
-    for where, (first, second) in zip(places, pairs, strict=True):
-        decrease = problem.decrease(first, second)
+    is_arm = isinstance(request, ArmRequest)
+    problem = _ArmProblem(design) if is_arm else _SystemProblem(design)
+    for where, decrease in problem.decreases():
         yield judged("covariance decrease", where, decrease, problem.period * problem.X)
 
 
@@ -148,45 +148,69 @@ def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
     return 0.0
 
 
-class _Problem:
+class _Problem(ABC):
     """A request and its answer in fractions, in coordinates scaled by powers of two.
 
     Attributes:
         period: T [s].
         X: P⁻¹.
-        corners: Those of half a kick, in the order of the vertices.
     """
 
-    def __init__(self, request: ArmRequest, P: Rational, K: Rational) -> None:
+    def __init__(self, design: Design, drift: Rational, density: Rational, share: Fraction) -> None:
+        """Enclose the linear flow and its noise over a share of the period.
+
+        Args:
+            design: The design.
+            drift: Matrix of the linear flow [1/s].
+            density: White noise density of the augmented state.
+            share: Of the period.
+        """
+        request = design.request
         # Any scale is as good for the claim; this one keeps the flow's norm small.
-        _, (scale, _) = matrix_balance(request.flow.drift, permute=False, separate=True)
+        rounded = np.asarray(drift, dtype=np.float64)
+        _, (scale, _) = matrix_balance(rounded, permute=False, separate=True)
         self._D = np.diag(rational(scale))
         self._D_inverse = np.diag(1 / rational(scale))
-        self._request = request
         self.period = 1 / Fraction(request.rate)
-        drift: Rational = self._D_inverse @ (self.period * _drift(request)) @ self._D
-        density = self._D_inverse @ (self.period * _noise_density(request)) @ self._D_inverse
-        self._phi = exponential(drift)
-        self._noise = noise_integral(drift, density)
+        duration = share * self.period
+        flow = self._scaled(duration * drift)
+        self._phi = exponential(flow)
+        self._noise = noise_integral(flow, self._D_inverse @ (duration * density) @ self._D_inverse)
         self._kept = decay_below(2 * Fraction(request.decay_rate) * self.period)
 
         C: Rational = rational(request.flow.output_matrix) @ self._D
-        gain: Rational = self._D_inverse @ K
-        self.X = inverse(self._D @ P @ self._D)
+        gain: Rational = self._D_inverse @ rational(design.K)
+        self.X = inverse(self._D @ rational(design.P) @ self._D)
         closed = identity(len(gain)) - gain @ C
-        variance = Fraction(request.measurement_std) ** 2
-        self._posterior = closed @ self.X @ closed.T + (variance * gain) @ gain.T
+        variances = rational(np.atleast_1d(request.measurement_std)) ** 2
+        self._posterior = closed @ self.X @ closed.T + (gain * variances) @ gain.T
 
+    def _scaled(self, matrix: Rational) -> Rational:
+        """Return a matrix that acts on the augmented state, in the scaled coordinates."""
+        return np.asarray(self._D_inverse @ matrix @ self._D)
+
+    @abstractmethod
+    def decreases(self) -> Iterator[tuple[str, Rational]]:
+        """Yield each vertex, and λ²X less an upper bound on the covariance after a step from X."""
+
+
+class _ArmProblem(_Problem):
+    """The kicks and the exact linear flow of an arm."""
+
+    def __init__(self, design: Design) -> None:
+        request = self._request = design.arm_request
+        super().__init__(design, _drift(request), _noise_density(request), Fraction(1))
         self._uncertainty = request.uncertainty_model if request.certify_uncertainty else None
+
+    def decreases(self) -> Iterator[tuple[str, Rational]]:
+        request = self._request
         bounds = [Fraction(bound) for bound in request.uncertainty.values()]
         slopes = (cosine_below(Fraction(request.x_max)), Fraction(1))
-        self.corners = list(kick_corners(slopes, self._uncertainty, bounds))
-
-    def decrease(self, first: KickCorner[Fraction], second: KickCorner[Fraction]) -> Rational:
-        """Return λ²X less an upper bound on the covariance after a step from X, at a vertex."""
-        before, after = self._kick(first), self._kick(second)
-        covariance = _bounded(self._phi, self._noise, before @ self._posterior @ before.T)
-        return np.asarray(self._kept * self.X - after @ covariance @ after.T)
+        kicks = map(self._kick, kick_corners(slopes, self._uncertainty, bounds))
+        vertices = zip(request.vertices(), product(kicks, repeat=2), strict=True)
+        for vertex, (before, after) in vertices:
+            covariance = _bounded(self._phi, self._noise, before @ self._posterior @ before.T)
+            yield vertex.where, self._kept * self.X - after @ covariance @ after.T
 
     def _kick(self, corner: KickCorner[Fraction]) -> Rational:
         arm, half = self._request.arm, self.period / 2
@@ -197,7 +221,59 @@ class _Problem:
                 kick[:4, :4] += half * theta * rational(change)
         gravity = Fraction(arm.gravity_torque) / Fraction(arm.link_inertia)
         kick[LINK_VELOCITY, LINK_ANGLE] -= half * gravity * corner.slope
-        return np.asarray(self._D_inverse @ kick @ self._D)
+        return self._scaled(kick)
+
+
+class _SystemProblem(_Problem):
+    """The exponential midpoint rule of a T–S system."""
+
+    def __init__(self, design: Design) -> None:
+        assert isinstance(design.request, TSRequest)
+        request = self._request = design.request
+        S, G = (rational(getattr(request.disturbance_model, name)) for name in "SG")
+        A = rational(request.model.A)
+        self._mean = _block_diagonal(A.sum(axis=0) / len(A), S)
+        density = _block_diagonal(np.diag(rational(request.process_noise)), G @ G.T)
+        super().__init__(design, self._mean, density, Fraction(1, 2))
+
+    def decreases(self) -> Iterator[tuple[str, Rational]]:
+        vertices = zip(self._request.vertices(), product(self._deviations(), repeat=2), strict=True)
+        T, one = self.period, identity(len(self.X))
+        for vertex, (first, second) in vertices:
+            kick = one + T / 2 * first
+            drive, spread = T * second, one + T * second
+            # Each entry of M Δ N is at most the row sum of M times the column sum of N times ΔΦ's.
+            radius = self._phi.radius * (1 + _row_sum(drive) * _row_sum(kick.T))
+            middle = Enclosure(self._phi.centre + drive @ self._phi.centre @ kick, radius)
+            noise = Enclosure(
+                spread @ self._noise.centre @ spread.T, self._noise.radius * _row_sum(spread) ** 2
+            )
+            covariance = _bounded(middle, noise, self._posterior)
+            after = _bounded(self._phi, self._noise, covariance)
+            yield vertex.where, self._kept * self.X - after
+
+    def _deviations(self) -> Iterator[Rational]:
+        """Yield the vertex matrices less the mean of the rules, in the order of the vertices."""
+        request, uncertain = self._request, self._request.uncertainty_model
+        matrices = rational(request.slope_vertices or request.model.A)
+        changes = rational(uncertain.linear[:, :1] if request.slope_vertices else uncertain.linear)
+        bounds = rational(uncertain.limits) if request.certify_uncertainty else rational([])
+        for signs in product((-1, 1), repeat=len(bounds)):
+            theta = bounds * np.array(signs, dtype=object)
+            for i, matrix in enumerate(matrices):
+                changed = matrix + sum(
+                    by * change[i % len(change)] for by, change in zip(theta, changes, strict=False)
+                )
+                padded = self._mean.copy()
+                padded[: len(matrix), : len(matrix)] = changed
+                yield self._scaled(padded - self._mean)
+
+
+def _block_diagonal(first: Rational, second: Rational) -> Rational:
+    n, size = len(first), len(first) + len(second)
+    joined = rational(np.zeros((size, size)))
+    joined[:n, :n], joined[n:, n:] = first, second
+    return joined
 
 
 def _bounded(phi: Enclosure, noise: Enclosure, W: Rational) -> Rational:
@@ -214,26 +290,25 @@ def _drift(request: ArmRequest) -> Rational:
     """Return the matrix of the linear flow [1/s], from the parameters without rounding."""
     arm = request.arm
     j1, j2, k = (Fraction(v) for v in (arm.link_inertia, arm.motor_inertia, arm.stiffness))
-    drift = rational(np.zeros_like(request.flow.drift))
-    drift[:4, :4] = [
-        [0, 1, 0, 0],
-        [-k / j1, -Fraction(arm.link_damping) / j1, 1, 0],
-        [0, 0, 0, 1],
-        [k * k / (j1 * j2), 0, -k / j2, -Fraction(arm.motor_damping) / j2],
-    ]
-    drift[4:, 4:] = rational(request.disturbance_model.S)
-    return drift
+    drift: Rational = rational(
+        [
+            [0, 1, 0, 0],
+            [-k / j1, -Fraction(arm.link_damping) / j1, 1, 0],
+            [0, 0, 0, 1],
+            [k * k / (j1 * j2), 0, -k / j2, -Fraction(arm.motor_damping) / j2],
+        ]
+    )
+    return _block_diagonal(drift, rational(request.disturbance_model.S))
 
 
 def _noise_density(request: ArmRequest) -> Rational:
     """Return the white noise density of the augmented state, from the parameters."""
     arm, G = request.arm, rational(request.disturbance_model.G)
-    density = rational(np.zeros_like(request.flow.drift))
+    density = rational(np.zeros((4, 4)))
     gain = Fraction(arm.stiffness) / Fraction(arm.link_inertia)
     density[LINK_VELOCITY, LINK_VELOCITY] = Fraction(request.process_noise.link)
     density[MOTOR_VELOCITY, MOTOR_VELOCITY] = Fraction(request.process_noise.motor) * gain**2
-    density[4:, 4:] = G @ G.T
-    return density
+    return _block_diagonal(density, G @ G.T)
 
 
 def rational(values: Any) -> Rational:
@@ -316,7 +391,7 @@ def _series(
     if growth > _LARGEST_GROWTH:
         raise ModelError(
             f"exact proof: expected a norm of the linear flow of at most {_LARGEST_GROWTH} in a "
-            f"step, got {float(growth):.4g}; the arm is too fast for the period"
+            f"step, got {float(growth):.4g}; the model is too fast for the period"
         )
     bits = 256 + 4 * math.ceil(growth)
     unit = 1 << bits
