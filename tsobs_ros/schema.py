@@ -15,7 +15,7 @@ import contextlib
 import re
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from os import PathLike
 from types import UnionType
 from typing import Any, TypeVar, get_args, get_origin
@@ -135,7 +135,10 @@ def _check_value(data: Any, kind: Any, place: str) -> None:
 def _entries(kind: Any) -> dict[str, tuple[Any, bool]] | None:
     """Return the type of each entry of a mapping and whether it must be there, by its name."""
     if is_dataclass(kind):
-        return {field.name: (field.type, False) for field in fields(kind)}
+        return {
+            each.name: (each.type, each.default is MISSING and each.default_factory is MISSING)
+            for each in fields(kind)
+        }
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         entries = msgspec.structs.fields(kind)
         return {entry.encode_name: (entry.type, entry.required) for entry in entries}

@@ -337,7 +337,7 @@ FAST = ElasticJointArm(1e-3, 1e-4, 1e4)
         (lambda: ProcessNoise(motor=math.inf), "process noise density of the motor: expected"),
         (
             lambda: ArmFlow(ElasticJointArm(), TWO, ProcessNoise(), 0.005),
-            "disturbance: expected one channel, the measured angle's, got 2",
+            "disturbance: expected 1 channels, those of link_angle, got 2",
         ),
         (
             lambda: shipped().predict(np.zeros(4), np.zeros(1), 0.005),

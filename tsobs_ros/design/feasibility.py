@@ -48,6 +48,15 @@ def find_obstacles(request: ArmRequest) -> list[Obstacle]:
             for mode in hidden_modes(request.arm.slope_matrix(slope), np.zeros((1, 4)))
             if mode.eigenvalue.imag >= 0.0
         ]
+    if request.outputs or request.torque_sides or not request.arm.gravity_torque:
+        return [
+            Obstacle(slope, mode)
+            for slope in request.slope_range
+            for mode in undetectable_modes(
+                request.flow.slope_matrix(slope), request.flow.output_matrix
+            )
+            if mode.eigenvalue.imag >= 0.0
+        ]
     return [*_indistinct_terms(request), *_resonances(request)]
 
 

@@ -72,13 +72,19 @@ def design_text(design: Design) -> str:
     request = design.request
     kind = _ARM if isinstance(request, ArmRequest) else _SYSTEM
     with within(""):
-        entries = ArmFile(request) if isinstance(request, ArmRequest) else SystemFile.of(request)
+        file = ArmFile(request) if isinstance(request, ArmRequest) else SystemFile.of(request)
     gain = GainEntry(np.array(design.plain_gain))
     answer = AnswerEntries(gain, CertificateEntry(design.P), design.solver)
-    data = {"format": kind, "version": VERSION, **encode(entries), **encode(answer)}
+    data = {"format": kind, "version": VERSION, **encode(file), **encode(answer)}
     if isinstance(request, ArmRequest):
         # An entry that is left open is none, as in files from before there was one.
-        data["design"] = {n: v for n, v in data["design"].items() if v is not None}
+        entries = {name: value for name, value in data["design"].items() if value is not None}
+        for name in ("disturbance", "measurement_std") if request.outputs else ("outputs",):
+            del entries[name]
+        torques = {
+            side: terms for side, terms in entries.pop("torque_disturbance").items() if terms
+        }
+        data["design"] = {**entries, "torque_disturbance": torques} if torques else entries
     return yaml_text(_HEADERS[kind], data)
 
 
@@ -193,7 +199,7 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
         is_arm = kind == _ARM
         request = decode(data, ArmFile).design if is_arm else decode(data, SystemFile).request()
         n, p = request.flow.state_count, request.flow.output_matrix.shape[0]
-        K = as_matrix("gain.K", answer.gain.K, (n,) if is_arm else (n, p)).reshape(n, p)
+        K = as_matrix("gain.K", answer.gain.K, (n,) if is_arm and p == 1 else (n, p)).reshape(n, p)
         P = as_matrix("certificate.P", answer.certificate.P, (n, n))
         design = Design(request, P, K, answer.solver)
         # Evaluated here, so that numbers no proof can be made of are refused with the file's name.

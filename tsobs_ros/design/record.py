@@ -251,9 +251,9 @@ class Design:
 
     @property
     def plain_gain(self) -> list[Any]:
-        """K as plain data: a list of numbers for an arm, of rows for a T–S system."""
-        is_arm = isinstance(self.request, ArmRequest)
-        plain: list[Any] = (self.K[:, 0] if is_arm else self.K).tolist()
+        """K as plain data: a list of numbers for an arm of one output, else of rows."""
+        is_list = isinstance(self.request, ArmRequest) and self.K.shape[1] == 1
+        plain: list[Any] = (self.K[:, 0] if is_list else self.K).tolist()
         return plain
 
     def text(self) -> str:

@@ -11,6 +11,7 @@ error exactly. Without them only the blend of the rules is proved, and `TSReques
 
 import inspect
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -26,7 +27,7 @@ from tsobs_ros.design.problem import DesignProblem
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import TorqueLimits
 from tsobs_ros.model import disturbance as disturbances
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
 from tsobs_ros.model.ts_flow import PairVertex, TSFlow
@@ -141,14 +142,96 @@ def _require_squares(name: str, values: Iterable[float]) -> None:
 
 
 @dataclass(frozen=True)
+class Output:
+    """One measured quantity of an arm.
+
+    Attributes:
+        measures: What it measures, one of `QUANTITIES` (rad, rad/s).
+        measurement_std: 1σ of one sample's noise [rad, rad/s].
+        disturbance: Terms whose sum disturbs it.
+
+    Raises:
+        ModelError: The quantity is unknown, or a value is out of range.
+    """
+
+    measures: str
+    measurement_std: float
+    disturbance: Sequence[DisturbanceTerm] = (DisturbanceTerm("clean"),)
+
+    def __post_init__(self) -> None:
+        if self.measures not in QUANTITIES:
+            raise ModelError(
+                f"measures: expected one of {', '.join(QUANTITIES)}, got {shown(self.measures)}"
+            )
+        std = positive("measurement_std", self.measurement_std)
+        _require_squares("measurement_std", [std])
+        object.__setattr__(self, "measurement_std", std)
+        object.__setattr__(self, "disturbance", tuple(self.disturbance))
+        if not self.disturbance:
+            raise ModelError("disturbance: expected at least one term, e.g. kind: clean")
+
+    @property
+    def model(self) -> DisturbanceModel:
+        """The sum of the disturbance's terms."""
+        return _sum_of(self.disturbance)
+
+
+@dataclass(frozen=True)
+class TorqueDisturbance:
+    """Unknown torques of an arm besides the known one [N m].
+
+    Attributes:
+        motor: Terms of the torque at the motor: friction, offset, an error of the drive's gain.
+        link: Terms of the torque at the link: contact, payload.
+
+    Raises:
+        ModelError: A term is arbitrary: such a torque has no model.
+    """
+
+    motor: Sequence[DisturbanceTerm] = ()
+    link: Sequence[DisturbanceTerm] = ()
+
+    def __post_init__(self) -> None:
+        for side in SIDES:
+            terms = tuple(getattr(self, side))
+            object.__setattr__(self, side, terms)
+            for place, term in enumerate(terms):
+                if term.kind == "arbitrary":
+                    raise ModelError(
+                        f"{side}[{place}]: expected a torque with a model, e.g. gauss_markov, "
+                        "got kind arbitrary"
+                    )
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """The sides with a model of at least one state, motor first."""
+        return tuple(side for side in SIDES if _sum_of(getattr(self, side)).state_count)
+
+    @cached_property
+    def model(self) -> DisturbanceModel | None:
+        """The exosystem of both sides, None if neither has a model."""
+        if not self.sides:
+            return None
+        return per_channel([_sum_of(getattr(self, side)) for side in SIDES])
+
+
+def _sum_of(terms: Sequence[DisturbanceTerm]) -> DisturbanceModel:
+    models = [term.model() for term in terms] or [disturbances.clean()]
+    return sum(models[1:], start=models[0])
+
+
+@dataclass(frozen=True)
 class ArmRequest(DesignProblem):
     """Everything a certified gain depends on; the defaults are the shipped design's.
 
     Attributes:
         arm: Nominal physical parameters.
-        disturbance: Terms whose sum disturbs the measured angle.
+        disturbance: Terms whose sum disturbs the measured link angle; with `outputs`, the first's.
         process_noise: Densities of the arm's acceleration noise.
-        measurement_std: 1σ of one sample's noise [rad].
+        measurement_std: 1σ of one sample's noise of the link angle [rad]; with `outputs`, the
+            first's.
+        outputs: What is measured; () for the link angle alone, see `sensors`.
+        torque_disturbance: Unknown torques at motor and link.
         rate: Measurement rate [Hz].
         x_max: Half width of the domain |q₁| ≤ x_max the certificate is for [rad], up to π.
         decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
@@ -167,6 +250,8 @@ class ArmRequest(DesignProblem):
     disturbance: Sequence[DisturbanceTerm] = (DisturbanceTerm("bias"),)
     process_noise: ProcessNoise = field(default_factory=ProcessNoise)
     measurement_std: float = 0.028
+    outputs: Sequence[Output] = ()
+    torque_disturbance: TorqueDisturbance = TorqueDisturbance()
     rate: float = 200.0
     x_max: float = 0.75
     decay_rate: float = 0.0
@@ -177,8 +262,13 @@ class ArmRequest(DesignProblem):
     torque_rate_limit: float | None = None
 
     def __post_init__(self) -> None:
+        if self.outputs:
+            self._take_outputs()
         checked: dict[str, Any] = {
             "measurement_std": positive("measurement_std", self.measurement_std),
+            "outputs": tuple(self.outputs),
+            # msgspec omits an attribute that is only a class's default.
+            "torque_disturbance": self.torque_disturbance,
             "rate": positive("rate", self.rate),
             "decay_rate": non_negative("decay_rate", self.decay_rate),
             "x_max": finite("x_max", self.x_max),
@@ -188,6 +278,8 @@ class ArmRequest(DesignProblem):
                 {
                     name: positive(f"uncertainty.{name}", bound)
                     for name, bound in self.uncertainty.items()
+                    # A share of no gravity is none.
+                    if name != "gravity" or self.arm.gravity_torque
                 }
             ),
         }
@@ -202,23 +294,65 @@ class ArmRequest(DesignProblem):
         _require_squares("initial_std", self.initial_std)
         if not self.disturbance:
             raise ModelError("disturbance: expected at least one term, e.g. kind: clean")
-        _require_no_alias(self.disturbance, self.rate)
+        for output in self.sensors:
+            _require_no_alias(output.disturbance, self.rate)
+        for side in SIDES:
+            _require_no_alias(getattr(self.torque_disturbance, side), self.rate)
         if self.certify_uncertainty:
             if not self.uncertainty:
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
             linear_directions(self.uncertainty_model)
         _ = self.uncertainty_model
 
+    def _take_outputs(self) -> None:
+        """Let the first output's entries stand for those of the link angle alone."""
+        first = self.outputs[0]
+        for name in ("disturbance", "measurement_std"):
+            given, own = getattr(self, name), getattr(first, name)
+            if given not in (own, getattr(type(self), name)):
+                raise ModelError(
+                    f"{name}: expected in outputs, one an output, got {shown(given)} besides them"
+                )
+            object.__setattr__(self, name, own)
+        self.arm.measured([output.measures for output in self.outputs])
+
+    @cached_property
+    def sensors(self) -> tuple[Output, ...]:
+        """What is measured, one entry an output."""
+        alone = Output(QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance)
+        return tuple(self.outputs) or (alone,)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The measured quantities, names of `QUANTITIES`."""
+        return tuple(output.measures for output in self.sensors)
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """The motor's torque alone."""
+        return ("torque",)
+
+    @property
+    def torque_sides(self) -> tuple[str, ...]:
+        """The sides with a torque disturbance, of "motor" and "link", in this order."""
+        return self.torque_disturbance.sides
+
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
-        """The sum of the disturbance's terms."""
-        models = [term.model() for term in self.disturbance]
-        return sum(models[1:], start=models[0])
+        """The exosystem of all outputs, one channel each."""
+        return per_channel([output.model for output in self.sensors])
 
     @cached_property
     def flow(self) -> ArmFlow:
-        """The prediction model of the arm with its disturbance."""
-        return ArmFlow(self.arm, self.disturbance_model, self.process_noise, self.period)
+        """The prediction model of the arm with its disturbances."""
+        return ArmFlow(
+            self.arm,
+            self.disturbance_model,
+            self.process_noise,
+            self.period,
+            self.output_names,
+            self.torque_disturbance.model,
+        )
 
     @cached_property
     def uncertainty_model(self) -> Uncertainty:
@@ -227,8 +361,8 @@ class ArmRequest(DesignProblem):
 
     @cached_property
     def measurement_covariance(self) -> Array:
-        """R, shape (1, 1) [rad²]."""
-        return np.array([[self.measurement_std * self.measurement_std]])
+        """R, diagonal, shape (p, p)."""
+        return np.diag([output.measurement_std * output.measurement_std for output in self.sensors])
 
     def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits:
         """Return which torques a drive of the arm can have.
@@ -250,8 +384,13 @@ class ArmRequest(DesignProblem):
 
     @property
     def slope_range(self) -> tuple[float, float]:
-        """Smallest and largest gravity slope (cosine) on the domain."""
-        return slope_range(self.x_max)
+        """Smallest and largest gravity slope (cosine) on the domain; (0, 0) without gravity."""
+        return slope_range(self.x_max) if self.arm.gravity_torque else (0.0, 0.0)
+
+    @property
+    def max_angle(self) -> float:
+        """Half width of the certificate's domain [rad]: without gravity it has all angles."""
+        return self.x_max if self.arm.gravity_torque else sys.float_info.max
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -285,8 +424,15 @@ class ArmRequest(DesignProblem):
 
     @property
     def headline(self) -> str:
-        """The disturbance and the domain in words."""
-        return f"disturbance {self.disturbance_model.label}, |q1| <= {self.x_max:.4g} rad"
+        """Outputs, disturbances and the domain in words."""
+        parts = [f"disturbance {self.disturbance_model.label}"]
+        if self.outputs:
+            parts = [f"{output.measures} ({output.model.label})" for output in self.outputs]
+        for side in self.torque_sides:
+            terms = getattr(self.torque_disturbance, side)
+            parts.append(f"torque at the {side} ({_sum_of(terms).label})")
+        gravity = f"|q1| <= {self.x_max:.4g} rad" if self.arm.gravity_torque else "no gravity"
+        return ", ".join([*parts, gravity])
 
     @property
     def details(self) -> dict[str, Any]:
@@ -315,6 +461,8 @@ class ArmRequest(DesignProblem):
     def domain(self) -> str:
         """The slopes and the uncertainty that the certificate covers, in words."""
         slopes = f"gravity slopes [{self.slope_range[0]:.4g}, 1] (|q1| <= {self.x_max:.4g} rad)"
+        if not self.arm.gravity_torque:
+            slopes = "the arm without gravity"
         if not self.certify_uncertainty:
             return slopes
         bounds = " and ".join(f"{name} ± {bound:.4g}" for name, bound in self.uncertainty.items())
@@ -334,9 +482,11 @@ class ArmRequest(DesignProblem):
     @cached_property
     def initial_covariance(self) -> Array:
         """Error covariance before any measurement in design coordinates, shape (n, n)."""
-        arm = self.arm.from_physical(self.initial_std)
+        std = [self.arm.from_physical(self.initial_std), self.disturbance_model.initial_std]
+        if (torque := self.torque_disturbance.model) is not None:
+            std.append(torque.initial_std)
         with np.errstate(over="ignore"):  # what is not finite is refused by the observer
-            return np.diag(np.concatenate([arm, self.disturbance_model.initial_std]) ** 2)
+            return np.diag(np.concatenate(std) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -536,6 +686,16 @@ class TSRequest(DesignProblem):
             count = sum(term.model().state_count for term in terms)
             labels += [f"disturbance of {name}, state {i + 1}" for i in range(count)]
         return tuple(labels)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """y1 to yp."""
+        return tuple(f"y{i + 1}" for i in range(self.model.C.shape[0]))
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """u1 to um."""
+        return tuple(f"u{i + 1}" for i in range(self.model.input_count))
 
     @property
     def headline(self) -> str:

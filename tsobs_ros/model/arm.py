@@ -10,16 +10,27 @@ x = [q₁, q̇₁, (k/J₁) q₂, (k/J₁) q̇₂], in which the spring enters t
 Here they are called *design coordinates*; [q₁, q̇₁, q₂, q̇₂] are the *physical* ones.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.checks import Array, as_matrix, non_negative, positive, shown
+from tsobs_ros.errors import ModelError
 
 LINK_ANGLE, LINK_VELOCITY, MOTOR_ANGLE, MOTOR_VELOCITY = range(4)
 """Places of the four states, the same in both coordinates."""
+
+QUANTITIES = ("link_angle", "link_velocity", "motor_angle", "motor_velocity")
+"""Names of what a sensor can measure (rad, rad/s), in the order of the states."""
+
+SIDES = ("motor", "link")
+"""Where a torque may disturb an arm, in the order of the torques' states."""
+
+_REFERENCE_ACCELERATION = 10.0
+"""What the reference torque of an arm without gravity gives both inertias [rad/s²]."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +41,13 @@ class ElasticJointArm:
         link_inertia: J₁ [kg m²].
         motor_inertia: J₂ [kg m²].
         stiffness: Spring constant k of the joint [N m/rad].
-        gravity_torque: mgl, the torque that holds the link horizontal [N m].
+        gravity_torque: mgl, the torque that holds the link horizontal [N m]; 0 for a vertical axis.
         link_damping: b₁ [N m s/rad].
         motor_damping: b₂ [N m s/rad].
 
     Raises:
-        ModelError: An inertia, the stiffness or the gravity torque is not a finite number above
-            zero, or a damping is negative.
+        ModelError: An inertia or the stiffness is not a finite number above zero, or the gravity
+            torque or a damping is negative.
     """
 
     link_inertia: float = 1.0
@@ -48,13 +59,20 @@ class ElasticJointArm:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            check = non_negative if field.name.endswith("damping") else positive
+            may_be_zero = field.name.endswith(("damping", "gravity_torque"))
+            check = non_negative if may_be_zero else positive
             object.__setattr__(self, field.name, check(field.name, getattr(self, field.name)))
 
     @property
     def gravity_gain(self) -> float:
         """mgl/J₁ [1/s²]: the link's angular acceleration by gravity when it is horizontal."""
         return self.gravity_torque / self.link_inertia
+
+    @property
+    def reference_torque(self) -> float:
+        """The size of the arm's torques [N m]: gravity's, or 10 rad/s² of both inertias."""
+        inertia = self.link_inertia + self.motor_inertia
+        return self.gravity_torque or _REFERENCE_ACCELERATION * inertia
 
     @cached_property
     def spring_matrix(self) -> Array:
@@ -81,7 +99,28 @@ class ElasticJointArm:
     @cached_property
     def output_matrix(self) -> Array:
         """State to measured link angle, shape (1, 4)."""
-        return as_matrix("output_matrix", [[1.0, 0.0, 0.0, 0.0]], (1, 4))
+        return self.measured(("link_angle",))
+
+    def measured(self, outputs: Sequence[str]) -> Array:
+        """Return the matrix that takes the state to measured quantities, shape (p, 4).
+
+        Args:
+            outputs: Names of `QUANTITIES`.
+
+        Raises:
+            ModelError: A name is unknown or listed twice.
+        """
+        for place, name in enumerate(outputs):
+            if name not in QUANTITIES:
+                raise ModelError(
+                    f"outputs[{place}]: expected one of {', '.join(QUANTITIES)}, got {shown(name)}"
+                )
+            if name in outputs[:place]:
+                raise ModelError(
+                    f"outputs[{place}]: {name} is listed already, as outputs[{outputs.index(name)}]"
+                )
+        places = [QUANTITIES.index(name) for name in outputs]
+        return as_matrix("output_matrix", np.diag(self._physical_scale)[places], (len(places), 4))
 
     @cached_property
     def _physical_scale(self) -> Array:

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One-step prediction of the arm with its disturbance model, and of its error covariance.
 
-The augmented state is x̄ = [x; w]: the arm in design coordinates, then the disturbance's states.
+The augmented state is x̄ = [x; w; w_d]: the arm in design coordinates, then the states of the
+outputs' disturbances, then those of torques that disturb motor and link, which the linear flow
+takes in: the motor's row by 1/J₂, the link's by 1/J₁.
 A step is a half gravity kick, the exact linear flow with the torque held, and a half kick:
 
     x₂ −= (T/2)(mgl/J₁) sin x₁;   x̄ ← Φ(T) x̄ + Γ(T) u;   x₂ −= (T/2)(mgl/J₁) sin x₁
@@ -14,6 +16,7 @@ the estimate that serves as premise.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -24,12 +27,19 @@ from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
+from tsobs_ros.model.arm import (
+    LINK_ANGLE,
+    LINK_VELOCITY,
+    MOTOR_VELOCITY,
+    QUANTITIES,
+    SIDES,
+    ElasticJointArm,
+)
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
 from tsobs_ros.model.prediction import Flow, fill_common, fill_matrix, require_directions
 from tsobs_ros.model.stepping import ARM
-from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
+from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
 from tsobs_ros.model.vertices import (
     KickCorner,
     VertexSystem,
@@ -86,10 +96,17 @@ class ArmFlow(Flow):
 
     Attributes:
         arm: The physical model.
-        disturbance: The exosystem of the sensor's disturbance (one channel).
+        disturbance: The exosystem of the outputs' disturbances, one channel an output.
         process_noise: Densities of the arm's acceleration noise.
         period: Nominal step [s]; longer steps are taken in nominal ones and a last one.
+        outputs: What is measured, names of `QUANTITIES`.
+        torque_disturbance: The exosystem of torques at motor and link [N m], two channels; None if
+            the arm has the known torque only.
         linear: The flow without gravity.
+
+    Raises:
+        ModelError: An output is unknown or listed twice, or a disturbance has another number of
+            channels.
     """
 
     def __init__(
@@ -98,40 +115,75 @@ class ArmFlow(Flow):
         disturbance: DisturbanceModel,
         process_noise: ProcessNoise,
         period: float,
+        outputs: Sequence[str] = (QUANTITIES[LINK_ANGLE],),
+        torque_disturbance: DisturbanceModel | None = None,
     ) -> None:
         self.arm = arm
         self.disturbance = disturbance
         self.process_noise = process_noise
         self.period = positive("period", period)
-        if disturbance.channel_count != 1:
-            raise ModelError(
-                f"disturbance: expected one channel, the measured angle's, "
-                f"got {disturbance.channel_count}"
-            )
+        self.outputs = tuple(outputs)
+        self.torque_disturbance = torque_disturbance
+        self._measured = arm.measured(self.outputs)
+        _require_channels("disturbance", disturbance, self.outputs)
+        if torque_disturbance is not None:
+            _require_channels("torque_disturbance", torque_disturbance, SIDES)
         torque = np.zeros((self.state_count, 1))
         torque[:4] = arm.input_matrix
         self.linear = LinearFlow(self.drift, torque, self._noise_density(), self.period)
         self.nominal = self.transition(self.period)
 
     @property
+    def plant_count(self) -> int:
+        """Number of the arm's own states."""
+        return 4
+
+    @property
     def state_count(self) -> int:
         """Length n of the augmented state."""
-        return 4 + self.disturbance.state_count
+        torque = self.torque_disturbance
+        return 4 + self.disturbance.state_count + (torque.state_count if torque else 0)
 
     @cached_property
     def output_matrix(self) -> Array:
-        """Augmented state to measured angle C̄ = [C H], shape (1, n)."""
-        joined = np.hstack([self.arm.output_matrix, self.disturbance.H])
-        return as_matrix("C̄", joined, (1, self.state_count))
+        """Augmented state to measurement C̄ = [C H 0], shape (p, n)."""
+        measured = self._placed(self._measured, 0) + self.disturbance_map
+        return as_matrix("C̄", measured, measured.shape)
+
+    @cached_property
+    def motor_torque(self) -> Array:
+        """Augmented state to the unknown torque at the motor [N m], shape (n,)."""
+        return self._torque_of(SIDES.index("motor"))
+
+    @cached_property
+    def link_torque(self) -> Array:
+        """Augmented state to the unknown torque at the link [N m], shape (n,)."""
+        return self._torque_of(SIDES.index("link"))
+
+    def _torque_of(self, side: int) -> Array:
+        if self.torque_disturbance is None:
+            return np.zeros(self.state_count)
+        row = self.torque_disturbance.H[side : side + 1]
+        return np.ravel(self._placed(row, 4 + self.disturbance.state_count))
 
     @cached_property
     def drift(self) -> Array:
         """Continuous augmented matrix without gravity, what the linear flow integrates, (n, n)."""
-        return np.asarray(block_diag(self.arm.spring_matrix, self.disturbance.S))
+        own = block_diag(self.arm.spring_matrix, self.disturbance.S)
+        torque = self.torque_disturbance
+        if torque is None:
+            return np.asarray(own)
+        drift = np.asarray(block_diag(own, torque.S))
+        motor, link = torque.H
+        drift[MOTOR_VELOCITY, len(own) :] = self.arm.input_matrix[MOTOR_VELOCITY] * motor
+        drift[LINK_VELOCITY, len(own) :] = link / self.arm.link_inertia
+        return drift
 
     def slope_matrix(self, slope: float) -> Array:
         """Return the continuous augmented matrix with gravity slope c, shape (n, n)."""
-        return np.asarray(block_diag(self.arm.slope_matrix(slope), self.disturbance.S))
+        matrix = self.drift.copy()
+        matrix[:4, :4] = self.arm.slope_matrix(slope)
+        return matrix
 
     @property
     def input_count(self) -> int:
@@ -150,7 +202,7 @@ class ArmFlow(Flow):
         record["gravity_gain"] = self.arm.gravity_gain
         record["unknown_torque"] = self._unknown_torque
         if uncertainty is not None and uncertainty.count:
-            require_directions(uncertainty, (1, 4, TORQUE + 1), type(self).__name__)
+            require_directions(uncertainty, (1, 4, EXTERNAL + 1), type(self).__name__)
             rows = uncertainty.directions[:, 0, [LINK_VELOCITY, MOTOR_VELOCITY]]
             parts = (rows[..., :4].reshape(-1, 8), rows[..., SINE], rows[..., TORQUE])
             fill_matrix(record["effects"], np.hstack(parts))
@@ -167,7 +219,8 @@ class ArmFlow(Flow):
         uncertainty: Uncertainty | None = None,
         share: float = 1.0,
     ) -> list[VertexSystem]:
-        """Return the vertex error systems of a nominal step, four of them without uncertainty.
+        """Return the vertex error systems of a nominal step: of known parameters four with gravity
+        and one without.
 
         Args:
             slope_min: Smallest cosine of the domain.
@@ -177,7 +230,9 @@ class ArmFlow(Flow):
         """
         step = self.nominal
         bounds = [] if uncertainty is None else [share * b for b in uncertainty.limits.tolist()]
-        corners = list(kick_corners((slope_min, slope_max), uncertainty, bounds))
+        has_gravity = self.arm.gravity_torque > 0.0
+        slopes = (slope_min, slope_max) if has_gravity else (0.0,)
+        corners = list(kick_corners(slopes, uncertainty, bounds))
         kicks = [self._kick_matrix(corner, uncertainty) for corner in corners]
         systems = []
         for first, before in zip(corners, kicks, strict=True):
@@ -188,7 +243,7 @@ class ArmFlow(Flow):
                         (first.slope, second.slope),
                         after @ step.phi @ before,
                         (noise + noise.T) / 2,
-                        describe(first, second, uncertainty),
+                        describe(first, second, uncertainty, has_gravity),
                     )
                 )
         return systems
@@ -197,8 +252,12 @@ class ArmFlow(Flow):
         """Return the Jacobian of half a kick at one corner, shape (n, n)."""
         matrix = np.eye(self.state_count)
         if uncertainty is not None:
-            change = uncertainty.linear[linear_directions(uncertainty), 0]
-            matrix[:4, :4] += 0.5 * self.period * np.tensordot(corner.theta, change, 1)
+            change = uncertainty.directions[linear_directions(uncertainty), 0]
+            sum_of_changes = 0.5 * self.period * np.tensordot(corner.theta, change, 1)
+            matrix[:4, :4] += sum_of_changes[:, :4]
+            # Unknown torques meet what known ones do.
+            for column, torque in ((TORQUE, self.motor_torque), (EXTERNAL, self.link_torque)):
+                matrix[:4] += np.outer(sum_of_changes[:, column], torque)
         matrix[LINK_VELOCITY, LINK_ANGLE] -= self.nominal.half_kick * corner.slope
         return matrix
 
@@ -208,7 +267,10 @@ class ArmFlow(Flow):
         arm[LINK_VELOCITY, LINK_VELOCITY] = self.process_noise.link
         scale = self.arm.stiffness / self.arm.link_inertia
         arm[MOTOR_VELOCITY, MOTOR_VELOCITY] = self.process_noise.motor * (scale * scale)
-        return np.asarray(block_diag(arm, self.disturbance.noise_density))
+        densities = [self.disturbance.noise_density]
+        if self.torque_disturbance is not None:
+            densities.append(self.torque_disturbance.noise_density)
+        return np.asarray(block_diag(arm, *densities))
 
     def to_physical(self, x: ArrayLike) -> Array:
         """Return [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) of augmented states of shape (..., n)."""
@@ -228,18 +290,19 @@ class TorqueFlow(ArmFlow):
 
     def __init__(self, flow: ArmFlow, matrix: Array, density: Array) -> None:
         self._matrix, self._density = matrix, density
-        super().__init__(flow.arm, flow.disturbance, flow.process_noise, flow.period)
+        super().__init__(
+            flow.arm,
+            flow.disturbance,
+            flow.process_noise,
+            flow.period,
+            flow.outputs,
+            flow.torque_disturbance,
+        )
 
     @property
     def state_count(self) -> int:
         """Length of the augmented state with those of the unknown torque."""
         return super().state_count + len(self._matrix)
-
-    @cached_property
-    def output_matrix(self) -> Array:
-        """Augmented state to measured angle, shape (1, n)."""
-        own = np.hstack([self.arm.output_matrix, self.disturbance.H])
-        return np.pad(own, ((0, 0), (0, len(self._matrix))))
 
     @cached_property
     def drift(self) -> Array:
@@ -270,6 +333,13 @@ class GapFlow(TorqueFlow):
         density = np.diag([0.0, 2.0 * self.rate_variance / GAP_MEMORY])
         super().__init__(flow, np.array([[0.0, 1.0], [0.0, -1.0 / GAP_MEMORY]]), density)
 
+    @cached_property
+    def motor_torque(self) -> Array:
+        """Augmented state to the unknown torque at the motor, δ included [N m], shape (n,)."""
+        row = super().motor_torque.copy()
+        row[-UNKNOWN_TORQUE] = 1.0
+        return row
+
     @property
     def _unknown_torque(self) -> int:
         return self.state_count - UNKNOWN_TORQUE
@@ -287,6 +357,14 @@ class ForceFlow(TorqueFlow):
     def __init__(self, flow: ArmFlow, std: float, time_constant: float) -> None:
         density = np.array([[2.0 * std * std / time_constant]])
         super().__init__(flow, np.array([[-1.0 / time_constant]]), density)
+
+
+def _require_channels(name: str, model: DisturbanceModel, channels: Sequence[str]) -> None:
+    if model.channel_count != len(channels):
+        raise ModelError(
+            f"{name}: expected {len(channels)} channels, those of {', '.join(channels)}, "
+            f"got {model.channel_count}"
+        )
 
 
 def slope_range(x_max: float) -> tuple[float, float]:

@@ -1,9 +1,13 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction models as observers and designs use them: a step of the augmented state x̄ = [x; w]."""
+"""Prediction models as observers and designs use them: a step of the augmented state x̄.
+
+It is [x; w]: the plant's states, then those of the disturbances.
+"""
 
 import math
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,12 +29,20 @@ class Flow(ABC):
     """One step of the augmented state and of its error covariance.
 
     Attributes:
-        disturbance: The exosystem, whose states w are the last ones of x̄.
+        disturbance: The exosystem of the outputs, whose states w follow the plant's in x̄.
+        torque_disturbance: The exosystem of torques at an arm's motor and link, two channels, whose
+            states follow those; None if there is none.
         period: Nominal step [s]; longer ones are taken in nominal steps and a last one.
     """
 
     disturbance: DisturbanceModel
+    torque_disturbance: DisturbanceModel | None = None
     period: float
+
+    @property
+    @abstractmethod
+    def plant_count(self) -> int:
+        """Number of the plant's own states, the first ones of x̄."""
 
     @property
     @abstractmethod
@@ -46,6 +58,32 @@ class Flow(ABC):
     @abstractmethod
     def input_count(self) -> int:
         """Number m of inputs and scheduled signals."""
+
+    @cached_property
+    def disturbance_map(self) -> Array:
+        """Augmented state to the disturbance of each output, shape (p, n)."""
+        return self._placed(self.disturbance.H, self.plant_count)
+
+    @cached_property
+    def rate_map(self) -> Array:
+        """Augmented state to the modelled rate of each output's disturbance, shape (p, n)."""
+        return self._placed(self.disturbance.rate_map, self.plant_count)
+
+    @cached_property
+    def torque_map(self) -> Array:
+        """Augmented state to torque disturbances [N m], shape (t, n); sides with a model, motor's
+        first."""
+        if self.torque_disturbance is None:
+            return np.zeros((0, self.state_count))
+        H = self.torque_disturbance.H
+        sides = [side for side, row in enumerate(H) if row.any()]
+        return self._placed(H[sides], self.plant_count + self.disturbance.state_count)
+
+    def _placed(self, rows: Array, place: int) -> Array:
+        """Return rows of a matrix within those of all states, shape (rows, n)."""
+        placed = np.zeros((len(rows), self.state_count))
+        placed[:, place : place + rows.shape[1]] = rows
+        return placed
 
     @abstractmethod
     def to_physical(self, x: ArrayLike) -> Array:

@@ -118,6 +118,11 @@ class TSFlow(Flow):
         self.nominal = self.step(self.period)
 
     @property
+    def plant_count(self) -> int:
+        """Number of the system's own states."""
+        return self.model.state_count
+
+    @property
     def state_count(self) -> int:
         """Length n of the augmented state."""
         return self.model.state_count + self.disturbance.state_count

@@ -3,8 +3,8 @@
 """Bounded uncertainty of a model's parameters, for the arm and for any T–S system.
 
 With parameters θ the state's derivative is ẋ(θ) = ẋ(0) + Σ_k θ_k Σᵢ hᵢ E_{k,i} s. The signals s are
-those that the derivative is linear in: [x; u] of a T–S system, and [x; sin x₁; u] of the arm, which
-is a single rule of them.
+those that the derivative is linear in: [x; u] of a T–S system, and [x; sin x₁; u; d] of the arm, d
+being a torque at the link. The arm is a single rule of them.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,8 +19,9 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.ts_model import TSModel
 
-SINE, TORQUE = 4, 5
-"""Columns of the arm's directions that sin x₁ and the torque meet; before them is the state."""
+SINE, TORQUE, EXTERNAL = 4, 5, 6
+"""Columns of the arm's directions that sin x₁, the motor's torque and one at the link [N m] meet;
+before them is the state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
             raise ModelError(
                 f"uncertainty: expected some of {', '.join(ARM_DIRECTIONS)}, got {name!r}"
             )
-    directions = np.zeros((len(bounds), 1, 4, TORQUE + 1))
+    directions = np.zeros((len(bounds), 1, 4, EXTERNAL + 1))
     for name, direction in zip(bounds, directions, strict=True):
         ARM_DIRECTIONS[name](arm, direction[0])
     return Uncertainty(bounds, directions)
@@ -146,6 +147,7 @@ def _motor_damping(arm: ElasticJointArm, E: Array) -> None:
 def _link_inverse_inertia(arm: ElasticJointArm, E: Array) -> None:
     E[LINK_VELOCITY, :4] = arm.spring_matrix[LINK_VELOCITY]
     E[LINK_VELOCITY, SINE] = -arm.gravity_gain
+    E[LINK_VELOCITY, EXTERNAL] = 1.0 / arm.link_inertia
 
 
 def _motor_inverse_inertia(arm: ElasticJointArm, E: Array) -> None:
@@ -161,5 +163,5 @@ ARM_DIRECTIONS: Mapping[str, Callable[[ElasticJointArm, Array], None]] = {
     "link_inverse_inertia": _link_inverse_inertia,
     "motor_inverse_inertia": _motor_inverse_inertia,
 }
-"""What fills the arm's direction, shape (4, 6), for a relative change of k, of mgl, of 1/J₁ and of
+"""What fills the arm's direction, shape (4, 7), for a relative change of k, of mgl, of 1/J₁ and of
 1/J₂, and for added damping [N m s/rad]."""

@@ -66,7 +66,7 @@ def linear_directions(uncertainty: Uncertainty) -> list[int]:
 
 
 def kick_corners(
-    slopes: tuple[Number, Number],
+    slopes: Sequence[Number],
     uncertainty: Uncertainty | None,
     bounds: Sequence[Number] = (),
 ) -> Iterator[KickCorner[Number]]:
@@ -75,7 +75,7 @@ def kick_corners(
     Floats and fractions go through the same formula: an exact proof needs exact corners.
 
     Args:
-        slopes: Smallest and largest cosine of the domain.
+        slopes: Smallest and largest cosine of the domain; any single number without gravity.
         uncertainty: The uncertain parameters, if any are to be covered.
         bounds: Bound of each |θ|, in the order of `uncertainty`.
     """
@@ -96,14 +96,18 @@ def kick_corners(
             for turn in product((-1, 1), repeat=len(free))
         ]
         yield KickCorner(min(ends), theta)
-        yield KickCorner(max(ends), theta)
+        if len(ends) > 1:
+            yield KickCorner(max(ends), theta)
 
 
 def describe(
-    first: KickCorner[float], second: KickCorner[float], uncertainty: Uncertainty | None
+    first: KickCorner[float],
+    second: KickCorner[float],
+    uncertainty: Uncertainty | None,
+    gravity: bool = True,
 ) -> str:
     """Return a vertex in words, e.g. "slopes (0.7317, 1), stiffness (-0.2, 0.2)"."""
-    parts = [f"slopes ({first.slope:.4g}, {second.slope:.4g})"]
+    parts = [f"slopes ({first.slope:.4g}, {second.slope:.4g})" if gravity else "no gravity"]
     if uncertainty is not None:
         names = [uncertainty.names[k] for k in linear_directions(uncertainty)]
         pairs = zip(names, first.theta, second.theta, strict=True)
