@@ -102,16 +102,6 @@ class DesignProblem(ABC):
 
     @property
     @abstractmethod
-    def output_names(self) -> Sequence[str]:
-        """Names of the outputs."""
-
-    @property
-    @abstractmethod
-    def input_names(self) -> Sequence[str]:
-        """Names of the inputs."""
-
-    @property
-    @abstractmethod
     def headline(self) -> str:
         """The problem in words, for reports."""
 

@@ -408,19 +408,20 @@ class ArmRequest(DesignProblem):
         )
 
     @property
-    def output_names(self) -> tuple[str, ...]:
-        """What is measured: the link's angle."""
-        return ("link_angle",)
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """The motor's torque."""
-        return ("torque",)
-
-    @property
-    def torque_sides(self) -> tuple[str, ...]:
-        """The sides whose torque disturbance is estimated, some of motor and link."""
-        return ()
+    def disturbance_labels(self) -> Sequence[str]:
+        """The states of the outputs' disturbances and of the torques in words."""
+        if not self.outputs:
+            labels = list(super().disturbance_labels)
+        else:
+            labels = [
+                f"{output.measures} disturbance {i + 1}"
+                for output in self.outputs
+                for i in range(output.model.state_count)
+            ]
+        for side in self.torque_sides:
+            count = _sum_of(getattr(self.torque_disturbance, side)).state_count
+            labels += [f"{side} torque {i + 1} [N m]" for i in range(count)]
+        return labels
 
     @property
     def headline(self) -> str:
@@ -686,16 +687,6 @@ class TSRequest(DesignProblem):
             count = sum(term.model().state_count for term in terms)
             labels += [f"disturbance of {name}, state {i + 1}" for i in range(count)]
         return tuple(labels)
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """y1 to yp."""
-        return tuple(f"y{i + 1}" for i in range(self.model.C.shape[0]))
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """u1 to um."""
-        return tuple(f"u{i + 1}" for i in range(self.model.input_count))
 
     @property
     def headline(self) -> str:
