@@ -20,8 +20,16 @@ from scipy.stats import t
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.integrator import ArmIntegrator, Friction
-from tsobs_ros.simulation.plant import Mismatch, Plant, Sample, Scenario, Trajectories
+from tsobs_ros.simulation.integrator import ArmIntegrator, Friction, Payload
+from tsobs_ros.simulation.plant import (
+    Mismatch,
+    Plant,
+    Sample,
+    Scenario,
+    SimulatedOutput,
+    TorqueDisturbance,
+    Trajectories,
+)
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
@@ -69,13 +77,29 @@ BUSY = Scenario(
     mismatch=Mismatch(stiffness=0.2, motor_damping=-0.1),
     friction=Friction(0.1, 0.05, 0.3, 0.15),
     torque_error=(Pulses(50.0, 1.0, 0.005, 0.0),),
+    torque_disturbance=TorqueDisturbance(
+        motor=(Sinusoid(0.3, 5.0, 0.2, 0.7), GaussMarkov(0.2, 1.0)),
+        link=(BiasStep(2.0, 0.4), GaussMarkov(1.0, 0.5, 0.1), GaussMarkov(0.5, 2.0)),
+    ),
+    payload=Payload(0.3, 3.0, 0.6, 0.5),
+)
+MANY = replace(
+    BUSY,
+    disturbance=(),
+    sensor=Sensor(),
+    outputs=(
+        SimulatedOutput("motor_angle", Sensor(0.001, noise_degrees=2), (GaussMarkov(0.1, 2.0),)),
+        SimulatedOutput("link_angle", BUSY.sensor, BUSY.disturbance),
+        SimulatedOutput("motor_velocity", Sensor(0.1, latency=0.02, dropout_interval=0.4)),
+    ),
 )
 
 
 def digests() -> list[str]:
     """Return a digest of the runs of each excitation."""
     excitations = (BUSY.excitation, NoTorque(), Sine(1.1, 0.7), Square(2.0, 3.0), Chirp(sweep=1.3))
-    runs = [Plant(replace(BUSY, excitation=each), [4, 9]).run(300) for each in excitations]
+    scenarios = [replace(BUSY, excitation=each) for each in excitations]
+    runs = [Plant(each, [4, 9]).run(300) for each in (*scenarios, MANY)]
     return [hashlib.sha256(b"".join(map(bytes, run))).hexdigest() for run in runs]
 
 
@@ -103,15 +127,15 @@ def test_samples_are_what_the_integrator_and_the_formulas_say() -> None:
         x = integrator.advance(x, sample.torque)
 
 
-@pytest.mark.parametrize("seeds", [[4, 9, 2], range(700)])
+@pytest.mark.parametrize(("scenario", "seeds"), [(BUSY, range(700)), (MANY, [4, 9, 2])])
 def test_a_run_is_the_same_bits_in_a_batch_alone_in_one_call_and_sample_by_sample(
-    seeds: Any,
+    scenario: Scenario, seeds: Any
 ) -> None:
     # Random numbers are drawn 256 samples at a time, of 700 runs 93.
-    batch, stepped = Plant(BUSY, seeds).run(600), Plant(BUSY, seeds)
+    batch, stepped = Plant(scenario, seeds).run(600), Plant(scenario, seeds)
     stepping = [stepped.step() for _ in range(600)]
     for place, seed in list(enumerate(seeds))[:3]:
-        single, parted = Plant(BUSY, seed).run(600), Plant(BUSY, seed)
+        single, parted = Plant(scenario, seed).run(600), Plant(scenario, seed)
         parts = [parted.run(count) for count in (1, 299, 0, 213, 87)]
         for field in Trajectories._fields:
             whole = getattr(single, field)
@@ -341,6 +365,98 @@ def test_the_arm_does_not_feel_an_error_of_the_reported_torque() -> None:
     np.testing.assert_allclose(changed[changed != 0.0], 50.0)
 
 
+def test_each_output_measures_its_quantity_by_its_own_sensor() -> None:
+    names = ("motor_velocity", "link_angle", "motor_angle", "link_velocity")
+    sensors = [
+        Sensor(0.5, dropout_interval=0.3, dropout_duration=0.1),
+        Sensor(0.0, resolution=0.01, dropout_interval=0.3, dropout_duration=0.2),
+        Sensor(0.001),
+        Sensor(0.001),
+    ]
+    outputs = [
+        SimulatedOutput(name, sensor, (BiasStep(0.1 * k, 0.5),))
+        for k, (name, sensor) in enumerate(zip(names, sensors, strict=True))
+    ]
+    scenario = replace(QUIET, sensor=Sensor(), outputs=tuple(outputs))
+    plant = Plant(scenario, 5)
+    samples = [plant.step() for _ in range(400)]
+    truth, y = stack(samples, "physical")[:, [3, 0, 2, 1]], stack(samples, "measurement")
+    late = np.arange(400) >= 100
+    expected = late[:, np.newaxis] * 0.1 * np.arange(4)
+    np.testing.assert_allclose(stack(samples, "disturbance"), expected, atol=1e-15)
+    noise = y - truth - expected
+    gone = [(np.arange(400) % 60 < n) & (np.arange(400) >= 60) for n in (20, 40, 0, 0)]
+    assert (np.isnan(y) == np.stack(gone, axis=1)).all()
+    assert not any(sample.lost for sample in samples)
+    assert np.nanmax(np.abs(noise[:, 1])) <= 0.005 + 1e-12
+    np.testing.assert_allclose(np.nanstd(noise, axis=0)[[0, 2, 3]], [0.5, 1e-3, 1e-3], rtol=0.1)
+    assert abs(np.corrcoef(noise[:, 2], noise[:, 3])[0, 1]) < 0.2
+    # A plant with the first of them alone has the same numbers.
+    alone = Plant(replace(scenario, outputs=(outputs[0],)), 5).run(400)
+    assert alone.measurements[:, 0].tobytes() == y[:, 0].tobytes()
+    plant.exchange_sensor(Sensor(0.0), 2)
+    plant.exchange_disturbance((BiasStep(0.7, 0.0),), 2)
+    later = plant.step()
+    assert later.measurement[2] == later.physical[2] + 0.7
+    assert later.disturbance[[1, 3]] == pytest.approx([0.1, 0.3])
+
+
+def test_torques_that_the_model_lacks_are_what_moves_the_arm_otherwise() -> None:
+    arm = ElasticJointArm(link_damping=0.2, motor_damping=0.3, gravity_torque=9.0)
+    # At 5 kHz a difference of speeds is the acceleration that the truth speaks of.
+    scenario = replace(
+        QUIET,
+        arm=arm,
+        mismatch=Mismatch(stiffness=0.2),
+        rate=5000.0,
+        friction=Friction(0.1, 0.05, 0.3, 0.15),
+        payload=Payload.point(0.5, 0.8, 0.4, 0.5),
+        torque_disturbance=TorqueDisturbance((Sinusoid(0.5, 9.0, 0.1),), (BiasStep(3.0, 0.2),)),
+        torque_error=(Pulses(0.4, 0.3, 0.1, 0.0),),
+    )
+    run, true = Plant(scenario).run(6001), scenario.true_arm
+    q1, v1, q2, v2 = run.physical.T
+    spring = true.stiffness * (q2 - q1)
+    rates = np.diff(run.physical, axis=0) * scenario.rate
+    weight = true.gravity_torque * np.sin(q1)
+    lacking_link = true.link_inertia * rates[:, 1] - (spring - weight - 0.2 * v1)[:-1]
+    lacking_motor = true.motor_inertia * rates[:, 3] - (run.torques[:, 0] - spring - 0.3 * v2)[:-1]
+    motor, link = run.torque_disturbances[:-1].T
+    assert np.quantile(np.abs(lacking_link - link), 0.999) < 0.02
+    assert np.quantile(np.abs(lacking_motor - motor), 0.999) < 0.02
+    assert np.ptp(link) > 3.0
+    assert np.ptp(motor) > 0.8
+    plain = Plant(replace(scenario, torque_disturbance=TorqueDisturbance())).run(1001)
+    assert (plain.physical[:501] == run.physical[:501]).all()
+
+
+def test_a_payload_makes_another_arm_for_a_while() -> None:
+    payload = Payload(0.3, 4.0, start=0.5, duration=0.25)
+    run = Plant(replace(QUIET, payload=payload)).run(201)
+    nominal = ArmIntegrator(ElasticJointArm(), 0.005)
+    heavy = ArmIntegrator(ElasticJointArm(link_inertia=1.3, gravity_torque=14.0), 0.005)
+    for k in range(200):
+        integrator = heavy if 100 <= k < 150 else nominal
+        assert (integrator.advance(run.physical[k], run.torques[k]) == run.physical[k + 1]).all()
+    assert not run.torque_disturbances[:100].any()
+    assert not run.torque_disturbances[150:].any()
+    assert run.torque_disturbances[100:150, 1].all()
+    assert not run.torque_disturbances[:, 0].any()
+
+
+def test_torque_disturbances_are_exchanged_on_the_way_and_move_an_arm_without_gravity() -> None:
+    arm = ElasticJointArm(gravity_torque=0.0)
+    rest = replace(QUIET, arm=arm, excitation=NoTorque(), initial_state=(0.0,) * 4)
+    plant = Plant(rest)
+    assert not plant.run(100).physical.any()
+    plant.exchange_torque_disturbance((Pulses(2.0, 0.1, 0.1, 0.0),), 1)
+    run = plant.run(400)
+    assert np.flatnonzero(run.torque_disturbances[:, 1]).tolist() == list(range(20, 40))
+    # What the pulse gave both inertias stays.
+    momentum = run.physical[:, 1] * arm.link_inertia + run.physical[:, 3] * arm.motor_inertia
+    np.testing.assert_allclose(momentum[40:], 0.2, atol=1e-9)
+
+
 def test_mismatch_changes_the_arm_but_not_its_start() -> None:
     changes = Mismatch(stiffness=0.2, gravity_torque=-0.1)
     scenario = replace(QUIET, mismatch=changes)
@@ -387,6 +503,21 @@ def test_a_seed_repeats_out_of_an_array_too_and_another_does_not() -> None:
         (lambda: Sensor(noise_std=-0.1), "noise_std"),
         (lambda: Sensor(latency=-0.1), "latency"),
         (lambda: Friction(motor_coulomb=-0.1), "friction motor_coulomb"),
+        (lambda: Payload(-0.1), "payload link_inertia: expected a finite number of at least 0"),
+        (lambda: Payload.point(1.0, math.nan), "payload distance: expected a finite number"),
+        (lambda: TorqueDisturbance(link=(StuckSensor(),)), "torque_disturbance link: expected"),
+        (
+            lambda: replace(QUIET, outputs=(SimulatedOutput("motor_angle"),)),
+            "outputs: expected none beside `sensor`",
+        ),
+        (
+            lambda: Scenario(outputs=(SimulatedOutput("elbow"),)),
+            r"outputs\[0\].measures: expected one of link_angle, .*, got 'elbow'",
+        ),
+        (
+            lambda: Scenario(outputs=(SimulatedOutput(), SimulatedOutput())),
+            r"outputs\[1\].measures: link_angle is listed twice",
+        ),
         (lambda: Plant(QUIET, -1), "seeds: expected integers of at least 0"),
         (lambda: Plant(QUIET, []), "seeds: expected integers of at least 0"),
         (lambda: Plant(QUIET, [3, -2]), "seeds: expected integers of at least 0"),

@@ -8,7 +8,7 @@ needed.
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -36,8 +36,18 @@ _MOTION = record_type(
         ("motor_drag", np.float64),
         ("link_rub", np.float64),
         ("motor_rub", np.float64),
+        ("link_inertia", np.float64),
+        ("link_viscous", np.float64),
+        ("link_coulomb", np.float64),
+        ("motor_viscous", np.float64),
+        ("motor_coulomb", np.float64),
+        ("added_inertia", np.float64),
+        ("added_gravity", np.float64),
     ]
 )
+
+STANDARD_GRAVITY = 9.80665
+"""[m/s²]."""
 
 CREEP = 0.01
 """Speed below which Coulomb friction is proportional to the speed [rad/s]."""
@@ -69,6 +79,54 @@ class Friction:
         check_each(non_negative, self, *names, prefix="friction ")
 
 
+@dataclass(frozen=True)
+class Payload:
+    """What the link carries besides, from a time on; its speed does not jump as it is put on.
+
+    Attributes:
+        link_inertia: Inertia that it adds to the link's [kg m²].
+        gravity_torque: Torque that it adds to the one that holds the link horizontal [N m].
+        start: From the first sample at this time or later [s].
+        duration: How long it is carried [s]; infinite for ever.
+
+    Raises:
+        ModelError: A number is negative or not finite.
+    """
+
+    link_inertia: float = 0.0
+    gravity_torque: float = 0.0
+    start: float = 0.0
+    duration: float = math.inf
+
+    def __post_init__(self) -> None:
+        names = ("link_inertia", "gravity_torque", "start")
+        check_each(non_negative, self, *names, prefix="payload ")
+        if not self.duration >= 0.0:
+            raise ModelError(f"payload duration: expected at least 0 s, got {self.duration!r}")
+
+    @classmethod
+    def point(
+        cls, mass: float, distance: float, start: float = 0.0, duration: float = math.inf
+    ) -> "Payload":
+        """Return a mass [kg] at a distance from a horizontal axis [m].
+
+        >>> Payload.point(2.0, 0.5).link_inertia
+        0.5
+        """
+        non_negative("payload mass", mass)
+        non_negative("payload distance", distance)
+        torque = mass * STANDARD_GRAVITY * distance
+        return cls(mass * distance * distance, torque, start, duration)
+
+    def on(self, arm: ElasticJointArm) -> ElasticJointArm:
+        """Return an arm with the payload."""
+        return replace(
+            arm,
+            link_inertia=arm.link_inertia + self.link_inertia,
+            gravity_torque=arm.gravity_torque + self.gravity_torque,
+        )
+
+
 class ArmIntegrator:
     """Advances an elastic-joint arm by one sampling period, in physical coordinates.
 
@@ -80,6 +138,7 @@ class ArmIntegrator:
         period: Time that one call of `advance` covers [s].
         friction: Friction besides the arm's damping.
         longest_substep: Upper limit of the integration step [s].
+        payload: What the arm carries besides.
 
     Attributes:
         motion: One record with the numbers that `advance_arm` takes.
@@ -94,8 +153,10 @@ class ArmIntegrator:
         period: float,
         friction: Friction | None = None,
         longest_substep: float = LONGEST_SUBSTEP,
+        payload: Payload | None = None,
     ) -> None:
-        friction = friction or Friction()
+        friction, payload = friction or Friction(), payload or Payload()
+        arm = payload.on(arm)
         positive("longest_substep", longest_substep)
         # A period of exactly five steps must not become six because .005/.001 rounds upwards.
         self.substeps = max(1, math.ceil(positive("period", period) / longest_substep - 1e-9))
@@ -112,6 +173,13 @@ class ArmIntegrator:
             (arm.motor_damping + friction.motor_viscous) / arm.motor_inertia,
             friction.link_coulomb / arm.link_inertia,
             friction.motor_coulomb / arm.motor_inertia,
+            arm.link_inertia,
+            friction.link_viscous,
+            friction.link_coulomb,
+            friction.motor_viscous,
+            friction.motor_coulomb,
+            payload.link_inertia,
+            payload.gravity_torque,
         )
 
     def advance(self, state: ArrayLike, torque: ArrayLike, kicks: ArrayLike | None = None) -> Array:
@@ -145,7 +213,14 @@ class ArmIntegrator:
 
 @compiled
 def advance_arm(
-    motion: Any, state: Array, torque: float, kicks: Array, link_kick: float, motor_kick: float
+    motion: Any,
+    state: Array,
+    torque: float,
+    motor_push: float,
+    link_push: float,
+    kicks: Array,
+    link_kick: float,
+    motor_kick: float,
 ) -> None:
     """Move the physical state of one arm over a period, in place.
 
@@ -153,6 +228,8 @@ def advance_arm(
         motion: Record of an `ArmIntegrator`.
         state: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (4,).
         torque: Motor torque held over the period [N m].
+        motor_push: Torque on the motor besides, held likewise [N m].
+        link_push: Torque on the link, held likewise [N m].
         kicks: Velocity steps of link and motor after each integration step in turn, shape
             (2 substeps,), or (0,) for none.
         link_kick: What the link's are to be multiplied by [rad/s].
@@ -160,27 +237,29 @@ def advance_arm(
     """
     # Floats, since scalars of NumPy are slow and warn of an overflow when this is interpreted.
     h, gravity = float(motion.substep), float(motion.gravity)
-    link_spring, link_drag = float(motion.link_spring), float(motion.link_drag)
+    link_spring, drag = float(motion.link_spring), float(motion.link_drag)
     motor_spring, motor_drag = float(motion.motor_spring), float(motion.motor_drag)
     link_rub, motor_rub = float(motion.link_rub), float(motion.motor_rub)
-    drive = torque / float(motion.motor_inertia)
+    # Subtracted, so that a push of zero changes no bit, the sign of a zero included.
+    drive = torque / float(motion.motor_inertia) - (0.0 - motor_push) / float(motion.motor_inertia)
+    brake = (0.0 - link_push) / float(motion.link_inertia)
     half, sixth = 0.5 * h, h / 6.0
     q1, v1, q2, v2 = float(state[0]), float(state[1]), float(state[2]), float(state[3])
     for step in range(motion.substeps):
         # The velocity of each stage is the slope of the angle: w of the link, s of the motor.
-        a1 = link_spring * (q2 - q1) - gravity * sine(q1) - link_drag * v1 - _rub(link_rub, v1)
+        a1 = link_spring * (q2 - q1) - gravity * sine(q1) - drag * v1 - _rub(link_rub, v1) - brake
         b1 = drive - motor_spring * (q2 - q1) - motor_drag * v2 - _rub(motor_rub, v2)
         w2, s2 = v1 + half * a1, v2 + half * b1
         p1, p2 = q1 + half * v1, q2 + half * v2
-        a2 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w2 - _rub(link_rub, w2)
+        a2 = link_spring * (p2 - p1) - gravity * sine(p1) - drag * w2 - _rub(link_rub, w2) - brake
         b2 = drive - motor_spring * (p2 - p1) - motor_drag * s2 - _rub(motor_rub, s2)
         w3, s3 = v1 + half * a2, v2 + half * b2
         p1, p2 = q1 + half * w2, q2 + half * s2
-        a3 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w3 - _rub(link_rub, w3)
+        a3 = link_spring * (p2 - p1) - gravity * sine(p1) - drag * w3 - _rub(link_rub, w3) - brake
         b3 = drive - motor_spring * (p2 - p1) - motor_drag * s3 - _rub(motor_rub, s3)
         w4, s4 = v1 + h * a3, v2 + h * b3
         p1, p2 = q1 + h * w3, q2 + h * s3
-        a4 = link_spring * (p2 - p1) - gravity * sine(p1) - link_drag * w4 - _rub(link_rub, w4)
+        a4 = link_spring * (p2 - p1) - gravity * sine(p1) - drag * w4 - _rub(link_rub, w4) - brake
         b4 = drive - motor_spring * (p2 - p1) - motor_drag * s4 - _rub(motor_rub, s4)
         q1 += sixth * (v1 + 2.0 * (w2 + w3) + w4)
         q2 += sixth * (v2 + 2.0 * (s2 + s3) + s4)
@@ -193,12 +272,42 @@ def advance_arm(
 
 
 @compiled
+def missing_torques(
+    motion: Any, state: Array, motor_push: float, link_push: float
+) -> tuple[float, float]:
+    """Return the torques that an arm without friction and payload would need to move like this one.
+
+    Args:
+        motion: Record of an `ArmIntegrator`.
+        state: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (4,).
+        motor_push: Torque on the motor besides the drive's [N m].
+        link_push: Torque on the link [N m].
+
+    Returns:
+        The motor's and the link's [N m]: the pushes less Coulomb and viscous friction, and on the
+        link less what turns the payload and holds it, ΔJ q̈₁ + Δmgl sin q₁.
+    """
+    q1, v1, q2, v2 = float(state[0]), float(state[1]), float(state[2]), float(state[3])
+    motor = motor_push - float(motion.motor_viscous) * v2 - _rub(float(motion.motor_coulomb), v2)
+    link = link_push - float(motion.link_viscous) * v1 - _rub(float(motion.link_coulomb), v1)
+    inertia, weight = float(motion.added_inertia), float(motion.added_gravity)
+    if inertia > 0.0 or weight > 0.0:
+        pull = float(motion.gravity) * sine(q1)
+        speeding = float(motion.link_spring) * (q2 - q1) - pull - float(motion.link_drag) * v1
+        speeding -= _rub(float(motion.link_rub), v1)
+        speeding += link_push / float(motion.link_inertia)
+        link -= inertia * speeding + weight * sine(q1)
+    return motor, link
+
+
+@compiled
 def _rub(level: float, speed: float) -> float:
-    """Return the deceleration by Coulomb friction of a level [rad/s²]."""
+    """Return Coulomb friction of a level, a torque [N m] or a deceleration [rad/s²]."""
     return level * min(max(speed / CREEP, -1.0), 1.0) if level > 0.0 else 0.0
 
 
 @compiled
 def _advance_arms(motion: Any, states: Array, torques: Array, kicks: Array) -> None:
     for run in range(states.shape[0]):
-        advance_arm(motion[0], states[run], float(torques[run]), kicks[run], 1.0, 1.0)
+        torque = float(torques[run])
+        advance_arm(motion[0], states[run], torque, 0.0, 0.0, kicks[run], 1.0, 1.0)

@@ -1,41 +1,27 @@
-# Copyright 2026 The tsobs_ros contributors
-# SPDX-License-Identifier: Apache-2.0
 """The simulated plant: a pure, deterministic machine that is stepped by sample index.
 
-Sample k belongs to the time k/rate. A step measures at that time, then moves the arm on to the
-next sample with the torque held. No clock is read: the same scenario, seed and torques give the
-same numbers, to the bit, for one arm and for a batch, sample by sample and many at a time.
+Sample k belongs to the time k/rate. A step measures at that time, then moves the plant on to the
+next sample with its inputs held. No clock is read: the same scenario, seed and inputs give the
+same numbers, to the bit, for one plant and for a batch, sample by sample and many at a time.
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, non_negative, positive
-from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.model.stepping import record_type
-from tsobs_ros.simulation.integrator import ArmIntegrator, Friction, advance_arm
-from tsobs_ros.simulation.sensor import Sensor, correlated, is_within, outlier, student
-from tsobs_ros.simulation.signals import (
-    GAUSS_MARKOV,
-    ROW,
-    Component,
-    Excitation,
-    Sine,
-    component_row,
-    disturbance_at,
-    drifted,
-    excitation_row,
-    is_stuck,
-    torque_at,
-)
+from tsobs_ros.simulation.integrator import Friction, Payload
+from tsobs_ros.simulation.motion import ArmMotion, Motion
+from tsobs_ros.simulation.sensor import Sensor, Sensors
+from tsobs_ros.simulation.signals import Component, Excitation, Sine, StuckSensor
 from tsobs_ros.simulation.streams import RandomStream, Seeds, Source, checked_seeds
 
 _BLOCK = 256
@@ -43,38 +29,6 @@ _BLOCK = 256
 
 _LARGEST_BLOCK = 2**16
 """Samples of all runs drawn at a time, so that the memory stays bounded."""
-
-_PLANT = record_type(
-    [
-        ("rate", np.float64),
-        ("injected", np.int64),
-        ("excitation", np.float64, (ROW,)),
-        ("noise_std", np.float64),
-        ("outlier_probability", np.float64),
-        ("outlier_size", np.float64),
-        ("dropout_interval", np.float64),
-        ("dropout_duration", np.float64),
-        ("outlier_is_uniform", np.bool_),
-        ("noise_time_constant", np.float64),
-        ("noise_degrees", np.int64),
-        ("burst_interval", np.float64),
-        ("burst_duration", np.float64),
-        ("burst_factor", np.float64),
-        ("latency", np.float64),
-        ("resolution", np.float64),
-        ("link_kick", np.float64),
-        ("motor_kick", np.float64),
-        ("lost", np.bool_),
-    ]
-)
-_RUN = record_type(
-    [
-        ("physical", np.float64, (4,)),
-        ("noise", np.float64),
-        ("frozen", np.float64),
-        ("stuck", np.bool_),
-    ],
-)
 
 
 @dataclass(frozen=True)
@@ -107,8 +61,95 @@ class Mismatch:
 
 
 @dataclass(frozen=True)
-class Scenario:
-    """How a plant is built, moved, disturbed and measured.
+class SimulatedOutput:
+    """A measured output of a plant.
+
+    Attributes:
+        measures: What: link_angle, link_velocity, motor_angle or motor_velocity (rad, rad/s); the
+            name of a T–S system's output.
+        sensor: Its noise, outliers and dropouts.
+        disturbance: Components of its disturbance, added up.
+    """
+
+    measures: str = QUANTITIES[0]
+    sensor: Sensor = field(default_factory=Sensor)
+    disturbance: tuple[Component, ...] = ()
+
+
+@dataclass(frozen=True)
+class TorqueDisturbance:
+    """Torques on an arm besides the drive's [N m]; each is held from a sample to the next.
+
+    Attributes:
+        motor: Components of the torque on the motor, added up.
+        link: Components of the torque on the link, such as that of a contact, added up.
+
+    Raises:
+        ModelError: A component is a stuck sensor.
+    """
+
+    motor: tuple[Component, ...] = ()
+    link: tuple[Component, ...] = ()
+
+    def __post_init__(self) -> None:
+        for side in SIDES:
+            if any(isinstance(each, StuckSensor) for each in getattr(self, side)):
+                raise ModelError(f"torque_disturbance {side}: expected torques, got a stuck sensor")
+
+
+class PlantScenario(ABC):
+    """A plant, what moves it and what its outputs measure.
+
+    Attributes:
+        rate: Samples a second [Hz].
+        duration: How long a campaign simulates [s].
+    """
+
+    rate: float
+    duration: float
+
+    @property
+    @abstractmethod
+    def measured(self) -> tuple[SimulatedOutput, ...]:
+        """The outputs, p of them."""
+
+    @property
+    @abstractmethod
+    def excitations(self) -> tuple[Excitation, ...]:
+        """The signal of each input and scheduled signal in the absence of a command."""
+
+    @property
+    @abstractmethod
+    def input_count(self) -> int:
+        """Number of inputs that can be commanded; scheduled signals are not among them."""
+
+    @property
+    def torques(self) -> tuple[tuple[Component, ...], ...]:
+        """Components of the disturbance of each torque."""
+        return ()
+
+    @property
+    def reporting_error(self) -> tuple[Component, ...]:
+        """What the first reported input has beyond the applied one."""
+        return ()
+
+    @abstractmethod
+    def motion(self, seeds: Sequence[int], block: int) -> Motion:
+        """Return the plants at the first sample, ready to move."""
+
+    def to_design(self, physical: Array) -> Array:
+        """Return states in the coordinates of designs, shape (..., n)."""
+        return physical
+
+    @property
+    def sample_count(self) -> int:
+        """Samples in `duration`: those at 0, 1/rate, … up to and including the end."""
+        return math.floor(self.duration * self.rate + 1e-9) + 1
+
+
+@dataclass(frozen=True)
+class Scenario(PlantScenario):
+    """How an arm is built, moved, disturbed and measured.
 
     Attributes:
         arm: The nominal arm, the one an estimator knows.
@@ -124,9 +165,14 @@ class Scenario:
         sensor: Noise, outliers and dropouts.
         torque_error: What the reported torque has beyond the applied one, as signals of
             `signals` in N m, added up; of a drift its mean.
+        outputs: What is measured, each with a sensor and a disturbance of its own; empty for the
+            link angle alone, by `sensor` and with `disturbance`.
+        torque_disturbance: Torques besides the drive's.
+        payload: What the link carries for a time.
 
     Raises:
-        ModelError: A number is not finite, of the wrong sign, or a state has not four entries.
+        ModelError: A number is not finite, of the wrong sign, a state has not four entries, or an
+            output is unknown or listed twice.
     """
 
     arm: ElasticJointArm = field(default_factory=ElasticJointArm)
@@ -141,6 +187,9 @@ class Scenario:
     disturbance: tuple[Component, ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
     torque_error: tuple[Component, ...] = ()
+    outputs: tuple[SimulatedOutput, ...] = ()
+    torque_disturbance: TorqueDisturbance = field(default_factory=TorqueDisturbance)
+    payload: Payload = field(default_factory=Payload)
 
     def __post_init__(self) -> None:
         positive("rate", self.rate)
@@ -149,6 +198,20 @@ class Scenario:
             values = getattr(self, name)
             if len(values) != 4 or not all(math.isfinite(value) for value in values):
                 raise ModelError(f"{name}: expected four finite numbers, got {values!r}")
+        names = [output.measures for output in self.outputs]
+        for place, name in enumerate(names):
+            if name not in QUANTITIES:
+                raise ModelError(
+                    f"outputs[{place}].measures: expected one of {', '.join(QUANTITIES)}, "
+                    f"got {name!r}"
+                )
+            if name in names[:place]:
+                raise ModelError(f"outputs[{place}].measures: {name} is listed twice")
+        if self.outputs and (self.disturbance or self.sensor != Sensor()):
+            raise ModelError(
+                "outputs: expected none beside `sensor` and `disturbance`, which are those of the "
+                "link angle alone"
+            )
 
     @property
     def true_arm(self) -> ElasticJointArm:
@@ -156,26 +219,71 @@ class Scenario:
         return self.mismatch.apply(self.arm)
 
     @property
-    def sample_count(self) -> int:
-        """Samples in `duration`: those at 0, 1/rate, … up to and including the end."""
-        return math.floor(self.duration * self.rate + 1e-9) + 1
+    def measured(self) -> tuple[SimulatedOutput, ...]:
+        """The outputs, p of them."""
+        return self.outputs or (SimulatedOutput(sensor=self.sensor, disturbance=self.disturbance),)
+
+    @property
+    def excitations(self) -> tuple[Excitation, ...]:
+        """The torque in the absence of a command."""
+        return (self.excitation,)
+
+    @property
+    def input_count(self) -> int:
+        """Number of inputs that can be commanded."""
+        return 1
+
+    @property
+    def torques(self) -> tuple[tuple[Component, ...], ...]:
+        """Components of the torque on the motor, and of that on the link."""
+        return tuple(getattr(self.torque_disturbance, side) for side in SIDES)
+
+    @property
+    def reporting_error(self) -> tuple[Component, ...]:
+        """What the reported torque has beyond the applied one."""
+        return self.torque_error
+
+    def motion(self, seeds: Sequence[int], block: int) -> Motion:
+        """Return the arms at the first sample, ready to move."""
+        spread = np.empty((len(seeds), 4))
+        RandomStream(seeds, Source.INITIAL_STATE).fill(spread)
+        start = np.array(self.initial_state) + spread * np.array(self.initial_spread)
+        return ArmMotion(
+            self.true_arm,
+            self.friction,
+            self.payload,
+            self.process_noise,
+            [QUANTITIES.index(output.measures) for output in self.measured],
+            self.rate,
+            seeds,
+            self.arm.to_physical(start),
+            block,
+        )
+
+    def to_design(self, physical: Array) -> Array:
+        """Return states in the nominal arm's design coordinates, shape (..., 4)."""
+        return self.arm.from_physical(physical)
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
     """What is true and what is measured at one sampling time; (...) is () or (runs,).
 
+    Shapes are those of an arm; a T–S system has n states, m inputs and then s scheduled signals,
+    no torques, and `physical` is `state`.
+
     Attributes:
         index: k, from 0.
         time: k/rate, since the start [s].
         state: True state in the nominal arm's design coordinates, shape (..., 4).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (..., 4).
-        disturbance: What the measurement has beyond q₁, its latency, noise and outliers [rad],
-            shape (..., 1). Of a stuck sensor it is the frozen value minus q₁.
-        measurement: y [rad], shape (..., 1); NaN if the sample was lost.
+        disturbance: What each measurement has beyond the truth, its latency, noise and outliers,
+            shape (..., p). Of a stuck sensor it is the frozen value minus the true one.
+        measurement: y, shape (..., p); NaN if the sample was lost.
         torque: Torque reported from this time to the next sample [N m], shape (..., 1): the one
             applied, and its error.
-        lost: Whether the sample was lost in a dropout.
+        torque_disturbance: See `Trajectories`, shape (..., 2).
+        lost: Whether the sample of every output was lost in a dropout.
     """
 
     index: int
@@ -185,20 +293,28 @@ class Sample:
     disturbance: Array
     measurement: Array
     torque: Array
+    torque_disturbance: Array
     lost: bool
 
 
 class Trajectories(NamedTuple):
     """A batch of runs; without the first axis a single one.
 
+    Shapes are those of an arm, as for `Sample`.
+
     Attributes:
         times: [s], shape (samples,).
         states: True states in the nominal arm's design coordinates, shape (runs, samples, 4).
-        disturbances: True disturbances [rad], shape (runs, samples, 1).
-        measurements: y [rad], NaN if lost, shape (runs, samples, 1).
+        disturbances: True disturbances of the outputs, shape (runs, samples, p).
+        measurements: y, NaN if lost, shape (runs, samples, p).
         torques: Torque reported from each sample to the next [N m]: the one applied, and its
             error, shape (runs, samples, 1).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
+        torque_disturbances: Torques on motor and link that the true arm (with its mismatch) would
+            need besides the reported one, without friction and payload, to accelerate as it does,
+            shape (runs, samples, 2) [N m]. They count the torque disturbance, friction, the
+            payload's inertia and weight, and the error of the reported torque; not the mismatch,
+            which is a matter of parameters, nor the random accelerations.
     """
 
     times: Array
@@ -207,60 +323,47 @@ class Trajectories(NamedTuple):
     measurements: Array
     torques: Array
     physical: Array
+    torque_disturbances: Array
 
 
 class Plant:
-    """An elastic-joint arm with its excitation, its sensor and everything random about them.
+    """A plant with its excitation, its sensors and everything random about them.
 
     Args:
         scenario: How it is built, moved, disturbed and measured.
-        seeds: One seed for a single arm, or a sequence of seeds for a batch of runs. A run of a
-            batch is the same as the single arm with its seed.
+        seeds: One seed for a single plant, or a sequence of seeds for a batch of runs. A run of a
+            batch is the same as the single plant with its seed.
 
     Raises:
         ModelError: A seed is not an integer of at least zero.
     """
 
-    def __init__(self, scenario: Scenario, seeds: Seeds = 0) -> None:
+    def __init__(self, scenario: PlantScenario, seeds: Seeds = 0) -> None:
         self._seeds = checked_seeds(seeds)
         self._is_batch = not isinstance(seeds, int | np.integer)
         self.scenario = scenario
-        self._integrator = ArmIntegrator(scenario.true_arm, 1.0 / scenario.rate, scenario.friction)
         self.reset()
 
     def reset(self) -> None:
         """Start again, exactly as a new plant of the same scenario and seeds."""
         scenario, runs = self.scenario, len(self._seeds)
-        spread = np.empty((runs, 4))
-        RandomStream(self._seeds, Source.INITIAL_STATE).fill(spread)
-        start = np.array(scenario.initial_state) + spread * np.array(scenario.initial_spread)
-        self._runs = np.zeros(runs, _RUN)
-        self._runs["physical"] = scenario.arm.to_physical(start)
         self._index = 0
-        self._plant = np.zeros(1, _PLANT)
-        numbers, noise, substep = self._plant[0], scenario.process_noise, self._integrator.substep
-        numbers.rate = scenario.rate
-        numbers.link_kick = math.sqrt(noise.link * substep)
-        numbers.motor_kick = math.sqrt(noise.motor * substep)
         self._block = min(_BLOCK, max(1, _LARGEST_BLOCK // runs))
         self._drawn = self._block
-        self._tail = np.empty((runs, self._block, 0))
-        self._tail_streams: list[tuple[RandomStream, Array]] = []
-        self._past = np.empty((runs, 0))
-        kicks = 2 * self._integrator.substeps if noise.link or noise.motor else 0
-        self._kicks = np.empty((runs, self._block, kicks))
-        self._noise = np.empty((runs, self._block))
-        self._luck = np.empty((runs, self._block))
-        self._streams: list[tuple[RandomStream, Array]] = [
-            (RandomStream(self._seeds, Source.MEASUREMENT), self._noise),
-            (RandomStream(self._seeds, Source.OUTLIER, uniform=True), self._luck),
-        ]
-        if kicks:
-            self._streams.append((RandomStream(self._seeds, Source.PROCESS), self._kicks))
-        self.exchange_excitation(scenario.excitation)
-        self.exchange_sensor(scenario.sensor)
-        self._generation = -1
-        self.exchange_disturbance(scenario.disturbance)
+        self._motion = scenario.motion(self._seeds, self._block)
+        outputs = scenario.measured
+        self._input_count, self._counts = (
+            scenario.input_count,
+            (len(outputs), len(scenario.torques)),
+        )
+        self._sensors = Sensors(self._seeds, len(outputs), self._block, scenario.rate)
+        for place, excitation in enumerate(scenario.excitations):
+            self.exchange_excitation(excitation, place)
+        for place, output in enumerate(outputs):
+            self.exchange_sensor(output.sensor, place)
+            self.exchange_disturbance(output.disturbance, place)
+        for side, components in enumerate(scenario.torques):
+            self.exchange_torque_disturbance(components, side)
         # So that the code is compiled, or loaded, and the first block drawn, before the first step.
         self._advance(0)
 
@@ -274,95 +377,78 @@ class Plant:
         """Time of the sample that the next step returns, since the start [s]."""
         return self._index / self.scenario.rate
 
-    def exchange_disturbance(self, components: Sequence[Component]) -> None:
-        """Put other components in the place of the present ones, from the next sample on.
+    def exchange_disturbance(self, components: Sequence[Component], output: int = 0) -> None:
+        """Put other components in the place of an output's present ones, from the next sample on.
 
         The time of the new components, their `start` included, counts from the next sample.
         """
-        self._generation += 1
-        self._plant[0].injected = self._index
-        self._runs["stuck"] = False
-        rows = [component_row(each) for each in components]
-        known = [row for row in rows if row is not None]
-        self._components = np.array(known).reshape(len(known), ROW)
-        self._others = [each for each, row in zip(components, rows, strict=True) if row is None]
-        drifts = [
-            RandomStream(self._seeds, Source.DISTURBANCE, (self._generation, place))
-            for place, row in enumerate(rows)
-            if row is not None and row[0] == GAUSS_MARKOV
-        ]
-        runs = len(self._seeds)
-        self._drifts = np.zeros((runs, len(drifts)))
-        self._drift_noise = np.empty((len(drifts), runs, self._block))
-        self._drift_streams = list(zip(drifts, self._drift_noise, strict=True))
-        for stream, block in self._drift_streams:
-            stream.fill(block[:, self._drawn :])
+        self._sensors.disturb(output, components, self._index, self._drawn)
 
-    def exchange_excitation(self, excitation: Excitation) -> None:
-        """Move the arm otherwise from the next sample on; its time goes on counting."""
-        row = excitation_row(excitation)
-        self._excitation = excitation if row is None else None
-        self._plant[0].excitation[:] = 0.0 if row is None else row
+    def exchange_torque_disturbance(self, components: Sequence[Component], side: int) -> None:
+        """Do so for the torque disturbance of the motor (0) or of the link (1)."""
+        self._motion.torques.exchange(side, components, self._index, self._drawn)
 
-    def exchange_sensor(self, sensor: Sensor) -> None:
+    def exchange_excitation(self, excitation: Excitation, place: int = 0) -> None:
+        """Move an input otherwise from the next sample on; its time goes on counting."""
+        self._motion.excite(place, excitation)
+
+    def exchange_sensor(self, sensor: Sensor, output: int = 0) -> None:
         """Measure with other noise, outliers or dropouts from the next sample on."""
-        for item in fields(sensor):
-            self._plant[0][item.name] = getattr(sensor, item.name)
-        runs, degrees = len(self._seeds), sensor.noise_degrees
-        if degrees != self._tail.shape[2]:
-            self._tail = np.empty((runs, self._block, degrees))
-            stream = RandomStream(self._seeds, Source.TAIL, (degrees,))
-            stream.fill(self._tail[:, self._drawn :])
-            self._tail_streams = [(stream, self._tail)] * (degrees > 0)
-        places = 1 + round(sensor.latency * self.scenario.rate)
-        if places != self._past.shape[1]:
-            self._past = self._runs["physical"][:, :1].repeat(places, axis=1)
+        self._sensors.exchange(output, sensor, self._motion.outputs()[:, output], self._drawn)
 
     def step(self, torque: ArrayLike | None = None) -> Sample:
         """Measure at the present sample, move on to the next one and return the former.
 
         Args:
-            torque: Torque to apply instead of the excitation [N m]; a number, or (runs, 1).
+            torque: Torque, or inputs of a T–S system, to apply instead of the excitations [N m]; a
+                number, or shape (m,), of a batch (runs, m).
 
         Raises:
-            ModelError: The torque is not finite or does not fit the batch.
+            ModelError: The torque is not finite or does not fit the plant.
         """
-        index, time = self._index, self.time
+        index, time, m = self._index, self.time, self._input_count
         if torque is not None:
-            torque = self._checked_torque(torque, (len(self._seeds), 1) if self._is_batch else (1,))
-        physical, torques, disturbances, measurements = self._advance(1, torque)
-        physical = physical[:, 0]
-        if not self._is_batch:
-            physical, torques = physical[0], torques[0]
-            disturbances, measurements = disturbances[0], measurements[0]
-        state = self.scenario.arm.from_physical(physical)
-        lost = bool(self._plant["lost"][0])
-        return Sample(index, time, state, physical, disturbances, measurements, torques, lost)
+            torque = self._checked_torque(torque, (len(self._seeds), m) if self._is_batch else (m,))
+            torque = torque[..., np.newaxis, :] if torque.ndim else torque
+        where = np.s_[:, 0] if self._is_batch else (0, 0)
+        advanced = [each[where] for each in self._advance(1, torque)]
+        physical, torques, disturbances, measurements, missing = advanced
+        return Sample(
+            index,
+            time,
+            self.scenario.to_design(physical),
+            physical,
+            disturbances,
+            measurements,
+            torques,
+            missing,
+            self._sensors.lost,
+        )
 
     def run(self, samples: int, torque: ArrayLike | None = None) -> Trajectories:
         """Step many times and return all samples; other threads of Python can run meanwhile.
 
-        Everything is kept: 88 bytes a run and sample.
+        Everything is kept: 104 bytes a run and sample of an arm with one output.
 
         Args:
             samples: Number of steps.
-            torque: Torque to apply instead of the excitation [N m]; a number, shape (samples, 1)
-                or (runs, samples, 1).
+            torque: Torque, or inputs of a T–S system, to apply instead of the excitations [N m]; a
+                number, shape (samples, m) or (runs, samples, m).
 
         Raises:
             ModelError: The torque is not finite, or of another shape.
         """
         if torque is not None:
-            shapes = [(samples, 1)] + [(len(self._seeds), samples, 1)] * self._is_batch
-            given = self._checked_torque(torque, *shapes)
-            torque = given[..., 0] if given.ndim else given
+            m = self._input_count
+            shapes = [(samples, m)] + [(len(self._seeds), samples, m)] * self._is_batch
+            torque = self._checked_torque(torque, *shapes)
         times = np.arange(self._index, self._index + samples) / self.scenario.rate
-        physical, *signals = self._advance(samples, torque)
+        signals = self._advance(samples, torque)
         if not self._is_batch:
-            physical, signals = physical[0], [signal[0] for signal in signals]
-        torques, disturbances, measurements = (signal[..., np.newaxis] for signal in signals)
-        states = self.scenario.arm.from_physical(physical)
-        return Trajectories(times, states, disturbances, measurements, torques, physical)
+            signals = tuple(signal[0] for signal in signals)
+        physical, torques, disturbances, measurements, missing = signals
+        states = self.scenario.to_design(physical)
+        return Trajectories(times, states, disturbances, measurements, torques, physical, missing)
 
     def _checked_torque(self, torque: ArrayLike, *shapes: tuple[int, ...]) -> Array:
         given = np.asarray(torque, dtype=np.float64)
@@ -371,181 +457,50 @@ class Plant:
             raise ModelError(f"torque: expected shape {expected}, got {given.shape}")
         wrong = ~np.isfinite(given)
         if wrong.any():
-            place = int(wrong.any(axis=0).argmax()) if given.ndim == 3 else int(wrong.argmax())
+            place = int(wrong.any(axis=(0, 2)).argmax()) if given.ndim == 3 else int(wrong.argmax())
             raise ModelError(f"torque of sample {self._index + place}: expected finite numbers")
         return given
 
     def _advance(
         self, samples: int, torque: ArrayLike | None = None
-    ) -> tuple[Array, Array, Array, Array]:
-        """Step and return physical states, torques, disturbances and measurements, runs first."""
-        shape = (len(self._seeds), samples)
-        physical, measurements = np.empty((*shape, 4)), np.empty(shape)
-        torques, disturbances = np.empty(shape), np.zeros(shape)
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Step and return physical states, torques, disturbances, measurements and missing torques.
+
+        Runs come first, then samples.
+        """
+        motion, rate, shape = self._motion, self.scenario.rate, (len(self._seeds), samples)
+        outputs, sides = self._counts
+        physical = np.empty((*shape, motion.states.shape[1]))
+        torques = np.empty((*shape, len(motion.excitations)))
+        truths, measurements = np.empty((2, *shape, outputs))
+        disturbances, missing = np.zeros((*shape, outputs)), np.zeros((*shape, sides))
+        given = np.zeros(torques.shape[2], np.bool_)
         if torque is not None:
-            torques[:] = torque
-        elif self._excitation is not None:
-            torques[:] = [self._excitation.torque(time) for time in self._times(samples)]
-        for other in self._others:
-            injected = int(self._plant[0].injected)
-            disturbances += [other.value(time) for time in self._times(samples, injected)]
-        times = self._times(samples) if self.scenario.torque_error else []
-        errors = [[each.value(time) for time in times] for each in self.scenario.torque_error]
+            torques[..., : self._input_count] = torque
+            given[: self._input_count] = True
+        motion.add_others(torques, given, self._index, rate)
+        motion.torques.add_others(missing, self._index, rate)
+        self._sensors.channels.add_others(disturbances, self._index, rate)
+        errors = [
+            [each.value(place / rate) for place in range(self._index, self._index + samples)]
+            for each in self.scenario.reporting_error
+        ]
         done = 0
         while True:
             if self._drawn == self._block:
-                for stream, block in self._streams + self._drift_streams + self._tail_streams:
-                    stream.fill(block)
+                motion.draw()
+                self._sensors.draw()
                 self._drawn = 0
             part = min(samples - done, self._block - self._drawn)
-            _simulate(
-                self._plant,
-                self._integrator.motion,
-                self._components,
-                self._runs,
-                self._drifts,
-                self._kicks,
-                self._noise,
-                self._tail,
-                self._luck,
-                self._past,
-                self._drift_noise,
-                self._index,
-                self._drawn,
-                part,
-                physical,
-                torques,
-                torque is not None or self._excitation is not None,
-                disturbances,
-                measurements,
-                done,
-            )
+            where = (self._index, self._drawn, part)
+            motion.move(*where, physical, truths, torques, given, missing, done)
+            self._sensors.measure(*where, truths, disturbances, measurements, done)
             self._index += part
             self._drawn += part
             done += part
             if done == samples:
                 break
         for error in errors:
-            torques += error
-        return physical, torques, disturbances, measurements
-
-    def _times(self, samples: int, since: int = 0) -> list[float]:
-        first, rate = self._index - since, self.scenario.rate
-        return [place / rate for place in range(first, first + samples)]
-
-
-@compiled_nogil
-def _simulate(
-    plant: Any,
-    motion: Any,
-    components: Array,
-    runs: Any,
-    drifts: Array,
-    kicks: Array,
-    noise: Array,
-    tail: Array,
-    luck: Array,
-    past: Array,
-    drift_noise: Array,
-    index: int,
-    drawn: int,
-    samples: int,
-    physical: Array,
-    torques: Array,
-    are_given: bool,
-    disturbances: Array,
-    measurements: Array,
-    first: int,
-) -> None:
-    """Measure and move every run, sample by sample.
-
-    Args:
-        plant: One record of what all runs share; whether the last sample is lost is written.
-        motion: One record of the arm that moves.
-        components: Rows of the disturbance, shape (rows, ROW).
-        runs: A record for each run, which is moved.
-        drifts: Present values of the drifts, shape (runs, drifts), which are moved.
-        kicks: Normal numbers of the process noise, shape (runs, block, 2 substeps or 0).
-        noise: Normal numbers of the sensor, shape (runs, block).
-        tail: Further normal numbers, of noise with Student's t, shape (runs, block, degrees).
-        luck: Numbers of [0, 1) that decide on outliers, shape (runs, block).
-        past: The last angles, in the places of a ring, shape (runs, 1 + samples of latency).
-        drift_noise: Normal numbers of the drifts, shape (drifts, runs, block).
-        index: Index of the first sample.
-        drawn: Its place in the blocks of random numbers.
-        samples: Number of samples.
-        physical: Physical states to write, shape (runs, all, 4).
-        torques: Torques to write, unless they are given, shape (runs, all).
-        are_given: Whether they are.
-        disturbances: Disturbances to add to, shape (runs, all).
-        measurements: To write, shape (runs, all).
-        first: Place of the first sample in these four.
-    """
-    numbers, rate, injected = plant[0], float(plant[0].rate), int(plant[0].injected)
-    for step in range(samples):
-        draw, place = drawn + step, first + step
-        time, since = (index + step) / rate, index + step - injected
-        elapsed = since / rate
-        lost = is_within(time, numbers.dropout_interval, numbers.dropout_duration)
-        loud = is_within(time, numbers.burst_interval, numbers.burst_duration)
-        loudness = float(numbers.burst_factor) if loud else 1.0
-        added, stuck = disturbance_at(components, elapsed), is_stuck(components, elapsed)
-        numbers.lost = lost
-        torque = 0.0 if are_given else torque_at(numbers.excitation, time)
-        for run in range(runs.shape[0]):
-            state = runs[run].physical
-            angle = float(state[0])
-            disturbance = float(disturbances[run, place]) + added
-            drift = 0
-            for row in range(components.shape[0]):
-                if int(components[row, 0]) == GAUSS_MARKOV:
-                    value = 0.0
-                    if since > 0 and (since - 1) / rate >= float(components[row, 3]):
-                        number = float(drift_noise[drift, run, draw])
-                        before = float(drifts[run, drift])
-                        value = drifted(components[row], before, number, 1.0 / rate)
-                    drifts[run, drift] = value
-                    disturbance += value
-                    drift += 1
-            number = float(noise[run, draw])
-            if numbers.noise_degrees > 0:
-                number = student(number, tail[run, draw])
-            if numbers.noise_time_constant > 0.0 and index + step > 0:
-                before = float(runs[run].noise)
-                number = correlated(before, number, 1.0 / rate, float(numbers.noise_time_constant))
-            runs[run].noise = number
-            past[run, (index + step) % past.shape[1]] = angle
-            seen = float(past[run, (index + step + 1) % past.shape[1]])
-            measured = seen + disturbance + float(numbers.noise_std) * loudness * number
-            if stuck:
-                if not runs[run].stuck:
-                    runs[run].frozen = measured
-                measured = float(runs[run].frozen)
-                disturbance = measured - angle
-            runs[run].stuck = stuck
-            if numbers.outlier_probability > 0.0:
-                measured += outlier(
-                    luck[run, draw],
-                    numbers.outlier_probability,
-                    float(numbers.outlier_size),
-                    numbers.outlier_is_uniform,
-                )
-            resolution = float(numbers.resolution)
-            if resolution > 0.0 and math.isfinite(measured):
-                measured = resolution * math.floor(measured / resolution + 0.5)
-            for item in range(4):
-                physical[run, place, item] = state[item]
-            disturbances[run, place] = disturbance
-            measurements[run, place] = math.nan if lost else measured
-            if are_given:
-                torque = float(torques[run, place])
-            else:
-                torques[run, place] = torque
-            advance_arm(
-                motion[0],
-                state,
-                torque,
-                kicks[run, draw],
-                float(numbers.link_kick),
-                float(numbers.motor_kick),
-            )
+            torques[..., 0] += error
+            missing[..., 0] -= error
+        return physical, torques, disturbances, measurements, missing

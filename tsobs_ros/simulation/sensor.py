@@ -1,20 +1,50 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The angle sensor of a simulated plant."""
+"""The sensors of a simulated plant, one for each output."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
 
 from tsobs_ros.checks import Array, check_each, non_negative
-from tsobs_ros.compiled import compiled
+from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.stepping import record_type
 from tsobs_ros.model.trigonometry import exponential
-from tsobs_ros.simulation.signals import recurs
+from tsobs_ros.simulation.channels import Channels, Counts, drifts_in, with_drifts
+from tsobs_ros.simulation.signals import Component, disturbance_at, is_stuck, recurs
+from tsobs_ros.simulation.streams import RandomStream, Source
+
+_SENSOR = record_type(
+    [
+        ("noise_std", np.float64),
+        ("outlier_probability", np.float64),
+        ("outlier_size", np.float64),
+        ("dropout_interval", np.float64),
+        ("dropout_duration", np.float64),
+        ("outlier_is_uniform", np.bool_),
+        ("noise_time_constant", np.float64),
+        ("noise_degrees", np.int64),
+        ("burst_interval", np.float64),
+        ("burst_duration", np.float64),
+        ("burst_factor", np.float64),
+        ("latency", np.float64),
+        ("resolution", np.float64),
+        ("places", np.int64),
+        ("lost", np.bool_),
+    ]
+)
+_SEEN = record_type([("noise", np.float64), ("frozen", np.float64), ("stuck", np.bool_)])
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """Numbers of the sensor; the default noise is Example 3's 5 % of the largest angle.
+    """Numbers of a sensor; the default noise is Example 3's 5 % of the largest angle.
+
+    Units are those of an angle; a sensor of another output has that output's unit in place of rad.
 
     Attributes:
         noise_std: σ of the noise of a sample [rad].
@@ -30,7 +60,7 @@ class Sensor:
             after one interval [s]; 0 for none.
         burst_duration: Length of a burst [s].
         burst_factor: What multiplies the noise in a burst.
-        latency: Age of the angle that is measured [s], rounded to whole samples; a disturbance is
+        latency: Age of the value that is measured [s], rounded to whole samples; a disturbance is
             that of the sample.
         resolution: Step of the measured value [rad]; 0 for none.
     """
@@ -58,6 +88,222 @@ class Sensor:
             )
         if not math.isfinite(self.outlier_size):
             raise ModelError(f"outlier_size: expected a finite number, got {self.outlier_size!r}")
+
+
+class Sensors:
+    """The sensors of a plant's outputs, in every run of a batch.
+
+    Args:
+        seeds: One for each run.
+        count: Number of outputs.
+        block: Samples that random numbers are drawn for at a time.
+        rate: Samples a second [Hz].
+
+    Attributes:
+        channels: The disturbances of the outputs.
+    """
+
+    def __init__(self, seeds: Sequence[int], count: int, block: int, rate: float) -> None:
+        self._seeds, self._block, self._rate = seeds, block, rate
+        runs = len(seeds)
+        self.channels = Channels(seeds, Source.DISTURBANCE, count, block)
+        self._sensors = np.zeros(count, _SENSOR)
+        self._seen = np.zeros((count, runs), _SEEN)
+        self._noise, self._luck = np.empty((2, count, runs, block))
+        # Rows have room for the sensor with the most numbers.
+        self._tail, self._past = np.empty((2, count, runs, 0))
+        self._streams = []
+        for output in range(count):
+            key = () if output == 0 else (output,)
+            normal = RandomStream(seeds, Source.MEASUREMENT, key)
+            uniform = RandomStream(seeds, Source.OUTLIER, key, uniform=True)
+            self._streams += [(normal, self._noise[output]), (uniform, self._luck[output])]
+        self._tails: list[RandomStream | None] = [None] * count
+
+    @property
+    def lost(self) -> bool:
+        """Whether the last sample of every output was lost in a dropout."""
+        return bool(self._sensors["lost"].all())
+
+    def exchange(self, output: int, sensor: Sensor, values: Array, drawn: int) -> None:
+        """Measure an output by another sensor.
+
+        Args:
+            output: Its number.
+            sensor: The other one.
+            values: The present values, those of a latency that is not known, shape (runs,).
+            drawn: Place of the next sample in the blocks of random numbers.
+        """
+        numbers = self._sensors[output]
+        degrees, places = sensor.noise_degrees, 1 + round(sensor.latency * self._rate)
+        if degrees != numbers["noise_degrees"]:
+            self._tail = _with_room(self._tail, degrees * self._block)
+            stream = None
+            if degrees:
+                key = (degrees,) if output == 0 else (degrees, output)
+                stream = RandomStream(self._seeds, Source.TAIL, key)
+                rest = np.s_[drawn * degrees : self._block * degrees]
+                stream.fill(self._tail[output][:, rest])
+            self._tails[output] = stream
+        if places != numbers["places"]:
+            self._past = _with_room(self._past, places)
+            self._past[output, :, :places] = values[:, np.newaxis]
+            numbers["places"] = places
+        for item in fields(sensor):
+            numbers[item.name] = getattr(sensor, item.name)
+
+    def disturb(self, output: int, components: Sequence[Component], index: int, drawn: int) -> None:
+        """Exchange the disturbance of an output; see `Channels.exchange`."""
+        self._seen["stuck"][output] = False
+        self.channels.exchange(output, components, index, drawn)
+
+    def draw(self) -> None:
+        """Draw the next random numbers."""
+        for stream, block in self._streams:
+            stream.fill(block)
+        for output, tail in enumerate(self._tails):
+            if tail is not None:
+                size = self._block * int(self._sensors["noise_degrees"][output])
+                tail.fill(self._tail[output][:, :size])
+        self.channels.draw()
+
+    def measure(
+        self,
+        index: int,
+        drawn: int,
+        samples: int,
+        truths: Array,
+        disturbances: Array,
+        measurements: Array,
+        first: int,
+    ) -> None:
+        """Measure all outputs of every run at the next samples.
+
+        Args:
+            index: Index of the first sample.
+            drawn: Its place in the blocks of random numbers.
+            samples: Number of samples.
+            truths: True values of the outputs, shape (runs, all, p).
+            disturbances: Disturbances to add to, of the same shape.
+            measurements: To write, of the same shape.
+            first: Place of the first sample in these three.
+        """
+        channels = self.channels
+        _measure(
+            self._sensors,
+            channels.rows,
+            channels.ends,
+            channels.injected,
+            channels.drifts,
+            channels.noise,
+            self._seen,
+            self._noise,
+            self._tail,
+            self._luck,
+            self._past,
+            self._rate,
+            index,
+            drawn,
+            samples,
+            truths,
+            disturbances,
+            measurements,
+            first,
+        )
+
+
+def _with_room(numbers: Array, size: int) -> Array:
+    """Return numbers with rows of at least a size, the former ones first."""
+    missing = size - numbers.shape[-1]
+    return np.pad(numbers, [(0, 0), (0, 0), (0, missing)]) if missing > 0 else numbers
+
+
+@compiled_nogil
+def _measure(
+    sensors: Any,
+    rows: Array,
+    ends: Counts,
+    injected: Counts,
+    drifts: Array,
+    drift_noise: Array,
+    seen: Any,
+    noise: Array,
+    tail: Array,
+    luck: Array,
+    past: Array,
+    rate: float,
+    index: int,
+    drawn: int,
+    samples: int,
+    truths: Array,
+    disturbances: Array,
+    measurements: Array,
+    first: int,
+) -> None:
+    """Measure each output of every run, sample by sample; see `Sensors`."""
+    begin = drift = 0
+    for output in range(sensors.shape[0]):
+        numbers, end, places = sensors[output], ends[output], int(sensors[output].places)
+        components, degrees = rows[begin:end], int(numbers.noise_degrees)
+        for step in range(samples):
+            draw, place = drawn + step, first + step
+            time, since = (index + step) / rate, index + step - int(injected[output])
+            elapsed = since / rate
+            lost = is_within(time, numbers.dropout_interval, numbers.dropout_duration)
+            loud = is_within(time, numbers.burst_interval, numbers.burst_duration)
+            loudness = float(numbers.burst_factor) if loud else 1.0
+            added, stuck = disturbance_at(components, elapsed), is_stuck(components, elapsed)
+            numbers.lost = lost
+            for run in range(truths.shape[0]):
+                truth = float(truths[run, place, output])
+                disturbance = with_drifts(
+                    float(disturbances[run, place, output]) + added,
+                    rows,
+                    begin,
+                    end,
+                    since,
+                    rate,
+                    drifts,
+                    drift_noise,
+                    drift,
+                    run,
+                    draw,
+                )
+                memory = seen[output, run]
+                number = float(noise[output, run, draw])
+                if degrees > 0:
+                    number = student(
+                        number, tail[output, run, draw * degrees : (draw + 1) * degrees]
+                    )
+                if numbers.noise_time_constant > 0.0 and index + step > 0:
+                    before = float(memory.noise)
+                    number = correlated(
+                        before, number, 1.0 / rate, float(numbers.noise_time_constant)
+                    )
+                memory.noise = number
+                past[output, run, (index + step) % places] = truth
+                old = float(past[output, run, (index + step + 1) % places])
+                measured = old + disturbance + float(numbers.noise_std) * loudness * number
+                if stuck:
+                    if not memory.stuck:
+                        memory.frozen = measured
+                    measured = float(memory.frozen)
+                    disturbance = measured - truth
+                memory.stuck = stuck
+                if numbers.outlier_probability > 0.0:
+                    measured += outlier(
+                        luck[output, run, draw],
+                        numbers.outlier_probability,
+                        float(numbers.outlier_size),
+                        numbers.outlier_is_uniform,
+                    )
+                resolution = float(numbers.resolution)
+                if resolution > 0.0 and math.isfinite(measured):
+                    measured = resolution * math.floor(measured / resolution + 0.5)
+                disturbances[run, place, output] = disturbance
+                measurements[run, place, output] = math.nan if lost else measured
+        drift += drifts_in(rows, begin, end)
+        begin = end
 
 
 @compiled

@@ -1,10 +1,11 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Torques that move a simulated plant, and disturbances of its sensor, as functions of time.
+"""Torques that move a simulated plant, and disturbances of outputs and torques over time.
 
-The time of a torque counts from the plant's start. A disturbance is a sum of components, and its
-time counts from the moment it is put in, which is the plant's start unless it is exchanged while
-the plant runs.
+The time of a torque that moves the plant counts from its start. A disturbance is a sum of
+components, and its time counts from the moment it is put in, which is the plant's start unless it
+is exchanged while the plant runs. Units of components are those of an angle; a component of
+another output has that output's unit in place of rad, one of a torque has N m.
 
 A signal of this module is evaluated by compiled code from a row: the code of its kind, then its
 numbers. Others are evaluated by their own methods.
@@ -201,12 +202,13 @@ class BiasStep(_CompiledComponent):
 
 @dataclass(frozen=True)
 class Sinusoid(_CompiledComponent):
-    """d = a sin ω(t − start) from the start on; the defaults are Example 2's first fault.
+    """d = a sin(ω(t − start) + φ) from the start on; the defaults are Example 2's first fault.
 
     Attributes:
         amplitude: a [rad].
         frequency: ω [rad/s].
         start: [s].
+        phase: φ [rad].
     """
 
     kind: ClassVar[str] = "sinusoid"
@@ -214,6 +216,7 @@ class Sinusoid(_CompiledComponent):
     amplitude: float = 0.2
     frequency: float = 3.0
     start: float = 2.0
+    phase: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -407,7 +410,7 @@ def _value_at(row: Array, time: float) -> float:
     if code == _BIAS_STEP:
         return a if time >= b else 0.0
     if code == _SINUSOID:
-        return a * sine(b * (time - c)) if time - c >= 0.0 else 0.0
+        return a * sine(b * (time - c) + d) if time - c >= 0.0 else 0.0
     if code == _RAMP:
         return a * max(0.0, time - b)
     if code == _TWO_TONE:

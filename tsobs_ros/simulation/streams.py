@@ -28,6 +28,7 @@ class Source(enum.IntEnum):
     OUTLIER = 3
     DISTURBANCE = 4
     TAIL = 5
+    TORQUE = 6
 
 
 class RandomStream:
