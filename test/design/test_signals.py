@@ -23,7 +23,9 @@ def test_the_shipped_arm_has_its_signals_where_they_always_were() -> None:
     )
     assert places.disturbances == ("elbow",)
     assert places.torques == ()
-    assert places.other_inputs == (None,)
+    assert places.other_inputs == ()
+    assert places.units == ("rad",)
+    assert places.entries == {"elbow"}
 
 
 @pytest.mark.parametrize(("alone", "prefix"), [(True, ""), (False, "tank/")])

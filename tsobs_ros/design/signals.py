@@ -25,6 +25,11 @@ class Place(NamedTuple):
     name: str
     field: Field
 
+    @property
+    def described(self) -> str:
+        """The place in words, such as "position of elbow"."""
+        return f"{self.field} of {self.name}"
+
 
 class Signals(NamedTuple):
     """The places of a joint's signals.
@@ -35,7 +40,8 @@ class Signals(NamedTuple):
         states: Of each state of the plant in estimates.
         disturbances: Entry of each output in disturbances and innovations, p names.
         torques: Of each torque disturbance in estimates, the motor's first.
-        other_inputs: Of each input if its place in `inputs` has no number; or None for each
+        other_inputs: Of each input if its place in `inputs` has no number; () if there are none.
+        units: Of each output, empty texts if they are not known.
     """
 
     outputs: tuple[Place, ...]
@@ -43,7 +49,13 @@ class Signals(NamedTuple):
     states: tuple[Place, ...]
     disturbances: tuple[str, ...]
     torques: tuple[Place, ...]
-    other_inputs: tuple[Place | None, ...]
+    other_inputs: tuple[Place, ...]
+    units: tuple[str, ...]
+
+    @property
+    def entries(self) -> frozenset[str]:
+        """The entries of measurements that have something of the joint."""
+        return frozenset(place.name for place in self.outputs + self.inputs + self.other_inputs)
 
 
 def signals(request: ArmRequest | TSRequest, joint: str, alone: bool) -> Signals:
@@ -70,7 +82,8 @@ def signals(request: ArmRequest | TSRequest, joint: str, alone: bool) -> Signals
         _positions(states),
         outputs,
         (),
-        (None,) * len(inputs),
+        (),
+        request.output_units,
     )
 
 
@@ -94,7 +107,8 @@ def _of_arm(request: ArmRequest, joint: str) -> Signals:
         ),
         (joint,) if len(names) == 1 else tuple(f"{joint}/{name}" for name in names),
         tuple(Place(motor if side == "motor" else link, "effort") for side in request.torque_sides),
-        (Place(motor, "effort") if both else None,),
+        (Place(motor, "effort"),) if both else (),
+        tuple("rad" if place.field == "position" else "rad/s" for place in outputs),
     )
 
 

@@ -16,13 +16,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
+from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning, RejectReason
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.nodes.observer.io import Batch, EstimatePublisher, MeasurementReader
 
 WRONG = RejectReason.WRONG_JOINT
-JOINTS = ("hip", "knee")
+JOINTS = {joint: signals(ArmRequest(), joint, alone=False) for joint in ("hip", "knee")}
 STAMP = 12_000_000_345
 
 
@@ -35,7 +37,7 @@ def message(names: list[str], position: list[float], effort: list[float], **head
 def shown(batch: Batch) -> list[Any]:
     """Return of each joint its sample in the only message, WRONG, or None if it has no part."""
     (stamp,) = batch.stamps.tolist()
-    y, u = batch.y[:, 0].tolist(), batch.u[:, 0].tolist()
+    y, u = [each.item() for each in batch.y], [each.item() for each in batch.u]
     if batch.given is None or batch.wrong is None:
         return [(stamp, *each) for each in zip(y, u, strict=True)]
     flags = zip(y, u, batch.given[:, 0], batch.wrong[:, 0], strict=True)
@@ -91,8 +93,9 @@ def test_messages_that_wait_together_come_in_the_order_of_their_stamps() -> None
 
     assert batch.order == [4, 1, 3, 0, 2]
     assert batch.stamps[1:].tolist() == [k * 10**9 + 5 for k in (1, 2, 3, 4)]
-    assert batch.y[:, 1:].T.tolist() == [[k, 10.0 * k] for k in (1.0, 2.0, 3.0, 4.0)]
-    assert batch.u[:, 1:].T.tolist() == [[0.0, 1.0]] * 4
+    hip, knee = batch.y
+    assert np.hstack([hip, knee])[1:].tolist() == [[k, 10.0 * k] for k in (1.0, 2.0, 3.0, 4.0)]
+    assert np.hstack(batch.u)[1:].tolist() == [[0.0, 1.0]] * 4
     assert batch.given.tolist() == [[False, *[True] * 4]] * 2
     assert batch.wrong.tolist() == [[True, *[False] * 4]] * 2
     assert reader.read(data).given is None
@@ -131,7 +134,7 @@ MESSAGES = {
 @pytest.mark.parametrize("kind", MESSAGES)
 def test_bad_messages_are_refused_in_a_short_line_or_read(kind: str) -> None:
     data, expected = MESSAGES[kind]
-    reader = MeasurementReader(("hip",), assume_zero_torque=False)
+    reader = MeasurementReader({"hip": JOINTS["hip"]}, assume_zero_torque=False)
     assert shown(reader.read([data])) == [expected]
     assert len(reader.describe(data, "hip")) < 500
 
@@ -146,7 +149,7 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
     reader = MeasurementReader(JOINTS, assume_zero_torque=False)
     valid = message(["hip", "knee"], [1.0, 2.0], [3.0, 4.0])
     for each in (data, valid[: len(data)], valid[: len(data) // 2] + data):
-        assert reader.read([each]).y.shape == (len(JOINTS), 1)
+        assert [y.shape for y in reader.read([each]).y] == [(1, 1)] * len(JOINTS)
         assert reader.describe(each, "hip")
 
 
@@ -177,8 +180,7 @@ def estimate(scale: float, *, bounded: bool = True) -> Estimate:
 
 def test_what_is_published_is_what_rclpy_would_send(ros: Any) -> None:
     node = ros.node("observer")
-    learnt = {"hip": ("stiffness", "gravity"), "knee": ("stiffness", "gravity")}
-    publisher = EstimatePublisher(node, learnt)
+    publisher = EstimatePublisher(node, JOINTS, [("stiffness", "gravity")] * 2)
     topics = ("joint_states", "error_bound", "disturbance", "disturbance_bound",
               "parameters_estimate", "parameters_bound")  # fmt: skip
     taken = {

@@ -136,16 +136,16 @@ def test_a_request_changes_all_joints_or_nothing(
     wanted = {"supervision.gate": 4.0, "fault.hold": 1.0, "coast_after": -1.0}
     parameters = [Parameter(name, value=value) for name, value in wanted.items()]
     before = {name: node.get_parameter(name).value for name in wanted}
-    limits = node.joints[0].faults.limits
+    limits = node.joints[0].faults[0].limits
     gates = [joint.tracker.estimator.model["gate"] for joint in node.joints]
     assert [gate.tolist() for gate in gates] == [[5.0], [5.0]]
     assert not node.set_parameters_atomically(parameters).successful
     assert {name: node.get_parameter(name).value for name in wanted} == before
-    assert [joint.faults.limits for joint in node.joints] == [limits, limits]
+    assert [joint.faults[0].limits for joint in node.joints] == [limits, limits]
 
     assert node.set_parameters_atomically(parameters[:2]).successful
     for joint in node.joints:
-        assert joint.faults.limits.hold == 1.0
+        assert joint.faults[0].limits.hold == 1.0
         assert joint.tracker.estimator.model["gate"].tolist() == [4.0]
 
 

@@ -39,7 +39,7 @@ def feed(joints: Iterable[ObservedJoint], count: int, bias: float = 0.0, first: 
 
 def offer(joint: ObservedJoint, stamp: int, bias: float = 0.0) -> None:
     _, y, u = ARM.measurement(stamp)
-    joint.offer(np.array([stamp]), y + bias, u, stamp)
+    joint.offer(np.array([stamp]), np.array([y + bias]), np.array([u]), stamp)
 
 
 def statuses(
@@ -204,7 +204,7 @@ def test_a_large_disturbance_is_reported_at_levels_that_can_be_tuned() -> None:
     now = feed(joints, 400, bias=0.35)
     fault = statuses(joints, now)[0]["sensor fault"]
     assert fault.level == Level.WARN
-    lasted = (now - (joints[0].faults.fault.since or 0)) * 1e-9
+    lasted = (now - (joints[0].faults[0].fault.since or 0)) * 1e-9
     assert fault.values["since"] == f"for {lasted:.1f} s"
     assert float(fault.values["magnitude [rad]"]) == pytest.approx(0.35, abs=0.1)
     joints[0].retune(replace(parameters, fault=DisturbanceLimits(warn=0.1, error=0.15, hold=0.5)))

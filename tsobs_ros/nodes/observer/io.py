@@ -6,9 +6,9 @@ Building, converting and taking rclpy's message objects would cost more than the
 """
 
 import math
+import operator
 import reprlib
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.checks import Array
+from tsobs_ros.design.signals import Place, Signals
 from tsobs_ros.errors import MessageError
 from tsobs_ros.estimation.events import Condition
 from tsobs_ros.estimation.records import Estimate
@@ -34,53 +35,87 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _RELIABLE = QoSProfile(depth=10)
 _RESTARTS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_KNOWN = 256
-_ABSENT = sys.maxsize
+_CONSTANTS = (math.nan, 0.0)
+"""What follows a message's numbers, so that each number of a row has a place."""
+_NOTHING, _ZERO = -2, -1
+"""The places of the constants."""
 
-_Row: TypeAlias = tuple[int, list[float], list[float], list[bool], list[bool]]
-"""A row of a `Batch`."""
-_Motion: TypeAlias = tuple[int, Sequence[float], Sequence[float]]
-"""A joint's index, its positions and its velocities."""
 Stamps: TypeAlias = NDArray[np.int64]
 Flags: TypeAlias = NDArray[np.bool_]
+_Numbers: TypeAlias = Sequence[float]
+_Pick: TypeAlias = Callable[[_Numbers], _Numbers]
+_Row: TypeAlias = tuple[int, _Numbers, list[bool], list[bool]]
+"""Of a message: its stamp, its numbers, which joints it has a sample of and which it should."""
+_Values: TypeAlias = tuple[int, _Numbers, _Numbers]
+"""Of a message's part: its index, its positions and its velocities."""
 
 
 class Batch(NamedTuple):
-    """Messages in the order of their stamps, m of them, with samples of k joints.
+    """Messages in the order of their stamps, N of them, with samples of k joints.
 
     Attributes:
         order: Their places among those that were read.
-        stamps: [ns]; 0 of a message that cannot be read; shape (m,).
-        y: Measured angles, NaN if there is none [rad], shape (k, m).
-        u: Torques, NaN if there is none [N m], shape (k, m).
-        given: Whether a message has a sample of a joint, shape (k, m); None: all have.
-        wrong: Whether it should have one and has none, shape (k, m); None: none is.
+        stamps: [ns]; 0 of a message that cannot be read; shape (N,).
+        y: Measured outputs of each joint, NaN if there is none, k of shape (N, p).
+        u: Inputs of each joint, NaN if there is none, k of shape (N, m).
+        given: Whether a message has a sample of a joint, shape (k, N); None: all have.
+        wrong: Whether it should have one and has none, shape (k, N); None: none is.
     """
 
     order: Sequence[int]
     stamps: Stamps
-    y: Array
-    u: Array
+    y: list[Array]
+    u: list[Array]
     given: Flags | None
     wrong: Flags | None
+
+
+class _Layout(NamedTuple):
+    """Where the samples are in messages with the same names and lengths.
+
+    Attributes:
+        pick: Takes a row's numbers from a message's, which `_CONSTANTS` follow.
+        given: Whether there is a sample of each joint.
+        wrong: Whether there should be one and is none.
+        known: Whether any of the joints is named.
+    """
+
+    pick: _Pick
+    given: list[bool]
+    wrong: list[bool]
+    known: bool
 
 
 class MeasurementReader:
     """Finds the samples of the node's joints in messages of any joints, in any order.
 
+    A sample has an output at least, and all inputs.
+
     Args:
-        joints: Names of the joints.
+        joints: Places of each joint's signals, by the joint's name.
         assume_zero_torque: Whether a message without effort means torque 0.
     """
 
-    def __init__(self, joints: Sequence[str], assume_zero_torque: bool) -> None:
-        self._joints = tuple(joints)
+    def __init__(self, joints: Mapping[str, Signals], assume_zero_torque: bool) -> None:
+        self._joints = dict(joints)
         self._assume_zero_torque = assume_zero_torque
         self._decode = JointStateDecoder()
-        # Places of the joints, by the names in a message, which hardly ever change.
-        self._places: dict[tuple[str, ...], list[int]] = {}
-        nothing = [math.nan] * len(joints)
-        self._unreadable: _Row = (0, nothing, nothing, [False] * len(joints), [True] * len(joints))
+        # By the names and lengths of a message, which hardly ever change.
+        self._layouts: dict[tuple[tuple[str, ...], int, int, int], _Layout] = {}
+        # Where the outputs, inputs and other inputs of the joints are in a row, and how many.
+        self._outputs: list[tuple[int, int]] = []
+        self._inputs: list[tuple[int, int]] = []
+        self._other_inputs: dict[int, tuple[int, int]] = {}
+        end = 0
+        for joint, each in enumerate(joints.values()):
+            p, m, others = map(len, (each.outputs, each.inputs, each.other_inputs))
+            self._outputs.append((end, p))
+            self._inputs.append((end + p, m))
+            if others:
+                self._other_inputs[joint] = end + p + m, others
+            end += p + m + others
         self._all, self._none = [True] * len(joints), [False] * len(joints)
+        self._unreadable: _Row = (0, [math.nan] * end, self._none, self._all)
 
     def read(self, messages: Sequence[bytes]) -> Batch:
         """Return the samples in messages, in the order of the messages' stamps.
@@ -89,38 +124,34 @@ class MeasurementReader:
         """
         rows = [self._read(data) for data in messages]
         order = sorted(range(len(rows)), key=[row[0] for row in rows].__getitem__)
-        stamps, y, u, given, wrong = zip(*[rows[place] for place in order], strict=True)
+        stamps, numbers, given, wrong = zip(*[rows[place] for place in order], strict=True)
         complete = all(each is self._all for each in given)
+        table = np.ascontiguousarray(np.array(numbers, np.float64).T)
+        columns = list(table[..., np.newaxis])
+        y, u = _joined(columns, self._outputs), _joined(columns, self._inputs)
+        for joint, part in self._other_inputs.items():
+            (others,) = _joined(columns, [part])
+            u[joint] = np.where(np.isnan(u[joint]), others, u[joint])
         return Batch(
             order,
             np.array(stamps, np.int64),
-            np.array(list(zip(*y, strict=True)), np.float64),
-            np.array(list(zip(*u, strict=True)), np.float64),
+            y,
+            u,
             None if complete else np.array(given, np.bool_).T,
             None if complete else np.array(wrong, np.bool_).T,
         )
 
     def _read(self, data: bytes) -> _Row:
         try:
-            stamp, names, position, _, effort, _ = self._decode(data)
+            stamp, names, position, velocity, effort, _ = self._decode(data)
         except MessageError:
             return self._unreadable
-        places = self._places.get(names) or self._find(names)
-        if self._assume_zero_torque and not effort:
-            effort = (0.0,) * len(position)
-        count = min(len(position), len(effort))
-        given = [place < count for place in places]
-        if all(given):
-            y = [position[place] for place in places]
-            u = [effort[place] for place in places]
-            return stamp, y, u, self._all, self._none
-        named = [place != _ABSENT for place in places]
-        if not any(named):
+        key = (names, len(position), len(velocity), len(effort))
+        layout = self._layouts.get(key) or self._find(*key)
+        if not layout.known:
             return self._unreadable
-        pairs = list(zip(places, given, strict=True))
-        y = [position[place] if there else math.nan for place, there in pairs]
-        u = [effort[place] if there else math.nan for place, there in pairs]
-        return stamp, y, u, given, [a and not b for a, b in zip(named, given, strict=True)]
+        numbers = layout.pick(position + velocity + effort + _CONSTANTS)
+        return stamp, numbers, layout.given, layout.wrong
 
     def describe(self, data: bytes, joint: str) -> str:
         """Return what a message contains of a joint, for the log line of its rejection."""
@@ -128,28 +159,93 @@ class MeasurementReader:
             message = self._decode(data)
         except MessageError as error:
             return f"not a JointState: {error}"
-        if joint not in message.names:
-            # The publisher decides how many names there are, and how long.
-            names = reprlib.repr(list(message.names))
-            return f"expected {', '.join(self._joints)}; got names {names}"
-        place, text = message.names.index(joint), f"stamp {message.stamp * 1e-9:.3f}"
-        for field in ("position", "effort"):
-            numbers = getattr(message, field)
-            value = numbers[place] if place < len(numbers) else f"missing ({len(numbers)} in all)"
-            text += f", {field} {value}"
+        # The publisher decides how many names there are, and how long.
+        names = reprlib.repr(list(message.names))
+        own = self._joints[joint]
+        if own.entries.isdisjoint(message.names):
+            expected = dict.fromkeys(
+                place.name for each in self._joints.values() for place in each.outputs + each.inputs
+            )
+            return f"expected {', '.join(expected)}; got names {names}"
+        text = f"stamp {message.stamp * 1e-9:.3f}"
+        for place in own.outputs + own.inputs:
+            text += f", {place.field} " if place.name == joint else f", {place.described} "
+            if place.name not in message.names:
+                text += f"missing (names {names})"
+                continue
+            index, numbers = message.names.index(place.name), getattr(message, place.field)
+            there = index < len(numbers)
+            text += str(numbers[index]) if there else f"missing ({len(numbers)} in all)"
         return text
 
-    def _find(self, names: tuple[str, ...]) -> list[int]:
-        if len(self._places) >= _MAX_KNOWN:
-            self._places.clear()
+    def _find(
+        self, names: tuple[str, ...], positions: int, velocities: int, efforts: int
+    ) -> _Layout:
+        if len(self._layouts) >= _MAX_KNOWN:
+            self._layouts.clear()
         # Of a name that comes twice, the first.
         found = {name: place for place, name in reversed(list(enumerate(names)))}
-        self._places[names] = places = [found.get(joint, _ABSENT) for joint in self._joints]
-        return places
+        parts = {
+            "position": (0, positions),
+            "velocity": (positions, velocities),
+            "effort": (positions + velocities, efforts),
+        }
+        absent_effort = _ZERO if self._assume_zero_torque and not efforts else _NOTHING
+
+        def places_of(wanted: Sequence[Place]) -> list[int]:
+            places = []
+            for name, field in wanted:
+                begin, length = parts[field]
+                index = found.get(name, length)
+                absent = absent_effort if field == "effort" else _NOTHING
+                places.append(begin + index if index < length else absent)
+            return places
+
+        picked, given, wrong = [], [], []
+        for each in self._joints.values():
+            outputs, inputs, others = map(places_of, (each.outputs, each.inputs, each.other_inputs))
+            for index, other in enumerate(others):
+                if inputs[index] == _NOTHING:
+                    inputs[index] = other
+            there = _NOTHING not in inputs and any(place != _NOTHING for place in outputs)
+            picked += outputs + inputs + others
+            given.append(there)
+            wrong.append(not there and not each.entries.isdisjoint(found))
+        layout = _Layout(
+            _picker(picked), self._all if all(given) else given, wrong, any(given) or any(wrong)
+        )
+        self._layouts[names, positions, velocities, efforts] = layout
+        return layout
+
+
+def _joined(columns: list[Array], parts: Sequence[tuple[int, int]]) -> list[Array]:
+    """Return each part, its columns side by side in one piece of memory; it may have none."""
+    nothing = columns[0][:, :0]
+    return [
+        columns[first]
+        if count == 1
+        else np.concatenate([nothing, *columns[first : first + count]], axis=1)
+        for first, count in parts
+    ]
+
+
+def _picker(places: Sequence[int]) -> _Pick:
+    """Return what takes the numbers at some places out of others."""
+    if len(places) > 1:
+        return operator.itemgetter(*places)
+    return lambda numbers: [numbers[place] for place in places]
 
 
 class _Output:
-    """A publisher of JointStates of any of some joints, each with its names."""
+    """A publisher of JointStates of any of some parts, each with its names.
+
+    Args:
+        node: The node.
+        topic: Below the node's name.
+        names: Of each part.
+        qos: Of the topic.
+        is_effort: Whether the messages have efforts in place of positions and velocities.
+    """
 
     def __init__(
         self,
@@ -157,6 +253,8 @@ class _Output:
         topic: str,
         names: Sequence[Sequence[str]],
         qos: QoSProfile = _RELIABLE,
+        *,
+        is_effort: bool = False,
     ) -> None:
         # Every QoS event is one more thing the executor gathers for each of its waits.
         quiet = PublisherEventCallbacks(use_default_callbacks=False)
@@ -164,7 +262,7 @@ class _Output:
             JointState, f"~/{topic}", qos, event_callbacks=quiet
         )
         self._latched = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        self._names = names
+        self._names, self._is_effort = names, is_effort
         self._encoders: dict[tuple[int, ...], JointStateEncoder] = {}
 
     @property
@@ -172,19 +270,25 @@ class _Output:
         """Whether there may be a listener."""
         return self._latched or bool(self._publisher.get_subscription_count())
 
-    def publish(self, stamp: int, rows: Sequence[_Motion]) -> None:
-        """Send one message of all the rows' joints, if it has any and there may be a listener."""
+    def publish(self, stamp: int, rows: Sequence[_Values]) -> None:
+        """Send one message of all the rows' parts, if it has any and there may be a listener."""
         if not rows or not self.is_heard:
             return
-        joints = tuple([row[0] for row in rows])
-        encode = self._encoders.get(joints)
+        parts = tuple([row[0] for row in rows])
+        encode = self._encoders.get(parts)
         if encode is None:
             if len(self._encoders) >= _MAX_KNOWN:
                 self._encoders.clear()
-            names = [name for joint in joints for name in self._names[joint]]
-            encode = self._encoders[joints] = JointStateEncoder(names)
+            names = [name for part in parts for name in self._names[part]]
+            encode = self._encoders[parts] = JointStateEncoder(names)
         positions = [value for row in rows for value in row[1]]
+        if self._is_effort:
+            self._publisher.publish(encode(stamp, effort=positions))
+            return
         velocities = [value for row in rows for value in row[2]]
+        if velocities and len(velocities) < len(positions):
+            # A velocity for each name or none at all: those of an arm beside a T–S system.
+            velocities = [value for row in rows for value in row[2] or [math.nan] * len(row[1])]
         self._publisher.publish(encode(stamp, positions, velocities))
 
 
@@ -193,34 +297,45 @@ class EstimatePublisher:
 
     Args:
         node: The node.
-        learnt: Names of each joint's learnt parameters, by the joint's name; there are topics of
-            them only if there are any.
+        joints: Places of each joint's signals, by the joint's name.
+        learnt: Names of the learnt parameters of each joint; there are topics of them only if
+            there are any.
     """
 
-    def __init__(self, node: Node, learnt: Mapping[str, tuple[str, ...]]) -> None:
-        joints = [[joint] for joint in learnt]
-        sides = [topics.sides(joint) for joint in learnt]
-        self._states = _Output(node, topics.STATES, sides)
-        self._state_bounds = _Output(node, topics.STATE_BOUNDS, sides)
-        self._disturbance = _Output(node, topics.DISTURBANCE, joints)
-        self._disturbance_bound = _Output(node, topics.DISTURBANCE_BOUND, joints)
-        self._innovation = _Output(node, topics.INNOVATION, joints)
-        self._restarts = _Output(node, topics.RESTARTS, joints, _RESTARTS)
-        own = [
-            topics.parameter_names(joint, topics.CONDITIONS, alone=len(learnt) == 1)
-            for joint in learnt
+    def __init__(
+        self, node: Node, joints: Mapping[str, Signals], learnt: Sequence[tuple[str, ...]]
+    ) -> None:
+        names, places = [[joint] for joint in joints], list(joints.values())
+        states = [list(dict.fromkeys(place.name for place in each.states)) for each in places]
+        self._motions = [
+            tuple(
+                _picker([i for i, place in enumerate(each.states) if place.field == field])
+                for field in ("position", "velocity")
+            )
+            for each in places
         ]
+        self._states = _Output(node, topics.STATES, states)
+        self._state_bounds = _Output(node, topics.STATE_BOUNDS, states)
+        disturbances = [each.disturbances for each in places]
+        self._disturbance = _Output(node, topics.DISTURBANCE, disturbances)
+        self._disturbance_bound = _Output(node, topics.DISTURBANCE_BOUND, disturbances)
+        self._innovation = _Output(
+            node, topics.INNOVATION, [[name] for own in disturbances for name in own]
+        )
+        self._restarts = _Output(node, topics.RESTARTS, names, _RESTARTS)
+        alone = len(joints) == 1
+        own = [topics.parameter_names(joint, topics.CONDITIONS, alone=alone) for joint in joints]
         self._health = _Output(node, topics.HEALTH, own)
         self._joint_count = len(joints)
         self._parameters: tuple[_Output, _Output] | None = None
-        if any(learnt.values()):
-            names = [
-                topics.parameter_names(joint, own, alone=len(learnt) == 1)
-                for joint, own in learnt.items()
+        if any(learnt):
+            own = [
+                topics.parameter_names(joint, each, alone=alone)
+                for joint, each in zip(joints, learnt, strict=True)
             ]
             self._parameters = (
-                _Output(node, topics.PARAMETERS, names),
-                _Output(node, topics.PARAMETER_BOUNDS, names),
+                _Output(node, topics.PARAMETERS, own),
+                _Output(node, topics.PARAMETER_BOUNDS, own),
             )
         self._parameters_due = 0
 
@@ -237,9 +352,14 @@ class EstimatePublisher:
         known = [(joint, each) for joint, each in enumerate(estimates) if each is not None]
         if not known:
             return False
-        self._states.publish(stamp, [_motion(joint, each.state) for joint, each in known])
+        self._states.publish(stamp, [self._motion(joint, each.state) for joint, each in known])
         self._state_bounds.publish(
-            stamp, [_motion(joint, each.state_bound) for joint, each in known if _has_bound(each)]
+            stamp,
+            [
+                self._motion(joint, each.state_bound)
+                for joint, each in known
+                if each.state_bound.size
+            ],
         )
         disturbed = [(joint, each) for joint, each in known if each.disturbance.size]
         self._disturbance.publish(
@@ -272,15 +392,16 @@ class EstimatePublisher:
         """Publish y − ŷ of messages, stamped as they are.
 
         Args:
-            stamps: Of the messages [ns], shape (m,).
-            innovations: Of their samples [rad], NaN of those not used, shape (k, m).
+            stamps: Of the messages [ns], shape (N,).
+            innovations: Of the outputs of all joints, one after the other, NaN of those that are
+                not used, shape (N, outputs).
         """
         if not self._innovation.is_heard:
             return
-        for stamp, values in zip(stamps.tolist(), innovations.T.tolist(), strict=True):
+        for stamp, values in zip(stamps.tolist(), innovations.tolist(), strict=True):
             self._innovation.publish(
                 stamp,
-                [(joint, (each,), ()) for joint, each in enumerate(values) if each == each],
+                [(output, (each,), ()) for output, each in enumerate(values) if each == each],
             )
 
     def publish_health(self, stamp: int, conditions: Sequence[Condition | None]) -> None:
@@ -309,12 +430,7 @@ class EstimatePublisher:
         """Let parameters be published again at once, as stamps may have gone back."""
         self._parameters_due = 0
 
-
-def _has_bound(estimate: Estimate) -> bool:
-    return estimate.state_bound.size > 0
-
-
-def _motion(joint: int, state: Array) -> _Motion:
-    """Return [q₁, q̇₁, q₂, q̇₂] as angles and velocities."""
-    q1, v1, q2, v2 = state.tolist()
-    return joint, (q1, q2), (v1, v2)
+    def _motion(self, joint: int, state: Array) -> _Values:
+        """Return states as positions and velocities."""
+        (positions, velocities), values = self._motions[joint], state.tolist()
+        return joint, positions(values), velocities(values)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.file import DesignFile, load_arm_design
+from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import EventLog
 from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
@@ -24,9 +25,9 @@ from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.io import Stamps
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.schema import naming
 
 _NOTHING = np.zeros(0)
-_OPEN = np.array([math.inf])
 _ACCEPTED = (*CORRECTING, GATED)
 
 
@@ -43,11 +44,12 @@ class ObservedJoint:
     Attributes:
         name: The joint's name.
         loaded: Its design.
+        signals: Places of its signals in messages.
         learnt: Names of the learnt parameters.
         tracker: Orders its measurements and estimates.
         received: Number of its samples since the start: used + rejected.
         latest: The latest estimate, None before the first.
-        faults: Recognises faults of its sensor.
+        faults: Recognise the faults of its outputs, one each.
         events: Finds changes of what its estimates are worth.
         recent: Counts over the last minute: `received`, the reasons of rejection and the
             estimator's events, by name.
@@ -64,6 +66,7 @@ class ObservedJoint:
         self.name = name
         self.loaded = loaded
         settings = parameters.settings
+        self.signals = signals(loaded.design.request, name, alone=len(parameters.joints) == 1)
         self.learnt = settings.learnt(loaded.design)
         self.tracker: Tracker = make_tracker(loaded.design, settings, estimator)
         self._limits = parameters.fault
@@ -79,14 +82,19 @@ class ObservedJoint:
         self.recent = LastMinute()
         self._newest = 0
         self.latest: Estimate | None = None
-        std = self.loaded.design.arm_request.measurement_std
-        self.watch = new_watches([std])
-        self.faults = FaultMonitor(std, self._limits, self.watch)
+        stds = np.sqrt(np.diag(self.loaded.design.request.measurement_covariance)).tolist()
+        self.watches, self._open = new_watches(stds), np.full(len(stds), math.inf)
+        self.faults = tuple(
+            FaultMonitor(std, self._limits, self.watches[place : place + 1])
+            for place, std in enumerate(stds)
+        )
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
         self._coast_after = self.events.coast_after = parameters.coast_after
-        self._limits = self.faults.limits = parameters.fault
+        self._limits = parameters.fault
+        for monitor in self.faults:
+            monitor.limits = self._limits
         if self.tracker.estimator.supervised:
             self.tracker.estimator.supervise(parameters.supervision)
 
@@ -99,43 +107,46 @@ class ObservedJoint:
         return phase_of(self.age(now), self._coast_after, self._stale_after)
 
     def offer(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[list[int], Array]:
-        """Use samples, m of them.
+        """Use samples, N of them.
 
         Args:
-            stamps: In ascending order [ns], shape (m,).
-            y: Measured angles [rad], shape (m,).
-            u: Torques [N m], shape (m,).
+            stamps: In ascending order [ns], shape (N,).
+            y: Measured outputs, NaN of those that are missing, shape (N, p).
+            u: Inputs, shape (N, m).
             now: Time on the node's clock [ns].
 
         Returns:
-            Outcomes by the codes of `history.REASONS`, and the innovations y − ŷ, NaN of a sample
-            whose angle was not used [rad], shape (m,).
+            Outcomes by the codes of `history.REASONS`, and the innovations y − ŷ, NaN of an output
+            that was not used, shape (N, p).
         """
-        count = len(stamps)
-        self.received += count
-        tracker, codes = self.tracker, np.zeros((1, count), np.int64)
-        innovations, expected_std = np.empty((2, 1, count))
-        # A column of one and a row of one are the same numbers.
+        self.received += len(stamps)
+        tracker, codes = self.tracker, np.zeros(len(stamps), np.int64)
+        innovations, expected_std = np.empty((2, *y.shape))
         offer(
             tracker.estimator.model,
             tracker.memory,
             tracker.ring,
             stamps,
-            y.reshape(count, 1),
-            u.reshape(count, 1),
+            y,
+            u,
             now,
-            codes[0],
-            innovations.reshape(count, 1),
-            expected_std.reshape(count, 1),
+            codes,
+            innovations,
+            expected_std,
         )
-        add_samples(self.watch, stamps, y.reshape(1, count), codes, innovations, expected_std)
-        outcomes: list[int] = codes[0].tolist()
+        # A column of one and a row of one are the same numbers.
+        by_output = [
+            np.ascontiguousarray(each.T)
+            for each in (y, codes[:, np.newaxis], innovations, expected_std)
+        ]
+        add_samples(self.watches, stamps, *by_output)
+        outcomes: list[int] = codes.tolist()
         accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
         if accepted:
             self._newest = max(self._newest, int(stamps[accepted[-1]]))
         if any(outcomes):
             innovations[~np.isin(codes, CORRECTING)] = math.nan
-        return outcomes, innovations[0]
+        return outcomes, innovations
 
     def count(self, steady: int) -> None:
         """Enter the counts there are into those of the last minute.
@@ -167,9 +178,14 @@ class ObservedJoint:
             # Another hypothesis may take a fault of the sensor for something else.
             disturbance = estimate.designed_disturbance
             if disturbance.size:
-                bound = estimate.designed_bound if estimate.designed_bound.size else _OPEN
-                if add_estimates(self.watch, now, disturbance, bound):
-                    self.faults.judge(float(disturbance[0]), float(bound[0]))
+                bound = estimate.designed_bound
+                if not bound.size:
+                    bound = self._open
+                if add_estimates(self.watches, now, disturbance, bound):
+                    for monitor, *each in zip(
+                        self.faults, disturbance.tolist(), bound.tolist(), strict=True
+                    ):
+                        monitor.judge(*each)
         return estimate
 
     def _held(self) -> Estimate | None:
@@ -180,12 +196,13 @@ class ObservedJoint:
 
 def rehearse(joints: Sequence[ObservedJoint]) -> None:
     """Run everything that is compiled on joints that have no past yet; they have none after it."""
-    zero = np.zeros(1)
     for joint in joints:
+        shape = joint.tracker.estimator.shape
+        y, u = np.zeros((1, shape.p)), np.zeros((1, shape.m))
         period = round(joint.loaded.design.request.period * NANOSECONDS)
         for place in (1, 2, 4, 3, 3):  # one of them late, one twice
             stamp = NANOSECONDS + place * period
-            joint.offer(np.array([stamp]), zero, zero, stamp + period)
+            joint.offer(np.array([stamp]), y, u, stamp + period)
         for ahead in (0.5, 10.0):
             joint.estimate(stamp + round(ahead * period), hold=False)
         joint.reset()
@@ -201,15 +218,16 @@ def observed_joints(
         source: Where their measurements come from, for events.
 
     Raises:
-        DesignFileError: A design file is missing or malformed.
+        DesignFileError: A design file is missing or malformed, or the method cannot run it.
         CertificateError: A design's certificate does not hold.
     """
-    paths = parameters.design_of
-    shipped = config_path(SHIPPED_DESIGN)
-    loaded = {path: load_arm_design(path or shipped) for path in dict.fromkeys(paths.values())}
-    estimators = {
-        path: make_estimator(each.design, parameters.settings) for path, each in loaded.items()
-    }
+    shipped = str(config_path(SHIPPED_DESIGN))
+    paths = {joint: path or shipped for joint, path in parameters.design_of.items()}
+    loaded = {path: load_design_file(path) for path in dict.fromkeys(paths.values())}
+    estimators = {}
+    for path, each in loaded.items():
+        with naming(path):
+            estimators[path] = make_estimator(each.design, parameters.settings)
     return [
         ObservedJoint(joint, loaded[path], estimators[path], parameters, source)
         for joint, path in paths.items()

@@ -85,7 +85,8 @@ class Observer(ManagedNode[ObserverParameters]):
         self._next_warning: dict[object, float] = {}
         self._meter = statuses.TickMeter(parameters.rate)
 
-        self._reader = MeasurementReader(parameters.joints, parameters.assume_zero_torque)
+        places = {joint.name: joint.signals for joint in self._joints}
+        self._reader = MeasurementReader(places, parameters.assume_zero_torque)
         at_once = parameters.publish_on == "measurement"
         self._measurements = DrainedSubscription(
             self,
@@ -95,9 +96,7 @@ class Observer(ManagedNode[ObserverParameters]):
             raw=True,
             on_arrival=self._on_arrival if at_once else None,
         )
-        self._publisher = EstimatePublisher(
-            self, {joint.name: joint.learnt for joint in self._joints}
-        )
+        self._publisher = EstimatePublisher(self, places, [joint.learnt for joint in self._joints])
         self._record = self.create_publisher(String, f"~/{topics.DESIGN}", LATCHED)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=", ".join(parameters.joints))
         self.offer_triggers({"reset": self._on_reset})
@@ -183,11 +182,11 @@ class Observer(ManagedNode[ObserverParameters]):
         self._is_new = False
         messages = [data for data, _ in taken]
         batch = self._reader.read(messages)
-        innovations = np.stack(
-            [self._offer(k, batch, messages, now) for k in range(len(self._joints))]
+        innovations = np.concatenate(
+            [self._offer(k, batch, messages, now) for k in range(len(self._joints))], axis=1
         )
-        used = np.flatnonzero((innovations == innovations).any(axis=0))
-        self._publisher.publish_innovations(batch.stamps[used], innovations[:, used])
+        used = np.flatnonzero((innovations == innovations).any(axis=1))
+        self._publisher.publish_innovations(batch.stamps[used], innovations[used])
         self._unanswered += [
             taken[batch.order[place]][1]["received_timestamp"] for place in used.tolist()
         ]
@@ -201,7 +200,7 @@ class Observer(ManagedNode[ObserverParameters]):
             places: Sequence[int] = range(len(outcomes))
         else:
             given, wrong = np.flatnonzero(batch.given[index]), np.flatnonzero(batch.wrong[index])
-            innovations = np.full(len(y), math.nan)
+            innovations = np.full(y.shape, math.nan)
             outcomes, innovations[given] = joint.offer(batch.stamps[given], y[given], u[given], now)
             joint.reject(len(wrong))
             outcomes += [_WRONG] * len(wrong)
@@ -224,10 +223,11 @@ class Observer(ManagedNode[ObserverParameters]):
         assert reason is not None
         # With a torque that no drive can have the angle is used all the same.
         what = "torque" if reason is RejectReason.IMPLAUSIBLE_TORQUE else "measurement"
-        self.get_logger().warning(
-            f"{what} of {printable(joint.name)} rejected: {reason.value} "
+        text = (
+            f"{what} of {joint.name} rejected: {reason.value} "
             f"({self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f})"
         )
+        self.get_logger().warning(printable(text))
 
     def _publish(self, now: int) -> bool:
         """Publish the estimates for the present; return whether there were any."""

@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.estimation.events import BOUNDS, HYPOTHESES, LEARNINGS, NOISY, EventKind
 from tsobs_ros.estimation.health import LastMinute, Level, Phase, Status, duration_text
 from tsobs_ros.estimation.records import Estimate, Learning, RejectReason
@@ -131,18 +132,20 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
 
 def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Status]:
     estimate = joint.latest
+    request = joint.loaded.design.request
     statuses = [
-        _domain_status(estimate, joint.loaded.design.arm_request.x_max),
+        _domain_status(request, estimate),
         _innovation_status(joint),
-        joint.faults.status(now),
+        *_fault_statuses(joint, now),
         _certificate_status(joint, method, now),
     ]
     if estimate is None:
         return statuses
-    level, message = HYPOTHESES[estimate.hypothesis]
-    values = {"hypothesis": _words(estimate.hypothesis)}
-    values |= _since(joint, EventKind.HYPOTHESIS, now)
-    statuses.append(Status("hypothesis", level, message, values))
+    if isinstance(request, ArmRequest):
+        level, message = HYPOTHESES[estimate.hypothesis]
+        values = {"hypothesis": _words(estimate.hypothesis)}
+        values |= _since(joint, EventKind.HYPOTHESIS, now)
+        statuses.append(Status("hypothesis", level, message, values))
     if joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
@@ -168,7 +171,18 @@ def _since(joint: ObservedJoint, kind: EventKind, now: int) -> dict[str, str]:
 
 def _innovation_status(joint: ObservedJoint) -> Status:
     """Return whether the innovations are as the design expects, and how large the noise is."""
-    name, level, message, values = joint.faults.innovation_status()
+    names = joint.loaded.design.request.output_names
+    each = {
+        name: monitor.innovation_status() for name, monitor in zip(names, joint.faults, strict=True)
+    }
+    output, (name, level, message, values) = max(each.items(), key=lambda item: item[1].level)
+    if len(each) > 1:
+        message = f"{output}: {message}" if level else message
+        values = {
+            f"{one}: {key}": value
+            for one, status in each.items()
+            for key, value in status.values.items()
+        }
     if joint.latest is not None:
         scale = joint.latest.noise_scale
         values["noise scale"] = f"{scale:.3f}"
@@ -181,8 +195,33 @@ def _innovation_status(joint: ObservedJoint) -> Status:
     return Status(name, level, message, values)
 
 
-def _domain_status(estimate: Estimate | None, x_max: float) -> Status:
-    values = {"x_max [rad]": f"{x_max:.4g}"}
+def _fault_statuses(joint: ObservedJoint, now: int) -> list[Status]:
+    """Return the fault of each output, whose name is the status's if there are several."""
+    names, found = joint.loaded.design.request.output_names, []
+    for output, unit, monitor in zip(names, joint.signals.units, joint.faults, strict=True):
+        name, level, message, values = monitor.status(now)
+        if len(names) > 1:
+            name = f"{name} of {output}"
+        values = {_in_unit(key, unit): value for key, value in values.items()}
+        found.append(Status(name, level, message, values))
+    return found
+
+
+def _in_unit(key: str, unit: str) -> str:
+    """Return the key of a fault's value for an output that is no angle."""
+    for radians, own in (("[rad]", unit), ("rate [rad/s]", unit and f"{unit}/s")):
+        if key.endswith(radians):
+            quantity = key.rpartition(" [")[0]
+            return f"{quantity} [{own}]" if own else quantity
+    return key
+
+
+def _domain_status(request: ArmRequest | TSRequest, estimate: Estimate | None) -> Status:
+    """Return whether the certificate covers the premise; that of a T–S system is no angle."""
+    if isinstance(request, TSRequest):
+        level = Level.OK if request.covers_estimated_premise else Level.WARN
+        return Status("premise domain", level, request.claim, {})
+    values = {"x_max [rad]": f"{request.x_max:.4g}"}
     if estimate is None:
         return Status("premise domain", Level.OK, "no estimate yet", values)
     values["link angle [rad]"] = f"{estimate.state[0]:.4f}"
