@@ -5,7 +5,7 @@
 import pytest
 
 from tsobs_ros.design.file import load_request
-from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.signals import Place, signals
 from tsobs_ros.resources import config_path
 
@@ -28,6 +28,46 @@ def test_the_shipped_arm_has_its_signals_where_they_always_were() -> None:
     assert places.entries == {"elbow"}
 
 
+@pytest.mark.parametrize(
+    ("measured", "places"),
+    [
+        (["link_velocity"], [("elbow", "velocity")]),
+        (["motor_angle"], [("elbow", "position")]),
+        (["motor_velocity", "motor_angle"], [("elbow", "velocity"), ("elbow", "position")]),
+        (["motor_angle", "link_angle"], [("elbow_motor", "position"), ("elbow", "position")]),
+        (
+            ["link_angle", "link_velocity", "motor_velocity"],
+            [("elbow", "position"), ("elbow", "velocity"), ("elbow_motor", "velocity")],
+        ),
+    ],
+)
+def test_outputs_of_one_side_are_the_joints_and_of_both_sides_the_motor_has_its_own_entry(
+    measured: list[str], places: list[tuple[str, str]]
+) -> None:
+    request = ArmRequest(outputs=[Output(each, 1e-3) for each in measured])
+
+    found = signals(request, "elbow", alone=True)
+
+    assert list(found.outputs) == places
+    assert found.inputs == (Place("elbow", "effort"),)
+    both = any(name == "elbow_motor" for name, _ in places)
+    assert found.other_inputs == ((Place("elbow_motor", "effort"),) if both else ())
+    assert found.entries == {"elbow", "elbow_motor"} if both else {"elbow"}
+    several = len(measured) > 1
+    assert list(found.disturbances) == ([f"elbow/{m}" for m in measured] if several else ["elbow"])
+    assert found.units == tuple("rad" if m.endswith("angle") else "rad/s" for m in measured)
+
+
+def test_torque_disturbances_are_efforts_of_their_sides() -> None:
+    wave = (DisturbanceTerm("gauss_markov", {"std": 1.0, "time_constant": 1.0}),)
+    for torque, names in (
+        (TorqueDisturbance(link=wave), ["elbow_link"]),
+        (TorqueDisturbance(link=wave, motor=wave), ["elbow_motor", "elbow_link"]),
+    ):
+        found = signals(ArmRequest(torque_disturbance=torque), "elbow", alone=True)
+        assert found.torques == tuple(Place(name, "effort") for name in names)
+
+
 @pytest.mark.parametrize(("alone", "prefix"), [(True, ""), (False, "tank/")])
 def test_signals_of_a_system_are_entries_with_a_position(alone: bool, prefix: str) -> None:
     request = load_request(config_path("ts_example.request.yaml"))
@@ -42,3 +82,4 @@ def test_signals_of_a_system_are_entries_with_a_position(alone: bool, prefix: st
         assert found == tuple(Place(prefix + name, "position") for name in names)
     assert len(places.inputs) == request.flow.input_count
     assert places.disturbances == tuple(prefix + name for name in request.output_names)
+    assert places.units == request.output_units

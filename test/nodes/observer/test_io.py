@@ -16,15 +16,18 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
-from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.file import load_request
+from tsobs_ros.design.request import ArmRequest, Output, TSRequest
 from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning, RejectReason
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.nodes.observer.io import Batch, EstimatePublisher, MeasurementReader
+from tsobs_ros.resources import config_path
 
 WRONG = RejectReason.WRONG_JOINT
 JOINTS = {joint: signals(ArmRequest(), joint, alone=False) for joint in ("hip", "knee")}
+SYSTEM = load_request(config_path("ts_example.request.yaml"))
 STAMP = 12_000_000_345
 
 
@@ -72,6 +75,67 @@ def test_without_effort_torques_may_be_zero_but_not_where_some_are_missing() -> 
     assert shown(read) == [(STAMP, 1.0, 0.0), (STAMP, 2.0, 0.0)]
     read = reader.read([message(["hip", "knee"], [1.0, 2.0], [3.0])])
     assert shown(read) == [(STAMP, 1.0, 3.0), WRONG]
+
+
+BOTH_SIDES = ArmRequest(outputs=[Output("link_angle", 1e-3), Output("motor_angle", 1e-3)])
+VELOCITIES = ArmRequest(outputs=[Output("motor_velocity", 1e-3), Output("motor_angle", 1e-3)])
+NAN = math.nan
+
+
+@pytest.mark.parametrize(
+    ("request_", "names", "fields", "expected"),
+    [
+        (BOTH_SIDES, ["hip", "hip_motor"],
+         {"position": [1.0, 2.0], "effort": [3.0, 4.0]}, ([1.0, 2.0], [3.0])),
+        # Some drivers have the torque with the motor.
+        (BOTH_SIDES, ["hip_motor", "hip"],
+         {"position": [2.0, 1.0], "effort": [4.0]}, ([1.0, 2.0], [4.0])),
+        (BOTH_SIDES, ["hip_motor", "hip"],
+         {"position": [2.0, 1.0], "effort": [4.0, NAN]}, ([1.0, 2.0], [4.0])),
+        (BOTH_SIDES, ["hip"], {"position": [1.0], "effort": [3.0]}, ([1.0, NAN], [3.0])),
+        (BOTH_SIDES, ["hip_motor"], {"position": [2.0], "effort": [4.0]}, ([NAN, 2.0], [4.0])),
+        (BOTH_SIDES, ["hip", "hip_motor"],
+         {"position": [NAN, 2.0], "effort": [3.0, 3.0]}, ([NAN, 2.0], [3.0])),
+        (BOTH_SIDES, ["hip", "hip_motor"], {"position": [1.0, 2.0]}, WRONG),
+        (BOTH_SIDES, ["hip", "hip_motor"], {"velocity": [1.0, 2.0], "effort": [3.0, 3.0]}, WRONG),
+        (VELOCITIES, ["hip"],
+         {"position": [1.0], "velocity": [2.0], "effort": [3.0]}, ([2.0, 1.0], [3.0])),
+        (VELOCITIES, ["hip"], {"position": [1.0], "effort": [3.0]}, ([NAN, 1.0], [3.0])),
+        (SYSTEM, ["drive", "gyroscope", "encoder"],
+         {"position": [3.0, 2.0, 1.0]}, ([1.0, 2.0], [3.0])),
+        (SYSTEM, ["encoder", "drive"], {"position": [1.0, 3.0]}, ([1.0, NAN], [3.0])),
+        (SYSTEM, ["encoder", "gyroscope"], {"position": [1.0, 2.0]}, WRONG),
+    ],
+)  # fmt: skip
+def test_what_a_message_lacks_of_several_outputs_is_nan(
+    request_: ArmRequest | TSRequest,
+    names: list[str],
+    fields: dict[str, list[float]],
+    expected: tuple[list[float], list[float]] | RejectReason,
+) -> None:
+    joints = {"hip": signals(request_, "hip", alone=True)}
+    reader = MeasurementReader(joints, assume_zero_torque=False)
+    data = bytes(serialize_message(JointState(name=names, **fields)))
+    for count in (1, 3):
+        batch = reader.read([data] * count)
+        if expected is WRONG:
+            assert batch.wrong.tolist() == [[True] * count]
+            assert "missing" in reader.describe(data, "hip")
+        else:
+            y, u = expected
+            np.testing.assert_array_equal(batch.y[0], [y] * count)
+            np.testing.assert_array_equal(batch.u[0], [u] * count)
+            assert batch.given is None
+            assert batch.y[0].flags.c_contiguous
+
+
+def test_the_entry_and_field_that_a_message_lacks_are_named() -> None:
+    reader = MeasurementReader({"hip": signals(BOTH_SIDES, "hip", alone=True)}, False)
+    data = bytes(serialize_message(JointState(name=["hip"], velocity=[1.0], effort=[2.0])))
+    assert reader.describe(data, "hip") == (
+        "stamp 0.000, position missing (0 in all), "
+        "position of hip_motor missing (names ['hip']), effort 2.0"
+    )
 
 
 def test_layouts_may_change_from_message_to_message_for_ever() -> None:
