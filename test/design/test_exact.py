@@ -28,7 +28,7 @@ from tsobs_ros.design.exact import (
     verify_exactly,
 )
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
@@ -36,6 +36,10 @@ from tsobs_ros.model.arm import ElasticJointArm
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=15)
 MATRICES = hnp.arrays(np.float64, (3, 3), elements=st.floats(-3.0, 3.0, allow_subnormal=False))
+
+
+BIAS = DisturbanceTerm("bias")
+CONTACT = DisturbanceTerm("gauss_markov", {"std": 2.0, "time_constant": 0.5})
 
 
 def as_floats(matrix: Any) -> Array:
@@ -123,11 +127,39 @@ def test_the_shipped_design_is_proved_with_its_margins(shipped: Design) -> None:
             arm=ElasticJointArm(0.05, 0.005, 200.0, 2.0, 0.01, 0.01),
             disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("sinusoid", {"frequency": 3.0})),
         ),
+        ArmRequest(
+            outputs=(Output("motor_angle", 0.001), Output("link_angle", 0.01, (BIAS,))),
+            torque_disturbance=TorqueDisturbance((), (CONTACT,)),
+        ),
+        ArmRequest(
+            arm=ElasticJointArm(gravity_torque=0.0),
+            outputs=(Output("motor_velocity", 0.01), Output("motor_angle", 0.001)),
+            torque_disturbance=TorqueDisturbance((CONTACT,)),
+            uncertainty={"motor_inverse_inertia": 0.1},
+            certify_uncertainty=True,
+        ),
+        ArmRequest(
+            torque_disturbance=TorqueDisturbance((), (CONTACT,)),
+            uncertainty={"link_inverse_inertia": 0.05},
+            certify_uncertainty=True,
+        ),
     ],
-    ids=["decay", "full turn", "25 Hz", "stiff with a tone"],
+    ids=[
+        "decay",
+        "full turn",
+        "25 Hz",
+        "stiff with a tone",
+        "two encoders and a contact",
+        "no gravity",
+        "a contact on an uncertain inertia",
+    ],
 )
 def test_designs_of_every_sort_are_proved(request_: ArmRequest) -> None:
-    assert verify_exactly(synthesise(request_)).holds
+    design = synthesise(request_)
+    report = verify_exactly(design)
+    assert report.holds
+    margins = [inequality.margin for inequality in design.certificate.inequalities]
+    assert [each.margin for each in report.inequalities] == pytest.approx(margins, rel=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 """The one-step prediction: its linear flow, its order, its exact error map, its covariance."""
 
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,17 +16,18 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag, expm
 
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, ramp, sinusoid
-from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+from tsobs_ros.model.flow import ArmFlow, ForceFlow, GapFlow, ProcessNoise, slope_range
 from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps
+from tsobs_ros.model.uncertainty import ARM_DIRECTIONS, arm_uncertainty
 
 Array = NDArray[np.float64]
 PROPERTY = settings(max_examples=40)
 
 ARMS = st.builds(
     ElasticJointArm, st.floats(0.2, 5.0), st.floats(0.2, 5.0), st.floats(1.0, 50.0),
-    st.floats(0.5, 50.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0),
+    st.just(0.0) | st.floats(0.5, 50.0), st.floats(0.0, 3.0), st.floats(0.0, 3.0),
 )  # fmt: skip
 DISTURBANCES = st.one_of(
     st.builds(clean), st.builds(bias), st.builds(ramp), st.builds(gauss_markov),
@@ -34,9 +36,13 @@ DISTURBANCES = st.one_of(
 )  # fmt: skip
 NOISES = st.builds(ProcessNoise, st.floats(1e-6, 1e-2), st.floats(1e-6, 1e-2))
 RATES = st.floats(25.0, 1000.0)
+OUTPUTS = st.dictionaries(st.sampled_from(QUANTITIES), DISTURBANCES, min_size=1, max_size=2)
+TORQUES = st.none() | st.lists(DISTURBANCES, min_size=2, max_size=2).map(per_channel)
 FLOWS = st.builds(
-    lambda arm, disturbance, noise, rate: ArmFlow(arm, disturbance, noise, 1.0 / rate),
-    ARMS, DISTURBANCES, NOISES, RATES,
+    lambda arm, outputs, noise, rate, torques: ArmFlow(
+        arm, per_channel([*outputs.values()]), noise, 1.0 / rate, [*outputs], torques
+    ),
+    ARMS, OUTPUTS, NOISES, RATES, TORQUES,
 )  # fmt: skip
 
 
@@ -53,14 +59,25 @@ def draw_state(data: st.DataObject, flow: ArmFlow, *batch: int, bound: float = 2
 
 
 def drift(flow: ArmFlow) -> Array:
-    return np.asarray(block_diag(flow.arm.spring_matrix, flow.disturbance.S))
+    """Return the linear part of the augmented system, written out from the physics."""
+    arm, torques = flow.arm, flow.torque_disturbance
+    matrix = block_diag(arm.spring_matrix, flow.disturbance.S)
+    if torques is not None:
+        first = len(matrix)
+        matrix = block_diag(matrix, torques.S)
+        motor = arm.stiffness / (arm.link_inertia * arm.motor_inertia)
+        matrix[3, first:] = motor * torques.H[0]
+        matrix[1, first:] = torques.H[1] / arm.link_inertia
+    return np.asarray(matrix)
 
 
 def density(flow: ArmFlow) -> Array:
     """Return the white noise density, written out from the physics."""
     gain = flow.arm.stiffness / flow.arm.link_inertia
     arm = np.diag([0.0, flow.process_noise.link, 0.0, flow.process_noise.motor * gain**2])
-    return np.asarray(block_diag(arm, flow.disturbance.G @ flow.disturbance.G.T))
+    models = (flow.disturbance, flow.torque_disturbance)
+    noises = [model.G @ model.G.T for model in models if model is not None]
+    return np.asarray(block_diag(arm, *noises))
 
 
 def kick(flow: ArmFlow, slope: float, duration: float) -> Array:
@@ -237,6 +254,8 @@ def test_the_error_after_a_step_is_one_of_the_certified_error_systems(
         (highest, lowest): first * (1.0 - second),
         (highest, highest): first * second,
     }
+    if not flow.arm.gravity_torque:
+        weights = {(0.0, 0.0): 1.0}
     vertices = flow.vertices(lowest, highest)
     assert [vertex.slopes for vertex in vertices] == list(weights)
     blend = sum(
@@ -369,6 +388,65 @@ FAST = ElasticJointArm(1e-3, 1e-4, 1e4)
 def test_a_wrong_number_is_named(build: Any, message: str) -> None:
     with pytest.raises(ModelError, match=message):
         build()
+
+
+def test_what_each_map_reads_of_the_augmented_state() -> None:
+    arm = ElasticJointArm(link_inertia=2.0, motor_inertia=0.5, stiffness=8.0, gravity_torque=3.0)
+    torques = per_channel([gauss_markov(), bias() + ramp()])
+    model = per_channel([clean(), bias(), ramp()])
+    outputs = ("motor_angle", "link_angle", "motor_velocity")
+    flow = ArmFlow(arm, model, ProcessNoise(), 0.005, outputs, torques)
+    state = np.concatenate([arm.from_physical([0.1, 0.2, 0.3, 0.4]), np.arange(1.0, 8.0)])
+    # w = [1; 2, 3] of link angle and motor velocity, then [4; 5; 6, 7] of motor and link.
+    for found, expected in (
+        (flow.disturbance_map, [0.0, 1.0, 2.0]),
+        (flow.rate_map, [0.0, 0.0, 3.0]),
+        (flow.output_matrix, [0.3, 0.1 + 1.0, 0.4 + 2.0]),
+        (flow.torque_map, [4.0, 5.0 + 6.0]),
+        (np.stack([flow.motor_torque, flow.link_torque]), [4.0, 5.0 + 6.0]),
+    ):
+        np.testing.assert_allclose(found @ state, expected, rtol=1e-14)
+    known = ArmFlow(arm, model, ProcessNoise(), 0.005, outputs)
+    assert known.torque_map.shape == (0, 7)
+    half = per_channel([clean(), gauss_markov()])
+    assert ArmFlow(arm, model, ProcessNoise(), 0.005, outputs, half).torque_map.shape == (1, 8)
+    for widened in (GapFlow(flow, 1.0), ForceFlow(flow, 1.0, 1.0)):
+        wide = np.concatenate([state, np.full(widened.state_count - len(state), 9.0)])
+        np.testing.assert_allclose(widened.output_matrix @ wide, [0.3, 1.1, 2.4], rtol=1e-14)
+        np.testing.assert_allclose(widened.torque_map @ wide, [4.0, 11.0], rtol=1e-14)
+
+
+@PROPERTY
+@given(FLOWS, st.sampled_from([name for name in ARM_DIRECTIONS if name != "gravity"]))
+def test_uncertain_kicks_act_on_unknown_torques_as_on_known_ones(flow: ArmFlow, name: str) -> None:
+    """The vertices of an uncertain parameter are K(θ₂) Φ K(θ₁), written out from the physics."""
+    arm, slope, bound, states = flow.arm, 0.9, 0.2, np.eye(flow.state_count)
+    motor, link = states @ flow.motor_torque, states @ flow.link_torque
+    q1, v1, q2, v2 = arm.to_physical(states[:, :4]).T
+    spring = arm.stiffness * (q1 - q2)
+    pull = slope * arm.gravity_torque * q1
+    on_link, on_motor = {
+        "stiffness": (-spring, spring),
+        "link_damping": (-v1, 0.0 * v1),
+        "motor_damping": (0.0 * v1, -v2),
+        "link_inverse_inertia": (link - spring - arm.link_damping * v1 - pull, 0.0 * v1),
+        "motor_inverse_inertia": (0.0 * v1, motor + spring - arm.motor_damping * v2),
+    }[name]
+
+    def kick_at(theta: float) -> Array:
+        matrix = states.copy()
+        matrix[1] += 0.5 * flow.period * (theta * on_link - pull) / arm.link_inertia
+        scale = arm.stiffness / arm.link_inertia / arm.motor_inertia
+        matrix[3] += 0.5 * flow.period * theta * on_motor * scale
+        return matrix
+
+    vertices = flow.vertices(slope, slope, arm_uncertainty(arm, {name: bound}))
+    corners = [-bound, -bound, bound, bound] if arm.gravity_torque else [-bound, bound]
+    step = expm(drift(flow) * flow.period)
+    for vertex, (first, second) in zip(vertices, product(corners, repeat=2), strict=True):
+        expected = kick_at(second) @ step @ kick_at(first)
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(vertex.transition, expected, rtol=1e-10, atol=1e-12 * scale)
 
 
 def test_output_and_slopes_of_the_augmented_state() -> None:

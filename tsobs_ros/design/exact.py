@@ -37,7 +37,8 @@ from scipy.linalg import matrix_balance
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
+from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, QUANTITIES
+from tsobs_ros.model.uncertainty import EXTERNAL, TORQUE
 from tsobs_ros.model.vertices import KickCorner, kick_corners, linear_directions
 
 Rational = NDArray[Any]
@@ -156,7 +157,15 @@ class _Problem(ABC):
         X: P⁻¹.
     """
 
-    def __init__(self, design: Design, drift: Rational, density: Rational, share: Fraction) -> None:
+    def __init__(
+        self,
+        design: Design,
+        drift: Rational,
+        density: Rational,
+        share: Fraction,
+        output: Rational,
+        noise_std: Rational,
+    ) -> None:
         """Enclose the linear flow and its noise over a share of the period.
 
         Args:
@@ -164,6 +173,8 @@ class _Problem(ABC):
             drift: Matrix of the linear flow [1/s].
             density: White noise density of the augmented state.
             share: Of the period.
+            output: C̄, shape (p, n).
+            noise_std: 1σ of a sample of each output, shape (p,).
         """
         request = design.request
         # Any scale is as good for the claim; this one keeps the flow's norm small.
@@ -178,12 +189,11 @@ class _Problem(ABC):
         self._noise = noise_integral(flow, self._D_inverse @ (duration * density) @ self._D_inverse)
         self._kept = decay_below(2 * Fraction(request.decay_rate) * self.period)
 
-        C: Rational = rational(request.flow.output_matrix) @ self._D
+        C: Rational = output @ self._D
         gain: Rational = self._D_inverse @ rational(design.K)
         self.X = inverse(self._D @ rational(design.P) @ self._D)
         closed = identity(len(gain)) - gain @ C
-        variances = rational(np.atleast_1d(request.measurement_std)) ** 2
-        self._posterior = closed @ self.X @ closed.T + (gain * variances) @ gain.T
+        self._posterior = closed @ self.X @ closed.T + (gain * noise_std**2) @ gain.T
 
     def _scaled(self, matrix: Rational) -> Rational:
         """Return a matrix that acts on the augmented state, in the scaled coordinates."""
@@ -199,13 +209,18 @@ class _ArmProblem(_Problem):
 
     def __init__(self, design: Design) -> None:
         request = self._request = design.arm_request
-        super().__init__(design, _drift(request), _noise_density(request), Fraction(1))
+        std = rational([output.measurement_std for output in request.sensors])
+        parts = _drift(request), _noise_density(request), Fraction(1), _output_matrix(request), std
+        super().__init__(design, *parts)
+        self._torques = rational([request.flow.motor_torque, request.flow.link_torque])
         self._uncertainty = request.uncertainty_model if request.certify_uncertainty else None
 
     def decreases(self) -> Iterator[tuple[str, Rational]]:
         request = self._request
         bounds = [Fraction(bound) for bound in request.uncertainty.values()]
-        slopes = (cosine_below(Fraction(request.x_max)), Fraction(1))
+        slopes = [Fraction(1)]
+        if request.arm.gravity_torque:
+            slopes.insert(0, cosine_below(Fraction(request.x_max)))
         kicks = map(self._kick, kick_corners(slopes, self._uncertainty, bounds))
         vertices = zip(request.vertices(), product(kicks, repeat=2), strict=True)
         for vertex, (before, after) in vertices:
@@ -216,9 +231,10 @@ class _ArmProblem(_Problem):
         arm, half = self._request.arm, self.period / 2
         kick = identity(len(self.X))
         if self._uncertainty is not None:
-            changes = self._uncertainty.linear[linear_directions(self._uncertainty), 0]
-            for theta, change in zip(corner.theta, changes, strict=True):
-                kick[:4, :4] += half * theta * rational(change)
+            changes = self._uncertainty.directions[linear_directions(self._uncertainty), 0]
+            for theta, change in zip(corner.theta, rational(changes), strict=True):
+                kick[:4, :4] += half * theta * change[:, :4]
+                kick[:4] += half * theta * (change[:, [TORQUE, EXTERNAL]] @ self._torques)
         gravity = Fraction(arm.gravity_torque) / Fraction(arm.link_inertia)
         kick[LINK_VELOCITY, LINK_ANGLE] -= half * gravity * corner.slope
         return self._scaled(kick)
@@ -234,7 +250,8 @@ class _SystemProblem(_Problem):
         A = rational(request.model.A)
         self._mean = _block_diagonal(A.sum(axis=0) / len(A), S)
         density = _block_diagonal(np.diag(rational(request.process_noise)), G @ G.T)
-        super().__init__(design, self._mean, density, Fraction(1, 2))
+        output, std = rational(request.flow.output_matrix), rational(request.measurement_std)
+        super().__init__(design, self._mean, density, Fraction(1, 2), output, std)
 
     def decreases(self) -> Iterator[tuple[str, Rational]]:
         vertices = zip(self._request.vertices(), product(self._deviations(), repeat=2), strict=True)
@@ -298,7 +315,23 @@ def _drift(request: ArmRequest) -> Rational:
             [k * k / (j1 * j2), 0, -k / j2, -Fraction(arm.motor_damping) / j2],
         ]
     )
-    return _block_diagonal(drift, rational(request.disturbance_model.S))
+    drift = _block_diagonal(drift, rational(request.disturbance_model.S))
+    if (torque := request.torque_disturbance.model) is not None:
+        n = len(drift)
+        drift = _block_diagonal(drift, rational(torque.S))
+        motor, link = rational(torque.H)
+        drift[MOTOR_VELOCITY, n:], drift[LINK_VELOCITY, n:] = k / (j1 * j2) * motor, link / j1
+    return drift
+
+
+def _output_matrix(request: ArmRequest) -> Rational:
+    """Return C̄, from the parameters without rounding."""
+    arm, C = request.arm, rational(request.flow.output_matrix)
+    scale = [Fraction(1)] * 2 + [Fraction(arm.link_inertia) / Fraction(arm.stiffness)] * 2
+    for row, name in zip(C, request.output_names, strict=True):
+        place = QUANTITIES.index(name)
+        row[place] = scale[place]
+    return C
 
 
 def _noise_density(request: ArmRequest) -> Rational:
@@ -308,7 +341,10 @@ def _noise_density(request: ArmRequest) -> Rational:
     gain = Fraction(arm.stiffness) / Fraction(arm.link_inertia)
     density[LINK_VELOCITY, LINK_VELOCITY] = Fraction(request.process_noise.link)
     density[MOTOR_VELOCITY, MOTOR_VELOCITY] = Fraction(request.process_noise.motor) * gain**2
-    return _block_diagonal(density, G @ G.T)
+    density = _block_diagonal(density, G @ G.T)
+    if (torque := request.torque_disturbance.model) is not None:
+        density = _block_diagonal(density, rational(torque.G) @ rational(torque.G).T)
+    return density
 
 
 def rational(values: Any) -> Rational:
