@@ -33,6 +33,8 @@ EXAMPLES = [
     membership("gaussian", {"centre": 0.3, "width": 0.7}),
     membership("sine_upper", {"half_width": 1.8}),
     membership("sine_lower", {"half_width": 1.8}),
+    membership("square", {"half_width": 1.3}),
+    membership("square_rest", {"half_width": 1.3}),
 ]
 
 
@@ -269,6 +271,7 @@ def test_the_sine_sector_is_level_outside_of_its_domain() -> None:
         ("gaussian", {"centre": 0.0, "width": 0.0}, "membership gaussian: width"),
         ("gaussian", {"centre": math.nan, "width": 1.0}, "membership gaussian: centre"),
         ("sine_upper", {"half_width": 3.2}, "sine_upper: expected 1e-4 ≤ half_width < π, got 3.2"),
+        ("square_rest", {"half_width": 0.0}, "square_rest: half_width: expected a finite number"),
         ("sine_lower", {"half_width": 0.0}, "sine_lower: expected 1e-4 ≤ half_width < π"),
     ],
 )

@@ -285,6 +285,7 @@ class RuleEntry(msgspec.Struct, kw_only=True):
     if_: dict[str, dict[str, str | float]] = msgspec.field(name="if", default_factory=dict)
     A: Numbers
     B: Numbers
+    C: Numbers | UnsetType = UNSET
 
     def memberships(self, premises: list[str]) -> tuple[Membership, ...]:
         """Return the memberships of all premises; one that the rule leaves out is always met."""
@@ -315,15 +316,16 @@ class SystemEntry(msgspec.Struct):
         model = request.model
         names = [f"z{j + 1}" for j in range(model.rule_base.premise_count)]
         premises = zip(names, model.premise, model.schedule, strict=True)
-        rules = zip(model.rule_base.rules, model.A, model.B, strict=True)
+        outputs = model.rule_count * [UNSET] if model.outputs is None else model.outputs
+        rules = zip(model.rule_base.rules, model.A, model.B, outputs, strict=True)
         return cls(
             premises={
                 name: PremiseEntry(state=state, scheduled=scheduled if scheduled.size else UNSET)
                 for name, state, scheduled in premises
             },
             rules=[
-                RuleEntry(if_=dict(zip(names, map(_shaped, each), strict=True)), A=A, B=B)
-                for each, A, B in rules
+                RuleEntry(if_=dict(zip(names, map(_shaped, each), strict=True)), A=A, B=B, C=C)
+                for each, A, B, C in rules
             ],
             C=model.C,
             slope_vertices=[np.asarray(matrix) for matrix in request.slope_vertices],
@@ -336,13 +338,15 @@ class SystemEntry(msgspec.Struct):
             raise ValueError(f"{missing}: expected at least one")
         n, p = len(self.rules[0].A), len(self.C)
         inputs = self.rules[0].B.shape
-        memberships = []
+        C = as_matrix("C", self.C, (p, n))
+        memberships, outputs = [], []
         for i, rule in enumerate(self.rules):
             with within(f"rules[{i}]"):
                 as_matrix("A", rule.A, (n, n))
                 as_matrix("B", rule.B, (n, *inputs[1:]))
+                own = C if isinstance(rule.C, UnsetType) else rule.C
+                outputs.append(as_matrix("C", own, (p, n)))
                 memberships.append(rule.memberships(list(self.premises)))
-        C = as_matrix("C", self.C, (p, n))
         scheduled = [each.scheduled for each in self.premises.values()]
         signals = max(0 if isinstance(each, UnsetType) else len(each) for each in scheduled)
         premise, schedule = [], []
@@ -354,7 +358,8 @@ class SystemEntry(msgspec.Struct):
                 schedule.append(each.row("scheduled", signals))
         A, B = (np.array([getattr(rule, name) for rule in self.rules]) for name in "AB")
         rules = RuleBase(tuple(memberships))
-        return TSModel(A, B, C, rules, np.array(premise), np.array(schedule))
+        differing = None if all(rule.C is UNSET for rule in self.rules) else np.array(outputs)
+        return TSModel(A, B, C, rules, np.array(premise), np.array(schedule), differing)
 
 
 class DirectionEntry(msgspec.Struct):

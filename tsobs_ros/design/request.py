@@ -611,19 +611,26 @@ class TSRequest(DesignProblem):
 
     @property
     def claim(self) -> str:
-        """The part of the premise that a certificate covers, for reports."""
+        """The part of premise and outputs that a certificate covers, for reports."""
         if self.model.premise_known:
-            return "the premise is known; covers every weight of the rules"
-        if self.slope_vertices:
-            return (
+            text = "the premise is known; covers every weight of the rules"
+        elif self.slope_vertices:
+            text = (
                 "the premise is the estimate; covers it if the Jacobian of f lies in the "
                 "convex hull of the slope vertices"
             )
-        return (
-            "the premise is the estimate, but no slope_vertices were given: covers every weight "
-            "of the rules as if it were known, NOT the difference between the weights of truth "
-            "and estimate"
-        )
+        else:
+            text = (
+                "the premise is the estimate, but no slope_vertices were given: covers every "
+                "weight of the rules as if it were known, NOT the difference between the weights "
+                "of truth and estimate"
+            )
+        if self.model.outputs is not None:
+            text += (
+                "; the rules' C differ: covers what they differ by from the common C only as far "
+                "as the disturbance model does"
+            )
+        return text
 
     @cached_property
     def _names(self) -> Labels:

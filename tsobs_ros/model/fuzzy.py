@@ -24,6 +24,8 @@ from tsobs_ros.model.memberships import (
     LINEAR,
     SINE_LOWER,
     SINE_UPPER,
+    SQUARE,
+    SQUARE_REST,
     TRAPEZOID,
     Codes,
     grades_and_slopes,
@@ -317,9 +319,33 @@ class SineLower(SineUpper):
     code: ClassVar[int] = SINE_LOWER
 
 
+@dataclass(frozen=True)
+class Square(Membership):
+    """(z/half_width)² on |z| ≤ half_width and 1 outside."""
+
+    half_width: float
+    shape: ClassVar[str] = "square"
+    code: ClassVar[int] = SQUARE
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        positive(f"membership {self.shape}: half_width", self.half_width)
+
+
+@dataclass(frozen=True)
+class SquareRest(Square):
+    """1 − `Square`."""
+
+    shape: ClassVar[str] = "square_rest"
+    code: ClassVar[int] = SQUARE_REST
+
+
 SHAPES: Mapping[str, type[Membership]] = {
-    cls.shape: cls for cls in (Always, Linear, Triangle, Trapezoid, Gaussian, SineUpper, SineLower)
-}
+    cls.shape: cls
+    for cls in (
+        Always, Linear, Triangle, Trapezoid, Gaussian, SineUpper, SineLower, Square, SquareRest,
+    )
+}  # fmt: skip
 """Every membership function by its name."""
 
 

@@ -17,11 +17,11 @@ from tsobs_ros.model.trigonometry import cosine, exponential, sine
 
 Codes = NDArray[np.int64]
 
-ALWAYS, LINEAR, TRAPEZOID, GAUSSIAN, SINE_UPPER, SINE_LOWER = range(6)
+ALWAYS, LINEAR, TRAPEZOID, GAUSSIAN, SINE_UPPER, SINE_LOWER, SQUARE, SQUARE_REST = range(8)
 """Codes of the shapes. Their parameters, in this order; the rest of the four is not read:
 
 LINEAR: zero, one. TRAPEZOID: left, top_left, top_right, right. GAUSSIAN: centre, width.
-SINE_UPPER, SINE_LOWER: half_width, sin(half_width)/half_width.
+SINE_UPPER, SINE_LOWER: half_width, sin(half_width)/half_width. SQUARE, SQUARE_REST: half_width.
 """
 
 
@@ -57,10 +57,20 @@ def grade_and_slope(
         distance = (z - a) / b
         grade = exponential(-0.5 * distance * distance)
         return grade, -distance / b * grade if grade > 0.0 else 0.0
-    upper, slope = _share_of_sine(z, a, b)
-    if shape == SINE_UPPER:
-        return upper, slope
-    return 1.0 - upper, -slope
+    is_square = shape in (SQUARE, SQUARE_REST)
+    share, slope = _square(z, a) if is_square else _share_of_sine(z, a, b)
+    if shape in (SINE_UPPER, SQUARE):
+        return share, slope
+    return 1.0 - share, -slope
+
+
+@compiled
+def _square(z: float, half_width: float) -> tuple[float, float]:
+    """Return (z/width)², and its slope; 1 and level outside of |z| < width."""
+    if abs(z) >= half_width:
+        return 1.0, 0.0
+    share = z / half_width
+    return share * share, 2.0 * share / half_width
 
 
 @compiled

@@ -30,6 +30,8 @@ class TSModel:
         rule_base: Memberships of the q premise variables.
         premise: State to premise variables Z, shape (q, n).
         schedule: Scheduled signals to premise variables Z_s, shape (q, s); none by default.
+        outputs: Output matrices Cᵢ of the rules, if they differ, shape (r, p, n). Estimators take C
+            for all of them, and the difference Σ hᵢ(Cᵢ − C)x for a disturbance.
 
     Raises:
         ModelError: A matrix has the wrong shape; the text names it.
@@ -41,6 +43,7 @@ class TSModel:
     rule_base: RuleBase
     premise: Array
     schedule: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    outputs: Array | None = None
 
     def __post_init__(self) -> None:
         rules, q = self.rule_base.rule_count, self.rule_base.premise_count
@@ -54,6 +57,8 @@ class TSModel:
             "premise": as_matrix("premise", self.premise, (q, n)),
             "schedule": as_matrix("schedule", schedule, (q, _length("schedule", schedule, -1, 2))),
         }
+        if self.outputs is not None:
+            checked["outputs"] = as_matrix("outputs", self.outputs, (rules, *checked["C"].shape))
         for name, matrix in checked.items():
             object.__setattr__(self, name, matrix)
 
@@ -71,6 +76,12 @@ class TSModel:
     def input_count(self) -> int:
         """Number of inputs m, scheduled signals not among them."""
         return int(self.B.shape[-1])
+
+    @property
+    def rule_outputs(self) -> Array:
+        """Cᵢ of every rule, shape (r, p, n)."""
+        same = np.repeat(self.C[np.newaxis], self.rule_count, axis=0)
+        return same if self.outputs is None else self.outputs
 
     @cached_property
     def premise_known(self) -> bool:

@@ -25,15 +25,13 @@ not depend on them; see `tsobs_ros.paper.augmentation.check_conditions`.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from tsobs_ros.checks import Array, as_matrix
-from tsobs_ros.compiled import compiled
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.fuzzy import RuleBase, Square, SquareRest
 from tsobs_ros.paper.systems import TSSystem, arm_system
 
 Signal = Callable[[Array], Array]
@@ -89,17 +87,9 @@ class PaperExample:
                 )
 
 
-def _second_weight(y1: Any) -> Any:
-    # h₂ = y₁² as printed, and 1 for |y₁| > 1, which the paper's y₁ never reaches.
-    return np.minimum(y1 * y1, 1.0)
-
-
-second_weight = compiled(_second_weight)
-"""The weight of the second rule of Examples 1 and 2 at y₁, for compiled loops."""
-
-
 def _system(A1: list[list[float]], A2: list[list[float]]) -> TSSystem:
-    rules = RuleBase(((lambda y1: 1.0 - _second_weight(y1),), (_second_weight,)))
+    # h₂ = y₁² as printed, and 1 for |y₁| > 1, which the paper's y₁ never reaches.
+    rules = RuleBase(((SquareRest(1.0),), (Square(1.0),)))
     return TSSystem.from_rules([A1, A2], list(_B), list(_C), rules)
 
 

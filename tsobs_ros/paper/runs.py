@@ -22,7 +22,8 @@ from tsobs_ros.estimation.baselines import high_gain, proportional_integral
 from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
 from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
-from tsobs_ros.paper.examples import PaperExample, second_weight
+from tsobs_ros.model.memberships import SQUARE, grade_and_slope
+from tsobs_ros.paper.examples import PaperExample
 from tsobs_ros.paper.observer import AugmentedObserver, paper_observer
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
 from tsobs_ros.simulation.plant import Trajectories
@@ -231,7 +232,7 @@ def _move_plants(A: Array, B: Array, u: Array, offset: Array, h: float, states: 
                 for i in range(n):
                     at[i] = now[i] if stage == 0 else now[i] + reach * slopes[stage - 1, i]
                 when = 2 * (k - 1) + (stage + 1) // 2
-                second = second_weight(at[0] + offset[when])
+                second, _ = grade_and_slope(SQUARE, at[0] + offset[when], 1.0, 0.0, 0.0, 0.0)
                 for i in range(n):
                     first_rate = second_rate = 0.0
                     for j in range(n):
