@@ -228,7 +228,8 @@ def test_the_same_bits_interpreted_and_on_another_cpu(setting: dict[str, str]) -
 def test_single_premises_have_the_bits_of_a_batch() -> None:
     z = np.random.default_rng(5).normal(0.0, 1.0, (50, 2))
     batch, all_slopes = weights_and_slopes(MIXED, z)
-    weights, same, slopes = np.empty(9), np.empty(9), np.empty((9, 2))
+    r = MIXED.rule_count
+    weights, same, slopes = np.empty(r), np.empty(r), np.empty((r, 2))
     for place, one in enumerate(z):
         rule_weights(*MIXED.coded, one, weights)
         rule_weights_and_slopes(*MIXED.coded, one, same, slopes)
