@@ -6,6 +6,7 @@ Live, measurements are late, doubled, out of order, from the future or missing. 
 is refused with a reason and counted. What is late is put in its place; see `history`.
 """
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -51,7 +52,8 @@ class TrackerOptions:
     """Limits of a tracker.
 
     Attributes:
-        x_max: Half width of the certificate's domain [rad].
+        x_max: Half width of the certificate's domain of the first state; infinite if the domain is
+            no interval of it, as a T–S system's.
         history: How far back a late measurement may reach [s].
         future_tolerance: How far ahead of `now` a stamp may lie [s].
         restart_after: A gap in the measurements longer than this restarts the estimator [s]; no
@@ -59,14 +61,16 @@ class TrackerOptions:
         max_steps: Largest number of measurements in the history, however dense their stamps.
     """
 
-    x_max: float
+    x_max: float = math.inf
     history: float = 0.5
     future_tolerance: float = 0.1
     restart_after: float = 5.0
     max_steps: int = 1024
 
     def __post_init__(self) -> None:
-        check_each(positive, self, "x_max", "restart_after", "max_steps")
+        if self.x_max != math.inf:
+            positive("x_max", self.x_max)
+        check_each(positive, self, "restart_after", "max_steps")
         check_each(non_negative, self, "history", "future_tolerance")
 
 

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.compiled import compiled, compiled_nogil
+from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import integrated_estimator
 from tsobs_ros.estimation.estimator import Estimator
@@ -29,13 +30,25 @@ from tsobs_ros.model.matrices import product
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import EXAMPLE_3_H, EXAMPLE_3_P, example_3
 from tsobs_ros.paper.projection import clip, project
+from tsobs_ros.paper.systems import TSSystem
 
 PAPER_WARNING = (
     "method paper: on this undamped arm the method's conditions are infeasible (modes ±4.776j and "
     "±1.481j are hidden by an arbitrary disturbance). Running the printed gains of its Example 3: "
     "the estimate is an open-loop simulation whose error does not decay; no bound is published"
 )
-"""Warning for users of the paper's observer, given once."""
+"""Warning for users of the paper's observer of an arm, given once."""
+
+SYSTEM_WARNING = (
+    "method paper: the estimate is an open-loop simulation of the T-S system, which gets the "
+    "measurements only by its premise; an error decays as the system itself does, and no bound is "
+    "published"
+)
+"""Warning for users of the paper's observer of a T–S system, given once."""
+
+INNOVATION_RATE = 20.0
+"""Default of the decay asked of the innovation [1/s]. The slower it is, the longer the adaptive law
+integrates what is left of the observer's own start, and the further Ξ̂ wanders from the truth."""
 
 _MAX_STEP = 1e-2  # s
 _ASYMMETRY = 1e-12
@@ -379,20 +392,105 @@ def paper_observer(arm: ElasticJointArm, period: float, measurement_std: float) 
             f"got {arm}"
         )
     observer = printed_observer()
-    aug = observer.augmentation
-    n = aug.state_count
-    F = np.array([A - product(H, aug.C_bar) for A, H in zip(aug.A1, observer.H1, strict=True)])
-    Y = np.array([product(f, aug.L1) + H + aug.N1 for f, H in zip(F, observer.H1, strict=True)])
+    return _estimator(
+        observer.augmentation,
+        observer.H1,
+        period,
+        scale=arm.to_physical(np.ones(observer.augmentation.state_count)),
+        measurement_covariance=np.array([[positive("measurement_std", measurement_std) ** 2]]),
+    )
+
+
+def paper_system_observer(request: TSRequest) -> Estimator:
+    """Return the method's observer for a T–S system, started at ω̂₀(0) = y(0) − C x̂(0).
+
+    From this start e_y and Ξ̂ᵢ stay zero (Proposition 1 of docs/method.md), so neither the gains nor
+    the adaptive law enter the estimate. The gains are those of the proof of Proposition 2, for
+    which no solver is needed.
+
+    Args:
+        request: Of the design; its disturbance model, noise and vertices are not used.
+
+    Raises:
+        ModelError: The premise is not what the method measures, the first outputs.
+    """
+    model = request.model
+    _require_measured_premise(request)
+    system = TSSystem(model.A, model.B, model.rule_outputs, model.rule_base)
+    aug = Augmentation(system)
+    r, p, n = aug.rule_count, aug.output_count, aug.state_count
+    H1 = np.zeros((r, aug.size, p))
+    H1[:, n:] = (INNOVATION_RATE - 1.0) * np.eye(p)
+    return _estimator(
+        aug,
+        H1,
+        request.period,
+        scale=np.ones(n),
+        measurement_covariance=request.measurement_covariance,
+        scheduled=model.schedule.shape[1],
+    )
+
+
+def _require_measured_premise(request: TSRequest) -> None:
+    """Refuse premises other than the first outputs, measured or scheduled by their names."""
+    model, names = request.model, request.output_names
+    scheduled = request.input_names[model.input_count :]
+    for j, (of_state, of_signals) in enumerate(zip(model.premise, model.schedule, strict=True)):
+        output = names[j] if j < len(names) else None
+        measured = not of_signals.any() and output is not None and (of_state == model.C[j]).all()
+        signals = {name: share for name, share in zip(scheduled, of_signals, strict=True) if share}
+        if not measured and (of_state.any() or signals != {output: 1.0}):
+            expected = "one an output" if output is None else f"the output {output}"
+            raise ModelError(
+                f"method paper: expected premise {j + 1} to be {expected}, or a scheduled signal "
+                "of its name, as the method measures its premises; got another one"
+            )
+
+
+def _estimator(
+    aug: Augmentation,
+    H1: Array,
+    period: float,
+    *,
+    scale: Array,
+    measurement_covariance: Array,
+    scheduled: int = 0,
+) -> Estimator:
+    """Return the observer without adaptation; its premises are the first outputs.
+
+    (29) takes Σ hᵢ(Cᵢ − C)x̂ from ω̂₀. If the Cᵢ differ, p states more follow that sum within a
+    period, as weights enter derivatives only.
+
+    Args:
+        aug: The system in augmented form.
+        H1: Gains H₁ᵢ, shape (r, n + p, p).
+        period: Nominal sampling period [s].
+        scale: Physical units of the states, shape (n,).
+        measurement_covariance: Of a sample, shape (p, p).
+        scheduled: Number of signals after the inputs, which are not used.
+    """
+    n, p, size = aug.state_count, aug.output_count, aug.size
+    F = np.array([A - product(H, aug.C_bar) for A, H in zip(aug.A1, H1, strict=True)])
+    Y = np.array([product(f, aug.L1) + H + aug.N1 for f, H in zip(F, H1, strict=True)])
+    U = np.concatenate([aug.B1, np.zeros((len(F), size, scheduled))], axis=2)
+    C_bar, omega = aug.C_bar, np.eye(p, size, n)
+    mismatch = aug.system.C - aug.C
+    if mismatch.any():
+        rate = 1.0 / positive("period", period)
+        F, Y, U = (np.pad(each, ((0, 0), (0, p), (0, 0))) for each in (F, Y, U))
+        F = np.pad(F, ((0, 0), (0, 0), (0, p)))
+        F[:, size:, :n], F[:, size:, size:] = rate * mismatch, -rate * np.eye(p)
+        C_bar, omega = np.pad(C_bar, ((0, 0), (0, p))), np.hstack([omega, -np.eye(p)])
     return integrated_estimator(
         F,
         Y,
-        np.asarray(aug.B1),
-        aug.C_bar,
+        U,
+        C_bar,
         period=positive("period", period),
         max_step=_MAX_STEP,
-        scale=arm.to_physical(np.ones(n)),
-        measurement_covariance=np.array([[positive("measurement_std", measurement_std) ** 2]]),
+        scale=scale,
+        measurement_covariance=measurement_covariance,
         rule_base=aug.system.rule_base,
         D=product(aug.C_bar, aug.L1),
-        disturbance=(np.eye(1, aug.size, n), aug.L1[n:]),
+        disturbance=(omega, aug.L1[n:]),
     )

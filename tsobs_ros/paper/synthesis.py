@@ -26,12 +26,8 @@ from tsobs_ros.design.record import SolverReport
 from tsobs_ros.errors import DesignError, DetectabilityError
 from tsobs_ros.paper.analysis import StabilityVerdict, check_stability
 from tsobs_ros.paper.augmentation import Augmentation, ConditionReport, check_conditions
-from tsobs_ros.paper.observer import AugmentedObserver, checked_gamma
+from tsobs_ros.paper.observer import INNOVATION_RATE, AugmentedObserver, checked_gamma
 from tsobs_ros.paper.systems import TSSystem
-
-INNOVATION_RATE = 20.0
-"""Default of the decay asked of the innovation [1/s]. The slower it is, the longer the adaptive law
-integrates what is left of the observer's own start, and the further Ξ̂ wanders from the truth."""
 
 # Remark 3's step of ε, relative, and the number of steps.
 _EPSILON_STEP = 1e-3
