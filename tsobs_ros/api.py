@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The front door's functions: simulate, estimate and compare, on plain arrays and whole bags."""
 
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -15,14 +14,12 @@ from tsobs_ros.checks import Array, shown
 from tsobs_ros.design import file
 from tsobs_ros.design.file import DesignFile, load_arm_design
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.history import CORRECTING, EXTRA, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, Basis
 from tsobs_ros.estimation.state import CONDITIONS
-from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import METHODS, ObserverSettings, make_runner
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.replay.passes import Ticks, new_pass
@@ -214,8 +211,7 @@ def estimate(
         angle: Measured link angles [rad], shape (n,); outputs of a T–S system, shape (n, p).
         torque: Torque applied from each sample to the next [N m], a number or shape (n,); inputs
             and scheduled signals of a T–S system, shape (n, m + s).
-        settings: Method, gates and timeouts; the node's defaults if None. Of a T–S system the
-            supervision is not used.
+        settings: Method, gates and timeouts; the node's defaults if None.
 
     Raises:
         ModelError: A time is not finite, or the arrays are not of the same length or of a shape
@@ -234,8 +230,8 @@ def estimate(
     flow = design.request.flow
     outputs = flow.output_matrix.shape[0]
     y = _columns("angle", angle, len(times), outputs)
-    u = _columns("torque", torque, len(times), _input_count(design.request))
-    stamps, tracker = _stamps(times), _tracker(design, settings or ObserverSettings())
+    u = _columns("torque", torque, len(times), len(design.request.input_names))
+    stamps, tracker = _stamps(times), make_runner(design, settings or ObserverSettings())
     count = len(stamps)
     known, never = np.arange(1, count + 1), np.full(count, -1)
     ticks = Ticks(stamps, np.maximum.accumulate(stamps), known, known, never, np.zeros((0, 8)))
@@ -437,27 +433,6 @@ def _torques(torque: Any, times: Array) -> Array:
     if callable(function):
         torque = [float(function(time)) for time in times.tolist()]
     return _columns("torque", torque, len(times), 1)
-
-
-def _tracker(design: Design, settings: ObserverSettings) -> Tracker | KalmanFilter:
-    if isinstance(design.request, ArmRequest):
-        return make_runner(design, settings)
-    learns = settings.adapt and design.request.uncertainty_model.count
-    observer = design.adaptive if learns else design.observer
-    # The domain of a T–S system is not an interval of its first state.
-    options = TrackerOptions(
-        x_max=sys.float_info.max,
-        history=settings.history,
-        future_tolerance=settings.future_tolerance,
-        restart_after=settings.stale_after,
-    )
-    return Tracker(observer(settings.settle_time), options)
-
-
-def _input_count(request: ArmRequest | TSRequest) -> int:
-    if isinstance(request, ArmRequest):
-        return 1
-    return int(request.model.input_count + request.model.schedule.shape[1])
 
 
 def _columns_of(

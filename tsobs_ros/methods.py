@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observers that can be run on a design, by name, and the trackers that run them."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from tsobs_ros.checks import check_each, non_negative, shown
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.baselines import KalmanFilter
@@ -20,16 +22,21 @@ from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptio
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.paper.observer import PAPER_WARNING, paper_observer
+from tsobs_ros.paper.observer import (
+    PAPER_WARNING,
+    SYSTEM_WARNING,
+    paper_observer,
+    paper_system_observer,
+)
 from tsobs_ros.yaml_files import read_yaml
 
 METHODS = {
     "certified": "the design's observer: certified gain, supervised, learning what is uncertain",
     "ekf": "gated extended Kalman filter of the same model, disturbance and noise",
     "ekf_augmented": "the same with the parameters that the design calls uncertain as states",
-    "high_gain": "proportional observer: takes the disturbance for motion",
+    "high_gain": "proportional observer of an arm: takes the disturbance for motion",
     "proportional_integral": "with an integral besides: takes the disturbance for motion",
-    "paper": "the published method's observer, for the arm of its Example 3 only",
+    "paper": "the published method's observer, for T-S systems and the arm of its Example 3",
 }
 """The methods by name, each with what to know about it."""
 
@@ -46,8 +53,7 @@ RANGES = {
 }
 """Least and largest values of settings, with which no estimate takes for ever."""
 
-WARNINGS = {"paper": PAPER_WARNING}
-"""What a user of a method is warned of, once."""
+_ARMS_ONLY = ("ekf_augmented", "high_gain", "proportional_integral")
 
 
 @dataclass(frozen=True)
@@ -183,32 +189,67 @@ def _converted(name: str, value: Any, before: Any) -> Any:
         ) from error
 
 
+def warning(design: Design, method: str) -> str:
+    """Return what a user of a method on a design is warned of, empty if there is nothing."""
+    if method == "paper":
+        return PAPER_WARNING if isinstance(design.request, ArmRequest) else SYSTEM_WARNING
+    if method == "certified" or method in EKFS:
+        return ""
+    return (
+        f"method {method}: takes any disturbance of the sensor for motion of the arm; no bound is "
+        "published"
+    )
+
+
 def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
-    """Return the observer that the settings name, for the arm of a design.
+    """Return the observer that the settings name, for the model of a design.
 
     Raises:
-        ModelError: The design is not for an arm, or the method cannot observe this one.
+        ModelError: The method cannot observe this model.
     """
-    estimator = _make_estimator(design, settings)
-    limits = design.arm_request.torque_limits(settings.torque_limit, settings.torque_rate_limit)
+    if settings.method in EKFS:
+        raise ModelError(f"method {settings.method}: runs over recordings and arrays only")
+    request = design.request
+    if not isinstance(request, ArmRequest):
+        _require_any_model(settings.method)
+        if settings.method == "paper":
+            return paper_system_observer(request)
+        return _certified(design, settings, None)
+    estimator = _make_arm_estimator(design, settings)
+    limits = request.torque_limits(settings.torque_limit, settings.torque_rate_limit)
     estimator.limit_torque(limits)
     return estimator
 
 
-def _make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
+def _require_any_model(method: str) -> None:
+    if method in _ARMS_ONLY:
+        others = ", ".join(each for each in METHODS if each not in _ARMS_ONLY)
+        raise ModelError(
+            f"method {method}: expected a design for an arm, got one for a T-S system, which can "
+            f"be observed by {others}"
+        )
+
+
+def _certified(design: Design, settings: ObserverSettings, torque_rate: float | None) -> Estimator:
+    if len(design.request.output_names) > 1:
+        learns = settings.adapt and design.request.uncertainty_model.count
+        make = design.adaptive if learns else design.observer
+        return make(settings.settle_time, settings.gain_mode, torque_rate)
+    return design.supervised(
+        settings.settle_time,
+        settings.gain_mode,
+        settings.adapt,
+        torque_rate,
+        settings.supervision,
+    )
+
+
+def _make_arm_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     request = design.arm_request
-    if settings.method in EKFS:
-        raise ModelError(f"method {settings.method}: runs over recordings and arrays only")
     common = (request.period, request.measurement_std)
     match settings.method:
         case "certified":
-            return design.supervised(
-                settings.settle_time,
-                settings.gain_mode,
-                settings.adapt,
-                settings.torque_rate,
-                settings.supervision,
-            )
+            return _certified(design, settings, settings.torque_rate)
         case "high_gain":
             return baselines.high_gain(request.arm, settings.theta, *common)
         case "proportional_integral":
@@ -230,7 +271,7 @@ def make_tracker(
         estimator: The observer, if it is made already: joints with the same design share it.
 
     Raises:
-        ModelError: The method cannot observe this arm, or a time is negative.
+        ModelError: The method cannot observe this model, or a time is negative.
 
     >>> import numpy as np
     >>> import tsobs_ros as ts
@@ -248,8 +289,16 @@ def make_tracker(
 def make_runner(
     design: Design, settings: ObserverSettings, estimator: Estimator | None = None
 ) -> Tracker | KalmanFilter:
-    """Return what runs a method over a recording or arrays; see `make_tracker`."""
+    """Return what runs a method over a recording or arrays; see `make_tracker`.
+
+    The EKF of a T–S system is the design's observer with Riccati gains along the estimate, which
+    leaves no sample out.
+    """
     if settings.method in EKFS:
+        if not isinstance(design.request, ArmRequest):
+            _require_any_model(settings.method)
+            estimator = design.observer(gain_mode=GainMode.RICCATI)
+            return make_tracker(design, settings, estimator)
         return make_ekf(design, settings, learns=settings.method == "ekf_augmented")
     return make_tracker(design, settings, estimator)
 
@@ -262,7 +311,7 @@ def make_ekf(
     learns: bool = False,
     gate: float = baselines.GATE,
 ) -> KalmanFilter:
-    """Return the EKF of a design: with its disturbance model, its noise and its start.
+    """Return the EKF of a design for an arm: with its disturbance model, its noise and its start.
 
     Args:
         design: The design.
@@ -286,8 +335,9 @@ def make_ekf(
 
 
 def _limits(design: Design, settings: ObserverSettings) -> TrackerOptions:
+    is_arm = isinstance(design.request, ArmRequest)
     return TrackerOptions(
-        x_max=design.arm_request.x_max,
+        x_max=design.arm_request.x_max if is_arm else math.inf,
         history=settings.history,
         future_tolerance=settings.future_tolerance,
         restart_after=settings.stale_after,

@@ -8,16 +8,73 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tsobs_ros.errors import ModelError
+from tsobs_ros.design.exact import verify_exactly
+from tsobs_ros.design.file import design_text, load_design, load_request
+from tsobs_ros.design.record import Design, SolverReport
+from tsobs_ros.design.request import DisturbanceTerm, TSRequest
+from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.errors import DetectabilityError, ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.paper import examples as printed
 from tsobs_ros.paper.augmentation import Augmentation, check_conditions
 from tsobs_ros.paper.claims import ROUNDING, check_printed
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
+from tsobs_ros.paper.synthesis import design_adaptive_observer
 from tsobs_ros.paper.systems import blend
+from tsobs_ros.resources import config_path
 
 FIRST = Augmentation(example_1().system)
 SIGNS = [np.array(signs) for signs in itertools.product([1.0, -1.0], repeat=6)]
+
+
+@pytest.mark.parametrize("example", [example_1(), example_2()], ids=["1", "2"])
+def test_the_shipped_request_is_the_example(example: PaperExample) -> None:
+    """Rules, their own outputs, weights by the measured y1, the disturbance's size, and ΔA."""
+    request = load_request(config_path(f"paper_{example.name}.request.yaml"))
+    assert isinstance(request, TSRequest)
+    model, system = request.model, example.system
+    for name, matrix in (("A", system.A), ("B", system.B), ("rule_outputs", system.C)):
+        np.testing.assert_array_equal(getattr(model, name), matrix)
+    np.testing.assert_array_equal(model.C, system.C[0])
+    assert request.output_names[0] == request.input_names[1] == "y1"
+    for y1 in (-1.2, 0.3, 0.9):
+        held = np.array([0.7, y1])
+        np.testing.assert_array_equal(
+            model.weights(np.ones(3), held), system.rule_base.weights([y1])
+        )
+    np.testing.assert_array_equal(request.uncertainty_model.linear[0], example.delta_A)
+    # Sizes and speeds of the models are those of the signals, within a factor of two.
+    times = np.arange(3.0, 103.0, 1e-3)
+    omega = example.disturbance(times)
+    rms = np.sqrt((omega**2).mean(axis=0))
+    std = np.array([term["std"] for (term,) in request.disturbance])
+    assert (np.maximum(std / rms, rms / std) < 2.0).all()
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_our_design_of_an_example_exists_with_a_model_of_the_disturbance_only(number: int) -> None:
+    design = load_design(config_path(f"paper_example_{number}.design.yaml"))
+    request = load_request(config_path(f"paper_example_{number}.request.yaml"))
+    assert isinstance(request, TSRequest)
+    assert design_text(replace(design, request=request)) == design_text(design)
+    assert verify_exactly(design).holds
+    assert "the rules' C differ" in request.claim
+    arbitrary = replace(request, disturbance=[[DisturbanceTerm("arbitrary")]] * 3)
+    with pytest.raises(DetectabilityError, match="explains every value of the outputs"):
+        synthesise(arbitrary)
+
+
+def test_without_any_correction_a_decaying_disturbance_is_certified_where_the_method_is() -> None:
+    """A matrix that satisfies the method's conditions makes ours hold with K = 0."""
+    request = load_request(config_path("paper_example_1.request.yaml"))
+    assert isinstance(request, TSRequest)
+    example = example_1()
+    method = design_adaptive_observer(example.system, example.alpha, example.xi)
+    T = method.augmentation.blind_basis
+    P = np.zeros((6, 6))
+    P[:3, :3], P[3:, 3:] = T.T @ method.P @ T, np.eye(3)
+    open_loop = Design(request, 0.5 * (P + P.T), np.zeros((6, 3)), SolverReport())
+    assert open_loop.certificate.holds
 
 
 def test_printed_matching_matrix_fits_to_rounding() -> None:

@@ -5,26 +5,33 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from tsobs_ros.design.file import load_request
+from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase
 from tsobs_ros.paper.augmentation import Augmentation
-from tsobs_ros.paper.examples import example_1
+from tsobs_ros.paper.examples import PaperExample, example_1, example_2
 from tsobs_ros.paper.observer import (
     AugmentedObserver,
     AugmentedState,
     paper_observer,
+    paper_system_observer,
     printed_observer,
 )
 from tsobs_ros.paper.systems import TSSystem
+from tsobs_ros.resources import config_path
 
 Array = NDArray[np.float64]
 
@@ -154,6 +161,55 @@ def test_the_record_with_the_printed_gains_is_the_observer_with_the_sample_held(
     np.testing.assert_allclose(estimates.state[0], expected, atol=1e-12)
     np.testing.assert_allclose(estimates.disturbance[0], omega, atol=1e-12)
     assert np.ptp(expected[:, 0]) > 0.01
+
+
+@pytest.mark.parametrize("example", [example_1(), example_2()], ids=["1", "2"])
+def test_run_on_a_design_file_it_is_the_adaptive_observer_of_the_example(
+    example: PaperExample,
+) -> None:
+    """But for inputs and premises that are held, and ω̂ by (29), which lags by a period."""
+    request = load_request(config_path(f"paper_{example.name}.request.yaml"))
+    assert isinstance(request, TSRequest)
+    T, system = 1e-3, example.system
+    times = np.arange(0.0, 6.0, T)
+    u, y = example.torque(times), np.sin(times)[:, np.newaxis] * np.array([0.9, 0.5, -0.7])
+    aug = Augmentation(system)
+    adaptive = AugmentedObserver(
+        aug, np.repeat(aug.L1[np.newaxis], 2, axis=0), aug.C_bar.T, example.Gamma
+    )
+    states = adaptive.follow(y, u, T, estimate=aug.L1 @ y[0])
+    x, omega = adaptive.estimate(states)
+
+    estimator = paper_system_observer(replace(request, rate=1.0 / T))
+    held = np.hstack([u, y[:, :1]])
+    estimates = estimator.observe(y[np.newaxis], held[np.newaxis])
+    np.testing.assert_allclose(estimates.state[0], x, atol=1e-3)
+    np.testing.assert_allclose(estimates.disturbance[0], omega, atol=2e-3)
+    assert np.abs(states.Xi).max() < 1e-12
+    mismatch = np.abs(omega - (y - x @ system.C[0].T))
+    assert mismatch.max() > 0.1, "(29) has nothing to do"
+
+
+@pytest.mark.parametrize(
+    ("premises", "message"),
+    [
+        ({"premise": [[0.0, 1.0, 0.0]], "schedule": []}, "premise 1 to be the output y1"),
+        ({"schedule": [[2.0]]}, "premise 1 to be the output y1, or a scheduled signal of its name"),
+        ({"schedule": [[0.0, 1.0]]}, "premise 1 to be the output y1"),
+    ],
+)
+def test_premises_that_the_method_does_not_measure_are_refused(
+    premises: dict[str, Any], message: str
+) -> None:
+    request = load_request(config_path("paper_example_1.request.yaml"))
+    assert isinstance(request, TSRequest)
+    model = replace(request.model, **{name: np.array(matrix) for name, matrix in premises.items()})
+    scheduled = ("y1", "y2")[: model.schedule.shape[1]]
+    names = msgspec.structs.replace(request.names, scheduled=scheduled)
+    with pytest.raises(ModelError, match=message):
+        paper_system_observer(replace(request, model=model, names=names))
+    of_the_state = replace(request.model, premise=request.model.C[:1], schedule=np.zeros((1, 1)))
+    assert paper_system_observer(replace(request, model=of_the_state)).shape.m == 2
 
 
 def batch_of() -> AugmentedState:

@@ -23,7 +23,7 @@ from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.methods import WARNINGS
+from tsobs_ros.methods import warning
 from tsobs_ros.nodes.compiling import compile_ahead
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
@@ -348,13 +348,9 @@ class Observer(ManagedNode[ObserverParameters]):
             text = f"{names}: design {path} ({loaded.identity}): certificate holds"
             self.get_logger().info(printable(text))
         method = self.parameters.method
-        if method in WARNINGS:
-            self.get_logger().warning(WARNINGS[method])
-        elif method != "certified":
-            self.get_logger().warning(
-                f"method {method}: takes any disturbance of the sensor for motion of the arm; no "
-                "bound is published"
-            )
+        for text in dict.fromkeys(warning(each.design, method) for each in by_path.values()):
+            if text:
+                self.get_logger().warning(text)
 
 
 def create(**node_kwargs: Any) -> Observer:
