@@ -247,7 +247,7 @@ def test_the_readout_is_in_the_models_own_terms(pendulum: Design) -> None:
 
 def test_what_cannot_be_learnt_is_refused(pendulum: Design, linear: Design) -> None:
     arm = arm_uncertainty(ElasticJointArm(), {"stiffness": 0.2})
-    with pytest.raises(ModelError, match=r"shape \(2, 2, 3\) for TSFlow, got \(1, 4, 6\)"):
+    with pytest.raises(ModelError, match=r"shape \(2, 2, 3\) for TSFlow, got \(1, 4, 7\)"):
         certified_estimator(
             pendulum.request.flow,
             np.eye(2),
