@@ -1,3 +1,5 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
 """The simulated plant: a pure, deterministic machine that is stepped by sample index.
 
 Sample k belongs to the time k/rate. A step measures at that time, then moves the plant on to the
