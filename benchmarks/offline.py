@@ -84,7 +84,7 @@ def _measure(folder: Path, design: Design, seconds: float, repeats: int) -> dict
     outputs = [folder / f"new_{repeat}" for repeat in range(2 * repeats)]
     for _ in range(repeats):
         times["all"].append(timed(lambda: _estimate(bag, design, outputs.pop())))
-        times["read"].append(timed(lambda: BagSource(bag)))
+        times["read"].append(timed(lambda: BagSource(bag).observe([design.request])))
         times["estimate"].append(timed(lambda: _estimate(bag, design, None)))
         times["with live"].append(timed(lambda: _estimate(live, design, outputs.pop())))
     medians = {name: float(np.median(each)) for name, each in times.items()}

@@ -14,7 +14,8 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.methods import ObserverSettings, make_tracker
-from tsobs_ros.report.metrics import QUANTITIES, MetricsOptions, measure
+from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.report.quantities import QUANTITIES
 from tsobs_ros.report.run import RecordedRun, Series
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Scenario, Trajectories
@@ -42,8 +43,8 @@ def recorded(runs: Trajectories, observed: Observed, run: int) -> RecordedRun:
         stamps=stamps,
         states=observed.states[run],
         state_bounds=observed.state_bounds[run],
-        disturbance=observed.disturbances[run, :, 0],
-        disturbance_bounds=observed.disturbance_bounds[run, :, 0],
+        disturbance=observed.disturbances[run],
+        disturbance_bounds=observed.disturbance_bounds[run],
         truth=Series(stamps, runs.physical[run]),
         true_disturbance=Series(stamps, runs.disturbances[run]),
     )
@@ -72,7 +73,7 @@ def test_scores_are_those_of_a_report() -> None:
     scores = score(runs, observed, options)
     for run in range(3):
         expected = measure(recorded(runs, observed, run), options)
-        for place, (key, _, _) in enumerate(QUANTITIES):
+        for place, (key, *_) in enumerate(QUANTITIES):
             one = expected[key]
             for found, value in (
                 (scores.rmse, one.rmse),

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, shown
 from tsobs_ros.design import file
-from tsobs_ros.design.file import DesignFile, load_arm_design
+from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import KalmanFilter
@@ -64,8 +64,9 @@ class Simulation:
 class Estimates:
     """Estimates at n instants; NaN in a row without an estimate.
 
-    Shapes are those of an arm. Disturbance and innovation have the shape of the measurement that
-    was passed; those of a T–S system with p outputs are (n, p), and its states are the model's.
+    Shapes are those of an arm with one encoder. Of p outputs, disturbances and innovations have
+    the shape (n, p), NaN of an innovation if its output was not used; the states of a T–S system
+    are the model's.
 
     Attributes:
         time: Instants [s], shape (n,).
@@ -73,6 +74,8 @@ class Estimates:
         state_bound: 1σ bound of each, shape (n, 4).
         disturbance: Estimated disturbance of the sensor [rad], shape (n,).
         disturbance_bound: 1σ bound of it [rad], shape (n,).
+        torque_disturbance: Estimated torque disturbances, the motor's first [N m], shape (n, t).
+        torque_disturbance_bound: 1σ bound of each [N m], shape (n, t).
         innovation: y − ŷ of the i measurements that were used [rad], shape (i,).
         innovation_time: Their sampling times [s], shape (i,).
         parameters: Learnt changes θ of the model's parameters, shape (n, k).
@@ -95,6 +98,8 @@ class Estimates:
     state_bound: Array
     disturbance: Array
     disturbance_bound: Array
+    torque_disturbance: Array
+    torque_disturbance_bound: Array
     innovation: Array
     innovation_time: Array
     parameters: Array
@@ -373,7 +378,8 @@ def _observers(
     if design is None:
         (files,) = choose_designs(path, source.ran, source.joints).values()
     else:
-        file = DesignFile.of(design) if isinstance(design, Design) else load_arm_design(design)
+        file = DesignFile.of(design) if isinstance(design, Design) else load_design_file(design)
+        source.take_for_system([file.design.request])
         files = (file,) * len(source.joints)
     settings = settings or source.ran.settings()
     single = len(methods) <= 1
@@ -387,15 +393,20 @@ def _observers(
 
 
 def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
-    table = run.table
-    used = ~np.isnan(table.innovations[:, joint])
+    table, own = run.table, run.signals[joint]
+    plant, p, t = map(len, (own.states, own.outputs, own.torques))
+    outputs: slice | int = slice(p) if p > 1 else 0
+    innovations = table.innovations[:, joint, :p]
+    used = np.isfinite(innovations).any(axis=1)
     return Estimates(
         time=run.schedule.stamps / NANOSECONDS,
-        state=table.states[:, joint],
-        state_bound=table.state_bounds[:, joint],
-        disturbance=table.disturbances[:, joint, 0],
-        disturbance_bound=table.disturbance_bounds[:, joint, 0],
-        innovation=table.innovations[used, joint],
+        state=table.states[:, joint, :plant],
+        state_bound=table.state_bounds[:, joint, :plant],
+        disturbance=table.disturbances[:, joint, outputs],
+        disturbance_bound=table.disturbance_bounds[:, joint, outputs],
+        torque_disturbance=table.torques[:, joint, :t],
+        torque_disturbance_bound=table.torque_bounds[:, joint, :t],
+        innovation=innovations[used][:, outputs],
         innovation_time=run.samples.stamps[used] / NANOSECONDS,
         parameters=table.parameters[:, joint],
         parameter_bound=table.parameter_bounds[:, joint],
@@ -440,16 +451,19 @@ def _columns_of(
 ) -> dict[str, Any]:
     """Return the fields of `Estimates` that are in rows of `history.estimate_at`."""
     columns: dict[str, Any] = {}
+    torques = getattr(estimator.shape, "t", 0)
     for name, shape in (
         ("state", (estimator.shape.plant,)),
         ("state_bound", (estimator.shape.plant,)),
         ("disturbance", outputs),
         ("disturbance_bound", outputs),
+        ("torque_disturbance", (torques,)),
+        ("torque_disturbance_bound", (torques,)),
         ("parameters", (estimator.shape.k,)),
         ("parameter_bound", (estimator.shape.k,)),
     ):
         columns[name] = np.full((len(rows), *shape), np.nan)
-        if name not in estimator.lacking:
+        if name not in estimator.lacking and name in estimator.row_parts:
             columns[name][:] = rows[:, estimator.row_parts[name]].reshape(columns[name].shape)
     names = (*CONDITIONS, "in_domain")
     for name, column in zip(names, rows[:, -len(CONDITIONS) - EXTRA : -1].T, strict=True):

@@ -266,10 +266,13 @@ def test_damage_is_an_error_after_all_before_it(arms, write_bag, capsys) -> None
 
 
 @pytest.mark.parametrize("command", ["estimate", "compare"])
-def test_a_ts_design_is_refused_in_one_line(command: str, bag: Path, capsys) -> None:
+def test_a_bag_without_the_signals_of_a_ts_design_is_refused_in_one_line(
+    command: str, bag: Path, capsys
+) -> None:
     design = Path(__file__).parents[1] / "design/data/system.design.yaml"
 
     assert main([command, str(bag), "--design", str(design)]) == 1
 
     line = capsys.readouterr().err.splitlines()[-1]
-    assert f"{design}: design: expected one for an arm, got one for a T-S system" in line
+    assert "no message of /joint_measurements has y1 of system (position of y1)" in line
+    assert line.endswith("which the design measures; it has: elbow")

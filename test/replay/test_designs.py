@@ -25,7 +25,6 @@ from tsobs_ros.replay.designs import DIAGNOSTICS
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 SHIPPED, FIXED = (str(config_path(name)) for name in (SHIPPED_DESIGN, FIXED_DESIGN))
-SYSTEM = Path(__file__).parents[1] / "design/data/system.design.yaml"
 START = 1_700_000_000_000_000_000
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
@@ -226,7 +225,6 @@ def hostile(file: str) -> dict[str, tuple[bytes, str]]:
         "aliases": (of_text("a: &a [1]\nb: *a"), "aliases are not supported"),
         "no design": (of_text("a: 1"), "format: missing"),
         "no certificate": (of_text(tampered), "DOES NOT HOLD"),
-        "a system": (of_text(SYSTEM.read_text()), "expected one for an arm"),
         "escapes": (of_text("a: 1", "\x1b[2J.yaml"), "\\x1b[2J.yaml: format: missing"),
         "a long name": (of_text("a: 1", "x" * 10**5), "x: format: missing"),
         "endless": (changed(good, parameters={"theta": 1e12}), "theta: expected 0.1 to 100"),

@@ -9,6 +9,7 @@ import pytest
 
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import BagReadError, BagWriteError
 from tsobs_ros.estimation.records import Measurement, RejectReason
 from tsobs_ros.methods import EKFS, METHODS, ObserverSettings, make_tracker
@@ -112,8 +113,8 @@ def test_what_comes_together_is_used_by_its_stamps_and_reproduced(
     assert again.agreement().complete, again.agreement().text()
     data = [sorted(one[:2] for one in observed(tmp_path / name)) for name in ("live", "again")]
     assert data[0] == data[1]
-    used = live.table.innovations[:, 0]
-    in_order = estimate(write_bag(messages, "in_order"), rate=100.0).table.innovations[:, 0]
+    used = live.table.innovations[:, 0, 0]
+    in_order = estimate(write_bag(messages, "in_order"), rate=100.0).table.innovations[:, 0, 0]
     assert sorted(used[~np.isnan(used)]) == sorted(in_order)
 
 
@@ -347,4 +348,4 @@ def test_what_is_not_there_is_said_with_what_is(arms, write_bag, topic, options,
     bag = write_bag([(topic, data, time) for _, data, time in arms.messages(3)])
 
     with pytest.raises(BagReadError, match=match):
-        BagSource(bag, **options)
+        BagSource(bag, **options).observe([ArmRequest()])

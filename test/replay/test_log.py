@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.replay.cells import MAX_LINE
 from tsobs_ros.replay.estimate import Observer, make_runs, open_source
 from tsobs_ros.replay.log import LogSource
+from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.export import export_bag
 
 SECOND = 1_000_000_000
@@ -36,6 +38,13 @@ def log(folder: Path, *lines: str, encoding: str = "utf-8") -> Path:
     path = folder / "log.csv"
     path.write_text("\n".join(lines) + "\n", encoding=encoding)
     return path
+
+
+def opened(path: Path, **options: Any) -> LogSource:
+    """Return a log of arms with an encoder on the link."""
+    source = LogSource(path, **options)
+    source.observe([ts.ArmRequest()] * len(source.joints))
+    return source
 
 
 def stamps_of(source: LogSource) -> list[int]:
@@ -55,6 +64,7 @@ def stamps_of(source: LogSource) -> list[int]:
         ("x, q [rad], tau", {"columns": {"time": "x"}}),
         ("Timestamp (sec),link_angle_rad,Trq (Nm)", {}),
         ("t / s;phi / rad;M / Nm", {}),
+        ("Time,link_angle,torque", {}),
         ("Secs (s),Enc (rad),Mot (N-m)", {}),
         ("Time,JointAngle,MotorTorque", {}),
         ("__time,/arm/elbow/position,/arm/elbow/effort", {"joints": ["elbow"]}),
@@ -66,12 +76,12 @@ def test_columns_are_found_by_name_or_named(tmp_path, header, options) -> None:
     delimiter = max(",;\t|", key=header.count)
     rows = [delimiter.join(row) for row in (["1.5", "0.25", "-2"], ["1.505", "1e-3", "0"])]
 
-    source = LogSource(log(tmp_path, header, *rows), **options)
+    source = opened(log(tmp_path, header, *rows), **options)
 
     assert source.joints == tuple(options.get("joints", ["elastic_joint"]))
     assert source.samples.stamps.tolist() == [1_500_000_000, 1_505_000_000]
-    assert source.samples.y.tolist() == [[0.25], [1e-3]]
-    assert source.samples.u.tolist() == [[-2.0], [0.0]]
+    assert source.samples.y[:, 0].tolist() == [[0.25], [1e-3]]
+    assert source.samples.u[:, 0].tolist() == [[-2.0], [0.0]]
 
 
 FORMS = {
@@ -121,11 +131,11 @@ def test_logs_of_many_programs_are_read(tmp_path, form) -> None:
     content, path = FORMS[form], tmp_path / "log.csv"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
 
-    source = LogSource(path)
+    source = opened(path)
 
     assert stamps_of(source) == [5_000_000, 10_000_000]
-    assert source.samples.y[:, 0].tolist() == pytest.approx([0.1, -0.2])
-    assert source.samples.u[:, 0].tolist() == pytest.approx([1.0, 2.5])
+    assert source.samples.y[:, 0, 0].tolist() == pytest.approx([0.1, -0.2])
+    assert source.samples.u[:, 0, 0].tolist() == pytest.approx([1.0, 2.5])
 
 
 @pytest.mark.parametrize(
@@ -138,9 +148,11 @@ def test_logs_of_many_programs_are_read(tmp_path, form) -> None:
     ],
 )
 def test_units_are_understood(tmp_path, header, row, units, expected) -> None:
-    samples = LogSource(log(tmp_path, header, row), units=units).samples
+    samples = opened(log(tmp_path, header, row), units=units).samples
 
-    assert (int(samples.stamps[0]), samples.y[0, 0], samples.u[0, 0]) == pytest.approx(expected)
+    assert (int(samples.stamps[0]), samples.y[0, 0, 0], samples.u[0, 0, 0]) == pytest.approx(
+        expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -159,7 +171,7 @@ def test_units_are_understood(tmp_path, header, row, units, expected) -> None:
     ],
 )
 def test_times_are_read_to_the_nanosecond(tmp_path, text, stamp) -> None:
-    samples = LogSource(log(tmp_path, "time,angle,torque", f"{text},1,2")).samples
+    samples = opened(log(tmp_path, "time,angle,torque", f"{text},1,2")).samples
 
     assert samples.stamps.tolist() == [stamp]
 
@@ -178,13 +190,13 @@ def test_times_are_read_to_the_nanosecond(tmp_path, text, stamp) -> None:
     ],
 )
 def test_numbers_are_read_as_programs_write_them(tmp_path, cell, number) -> None:
-    samples = LogSource(log(tmp_path, "t;q;tau", f"0,5;0,25;{cell}")).samples
+    samples = opened(log(tmp_path, "t;q;tau", f"0,5;0,25;{cell}")).samples
 
     assert samples.u[0, 0] == pytest.approx(number, nan_ok=True)
 
 
 def test_times_that_begin_at_zero_are_moved(tmp_path) -> None:
-    source = LogSource(log(tmp_path, "t,q,tau", "0,1,2", ",1,2", "0.01,1,2"))
+    source = opened(log(tmp_path, "t,q,tau", "0,1,2", ",1,2", "0.01,1,2"))
 
     assert source.moved_by == SECOND
     # An empty cell stays without time.
@@ -192,14 +204,14 @@ def test_times_that_begin_at_zero_are_moved(tmp_path) -> None:
 
 
 def test_a_last_line_that_is_cut_off_is_left_out(tmp_path) -> None:
-    source = LogSource(log(tmp_path, "t,q [rad],tau", "1,2,3", "1.005,2"))
+    source = opened(log(tmp_path, "t,q [rad],tau", "1,2,3", "1.005,2"))
 
     assert source.count == 1
     assert source.remarks == ("note: the last line is cut off, and left out",)
 
 
 def test_clock_times_go_on_at_midnight(tmp_path) -> None:
-    source = LogSource(log(tmp_path, "t,q,tau", "23:59:59.995,1,2", "00:00:00.000,1,2"))
+    source = opened(log(tmp_path, "t,q,tau", "23:59:59.995,1,2", "00:00:00.000,1,2"))
 
     assert np.diff(source.samples.stamps).tolist() == [5_000_000]
 
@@ -214,9 +226,9 @@ def test_lines_are_sorted_by_time(tmp_path, order) -> None:
     else:
         rows = [*rows[:5], *rows[7:1500], *rows[5:7], *rows[1500:]]
 
-    source = LogSource(log(tmp_path, "t,q [rad],tau", *rows))
+    source = opened(log(tmp_path, "t,q [rad],tau", *rows))
 
-    assert source.samples.y[:, 0].tolist() == list(range(2000))
+    assert source.samples.y[:, 0, 0].tolist() == list(range(2000))
     assert np.diff(source.samples.stamps).tolist() == [5_000_000] * 1999
     assert any("not in order of time" in remark for remark in source.remarks)
 
@@ -224,9 +236,9 @@ def test_lines_are_sorted_by_time(tmp_path, order) -> None:
 def test_a_log_in_which_time_restarts_keeps_its_order(tmp_path) -> None:
     rows = [f"{5 + k % 100 * 0.05:.2f},{k},0" for k in range(300)]
 
-    source = LogSource(log(tmp_path, "t,q [rad],tau", *rows))
+    source = opened(log(tmp_path, "t,q [rad],tau", *rows))
 
-    assert source.samples.y[:, 0].tolist() == list(range(300))
+    assert source.samples.y[:, 0, 0].tolist() == list(range(300))
     assert (np.diff(source.samples.log_times) > 0).all()
     assert "note: time restarts 2 times, and each time the observer does" in source.remarks
 
@@ -234,7 +246,7 @@ def test_a_log_in_which_time_restarts_keeps_its_order(tmp_path) -> None:
 def test_times_with_too_few_digits_are_noted(tmp_path) -> None:
     rows = [f"{k * 0.001:.2f},0,0" for k in range(1, 201)]
 
-    (remark, *_) = LogSource(log(tmp_path, "t,q [rad],tau", *rows)).remarks
+    (remark, *_) = opened(log(tmp_path, "t,q [rad],tau", *rows)).remarks
 
     assert "have the time of the line before, and are rejected: write times with more" in remark
 
@@ -243,13 +255,13 @@ def test_several_joints_have_columns_of_their_own(tmp_path) -> None:
     lines = ("t,q.a,q.b,tau.a,tau.b", "1,2,3,4,5")
     path = log(tmp_path, *lines)
 
-    assert LogSource(path).joints == ("a", "b")
-    one = LogSource(path, joints=["b"])
-    assert (one.samples.y.tolist(), one.samples.u.tolist()) == ([[3.0]], [[5.0]])
+    assert opened(path).joints == ("a", "b")
+    one = opened(path, joints=["b"])
+    assert (one.samples.y.tolist(), one.samples.u.tolist()) == ([[[3.0]]], [[[5.0]]])
     named = {"angle.x": "q.b", "torque.x": "tau.a"}
-    assert LogSource(path, columns=named).joints == ("x",)
+    assert opened(path, columns=named).joints == ("x",)
     with pytest.raises(LogError, match="no angle of c; there are angles of a, b"):
-        LogSource(path, joints=["c"])
+        opened(path, joints=["c"])
 
 
 def test_a_log_is_estimated_and_becomes_a_bag(arms, estimate, tmp_path) -> None:
@@ -257,7 +269,7 @@ def test_a_log_is_estimated_and_becomes_a_bag(arms, estimate, tmp_path) -> None:
     rows[50], rows[60] = ",".join([rows[50].split(",")[0], "", "0"]), ",0,0"
     rows[70], rows[71] = rows[71], rows[70]
 
-    run = estimate(LogSource(log(tmp_path, "t [s],q [rad],tau [N m]", *rows)), output="new")
+    run = estimate(opened(log(tmp_path, "t [s],q [rad],tau [N m]", *rows)), output="new")
 
     assert run.replay.used == 197
     assert run.replay.rejected == {RejectReason.NON_FINITE: 1, RejectReason.ZERO_STAMP: 1}
@@ -272,7 +284,7 @@ def test_what_was_exported_can_be_estimated(arms, write_bag, estimate, tmp_path)
     bag = write_bag(arms.messages(100, joints=2))
     (exported,) = export_bag(bag, tmp_path / "csv")
 
-    source = LogSource(exported.path)
+    source = opened(exported.path)
 
     assert source.joints == ("elbow", "wrist")
     assert np.array_equal(estimate(source).table.states, estimate(bag).table.states)
@@ -306,7 +318,6 @@ def test_what_was_exported_can_be_estimated(arms, write_bag, estimate, tmp_path)
         (("t,q [deg],tau", "1,2,3"), {"units": {"angle": "rad"}}, "'deg', but --units says angle"),
         (("t,q,q", "1,2,3"), {"columns": {"angle": "q"}}, "several columns are called 'q'"),
         (("t,q,q,tau", "1,2,3,4"), {}, "several columns look like angle: 'q', 'q'.*angle=2"),
-        (("t,link_angle,motor_angle,tau", "1,2,3,4"), {}, "several columns look like angle"),
         (("t,q,tau", "1,2,3"), {"columns": {"angle": "z"}}, "no column is called 'z'"),
         (("t,q,tau", "1,2,3"), {"columns": {"speed": "q"}}, "expected time, angle or torque"),
         (("t,q,tau", "1,2,3"), {"units": {"speed": "m/s"}}, "expected time, angle or torque"),
@@ -314,7 +325,7 @@ def test_what_was_exported_can_be_estimated(arms, write_bag, estimate, tmp_path)
 )
 def test_what_is_wrong_with_a_log_is_said_with_its_place(tmp_path, lines, options, match) -> None:
     with pytest.raises(LogError, match=match) as raised:
-        LogSource(log(tmp_path, *lines), **options)
+        opened(log(tmp_path, *lines), **options)
     assert str(raised.value).startswith(str(tmp_path / "log.csv"))
 
 
@@ -336,7 +347,7 @@ def test_what_is_no_log_is_refused(tmp_path, content, match) -> None:
         path.write_bytes(content)
 
     with pytest.raises(LogError, match=match):
-        LogSource(path)
+        opened(path)
 
 
 MEASURE = """
@@ -366,9 +377,9 @@ def test_a_file_of_one_line_takes_little_memory(tmp_path) -> None:
 
 
 def test_a_log_without_torque_may_be_taken_for_unloaded(tmp_path) -> None:
-    source = LogSource(log(tmp_path, "t,q", "1,2"), assume_zero_torque=True)
+    source = opened(log(tmp_path, "t,q", "1,2"), assume_zero_torque=True)
 
-    assert source.samples.u.tolist() == [[0.0]]
+    assert source.samples.u.tolist() == [[[0.0]]]
 
 
 @settings(
@@ -390,12 +401,12 @@ def test_the_unit_of_times_is_found(tmp_path, rate, start, jitter, gap, unit) ->
     path = log(tmp_path, "t,q [rad],tau", *(f"{text},0,0" for text in texts))
 
     if unit == 1.0 or start == 1.7e9:
-        assert stamps_of(LogSource(path)) == pytest.approx(times * 1e9, abs=1e3)
+        assert stamps_of(opened(path)) == pytest.approx(times * 1e9, abs=1e3)
     else:
         name = {1e3: "ms", 1e6: "us", 1e9: "ns"}[unit]
         with pytest.raises(LogError, match=rf"'t \[{name}\]' or --units time={name}"):
-            LogSource(path)
-        stated = LogSource(path, units={"time": name})
+            opened(path)
+        stated = opened(path, units={"time": name})
         assert stamps_of(stated) == pytest.approx(times * 1e9, abs=1e3)
 
 
@@ -434,7 +445,7 @@ def test_degrees_are_told_from_radians_by_the_arm(
 
     def run(header: str, factor: float) -> None:
         path = write_motion(tmp_path, header, factor, torque, rate, noise)
-        make_runs(LogSource(path), [observer], rate=None, as_live=False)
+        make_runs(opened(path), [observer], rate=None, as_live=False)
 
     run("time,angle,torque", 1.0)
     with pytest.raises(LogError, match=r"'angle \[deg\]' or --units angle=deg; if they are rad"):
@@ -447,8 +458,8 @@ def test_a_log_may_have_any_name_but_no_report(tmp_path, arms, write_bag, capsys
     path = log(tmp_path, "t,q [rad],tau", "1,2,3").rename(tmp_path / "arm.dat")
     (bag,) = write_bag(arms.messages(10)).glob("*.mcap")
 
-    assert open_source(path).count == 1
-    assert open_source(bag.rename(tmp_path / "bag.csv")).count == 10
+    assert isinstance(open_source(path), LogSource)
+    assert isinstance(open_source(bag.rename(tmp_path / "bag.csv")), BagSource)
     assert main(["report", str(path)]) == 1
     assert f"no estimates to report on; first write a bag of them: tsobs estimate {path}" in (
         capsys.readouterr().err

@@ -49,8 +49,8 @@ def blank_run(measurements: Series, stamps: Any, **truth: Any) -> RecordedRun:
         stamps=stamps,
         states=np.full((m, 4), np.nan),
         state_bounds=np.full((m, 4), np.nan),
-        disturbance=np.full(m, np.nan),
-        disturbance_bounds=np.full(m, np.nan),
+        disturbance=np.full((m, 1), np.nan),
+        disturbance_bounds=np.full((m, 1), np.nan),
         **truth,
     )
 
@@ -75,8 +75,8 @@ def observed(run: RecordedRun, tracker: Tracker) -> RecordedRun:
         run,
         states=table[:, :4],
         state_bounds=table[:, 4:8],
-        disturbance=table[:, 8],
-        disturbance_bounds=table[:, 9],
+        disturbance=table[:, 8:9],
+        disturbance_bounds=table[:, 9:10],
         innovations=Series(used, np.array([[value] for _, value in innovations])),
     )
 
@@ -155,8 +155,8 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
         "joint_measurements": measured,
         "observer/joint_states": motion(run.stamps, run.states),
         "observer/error_bound": motion(run.stamps, run.state_bounds),
-        "observer/disturbance": scalar(run.stamps, run.disturbance),
-        "observer/disturbance_bound": scalar(run.stamps, run.disturbance_bounds),
+        "observer/disturbance": scalar(run.stamps, run.disturbance[:, 0]),
+        "observer/disturbance_bound": scalar(run.stamps, run.disturbance_bounds[:, 0]),
     }
     if run.innovations is not None:
         stamps, values = run.innovations

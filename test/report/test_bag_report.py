@@ -11,8 +11,8 @@ import tsobs_ros as ts
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.methods import EKFS
 from tsobs_ros.report.bag_report import ReportError, make_bag_report
-from tsobs_ros.report.comparison import EkfComparison, expected_innovation
-from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.report.comparison import EkfComparison, metrics_options
+from tsobs_ros.report.metrics import measure
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 SHIPPED = str(config_path(SHIPPED_DESIGN))
@@ -25,7 +25,7 @@ def test_a_report_of_a_simulated_bag(
 
     report = make_bag_report(write_bag(messages_of(simulated)), output, design=SHIPPED)
 
-    options = MetricsOptions(innovation_std=expected_innovation(design))
+    options = metrics_options(design)
     expected = measure(simulated, options).as_mapping()
     assert report.metrics.as_mapping() == approximately(expected)
     # The very number that `tsobs compare` shows.
@@ -98,4 +98,4 @@ def test_the_expected_innovation_is_noise_and_bound(design) -> None:
     X, R = design.covariance_bound, design.request.measurement_std**2
     variance = X[0, 0] + 2.0 * X[0, 4] + X[4, 4] + R
 
-    assert expected_innovation(design) == pytest.approx(variance**0.5)
+    assert metrics_options(design).innovation_std == pytest.approx((variance**0.5,))

@@ -15,10 +15,10 @@ from tsobs_ros.replay.estimate import Observer, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
 from tsobs_ros.report.comparison import (
     RunScores,
-    expected_innovation,
+    metrics_options,
     render_comparison,
 )
-from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.run import read_run
 
 SOFT = ElasticJointArm(link_inertia=2.0, stiffness=4.0)
@@ -36,7 +36,7 @@ def test_each_is_measured_as_if_it_had_been_recorded(
 
     errors = scores.errors()
 
-    options = MetricsOptions(innovation_std=expected_innovation(design))
+    options = metrics_options(design)
     for one in errors[:2]:
         recorded = read_run(tmp_path / "new", observer=one.observer)
         assert one.metrics == measure(recorded, options)

@@ -85,8 +85,8 @@ def test_a_figure_survives_what_a_bag_may_lack(robot, tmp_path) -> None:
         robot,
         innovations=None,
         state_bounds=nothing,
-        disturbance=nothing[:, 0],
-        disturbance_bounds=nothing[:, 0],
+        disturbance=nothing[:, :1],
+        disturbance_bounds=nothing[:, :1],
     )
 
     draw_run(picture(run, measure(run)), tmp_path / "run.png")
@@ -116,7 +116,7 @@ def test_thinning_keeps_every_extreme_and_gap() -> None:
 
 
 def test_panels_hold_the_run_in_its_units(simulated) -> None:
-    shown = picture(simulated, measure(simulated), innovation_std=0.03).panels
+    shown = picture(simulated, measure(simulated), innovation_std=(0.03,)).panels
 
     assert [(panel.values.label, panel.unit) for panel in shown] == [
         ("link angle", "rad"),
@@ -128,7 +128,7 @@ def test_panels_hold_the_run_in_its_units(simulated) -> None:
     ]
     np.testing.assert_array_equal(shown[0].values.dots.values, simulated.measurements.values[:, 0])
     np.testing.assert_array_equal(shown[2].values.truth.values, simulated.truth.values[:, 2])
-    np.testing.assert_array_equal(shown[4].values.estimate.values, simulated.disturbance)
+    np.testing.assert_array_equal(shown[4].values.estimate.values, simulated.disturbance[:, 0])
     assert shown[5].values.level[0] == pytest.approx(0.09)
     assert all(panel.values.dots is None for panel in shown[1:5])
 
@@ -180,7 +180,7 @@ def test_a_wrong_stamp_does_not_stretch_the_time_axis(simulated) -> None:
 def test_a_page_needs_nothing_but_itself(simulated, tmp_path) -> None:
     path = tmp_path / "run.html"
 
-    write_html(picture(replace(simulated, name="<b>&run"), measure(simulated), 0.03), path)
+    write_html(picture(replace(simulated, name="<b>&run"), measure(simulated), (0.03,)), path)
 
     text = path.read_text(encoding="utf-8")
     assert "<title>&lt;b&gt;&amp;run</title>" in text

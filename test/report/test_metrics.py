@@ -39,8 +39,8 @@ def exact(new_run):
         run,
         states=np.zeros((8001, 4)),
         state_bounds=np.full((8001, 4), BOUND),
-        disturbance=bias,
-        disturbance_bounds=np.full(8001, BOUND),
+        disturbance=bias[:, np.newaxis],
+        disturbance_bounds=np.full((8001, 1), BOUND),
     )
 
 
@@ -118,7 +118,7 @@ def test_small_steps_of_the_disturbance_are_no_jumps(exact) -> None:
 def test_a_jump_during_the_start_does_not_end_it(exact) -> None:
     stamps = exact.stamps
     early = (stamps >= START + 1_000_000_000).astype(float)[:, np.newaxis]
-    run = replace(exact, true_disturbance=Series(stamps, early), disturbance=early[:, 0])
+    run = replace(exact, true_disturbance=Series(stamps, early), disturbance=early)
 
     assert measure(run, MetricsOptions(jump_settle_time=1.0)).windows == ((5.0, 40.0),)
 
@@ -175,7 +175,7 @@ def test_a_diverged_observer_is_called_so_and_stays_plain_data(exact, size) -> N
     innovations = Series(exact.stamps, np.full((8001, 1), size))
     run = replace(with_error(exact, 5.0, 40.0, size), innovations=innovations)
     metrics = measure(run, MetricsOptions(innovation_std=0.02))
-    rows = [ObserverErrors("high_gain", "elbow", size, metrics)]
+    rows = [ObserverErrors("high_gain", "elbow", (size,), metrics)]
 
     json.dumps(rows[0].as_mapping(), allow_nan=False)
     table = render_comparison(rows).splitlines()
@@ -192,7 +192,6 @@ def test_a_diverged_observer_is_called_so_and_stays_plain_data(exact, size) -> N
         ("start_settle_time", -1.0),
         ("jump_threshold", 0.0),
         ("hold_time", math.nan),
-        ("scale", (1.0, 1.0, 1.0)),
         ("scale", (1.0, 1.0, 1.0, 0.0)),
         ("innovation_std", 0.0),
     ],
@@ -200,6 +199,11 @@ def test_a_diverged_observer_is_called_so_and_stays_plain_data(exact, size) -> N
 def test_senseless_options_are_refused(name, value) -> None:
     with pytest.raises(ModelError, match=name):
         MetricsOptions(**{name: value})
+
+
+def test_each_state_has_its_scale(exact) -> None:
+    with pytest.raises(ModelError, match="scale: expected 4 sizes, one a state, got 3"):
+        measure(exact, MetricsOptions(scale=(1.0, 1.0, 1.0)))
 
 
 def test_the_table_says_what_the_metrics_say(simulated) -> None:

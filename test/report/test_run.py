@@ -116,7 +116,7 @@ def test_lost_messages_leave_gaps_and_not_shifts(short, messages_of, write_bag) 
     run = read_run(write_bag(topics))
 
     assert np.flatnonzero(np.isnan(run.state_bounds[:, 0])).tolist() == [10]
-    assert np.flatnonzero(np.isnan(run.disturbance)).tolist() == [20]
+    assert np.flatnonzero(np.isnan(run.disturbance[:, 0])).tolist() == [20]
     np.testing.assert_array_equal(run.state_bounds[11:], short.state_bounds[11:])
 
 
@@ -215,7 +215,9 @@ def test_parts_are_the_whole(simulated, messages_of, write_bag, approximately) -
     metrics = measure(whole, options)
     assert measure(parts, options).as_mapping() == approximately(metrics.as_mapping())
     for one, other in zip(
-        picture(parts, metrics, 0.03).panels, picture(whole, metrics, 0.03).panels, strict=True
+        picture(parts, metrics, (0.03,)).panels,
+        picture(whole, metrics, (0.03,)).panels,
+        strict=True,
     ):
         assert one.remark == other.remark
         for shown, expected in ((one.values, other.values), (one.error, other.error)):

@@ -24,16 +24,11 @@ Times = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
 
-class Wanted(NamedTuple):
-    """What to read off a topic's messages.
+Place = tuple[str, str]
+"""Name of an entry, and which of its numbers: `position`, `velocity` or `effort`."""
 
-    Attributes:
-        names: The joints.
-        fields: Of `position`, `velocity` and `effort`.
-    """
-
-    names: Sequence[str]
-    fields: Sequence[str]
+Wanted = Sequence[Sequence[Place]]
+"""What to read off a topic's messages: the places of each joint's numbers."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +39,10 @@ class JointSeries:
         stamps: Of their headers, ns since the epoch, shape (n,).
         log_times: When they were received, ns since the epoch, shape (n,).
         publish_times: When they were published, ns since the epoch, shape (n,).
-        values: NaN where a message has none, shape (n, names, fields).
-        named: Whether a message names the joint, shape (n, names).
-        given: Whether it has a value, NaN or not, shape (n, names, fields).
-        other_names: Joints that were named but not wanted, a few of them at most.
+        values: NaN where a message has none, or a joint has fewer, shape (n, joints, places).
+        named: Whether a message has any of a joint's entries, shape (n, joints).
+        given: Whether it has a value, NaN or not, shape (n, joints, places).
+        other_names: Entries that nobody wanted, a few of them at most.
     """
 
     stamps: Times
@@ -68,6 +63,13 @@ class JointSeries:
         taken = {name: getattr(self, name)[places] for name in _ARRAYS}
         return JointSeries(**taken, other_names=self.other_names)
 
+    def of_joint(self, joint: int) -> "JointSeries":
+        """Return what the messages have of one joint."""
+        own = slice(joint, joint + 1)
+        return replace(
+            self, values=self.values[:, own], named=self.named[:, own], given=self.given[:, own]
+        )
+
     def followed_by(self, *others: "JointSeries") -> "JointSeries":
         """Return these messages and those of others behind them."""
         all_ = (self, *others)
@@ -86,6 +88,7 @@ class _Builder:
     def __init__(self, wanted: Wanted) -> None:
         self.waiting: list[BagMessage] = []
         self._wanted = wanted
+        self._names = {name for places in wanted for name, _ in places}
         self._decoder = JointStateDecoder()
         self._blocks: list[JointSeries] = []
         self._others: dict[str, None] = {}
@@ -112,18 +115,17 @@ class _Builder:
         rows = group.places
         block.stamps[rows] = group.stamps
         for name in group.names:
-            if name not in self._wanted.names and len(self._others) < _MAX_OTHERS:
+            if name not in self._names and len(self._others) < _MAX_OTHERS:
                 self._others[name] = None
-        for column, name in enumerate(self._wanted.names):
-            if name not in group.names:
-                continue
-            place = group.names.index(name)
-            block.named[rows, column] = True
-            for row, field in enumerate(self._wanted.fields):
-                numbers: Array = getattr(group, field)
+        for joint, places in enumerate(self._wanted):
+            for at, (name, field) in enumerate(places):
+                if name not in group.names:
+                    continue
+                place, numbers = group.names.index(name), getattr(group, field)
+                block.named[rows, joint] = True
                 if place < numbers.shape[1]:
-                    block.values[rows, column, row] = numbers[:, place]
-                    block.given[rows, column, row] = True
+                    block.values[rows, joint, at] = numbers[:, place]
+                    block.given[rows, joint, at] = True
 
 
 class Block(NamedTuple):
@@ -205,7 +207,7 @@ def until_damage(
 
 
 def _empty(count: int, wanted: Wanted) -> JointSeries:
-    shape = (count, len(wanted.names), len(wanted.fields))
+    shape = (count, len(wanted), max(map(len, wanted), default=0))
     return JointSeries(
         stamps=np.zeros(count, np.int64),
         log_times=np.zeros(count, np.int64),

@@ -13,6 +13,7 @@ from tsobs_ros.cli.common import Commands, add_json, complain, positive, progres
 from tsobs_ros.errors import BagWriteError, printable
 
 if TYPE_CHECKING:
+    from tsobs_ros.design.file import DesignFile
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.replay.estimate import Observer, Run
     from tsobs_ros.replay.source import Source
@@ -73,7 +74,8 @@ def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str
     add = command.add_argument_group("for CSV logs", "if the header does not say it").add_argument
     add(
         "--columns", type=pairs, default={}, metavar="WHAT=COLUMN,...",
-        help="time=t,angle=q,torque=tau; angle.JOINT=… and torque.JOINT=… for several joints",
+        help="time=t,angle=q,torque=tau, or names of the design's outputs, as motor_angle=q2; "
+        "angle.JOINT=… and torque.JOINT=… for several joints",
     )  # fmt: skip
     add(
         "--units", type=pairs, default={}, metavar="WHAT=UNIT,...",
@@ -134,6 +136,8 @@ def estimate(
         assume_zero_torque=given.assume_zero_torque if _ZERO in parameters else None,
     )
     observers = _observers(options, source.ran.settings().with_parameters(parameters), source)
+    for one in observers:
+        source.observe([design.request for design in one.designs])
     remarks = [*_about(source, observers), *source.remarks, *source.ran.remarks]
     if source.was_observed:
         remarks += source.ran.doubt(options.design)
@@ -195,9 +199,18 @@ def _observers(
     from tsobs_ros.replay.designs import choose_designs
     from tsobs_ros.replay.estimate import Observer
 
-    designs = choose_designs(
-        source.path, source.ran, source.joints, options.design, others_allowed=options.other_design
-    )
+    def choose() -> "dict[str, tuple[DesignFile, ...]]":
+        return choose_designs(
+            source.path,
+            source.ran,
+            source.joints,
+            options.design,
+            others_allowed=options.other_design,
+        )
+
+    designs = choose()
+    if source.take_for_system([file.design.request for own in designs.values() for file in own]):
+        designs = choose()
     methods = options.method or options.default_methods or (settings.method,)
     observers = []
     for stem, own in designs.items():

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import CdrReader
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.design.file import IDENTITY_LENGTH, DesignFile, checksum, load_arm_design
+from tsobs_ros.design.file import IDENTITY_LENGTH, DesignFile, checksum, load_design_file
 from tsobs_ros.design.published import Value, read_record
 from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsError
 from tsobs_ros.methods import SETTING_NAMES, ObserverSettings
@@ -152,7 +152,7 @@ def choose_designs(
     loaded: dict[str, DesignFile] = {}
 
     def load(joint: str, path: str) -> DesignFile:
-        file = loaded[path] if path in loaded else load_arm_design(path)
+        file = loaded[path] if path in loaded else load_design_file(path)
         loaded[path] = file
         for each in ran.designs.get(joint, ()):
             if not (others_allowed or each.equals(file)):
@@ -187,7 +187,7 @@ def _recorded(
 ) -> DesignFile:
     """Return the design that the observer ran for a joint; the shipped one if nothing is known."""
     if not ran.designs:
-        return load_arm_design(config_path(SHIPPED_DESIGN))
+        return load_design_file(config_path(SHIPPED_DESIGN))
     designs = ran.designs.get(joint, ())
     if not designs:
         raise DesignFileError(
@@ -202,7 +202,7 @@ def _recorded(
     (one,) = designs
     if one.text is None:
         for name in (SHIPPED_DESIGN, FIXED_DESIGN):
-            shipped = load_arm_design(config_path(name))
+            shipped = load_design_file(config_path(name))
             if one.equals(shipped):
                 return shipped
         raise DesignFileError(
@@ -211,7 +211,7 @@ def _recorded(
         )
     if one.text not in loaded:
         try:
-            loaded[one.text] = load_arm_design(f"{one.file:.200}", one.text)
+            loaded[one.text] = load_design_file(f"{one.file:.200}", one.text)
         except DesignFileError as error:
             raise BagReadError(f"{bag}: {ran.source}: {error}") from error
     return loaded[one.text]

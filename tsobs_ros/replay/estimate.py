@@ -22,7 +22,7 @@ from tsobs_ros.bag.cdr import encode_text
 from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
-from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, Message
 from tsobs_ros.checks import Array
@@ -35,6 +35,7 @@ from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.fit import check_unit_of_angles
 from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
 from tsobs_ros.replay.log import LogSource
+from tsobs_ros.replay.places import Layout, Places, places_of
 from tsobs_ros.replay.replay import Replay
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import BagSource, Samples, Source
@@ -45,7 +46,6 @@ _OF_BAGS = (".mcap", ".yaml", ".db3")
 
 _BLOCK = 4096
 _LATCHED = QosProfile(durability="transient_local", depth=1)
-_ANGLES, _RATES = [0, 2], [1, 3]
 _log_time = itemgetter(3)
 
 
@@ -99,6 +99,7 @@ class Run:
     Attributes:
         observer: The observer.
         windows: The recording's.
+        signals: The places of each joint's signals.
         replay: Its counts.
         estimates: Number of ticks with an estimate.
         samples: The measurements of the window.
@@ -127,11 +128,24 @@ class Run:
             estimators[id(design)] = one.estimator
             trackers.append(one)
         self.replay = Replay(trackers, observer.settings.stale_after)
-        names = map(observer.settings.learnt, observer.designs)
-        learnt = dict(zip(source.joints, names, strict=True))
-        self._learnt_count = max(map(len, learnt.values()), default=0)
+        self._shapes = [each.estimator.shape for each in trackers]
+        self.signals = source.signals_of([design.request for design in observer.designs])
+        alone = len(source.joints) == 1
         prefix = f"{source.namespace}/{observer.name}/"
-        self._publisher = _Publisher(prefix, learnt)
+        each = zip(source.joints, self.signals, observer.designs, trackers, strict=True)
+        self._publisher = _Publisher(
+            prefix,
+            [
+                places_of(
+                    joint,
+                    own,
+                    alone=alone,
+                    learnt=observer.settings.learnt(design),
+                    rated="disturbance_rate" not in tracker.estimator.lacking,
+                )
+                for joint, own, design, tracker in each
+            ],
+        )
         self.record_topic = prefix + topics.DESIGN
         self.topics = self._publisher.topics
         self._parameters_due, self._health_due = _Due(), _Due()
@@ -162,14 +176,14 @@ class Run:
             dropped: Number of the last window's samples that it is without.
         """
         self.samples, self.schedule = window.samples, window.schedule
-        count, joints = window.schedule.count, len(self._source.joints)
-        self.table = EstimateTable(count, window.samples.count, joints, self._learnt_count)
+        count = window.schedule.count
+        self.table = EstimateTable(count, window.samples.count, self._shapes)
         self.replay.enter(self.samples, self.schedule, self.table, window.recorded, dropped)
 
     def restarts(self, window: Window) -> list[Message]:
         """Return the messages of the start and of the restarts, those recorded if there are any."""
         if window.restarts is not None:
-            at, numbers = _Times.of(window.restarts), window.restarts.values[..., :1]
+            at, numbers = _Times.of(window.restarts), window.restarts.values
             return self._publisher.messages(topics.RESTARTS, at, numbers)
         ticks = np.flatnonzero(self.schedule.reset_after[: window.ticks] >= 0)
         if not self._told:
@@ -219,17 +233,9 @@ class Run:
         """Return the messages of some ticks, and of the innovations of the samples taken there."""
         table, publish = self.table, self._publisher.messages
         at = _Times.of(self.schedule).take(ticks)
-        messages = publish(
-            topics.INNOVATION, self._times_of_use(taken), table.innovations[taken, :, None]
-        )
-        for topic, values in (
-            (topics.STATES, table.states[ticks]),
-            (topics.STATE_BOUNDS, table.state_bounds[ticks]),
-        ):
-            messages += publish(topic, at, values[..., _ANGLES], values[..., _RATES])
-        disturbances = table.disturbances[ticks]
-        messages += publish(topics.DISTURBANCE, at, disturbances[..., :1], disturbances[..., 1:])
-        messages += publish(topics.DISTURBANCE_BOUND, at, table.disturbance_bounds[ticks])
+        messages = publish(topics.INNOVATION, self._times_of_use(taken), table.innovations[taken])
+        for topic, values in table.of_topics.items():
+            messages += publish(topic, at, values[ticks])
         valid = table.condition("parameters_valid")[ticks] == 1.0
         due = self._parameters_due.among(at.stamps, valid.any(axis=1))
         for topic, values in (
@@ -345,6 +351,8 @@ def make_runs(
         LogError: The angles of a log seem to be in degrees, though nobody stated their unit.
     """
     observers = list(observers)
+    for observer in observers:
+        source.observe([design.request for design in observer.designs])
     if isinstance(source, LogSource) and observers:
         check_unit_of_angles(source, observers[0].settings, observers[0].designs)
     windows = Windows(source, rate, as_live, window)
@@ -464,77 +472,46 @@ class _Publisher:
 
     Args:
         prefix: Of the topics' names, with a slash at its end.
-        learnt: Names of the learnt parameters of each joint, by its name.
+        joints: The places of each joint's numbers.
     """
 
-    def __init__(self, prefix: str, learnt: dict[str, tuple[str, ...]]) -> None:
+    def __init__(self, prefix: str, joints: Sequence[Places]) -> None:
         self._prefix = prefix
-        own = [(joint,) for joint in learnt]
-        arms = [topics.sides(joint) for joint in learnt]
-        parameters = [
-            topics.parameter_names(joint, names, alone=len(learnt) == 1)
-            for joint, names in learnt.items()
-        ]
-        health = [
-            topics.parameter_names(joint, topics.CONDITIONS, alone=len(learnt) == 1)
-            for joint in learnt
-        ]
-        self._learns = any(learnt.values())
-        self._names: dict[str, Sequence[tuple[str, ...]]] = {
-            **dict.fromkeys((topics.STATES, topics.STATE_BOUNDS), arms),
-            **dict.fromkeys(topics.OF_JOINTS, own),
-            **dict.fromkeys(topics.PARAMETER_TOPICS, parameters),
-            topics.HEALTH: health,
-        }
-        self._encoders: dict[tuple[str, tuple[int, ...]], JointStateEncoder] = {}
+        optional = (*topics.TORQUE_TOPICS, *topics.PARAMETER_TOPICS)
+        there = {name for places in joints for name in optional if places[name]}
+        self._names = [*topics.TOPICS, *(name for name in optional if name in there)]
+        self._layouts = {name: Layout([one[name] for one in joints]) for name in self._names}
 
     @property
     def topics(self) -> tuple[str, ...]:
-        names = topics.TOPICS + (topics.PARAMETER_TOPICS if self._learns else ())
-        return tuple(self._prefix + name for name in names)
+        return tuple(self._prefix + name for name in self._names)
 
-    def messages(
-        self, topic: str, at: _Times, values: Array, rates: Array | None = None
-    ) -> list[Message]:
-        """Return messages of the joints that have a number in each.
+    def messages(self, topic: str, at: _Times, values: Array) -> list[Message]:
+        """Return messages of the entries that have a number in each.
 
         Args:
-            topic: Of `_names`.
+            topic: One of `bag.estimate_topics`.
             at: Times of the messages.
-            values: Positions, NaN for none, shape (m, J, k).
-            rates: Velocities, shape (m, J, k); all NaN if the disturbance model has none.
+            values: In the order of `places_of`, NaN for none, shape (m, J, width).
         """
         messages: list[Message] = []
-        for joints, rows in _alike(np.isfinite(values[..., 0])):
-            own = [self._names[topic][joint] for joint in joints]
-            position, velocity = (
-                np.hstack(
-                    [
-                        array[rows, joint, : len(names)]
-                        for joint, names in zip(joints, own, strict=True)
-                    ]
-                )
-                for array in (values, values if rates is None else rates)
-            )
-            if rates is None or np.isnan(velocity).all():
-                velocity = position[:, :0]
-            messages += self._encoded(topic, joints, at.take(rows), position, velocity)
+        if topic not in self._layouts:
+            return messages
+        layout = self._layouts[topic]
+        present = layout.present(values)
+        if topic != topics.INNOVATION:
+            # The first number of a joint decides on all of them.
+            present = present[:, layout.first]
+        for entries, rows in _alike(present):
+            chosen = at.take(rows)
+            data = layout.encode(chosen.stamps, values[rows], entries)
+            times = (chosen.log_times.tolist(), chosen.publish_times.tolist())
+            messages += zip(repeat(self._prefix + topic), repeat(JOINT_STATE), data, *times)
         return messages
-
-    def _encoded(
-        self, topic: str, joints: list[int], at: _Times, position: Array, velocity: Array
-    ) -> Iterator[Message]:
-        encode = self._encoders.get((topic, tuple(joints)))
-        if encode is None:
-            names = [name for joint in joints for name in self._names[topic][joint]]
-            encode = self._encoders[topic, tuple(joints)] = JointStateEncoder(names)
-        data = encode.encode_all(at.stamps, position, velocity)
-        times = (at.log_times.tolist(), at.publish_times.tolist())
-        return zip(repeat(self._prefix + topic), repeat(JOINT_STATE), data, *times)
 
 
 def _alike(present: NDArray[np.bool_]) -> Iterator[tuple[list[int], NDArray[np.intp]]]:
-    """Yield each set of joints that messages are about, and the places of those messages."""
+    """Yield each set of entries that messages have, and the places of those messages."""
     for pattern in np.unique(present, axis=0):
         if pattern.any():
             yield np.flatnonzero(pattern).tolist(), np.flatnonzero((present == pattern).all(axis=1))

@@ -35,29 +35,35 @@ def check_unit_of_angles(
         LogError: They seem to be degrees.
     """
     part = source.liveliest
-    titles = source.without_unit.get("angle", ())
-    for joint, (title, design) in enumerate(zip(titles, designs, strict=False)):
-        y, u = part.angles[:, joint], part.torques[:, joint]
+    for joint, (titles, design) in enumerate(zip(source.without_unit, designs, strict=True)):
+        if not titles:
+            continue
+        names = design.request.output_names
+        angles = np.array([name.endswith("_angle") for name in names])
+        y, u = part.y[:, joint, : len(names)], part.u[:, joint, :1]
         as_rad = _misfit(design, settings, part.stamps, y, u)
         if as_rad < _MISFIT:
             continue
-        as_deg = _misfit(design, settings, part.stamps, y * _DEGREE, u)
+        as_deg = _misfit(design, settings, part.stamps, np.where(angles, y * _DEGREE, y), u)
         if as_deg < min(_FIT, as_rad / _MIN_RATIO):
+            columns = f"columns {', '.join(map(repr, titles))} have"
+            if len(titles) == 1:
+                columns = f"column {titles[0]!r} has"
             raise LogError(
-                f"{source.path}: column {title!r} has no unit, and its angles do not fit the arm "
+                f"{source.path}: {columns} no unit, and its angles do not fit the arm "
                 f"as rad (innovations of {as_rad:.0f}σ), but as deg they do ({as_deg:.1f}σ): write "
-                f"'{title} [deg]' or --units angle=deg; if they are rad, --units angle=rad, and "
-                "check the design"
+                f"'{titles[0]} [deg]' or --units angle=deg; if they are rad, --units angle=rad, "
+                "and check the design"
             )
 
 
 def _misfit(
-    design: Design, settings: ObserverSettings, stamps: Times, angles: Array, torques: Array
+    design: Design, settings: ObserverSettings, stamps: Times, outputs: Array, torques: Array
 ) -> float:
     """Return the median of |innovation| / expected 1σ of an EKF, 0 of too few measurements."""
     ekf, order = make_ekf(design, settings, gate=math.inf), np.argsort(stamps, kind="stable")
     times = stamps[order] - stamps.min() + 10**9
-    found = ekf.misfits(times, angles[order, np.newaxis], torques[order, np.newaxis])
+    found = ekf.misfits(times, outputs[order], torques[order])
     # While the estimate settles, large innovations are expected.
     sizes = found[len(stamps) // 8 :]
     return float(np.median(sizes)) if len(sizes) >= _MIN_USED else 0.0

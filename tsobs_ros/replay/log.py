@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Measurements from an arm's own log: a CSV file of time, angle and torque."""
+"""Measurements from a log of one's own: a CSV file of time, outputs and inputs."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,14 +14,16 @@ import numpy as np
 
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.joint_series import Times
-from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagMessage
 from tsobs_ros.checks import Array
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import LogError
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.cells import Row, TextTable, is_nothing, plain_number
 from tsobs_ros.replay.columns import UNITS, Column, Columns, is_unit, misread
+from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS, Part, Samples, Source, restarts
 from tsobs_ros.replay.times import LATEST, NO_TIME, TimeReader, check_period
 
@@ -30,15 +32,32 @@ _BLOCK = 4096
 _MAX_SORTED = 5_000_000
 _LARGEST = 1e9
 _MANY_EQUAL = 0.1
+_ONLY = "elastic_joint"
 _AFTER_RESTART = 1_000_000
 
 
 class _Block(NamedTuple):
-    """Lines of a log: stamps [ns], angles [rad] and torques [N m], NaN for an empty cell."""
+    """Lines of a log.
+
+    Attributes:
+        stamps: [ns], shape (n,).
+        y: Outputs, NaN for an empty cell or if a joint has fewer, shape (n, J, p).
+        u: Inputs and scheduled signals, 0 if a joint has fewer, shape (n, J, m).
+    """
 
     stamps: Times
-    angles: Array
-    torques: Array
+    y: Array
+    u: Array
+
+
+class _Cell(NamedTuple):
+    """A column of numbers: where it belongs in the arrays of a block, and its unit's size."""
+
+    column: Column
+    factor: float
+    in_inputs: bool
+    joint: int
+    place: int
 
 
 class LogSource(Source):
@@ -51,9 +70,9 @@ class LogSource(Source):
 
     Args:
         path: The file.
-        columns: Titles or numbers of columns by quantity: `time`, `angle` and `torque`, or
-            `angle.JOINT` and `torque.JOINT` for several joints; the others are found by their
-            usual names.
+        columns: Titles or numbers of columns by quantity: `time`, `torque`, `angle` or
+            `velocity` if there is one such, or the name of an output or input; for several joints
+            `angle.JOINT` and so on. The others are found by their usual names.
         units: Units by quantity, for columns whose title has none.
         joints: Names of the joints to read; all of them if empty. One name renames the joint of
             columns that name none.
@@ -61,8 +80,8 @@ class LogSource(Source):
 
     Attributes:
         moved_by: Shift of the times [ns].
-        without_unit: Titles of the columns whose unit nobody stated, by quantity.
-        liveliest: The part in which the angles move most.
+        without_unit: Titles of each joint's angles if nobody stated the unit of any.
+        liveliest: The part in which the outputs move most.
 
     Raises:
         LogError: The file cannot be read, lacks a column, has a cell that is not a number, or
@@ -79,53 +98,93 @@ class LogSource(Source):
         assume_zero_torque: bool = False,
     ) -> None:
         self.path, self.topic = path, path.name
+        self._torque_needed = not assume_zero_torque
         try:
-            self._table = TextTable(path, is_unit)
-            self._choose(columns or {}, units or {}, joints, not assume_zero_torque)
-            self._survey()
+            self._table = table = TextTable(path, is_unit)
+            self._columns = Columns(table.titles, table.units, columns or {}, units or {})
+            given = {name.partition(".")[0] for name in columns or {}}
+            if not table.has_titles and not ("time" in given and len(given) > 1):
+                raise LogError(
+                    "the first line has numbers and no titles: put a line such as 'time [s],angle "
+                    "[rad],torque [N m]' before it, or give the columns' numbers: --columns "
+                    "time=1,angle=2,torque=3"
+                )
+            self.guessed = not joints
+            self.joints = tuple(joints) or self._columns.joints(_ONLY)
         except OSError as error:
             raise LogError(f"{path}: cannot read it: {error}") from error
         except LogError as error:
             raise LogError(f"{path}: {error}") from error
 
-    def _choose(
-        self,
-        wanted: Mapping[str, str],
-        units: Mapping[str, str],
-        joints: Sequence[str],
-        torque_needed: bool,
-    ) -> None:
+    def _observe(self) -> None:
+        self.signals = self.signals_of(self._requests)
+        try:
+            self._choose()
+            self._survey()
+        except OSError as error:
+            raise LogError(f"{self.path}: cannot read it: {error}") from error
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}") from error
+
+    def _choose(self) -> None:
         """Find the columns and what their numbers mean."""
-        table = self._table
-        columns = Columns(table.titles, table.units, wanted, units)
-        if not table.has_titles and not {"time", "angle"} <= {n.partition(".")[0] for n in wanted}:
-            raise LogError(
-                "the first line has numbers and no titles: put a line such as 'time [s],angle "
-                "[rad],torque [N m]' before it, or give the columns' numbers: --columns "
-                "time=1,angle=2,torque=3"
-            )
+        table, columns = self._table, self._columns
+        names, quantities = {"time": None}, {"time": None}
+        for one in self._requests:
+            if isinstance(one, ArmRequest):
+                kinds = [name.partition("_")[2] for name in one.output_names]
+                names |= dict.fromkeys(kind for kind in kinds if kinds.count(kind) == 1)
+                names |= {"torque": None, **dict.fromkeys(one.output_names if kinds[1:] else ())}
+                quantities |= dict.fromkeys([*kinds, "torque"])
+            else:
+                names |= dict.fromkeys(one.output_names + one.input_names)
+                quantities |= dict.fromkeys(one.output_names + one.input_names)
+        columns.require_known(list(names), list(quantities))
         time = columns.time()
-        only = joints[0] if len(joints) == 1 else "elastic_joint"
-        angles, torques = columns.of_joints(only, torque_needed=torque_needed)
-        if missing := [joint for joint in joints if joint not in angles]:
-            raise LogError(
-                f"no angle of {', '.join(missing)}; there are angles of {', '.join(angles)}"
-            )
-        self.joints = tuple(joints) or tuple(angles)
-        self._numbers = [
-            (one, UNITS[quantity][one.unit or next(iter(UNITS[quantity]))])
-            for quantity, of in (("angle", angles), ("torque", torques))
-            for one in (of[joint] for joint in self.joints if of)
-        ]
-        self._places = [one.place for one in (*time, *(one for one, _ in self._numbers))]
+        self._cells: list[_Cell] = []
+        self.without_unit: list[tuple[str, ...]] = []
+        only = self.joints[0] if len(self.joints) == 1 else _ONLY
+        for joint, request in enumerate(self._requests):
+            if isinstance(request, ArmRequest):
+                self._choose_of_arm(joint, request, only)
+            else:
+                self._choose_of_system(joint, request)
+        self._places = [one.place for one in (*time, *(cell.column for cell in self._cells))]
         self._decimal = table.decimal(self._places)
         self._time = TimeReader(time, table, self._decimal)
-        self.without_unit = {
-            quantity: [one.title for one in of.values()]
-            for quantity, of in (("angle", angles), ("torque", torques))
-            if of and not any(one.unit for one in of.values())
-        }
-        self.remarks = (*columns.remarks, *self._time.remarks)
+        self.remarks = (*dict.fromkeys(columns.remarks), *self._time.remarks)
+
+    def _choose_of_arm(self, joint: int, request: ArmRequest, only: str) -> None:
+        columns, names, name = self._columns, request.output_names, self.joints[joint]
+        angles = []
+        for place, output in enumerate(names):
+            found = columns.of_output(output, names, only)
+            if name not in found:
+                kind = output if len(names) > 1 else output.partition("_")[2]
+                raise LogError(f"no {kind} of {name}; there are {kind}s of {', '.join(found)}")
+            quantity = output.partition("_")[2]
+            self._add(found[name], quantity, (False, joint, place))
+            angles += [found[name]] if quantity == "angle" else []
+        torques = columns.of_torque(self.joints, only, needed=self._torque_needed)
+        if torques:
+            self._add(torques[name], "torque", (True, joint, 0))
+        without = not any(one.unit for one in angles)
+        self.without_unit.append(tuple(one.title for one in angles) if without else ())
+
+    def _choose_of_system(self, joint: int, request: TSRequest) -> None:
+        for is_input, names, units in (
+            (False, request.output_names, request.output_units),
+            (True, request.input_names, request.input_units),
+        ):
+            for place, (name, unit) in enumerate(zip(names, units, strict=True)):
+                what = "input" if is_input else "output"
+                column = self._columns.of_signal(name, unit, self.joints[joint], what)
+                self._cells.append(_Cell(column, 1.0, is_input, joint, place))
+        self.without_unit.append(())
+
+    def _add(self, column: Column, quantity: str, where: tuple[bool, int, int]) -> None:
+        units = UNITS[quantity]
+        self._cells.append(_Cell(column, units[column.unit or next(iter(units))], *where))
 
     def _survey(self) -> None:
         """Read the whole log for what must be known before the first line is used."""
@@ -138,7 +197,7 @@ class LogSource(Source):
             clock.times(block.stamps)
             there = block.stamps[block.stamps != NO_TIME]
             first, newest = int(there.min(initial=first)), int(there.max(initial=newest))
-            if (own := _spread(block.angles)) > spread:
+            if (own := _spread(block.y)) > spread:
                 spread, self.liveliest = own, block
         if not self.count:
             raise LogError("no lines below the header")
@@ -170,13 +229,13 @@ class LogSource(Source):
                 f"its {self.count:,} lines are not in order of time, and no more than "
                 f"{_MAX_SORTED:,} are sorted here: sort the file by its time"
             )
-        stamps, angles, torques = map(np.concatenate, zip(*self._lines(), strict=True))
+        stamps, y, u = map(np.concatenate, zip(*self._lines(), strict=True))
         # A line without time stays behind the one before it.
         order = np.argsort(_filled(stamps, NO_TIME), kind="stable")
         for begin in range(0, self.count, _BLOCK):
             part = order[begin : begin + _BLOCK]
-            self._sorted.append(_Block(stamps[part], angles[part], torques[part]))
-        self.liveliest = max(self._sorted, key=lambda block: _spread(block.angles))
+            self._sorted.append(_Block(stamps[part], y[part], u[part]))
+        self.liveliest = max(self._sorted, key=lambda block: _spread(block.y))
         apart = np.diff(stamps[order])
         if self._time.guessed and (apart > 0).any():
             check_period(self._time.title, float(np.median(apart[apart > 0])) / NANOSECONDS)
@@ -185,15 +244,18 @@ class LogSource(Source):
         """Yield the log block by block, as it is."""
         rows = self._table.rows(self._places)
         self._time.restart()
-        times, joints = len(self._places) - len(self._numbers), len(self.joints)
+        times, joints = len(self._places) - len(self._cells), len(self.joints)
+        p = max(len(one.outputs) for one in self.signals)
+        m = max(len(one.inputs) for one in self.signals)
         while block := list(islice(rows, _BLOCK)):
             stamps = self._time.read(block)
-            values = np.zeros((len(block), 2 * joints))
-            for place, (column, factor) in enumerate(self._numbers):
-                values[:, place] = self._read(block, times + place, column)
+            y, u = np.full((len(block), joints, p), np.nan), np.zeros((len(block), joints, m))
+            for number, cell in enumerate(self._cells):
+                values = np.array(self._read(block, times + number, cell.column))
                 with np.errstate(over="ignore"):
-                    values[:, place] *= factor
-            yield _Block(stamps, values[:, :joints], values[:, joints:])
+                    values *= cell.factor
+                (u if cell.in_inputs else y)[:, cell.joint, cell.place] = values
+            yield _Block(stamps, y, u)
 
     def _read(self, rows: Sequence[Row], place: int, column: Column) -> list[float]:
         if self._decimal != ",":
@@ -211,9 +273,8 @@ class LogSource(Source):
         there = block.stamps != NO_TIME
         stamps = np.where(there, block.stamps + np.where(there, self.moved_by, 0), 0)
         times = clock.times(np.where(there, stamps, NO_TIME))
-        there = np.ones(block.angles.shape, np.bool_)
-        y, u = block.angles, block.torques
-        return Samples(stamps, times, times, y, u, there, there, self.same_clock)
+        there = np.ones(block.y.shape[:2], np.bool_)
+        return Samples(stamps, times, times, block.y, block.u, there, there, self.same_clock)
 
     @property
     def topics(self) -> tuple[TopicInfo, ...]:  # type: ignore[override]
@@ -236,9 +297,15 @@ class LogSource(Source):
             yield Part(samples, {}, float(horizon))
 
     def messages(self) -> Iterator[BagMessage]:
-        encode = JointStateEncoder(self.joints)
+        layout = Layout([(*own.outputs, *own.inputs) for own in self.signals])
+        widths = [(len(own.outputs), len(own.inputs)) for own in self.signals]
         for samples, _, _ in self.parts(_BLOCK):
-            data = encode.encode_all(samples.stamps, samples.y, samples.y[:, :0], samples.u)
+            y, u = samples.y, samples.u
+            values = np.full((len(y), len(widths), y.shape[2] + u.shape[2]), np.nan)
+            for joint, (p, m) in enumerate(widths):
+                own = y[:, joint, :p], u[:, joint, :m]
+                values[:, joint, : p + m] = np.hstack(own)
+            data = layout.encode(samples.stamps, values)
             for one, time in zip(data, samples.log_times.tolist(), strict=True):
                 yield BagMessage(f"/{MEASUREMENTS}", JOINT_STATE, one, time, time)
 
@@ -318,10 +385,10 @@ def _filled(stamps: Times, before: int) -> Times:
     return np.asarray(np.append(before, stamps)[np.maximum.accumulate(places)])
 
 
-def _spread(angles: Array) -> float:
-    """Return the largest range of a joint's angle [rad], but for a tenth of them."""
+def _spread(outputs: Array) -> float:
+    """Return the largest range of an output, but for a tenth of its values."""
     spreads = [0.0]
-    for joint in angles.T:
+    for joint in outputs.reshape(len(outputs), -1).T:
         # Larger ones are no angles.
         there = joint[np.abs(joint) < _LARGEST]
         if len(there):

@@ -12,7 +12,6 @@ observer was recorded, its output decides which samples it received:
 The compiled loop stops at ticks with anything to decide, which are few.
 """
 
-import math
 from enum import Enum, auto
 from typing import Any, NamedTuple, TypeAlias, cast
 
@@ -49,6 +48,7 @@ tick has taken it yet."""
 _SEARCH = 20_000
 
 _TAKEN, _OFFERED = range(2)
+_ALL = slice(None)
 
 
 class _Choice(Enum):
@@ -77,9 +77,9 @@ class Samples(NamedTuple):
         y: Outputs, shape (n, p).
         u: Inputs from each measurement until the next one, shape (n, m).
         evidence: Of reception, shape (n,).
-        innovations: Recorded ones, NaN without, shape (n,).
-        begins: 1 if the recorded innovation is that of a zero estimate, from which all estimators
-            start, shape (n,).
+        innovations: Recorded ones, NaN without, shape (n, p).
+        begins: 1 if the recorded innovations are those of a zero estimate, from which all
+            estimators start, shape (n,).
         arrived: Place of each in the order of arrival, shape (n,).
         places: Inverse of `arrived`, shape (n,).
     """
@@ -99,7 +99,7 @@ class Ticks(NamedTuple):
     """A schedule's ticks, m of them, with numbers of the samples that `Samples` has.
 
     Attributes:
-        estimates: Recorded states and their bounds, NaN without, shape (m, 8); (0, 8) if no
+        estimates: Recorded states and their bounds, NaN without, shape (m, 2 plant); none if no
             observer was recorded. What was received last may show in the bounds alone.
     """
 
@@ -116,6 +116,7 @@ class Results(NamedTuple):
 
     Attributes:
         outcomes: Codes of the samples, shape (n,).
+        output_codes: Codes of each output, shape (n, p).
         innovations: y − ŷ of those that are used, shape (n, p).
         expected_std: 1σ expected of each, shape (n, p).
         ticks_of_use: Tick that took a sample, shape (n,).
@@ -125,12 +126,18 @@ class Results(NamedTuple):
     """
 
     outcomes: Codes
+    output_codes: Codes
     innovations: Array
     expected_std: Array
     ticks_of_use: Codes
     newest: Times
     there: Codes
     counts: Codes
+
+    def used_innovations(self, places: NDArray[np.intp] | Codes | slice = _ALL) -> Array:
+        """Return the innovations of some samples, NaN of outputs that were not used, (i, p)."""
+        used = np.isin(self.output_codes[places], CORRECTING)
+        return np.where(used, self.innovations[places], np.nan)
 
 
 class Pass:
@@ -144,7 +151,7 @@ class Pass:
         ticks: The ticks.
         arrivals: Arrival times on the clock of the stamps [ns], shape (n,).
         evidence: Of reception, shape (n,); certain if None.
-        innovations: Recorded ones, NaN without, shape (n,).
+        innovations: Recorded ones, NaN without, shape (n, p).
         stale_after: Age of the newest sample after which nothing is estimated [ns].
 
     Attributes:
@@ -172,8 +179,10 @@ class Pass:
             arrived = np.lexsort((stamps, np.searchsorted(bounds, arrived, side="right")))
         places = np.empty(n, np.int64)
         places[arrived] = np.arange(n)
-        wanted = np.full(n, np.nan) if innovations is None else innovations[arrived]
+        wanted = np.full(y.shape, np.nan) if innovations is None else innovations[arrived]
         samples = np.ascontiguousarray(y[arrived])
+        recorded = np.isfinite(wanted)
+        begins = recorded.any(axis=1) & (~recorded | (samples == wanted)).all(axis=1)
         self.samples = Samples(
             stamps[arrived],
             (stamps if arrivals is None else arrivals)[arrived],
@@ -181,14 +190,15 @@ class Pass:
             np.ascontiguousarray(u[arrived]),
             np.full(n, CERTAIN) if evidence is None else evidence[arrived],
             wanted,
-            (samples[:, 0] == wanted).astype(np.int64),
+            begins.astype(np.int64),
             arrived,
             places,
         )
         self.results = Results(
             np.full(n, NOT_TAKEN),
-            np.full((n, y.shape[1]), np.nan),
-            np.full((n, y.shape[1]), np.nan),
+            np.full(y.shape, NOT_TAKEN),
+            np.full(y.shape, np.nan),
+            np.full(y.shape, np.nan),
             np.full(n, -1),
             np.zeros(m, np.int64),
             np.zeros(m, np.int64),
@@ -211,10 +221,10 @@ class Pass:
 
         None if there is none, or no tick has taken its sample.
         """
-        recorded = np.flatnonzero(np.isfinite(self.samples.innovations))
+        recorded = np.flatnonzero(np.isfinite(self.samples.innovations).any(axis=1))
         if not len(recorded) or self.results.outcomes[recorded[0]] == NOT_TAKEN:
             return None
-        return self._innovation(recorded[0]) == float(self.samples.innovations[recorded[0]])
+        return self._has_recorded_innovation(int(recorded[0]))
 
     def new_rows(self, count: int) -> Array:
         """Return room for as many estimates."""
@@ -302,8 +312,8 @@ class Pass:
         recorded = self._ticks.estimates[tick]
         if not self.results.there[tick]:
             return bool(np.isnan(recorded).all())
-        same = row[:8] == recorded
-        same[4:] |= np.isnan(recorded[4:])
+        same, bounds = row[: len(recorded)] == recorded, slice(len(recorded) // 2, None)
+        same[bounds] |= np.isnan(recorded[bounds])
         return bool(same.all())
 
     def _take(self, end: int, tick: int, now: int, choice: _From) -> None:
@@ -320,7 +330,7 @@ class Pass:
         certain = samples.evidence[place] == CERTAIN
         results.ticks_of_use[place] = tick
         if not (certain or self._is_received(place, choice)):
-            results.outcomes[place] = LEFT_OUT
+            self._leave_out(place)
             return
         undone = choice is _Choice.UNUSED and not certain and bool(self._spare)
         if undone or samples.begins[place]:
@@ -328,11 +338,14 @@ class Pass:
         self._offer(tracker, place, now)
         if undone and results.outcomes[place] in CORRECTING:
             _copy(self._spare[1], tracker)
-            results.outcomes[place] = LEFT_OUT
-        if samples.begins[place] and self._innovation(place) != samples.innovations[place]:
+            self._leave_out(place)
+        if samples.begins[place] and not self._has_recorded_innovation(place):
             _copy(self._spare[1], tracker)
             forget(tracker.memory, tracker.ring)
             self._offer(tracker, place, now)
+
+    def _leave_out(self, place: int) -> None:
+        self.results.outcomes[place] = self.results.output_codes[place] = LEFT_OUT
 
     def _is_received(self, place: int, choice: _From) -> bool:
         if isinstance(choice, int):
@@ -341,9 +354,9 @@ class Pass:
             return choice is _Choice.ALL
         return bool(self.samples.evidence[place] == POSSIBLE)
 
-    def _innovation(self, place: int) -> float:
-        used = self.results.outcomes[place] in CORRECTING
-        return float(self.results.innovations[place, 0]) if used else math.nan
+    def _has_recorded_innovation(self, place: int) -> bool:
+        own = self.results.used_innovations(slice(place, place + 1))[0]
+        return np.array_equal(own, self.samples.innovations[place], equal_nan=True)
 
     def _offer(self, tracker: Tracker, place: int, now: int) -> None:
         own, samples, results = slice(place, place + 1), self.samples, self.results
@@ -359,6 +372,7 @@ class Pass:
             results.innovations[own],
             results.expected_std[own],
         )
+        results.output_codes[own] = results.outcomes[own, np.newaxis]
 
     def _estimate(self, tick: int, row: Array) -> None:
         tracker, stamp = self._tracker, int(self._ticks.stamps[tick])
@@ -420,6 +434,7 @@ class EkfPass(Pass):
         samples = (stamps[first:last], y[first:last], u[first:last])
         self._ekf.advance(ticks, samples, (outcomes, innovations, expected), newest, rows)
         results.outcomes[places] = outcomes
+        results.output_codes[places] = outcomes[:, np.newaxis]
         results.innovations[places, 0] = innovations
         results.expected_std[places, 0] = expected
         results.counts[:] = last
@@ -485,6 +500,8 @@ def _advance(
                 results.innovations[taken:known],
                 results.expected_std[taken:known],
             )
+            for place in range(taken, known):
+                results.output_codes[place, :] = results.outcomes[place]
             results.ticks_of_use[taken:known] = tick
             counts[:] = known
         newest, row = newest_stamp(memory[0], ring), rows[tick - begin]
@@ -497,9 +514,10 @@ def _advance(
             # More may have been used, if the estimate is not the recorded one.
             if not there or len(ticks.estimates) == 0:
                 return tick
-            for i in range(8):
+            width = ticks.estimates.shape[1]
+            for i in range(width):
                 recorded = ticks.estimates[tick, i]
-                if row[i] != recorded and (i < 4 or recorded == recorded):
+                if row[i] != recorded and (2 * i < width or recorded == recorded):
                     return tick
     return end
 

@@ -13,15 +13,13 @@ import numpy as np
 from tsobs_ros.bag.joint_series import Flags, Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.baselines import KalmanFilter
-from tsobs_ros.estimation.history import CORRECTING, REASONS, USED
+from tsobs_ros.estimation.history import REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.passes import LEFT_OUT, Ticks, new_pass
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Samples
 from tsobs_ros.replay.table import EstimateTable, Recorded
-
-_NOTHING = np.zeros((0, 8))
 
 
 class Replay:
@@ -72,7 +70,7 @@ class Replay:
             ahead = slice(self.taken, self._samples.count)
             for joint, each in enumerate(self._joints):
                 self.rejected += each.enter(self._table, joint, ahead)
-            self._used += int(np.isfinite(self._table.innovations[:dropped]).sum())
+            self._used += _count_used(self._table.innovations[:dropped])
             table.take_over(self._table, dropped)
             skipped = [each.used_since(dropped) for each in self._joints]
         self._samples, self._schedule, self._table = samples, schedule, table
@@ -85,7 +83,7 @@ class Replay:
     @property
     def used(self) -> int:
         """Number of measurements used, of all joints."""
-        return self._used + int(np.isfinite(self._table.innovations).sum())
+        return self._used + _count_used(self._table.innovations)
 
     @property
     def reached(self) -> int:
@@ -174,6 +172,10 @@ class Replay:
         return there
 
 
+def _count_used(innovations: Array) -> int:
+    return int(np.isfinite(innovations).any(axis=2).sum())
+
+
 class _Joint:
     """One joint's tracker on its way over the joint's samples.
 
@@ -203,7 +205,12 @@ class _Joint:
         self._schedule = schedule
         self._messages = np.flatnonzero(mask)
         self._count = np.concatenate([[0], np.cumsum(mask)])
-        own, column = self._messages, slice(joint, joint + 1)
+        own, shape = self._messages, tracker.estimator.shape
+        outputs = slice(shape.p)
+        estimates = np.zeros((0, 2 * shape.plant))
+        if recorded is not None:
+            both = recorded.states[:, joint], recorded.state_bounds[:, joint]
+            estimates = np.hstack([each[:, : shape.plant] for each in both])
         resets = schedule.reset_after
         ticks = Ticks(
             schedule.stamps,
@@ -211,17 +218,17 @@ class _Joint:
             self._count[schedule.min_known],
             self._count[schedule.max_known],
             np.where(resets >= 0, self._count[resets], -1),
-            _NOTHING if recorded is None else np.ascontiguousarray(recorded.estimates[:, joint]),
+            estimates,
         )
         self._pass = new_pass(
             tracker,
             samples.stamps[own],
-            samples.y[own, column],
-            samples.u[own, column],
+            samples.y[own, joint, outputs],
+            samples.u[own, joint, : shape.m],
             ticks,
             arrivals=samples.arrivals[own],
             evidence=schedule.evidence[own],
-            innovations=None if recorded is None else recorded.innovations[own, joint],
+            innovations=None if recorded is None else recorded.innovations[own, joint, outputs],
             stale_after=2**62 if math.isinf(stale_after) else int(stale_after * NANOSECONDS),
         )
 
@@ -266,8 +273,8 @@ class _Joint:
         messages, places = self._messages[own], self._pass.samples.places[own]
         results = self._pass.results
         outcomes = results.outcomes[places]
-        used = np.isin(outcomes, CORRECTING)
-        table.innovations[messages[used], joint] = results.innovations[places[used], 0]
+        innovations = results.used_innovations(places)
+        table.innovations[messages, joint, : innovations.shape[1]] = innovations
         ticks = results.ticks_of_use[places]
         known = (ticks >= 0) & (ticks < self._schedule.count)
         times = [self._schedule.log_times, self._schedule.publish_times]

@@ -5,7 +5,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import islice, pairwise
@@ -29,12 +29,16 @@ from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
 from tsobs_ros.checks import Array
-from tsobs_ros.errors import BagReadError
+from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.signals import Signals, signals
+from tsobs_ros.errors import BagReadError, ModelError
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
+from tsobs_ros.replay.places import TRUTH, places_of
 
 MEASUREMENTS = "joint_measurements"
-_TRUTH = TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
+UNNAMED_SYSTEM = "system"
+"""Name of a T–S system that a recording does not name."""
 
 # Stamps this far back are not late any more: time restarted (a looped bag, a new simulation).
 _RESTART = NANOSECONDS
@@ -56,10 +60,10 @@ class Samples:
         stamps: Sampling times of the angles [ns], shape (n,).
         log_times: Recording times of the messages, ns since the epoch, shape (n,).
         publish_times: Publishing times, ns since the epoch, shape (n,).
-        y: Angles [rad], shape (n, J).
-        u: Torques [N m], shape (n, J).
-        named: Whether the message names the joint, shape (n, J).
-        complete: Whether it has an angle and a torque of it, shape (n, J).
+        y: Outputs, NaN of one that is missing or that a joint does not have, shape (n, J, p).
+        u: Inputs and scheduled signals, 0 of one that a joint does not have, shape (n, J, m).
+        named: Whether the message has an entry of the joint, shape (n, J).
+        complete: Whether it has an output and all inputs of it, shape (n, J).
         clock: Whether stamps and log times are of the same clock; None to judge by these messages.
         newest: Largest stamp before these messages since time restarted [ns].
     """
@@ -87,8 +91,8 @@ class Samples:
     @property
     def usable(self) -> Flags:
         """Whether an observer may use a message of any joint, shape (n,)."""
-        numbers = self.complete & np.isfinite(self.y) & np.isfinite(self.u)
-        return np.asarray(numbers.any(axis=1) & (self.stamps > 0))
+        numbers = np.isfinite(self.y).any(axis=2) & np.isfinite(self.u).all(axis=2)
+        return np.asarray((self.complete & numbers).any(axis=1) & (self.stamps > 0))
 
     @cached_property
     def same_clock(self) -> bool:
@@ -135,19 +139,47 @@ class Samples:
 _ARRAYS = [field.name for field in fields(Samples) if field.name not in ("clock", "newest")]
 
 
-def samples_of(series: JointSeries, assume_zero_torque: bool) -> Samples:
-    """Return the measurements in a topic's positions and efforts.
+def wanted_measurements(joints: Sequence[Signals]) -> Wanted:
+    """Return the places of the joints' outputs, of their inputs, and of those instead of these."""
+    return [
+        *(one.outputs for one in joints),
+        *(one.inputs for one in joints),
+        *(one.other_inputs for one in joints),
+    ]
+
+
+def samples_of(series: JointSeries, joints: Sequence[Signals], assume_zero_torque: bool) -> Samples:
+    """Return the measurements in a topic's messages.
 
     Args:
-        series: With the fields position and effort, in this order.
-        assume_zero_torque: Take messages without effort as torque 0.
+        series: With the places of `wanted_measurements`.
+        joints: The places of the signals of J joints.
+        assume_zero_torque: Take messages without a number of an input as 0.
     """
-    y, u = series.values[..., 0], series.values[..., 1]
-    there: Flags = series.given[..., 0] & series.given[..., 1]
-    if assume_zero_torque:
-        silent = series.given[..., 0] & ~series.given[..., 1]
-        u, there = np.where(silent, 0.0, u), there | silent
-    return Samples(series.stamps, series.log_times, series.publish_times, y, u, series.named, there)
+    count = len(joints)
+    p = max(len(one.outputs) for one in joints)
+    m = max(len(one.inputs) for one in joints)
+    y = series.values[:, :count, :p]
+    outputs = series.given[:, :count].any(axis=2)
+    own, other = slice(count, 2 * count), slice(2 * count, None)
+    there: Flags = series.given[:, own, :m] | series.given[:, other, :m]
+    u = series.values[:, own, :m]
+    u = np.where(np.isnan(u), series.values[:, other, :m], u)
+    for joint, one in enumerate(joints):
+        torques = [assume_zero_torque and place.field == "effort" for place in one.inputs]
+        silent = ~there[:, joint] & np.array([*torques, *[True] * (m - len(torques))])
+        there[:, joint] |= silent
+        u[:, joint][silent] = 0.0
+    named: Flags = np.asarray(series.named.reshape(len(u), 3, count).any(axis=1))
+    return Samples(
+        series.stamps,
+        series.log_times,
+        series.publish_times,
+        np.ascontiguousarray(y),
+        u,
+        named,
+        np.asarray(outputs & there.all(axis=2)),
+    )
 
 
 def restarts(stamps: Sequence[int] | Times, highest: int = 0) -> list[int]:
@@ -182,7 +214,7 @@ class Live:
     """The recorded output of a running observer.
 
     Attributes:
-        states: Angles and velocities of every joint's link and motor.
+        states: States of every joint.
         others: Its other recorded topics, by the names in `estimate_topics`.
     """
 
@@ -194,12 +226,14 @@ class Truth(NamedTuple):
     """The recorded truth of a simulation; None where there is none.
 
     Attributes:
-        states: Angles and velocities of every joint's link and motor.
-        disturbance: Of every joint's sensor.
+        states: Of every joint.
+        disturbance: Of every joint's outputs.
+        torque: Torque disturbances of every joint.
     """
 
     states: JointSeries | None
     disturbance: JointSeries | None
+    torque: JointSeries | None
 
 
 class Part(NamedTuple):
@@ -220,9 +254,13 @@ class Part(NamedTuple):
 class Source(ABC):
     """Measurements of some joints, from a bag or a log.
 
+    What is read of each joint depends on its design: before anything else but the joints and what
+    ran is asked for, `observe` has to be called.
+
     Attributes:
         path: The bag or the log.
         joints: Names of the joints.
+        signals: The places of each joint's signals.
         ran: What the observer ran that was recorded.
         count: Number of messages with measurements.
         span: Smallest and largest log time of them, ns since the epoch.
@@ -232,11 +270,13 @@ class Source(ABC):
         was_observed: Whether there is output of an observer that ran during the recording.
         damage: The error that ended reading early.
         remarks: Notes for the user.
+        guessed: Whether the joints are those of the first messages, for want of anything better.
         topics: Topics that belong with estimates: measurements, and the truth of a simulation.
     """
 
     path: Path
     joints: tuple[str, ...]
+    signals: tuple[Signals, ...] = ()
     ran = RecordedObserver()
     count: int
     span: tuple[int, int]
@@ -246,7 +286,57 @@ class Source(ABC):
     was_observed = False
     damage: BagReadError | None = None
     remarks: tuple[str, ...] = ()
+    guessed = False
     topics: tuple[TopicInfo, ...] = ()
+    _requests: tuple[ArmRequest | TSRequest, ...] = ()
+
+    def observe(self, requests: Sequence[ArmRequest | TSRequest]) -> None:
+        """Read from now on what the designs of the joints need, and survey it.
+
+        Args:
+            requests: Of the designs, one a joint.
+
+        Raises:
+            BagReadError: The bag does not have the measurements.
+            LogError: The log does not.
+            ModelError: Something else is read already.
+        """
+        names = [[(one.output_names, one.input_names) for one in them]
+                 for them in (requests, self._requests or requests)]  # fmt: skip
+        if names[0] != names[1]:
+            has, wanted = (", ".join(n for o, i in own for n in o + i) for own in names[::-1])
+            raise ModelError(
+                f"{self.path}: designs that are run together must measure the same, got one of "
+                f"{has} and one of {wanted}: run them one after the other"
+            )
+        if not self._requests:
+            self._requests = tuple(requests)
+            self._observe()
+
+    def take_for_system(self, requests: Sequence[ArmRequest | TSRequest]) -> bool:
+        """Return whether there is one T–S system instead of joints, which nothing in it names.
+
+        Args:
+            requests: Of the designs.
+        """
+        systems = self.guessed and all(isinstance(one, TSRequest) for one in requests)
+        if systems:
+            self.joints, self.guessed = (UNNAMED_SYSTEM,), False
+        return systems
+
+    @property
+    def alone(self) -> bool:
+        """Whether messages name the signals of the only joint without the joint's name."""
+        return len(self.joints) == 1
+
+    def signals_of(self, requests: Sequence[ArmRequest | TSRequest]) -> tuple[Signals, ...]:
+        """Return the places of the joints' signals if they have these designs."""
+        each = zip(requests, self.joints, strict=True)
+        return tuple(signals(request, joint, self.alone) for request, joint in each)
+
+    @abstractmethod
+    def _observe(self) -> None:
+        """Decide what is read, and survey it."""
 
     @abstractmethod
     def parts(self, size: int | None = None, with_live: bool = True) -> Iterator[Part]:
@@ -282,13 +372,13 @@ class BagSource(Source):
         path: The bag's folder, or one MCAP file.
         topic: Full name of the measurements' topic; by default the only one that ends in
             `joint_measurements`, or the one that the live observer used.
-        joints: Names of the joints to read; by default those of the first messages, or those of
-            them that the live observer observed.
+        joints: Names of the joints to read; by default those that the live observer observed and
+            the first messages have, else those of the first messages.
         observer: Name of the live observer, whose topics are read too.
         assume_zero_torque: Take messages without effort as torque 0; None: as the live observer.
 
     Raises:
-        BagReadError: There is no bag, no such topic or joint, or several topics fit.
+        BagReadError: There is no bag, no such topic, or several topics fit.
     """
 
     def __init__(
@@ -307,17 +397,34 @@ class BagSource(Source):
         require_joint_states(self._reader, self.topic)
         self.namespace = of_topic.get(self.topic, self.topic.rpartition("/")[0])
         self.ran = recorded_observer(self._reader, f"{self.namespace}/{observer}")
-        self.joints = tuple(joints) or self._own_joints()
+        first = self._first_names()
+        self.joints, self.guessed = tuple(joints), not joints
+        if not joints:
+            self.joints = tuple(joint for joint in self.ran.designs if self._is_in(first, joint))
+            self.guessed = not self.joints
+        self.joints = self.joints or tuple(name for name in first if not _is_motor(name, first))
+        self._alone = len(self.ran.designs) <= 1 and not any(
+            name.startswith(f"{joint}/") for joint in self.joints for name in first
+        )
         if assume_zero_torque is None:
             assume_zero_torque = self.ran.settings().assume_zero_torque
-        names = [name for name in topics.TOPICS if name != topics.HEALTH]
+        names = [n for n in (*topics.TOPICS, *topics.TORQUE_TOPICS) if n != topics.HEALTH]
         self._live = self._there({name: f"{observer}/{name}" for name in names})
         states = self._live.get(topics.STATES)
         self.was_observed = states is not None and self._reader.topics[states].count > 0
         self._assume_zero_torque = assume_zero_torque
-        self._survey()
-        shown = self.topic, *self._there({n: n for n in _TRUTH}).values()
+        shown = self.topic, *self._there({n: n for n in TRUTH}).values()
         self.topics = tuple(self._reader.topics[name] for name in shown)
+
+    @property
+    def alone(self) -> bool:
+        return self._alone and len(self.joints) == 1
+
+    def _observe(self) -> None:
+        self.signals = self.signals_of(self._requests)
+        each = zip(self.joints, self.signals, strict=True)
+        self._places = [places_of(joint, own, alone=self.alone) for joint, own in each]
+        self._survey()
         if not self.same_clock:
             self.remarks = (
                 "note: the bag's stamps and log times are of different clocks, so each measurement "
@@ -331,7 +438,7 @@ class BagSource(Source):
         wanted = {self.topic: self._wanted(MEASUREMENTS)}
         wanted |= {full: self._wanted(name) for name, full in live.items()}
         for series, horizon in read_blocks(self._reader, wanted, size, on_damage=self._damaged):
-            samples = samples_of(series[self.topic], self._assume_zero_torque)
+            samples = samples_of(series[self.topic], self.signals, self._assume_zero_torque)
             others = {name: series[full] for name, full in live.items()}
             yield Part(replace(samples, clock=self.same_clock), others, horizon)
 
@@ -344,10 +451,10 @@ class BagSource(Source):
         return until_damage(self._reader.messages(names), self._damaged)
 
     def truth(self, size: int | None = None) -> Iterator[Truth]:
-        there = self._there({name: name for name in _TRUTH})
+        there = self._there({name: name for name in TRUTH})
         wanted = {full: self._wanted(name) for name, full in there.items()}
         for series, _ in read_blocks(self._reader, wanted, size, on_damage=self._damaged):
-            yield Truth(*(series.get(there.get(name, "")) for name in _TRUTH))
+            yield Truth(*(series.get(there.get(name, "")) for name in TRUTH))
 
     def _damaged(self, error: BagReadError) -> None:
         self.damage = error
@@ -380,19 +487,18 @@ class BagSource(Source):
         raise BagReadError(f"{self.path}: {what} in {MEASUREMENTS}, choose one of: {has}")
 
     def _wanted(self, topic: str) -> Wanted:
-        names = list(self.joints)
         if topic == MEASUREMENTS:
-            return Wanted(names, ("position", "effort"))
-        if topic in (topics.STATES, topics.STATE_BOUNDS, TRUE_STATES):
-            names = [side for joint in self.joints for side in topics.sides(joint)]
-        own = ("position",) if topic == TRUE_DISTURBANCE else ("position", "velocity")
-        return Wanted(names, own)
+            return wanted_measurements(self.signals)
+        return [places[topic] for places in self._places]
 
-    def _own_joints(self) -> tuple[str, ...]:
-        first = self._first_joints()
-        return tuple(joint for joint in self.ran.designs if joint in first) or first
+    def _is_in(self, names: Sequence[str], joint: str) -> bool:
+        """Return whether messages with some names may be about a joint of the live observer."""
+        if len(self.ran.designs) == 1:
+            return True
+        motor = topics.sides(joint)[1]
+        return any(name in (joint, motor) or name.startswith(f"{joint}/") for name in names)
 
-    def _first_joints(self) -> tuple[str, ...]:
+    def _first_names(self) -> tuple[str, ...]:
         messages = until_damage(self._reader.messages([self.topic]), self._damaged)
         first = list(islice(messages, _FIRST_MESSAGES))
         groups, malformed = JointStateDecoder().decode_all([message.data for message in first])
@@ -402,9 +508,12 @@ class BagSource(Source):
 
     def _survey(self) -> None:
         """Read the measurements for what must be known before the first of them is used."""
-        wanted = {self.topic: self._wanted(MEASUREMENTS)}
+        wanted = {self.topic: [own.outputs for own in self.signals]}
         count, before, after = 0, 0, 0
-        named, others, times = np.zeros(len(self.joints), np.bool_), dict[str, None](), []
+        outputs = max((len(own.outputs) for own in self.signals), default=0)
+        there = np.zeros((len(self.joints), outputs), np.bool_)
+        named = np.zeros(len(self.joints), np.bool_)
+        others, times = dict[str, None](), []
         for block in read_blocks(self._reader, wanted, _SURVEYED, on_damage=self._damaged):
             measured = block.series[self.topic]
             if measured.count:
@@ -413,11 +522,16 @@ class BagSource(Source):
             count += measured.count
             before += int((apart <= -SAME_CLOCK).sum())
             after += int((apart >= SAME_CLOCK).sum())
+            there |= measured.given.any(axis=0)
             named |= measured.named.any(axis=0)
             others |= dict.fromkeys(measured.other_names)
         if not count:
             raise self.damage or BagReadError(f"{self.path}: no message on {self.topic}")
-        missing = [joint for joint, one in zip(self.joints, named, strict=True) if not one]
+        missing = [
+            joint
+            for joint, request, one in zip(self.joints, self._requests, named, strict=True)
+            if isinstance(request, ArmRequest) and not one
+        ]
         if missing or not self.joints:
             seen = [joint for joint in self.joints if joint not in missing]
             names = ", ".join([*seen, *others]) or "none"
@@ -425,9 +539,36 @@ class BagSource(Source):
                 f"{self.path}: no message of {self.topic} names {', '.join(missing) or 'a joint'}; "
                 f"joints: {names}"
             )
+        self._require_outputs(there, others)
         self.count, self.span = count, (min(times), max(times))
         # As of the median of the differences.
         self.same_clock = 2 * max(before, after) < count
+
+    def _require_outputs(self, there: Flags, others: Iterable[str]) -> None:
+        """Raise `BagReadError` if no message has some output, which none lacks by chance."""
+        lacking = [
+            f"{request.output_names[place]} of {joint} ({at.described})"
+            for joint, request, own, known in zip(
+                self.joints, self._requests, self.signals, there, strict=True
+            )
+            for place, at in enumerate(own.outputs)
+            if not known[place]
+        ]
+        if not lacking:
+            return
+        text = f"no message of {self.topic} has {', '.join(lacking)}"
+        if not self.was_observed:
+            seen = [at.described for own, known in zip(self.signals, there, strict=True)
+                    for place, at in enumerate(own.outputs) if known[place]]  # fmt: skip
+            has = ", ".join([*seen, *others]) or "none"
+            raise BagReadError(f"{self.path}: {text}, which the design measures; it has: {has}")
+        # The live observer went on with the others.
+        self.remarks += (f"warning: {text}",)
+
+
+def _is_motor(name: str, names: Sequence[str]) -> bool:
+    """Return whether a name is that of the motor of another one's joint."""
+    return any(name == topics.sides(other)[1] for other in names)
 
 
 def in_order_of_use(samples: Samples, innovations: JointSeries) -> Samples:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates and innovations of a replay as arrays, and their comparison with a live run's."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,31 +12,33 @@ from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.events import Condition
 from tsobs_ros.estimation.history import EXTRA
-from tsobs_ros.estimation.state import CONDITIONS
+from tsobs_ros.estimation.state import CONDITIONS, Shape
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Live, Samples, match, places_of_innovations
 
 
 class EstimateTable:
-    """Estimates of J joints at m ticks, from n messages.
+    """Estimates of J joints at m ticks, from n messages; what a joint lacks is NaN.
 
     Args:
         ticks: m.
         messages: n.
-        joints: J.
-        parameters: k, the largest number of parameters that a joint learns.
+        shapes: Sizes of each joint's estimator.
 
     Attributes:
         done: Whether there is an estimate of any joint, shape (m,).
-        innovations: y − ŷ of the measurements that were used, else NaN [rad], shape (n, J).
+        innovations: y − ŷ of the outputs that were used, else NaN, shape (n, J, p).
         times_of_use: Log and publish time of the tick at which a message was used [ns]; -1 if it
             was not used, or after the last tick, shape (n, 2).
         left_out: Whether a message was not used as the recorded observer had not received it,
             shape (n,).
-        states: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), NaN without an estimate, shape (m, J, 4).
-        state_bounds: 1σ bound of each, NaN without one, shape (m, J, 4).
-        disturbances: Disturbance and its rate (rad, rad/s), NaN without, shape (m, J, 2).
-        disturbance_bounds: 1σ bound of the disturbance [rad], NaN without, shape (m, J, 1).
+        states: Of the plant, in an arm [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), NaN without an estimate,
+            shape (m, J, plant).
+        state_bounds: 1σ bound of each, NaN without one, shape (m, J, plant).
+        disturbances: Disturbance of each output and then its rate, NaN without, shape (m, J, 2p).
+        disturbance_bounds: 1σ bound of each disturbance, NaN without, shape (m, J, p).
+        torques: Torque disturbances [N m], NaN without, shape (m, J, t).
+        torque_bounds: 1σ bound of each, shape (m, J, t).
         parameters: Learnt parameters, NaN without, shape (m, J, k).
         parameter_bounds: 1σ of each, shape (m, J, k).
         conditions: What an estimate's numbers are worth, NaN without one: the numbers of
@@ -44,18 +46,34 @@ class EstimateTable:
             newest measurement behind it [s], shape (m, J, c).
     """
 
-    def __init__(self, ticks: int, messages: int, joints: int, parameters: int = 0) -> None:
-        self.states = np.full((ticks, joints, 4), np.nan)
-        self.state_bounds = self.states.copy()
-        self.disturbances = np.full((ticks, joints, 2), np.nan)
-        self.disturbance_bounds = np.full((ticks, joints, 1), np.nan)
-        self.parameters = np.full((ticks, joints, parameters), np.nan)
-        self.parameter_bounds = self.parameters.copy()
-        self.conditions = np.full((ticks, joints, len(CONDITIONS) + EXTRA), np.nan)
+    def __init__(self, ticks: int, messages: int, shapes: Sequence[Shape]) -> None:
+        def nothing(width: int) -> Array:
+            return np.full((ticks, len(shapes), width), np.nan)
+
+        self._shapes = shapes
+        plant, p, k = (max(getattr(shape, n) for shape in shapes) for n in ("plant", "p", "k"))
+        t = max(getattr(shape, "t", 0) for shape in shapes)
+        self.states, self.state_bounds = nothing(plant), nothing(plant)
+        self.disturbances, self.disturbance_bounds = nothing(2 * p), nothing(p)
+        self.torques, self.torque_bounds = nothing(t), nothing(t)
+        self.parameters, self.parameter_bounds = nothing(k), nothing(k)
+        self.conditions = nothing(len(CONDITIONS) + EXTRA)
         self.done = np.zeros(ticks, np.bool_)
-        self.innovations = np.full((messages, joints), np.nan)
+        self.innovations = np.full((messages, len(shapes), p), np.nan)
         self.times_of_use = np.full((messages, 2), -1)
         self.left_out = np.zeros(messages, np.bool_)
+
+    @property
+    def of_topics(self) -> dict[str, Array]:
+        """The estimates by the topics that they are published on."""
+        return {
+            topics.STATES: self.states,
+            topics.STATE_BOUNDS: self.state_bounds,
+            topics.DISTURBANCE: self.disturbances,
+            topics.DISTURBANCE_BOUND: self.disturbance_bounds,
+            topics.TORQUE_DISTURBANCE: self.torques,
+            topics.TORQUE_DISTURBANCE_BOUND: self.torque_bounds,
+        }
 
     def take_over(self, other: "EstimateTable", begin: int) -> None:
         """Enter what another table has of the messages that are this one's first.
@@ -81,16 +99,19 @@ class EstimateTable:
             there: Whether a row is an estimate, shape (m,).
             parts: Places of an estimate's fields in a row.
         """
+        p = self._shapes[joint].p
         for name, array in (
             ("state", self.states),
             ("state_bound", self.state_bounds),
-            ("disturbance", self.disturbances[..., :1]),
-            ("disturbance_rate", self.disturbances[..., 1:]),
+            ("disturbance", self.disturbances),
+            ("disturbance_rate", self.disturbances[..., p:]),
             ("disturbance_bound", self.disturbance_bounds),
+            ("torque_disturbance", self.torques),
+            ("torque_disturbance_bound", self.torque_bounds),
             ("parameters", self.parameters),
             ("parameter_bound", self.parameter_bounds),
         ):
-            numbers = rows[:, parts[name]]
+            numbers = rows[:, parts.get(name, slice(0))]
             width = numbers.shape[1]
             array[ticks, joint, :width] = np.where(there[:, np.newaxis], numbers, np.nan)
         worth = rows[:, -len(CONDITIONS) - EXTRA :]
@@ -179,42 +200,38 @@ class Recorded:
         samples: The measurements.
 
     Attributes:
-        estimates: States and their bounds at the ticks, NaN without, shape (m, J, 8).
-        innovations: Those of each message, NaN without, shape (n, J).
+        states: Those at the ticks, NaN without, shape (m, J, plant).
+        state_bounds: Their bounds, NaN without, shape (m, J, plant).
+        innovations: Those of each message, NaN without, shape (n, J, p).
         unmatched: Places of the recorded innovations that no message has.
     """
 
     def __init__(self, live: Live, schedule: Schedule, samples: Samples) -> None:
         self._live = live
         self._schedule = schedule
-        joints = live.states.values.shape[1] // 2
-        states = _by_tick(live.states, schedule).reshape(-1, joints, 4)
-        bounds = np.full_like(states, np.nan)
+        self.states = _by_tick(live.states, schedule)
+        self.state_bounds = np.full_like(self.states, np.nan)
         if topics.STATE_BOUNDS in live.others:
-            bounds = _by_tick(live.others[topics.STATE_BOUNDS], schedule).reshape(states.shape)
-        self.estimates = np.concatenate([states, bounds], axis=-1)
+            self.state_bounds = _by_tick(live.others[topics.STATE_BOUNDS], schedule)
         own = live.others.get(topics.INNOVATION)
-        self.innovations = np.full((samples.count, joints), np.nan)
+        self.innovations = np.full(samples.y.shape, np.nan)
         self.unmatched = np.zeros(0, np.intp)
         if own is not None:
             places = places_of_innovations(samples, own)
-            self.innovations[places >= 0] = own.values[places[places >= 0], :, 0]
+            self.innovations[places >= 0] = own.values[places[places >= 0]]
             self.unmatched = np.setdiff1d(np.arange(own.count), places)
 
     def same(self, table: EstimateTable, ticks: slice) -> Flags:
         """Return whether the estimates at some ticks are the same to the last bit."""
-        same = _same(table.states[ticks], self.estimates[ticks, :, :4])
-        for topic, values in (
-            (topics.STATE_BOUNDS, table.state_bounds),
-            (topics.DISTURBANCE, table.disturbances),
-            (topics.DISTURBANCE_BOUND, table.disturbance_bounds),
-        ):
-            if topic in self._live.others:
-                recorded = _by_tick(self._live.others[topic], self._schedule)
-                recorded = recorded.reshape(*values.shape[:2], -1)[..., : values.shape[2]]
+        same: Flags = np.ones(len(self.states[ticks]), np.bool_)
+        for topic, values in table.of_topics.items():
+            if topic == topics.STATES:
+                same &= _same(values[ticks], self.states[ticks])
+            elif topic in self._live.others:
+                recorded = _by_tick(self._live.others[topic], self._schedule)[ticks]
                 # A single message that is missing was lost, not different.
                 lost = np.isnan(recorded).all(axis=(1, 2))
-                same &= (lost | _same(values, recorded))[ticks]
+                same &= lost | _same(values[ticks], recorded)
         return same
 
 
@@ -245,12 +262,12 @@ class AgreementCount:
         """Count messages, in the order of their use.
 
         Args:
-            innovations: The recorded ones, NaN without, shape (n, J).
+            innovations: The recorded ones, NaN without, shape (n, J, p).
             table: The replay's.
             messages: Those to count.
         """
-        received = np.asarray(np.isfinite(innovations[messages]).any(axis=1))
-        used = ~np.isnan(table.innovations[messages]).all(axis=1) & ~received
+        received = np.asarray(np.isfinite(innovations[messages]).any(axis=(1, 2)))
+        used = ~np.isnan(table.innovations[messages]).all(axis=(1, 2)) & ~received
         left_out = table.left_out[messages]
         if received.any():
             end = len(received) - int(received[::-1].argmax())
@@ -298,5 +315,7 @@ def _by_tick(series: JointSeries, schedule: Schedule) -> Array:
 
 def _same(ours: Array, theirs: Array) -> Flags:
     """Return for each tick whether all bits are the same, or both sides have no number."""
+    if ours.shape != theirs.shape:  # of an observer with other states
+        return np.zeros(len(ours), np.bool_)
     bits = np.ascontiguousarray(ours).view(np.int64) == np.ascontiguousarray(theirs).view(np.int64)
     return np.asarray((bits | (np.isnan(ours) & np.isnan(theirs))).all(axis=(1, 2)))

@@ -25,12 +25,13 @@ from tsobs_ros.replay.health import (
 from tsobs_ros.report.comparison import (
     EkfComparison,
     compare_with_ekf,
-    expected_innovation,
+    metrics_options,
     render_metrics,
 )
-from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
+from tsobs_ros.report.metrics import RunMetrics, measure
 from tsobs_ros.report.panels import picture
-from tsobs_ros.report.run import RecordedRun, RunParts, find_run
+from tsobs_ros.report.quantities import outputs_of, quantities_of
+from tsobs_ros.report.run import RecordedRun, RunParts, find_observer
 
 
 class ReportError(TsobsError, RuntimeError):
@@ -67,7 +68,8 @@ class BagReport:
 
     def text(self) -> str:
         """Return the report for a terminal."""
-        table = render_metrics(self.metrics, self.comparison)
+        quantities = quantities_of(self.design.design.request)
+        table = render_metrics(self.metrics, self.comparison, quantities)
         what = f"{self.joint}, design {self.design.name} ({self.design.identity})"
         parts = [f"{printable(f'{self.bag}: {what}')}\n{table}"]
         if self.health is not None:
@@ -124,26 +126,25 @@ def make_bag_report(
         ReportError: A file cannot be written.
         ModuleNotFoundError: matplotlib is not installed.
     """
-    parts = find_run(bag, joint, namespace=namespace)
-    run = parts.run
+    found = find_observer(bag, namespace=namespace)
+    joint, ran = found.choose(joint), found.ran
     given = [] if design is None else [design]
-    joints = tuple(joint for joint in run.joints if joint in run.ran.designs) or (run.joint,)
+    joints = tuple(one for one in found.joints if one in ran.designs) or (joint,)
     # Only the design of the joint that the report is on is in question.
-    named = [f"{run.joint}={path}" for path in given]
-    ((*chosen,),) = choose_designs(
-        bag, run.ran, joints, named, others_allowed=other_design
-    ).values()
+    named = [f"{joint}={path}" for path in given]
+    ((*chosen,),) = choose_designs(bag, ran, joints, named, others_allowed=other_design).values()
     files = dict(zip(joints, chosen, strict=True))
-    file = files[run.joint]
-    std = expected_innovation(file.design)
-    options = MetricsOptions(innovation_std=std)
+    file = files[joint]
+    parts = found.run(joint, file.design.request)
+    run = parts.run
+    options = metrics_options(file.design)
     health = _HealthOf(parts)
     metrics = measure(health, options)
     comparison = None
     if ekf and parts.has_truth:
-        comparison = compare_with_ekf(run, metrics, bag, files, run.ran.settings(), options)
+        comparison = compare_with_ekf(run, metrics, bag, files, ran.settings(), options)
     page = html and find_spec("plotly") is not None
-    remarks = [*run.ran.doubt(given), *run.ran.remarks]
+    remarks = [*ran.doubt(given), *ran.remarks]
     if not parts.has_truth:
         remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:
@@ -171,7 +172,8 @@ def make_bag_report(
         # Here, so that matplotlib and plotly are needed only for what they draw.
         from tsobs_ros.report.figures import draw_run
 
-        shown = picture(parts, metrics, std)
+        measured = outputs_of(file.design.request)
+        shown = picture(parts, metrics, options.innovation_stds, measured)
         draw_run(shown, written[0])
         if page:
             from tsobs_ros.report.page import write_html

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tsobs_ros.bag.joint_series import JointSeries
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.records import NANOSECONDS
@@ -28,13 +29,19 @@ from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.replay.source import BagSource, Source, Truth, passes
 from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.report.metrics import (
-    QUANTITIES,
     SIGMAS,
     MetricsOptions,
     RunMetrics,
     ScoreFile,
     SquareSum,
     measure_scores,
+)
+from tsobs_ros.report.quantities import (
+    QUANTITIES,
+    Quantity,
+    measured_states,
+    outputs_of,
+    quantities_of,
 )
 from tsobs_ros.report.run import RecordedRun, Series
 
@@ -100,15 +107,19 @@ class ObserverErrors:
     Attributes:
         observer: Its name.
         joint: The joint's name.
-        innovation_rms: Of all innovations [rad]; None without any.
+        innovation_rms: Of all innovations of each output; None without any.
         metrics: Errors against the truth if it is known, and the innovations' consistency;
             None without estimates.
+        quantities: What is estimated.
+        outputs: Names of the outputs, and their units.
     """
 
     observer: str
     joint: str
-    innovation_rms: float | None
+    innovation_rms: tuple[float | None, ...]
     metrics: RunMetrics | None
+    quantities: tuple[Quantity, ...] = QUANTITIES
+    outputs: tuple[tuple[str, str], ...] = (("link angle", "rad"),)
 
     @property
     def normalised_rmse(self) -> float:
@@ -121,16 +132,32 @@ class ObserverErrors:
         return {
             "observer": self.observer,
             "joint": self.joint,
-            "innovation_rms": self.innovation_rms,
+            "innovation_rms": self.innovation_rms[0]
+            if len(self.outputs) == 1
+            else {
+                name: rms for (name, _), rms in zip(self.outputs, self.innovation_rms, strict=True)
+            },
             **({} if self.metrics is None else self.metrics.as_mapping()),
         }
 
 
-def expected_innovation(design: Design) -> float:
-    """Return the 1σ of an innovation that a design's certificate expects [rad]."""
+def metrics_options(design: Design, options: MetricsOptions | None = None) -> MetricsOptions:
+    """Return options with the 1σ of innovations that a design's certificate expects.
+
+    Of a T–S system the states' sizes are those before any measurement.
+
+    Args:
+        design: The design.
+        options: The other options; the defaults if None.
+    """
     C = design.request.flow.output_matrix
     covariance = C @ design.covariance_bound @ C.T + design.request.measurement_covariance
-    return float(np.sqrt(covariance[0, 0]))
+    made = replace(
+        options or MetricsOptions(), innovation_std=tuple(np.sqrt(covariance.diagonal()).tolist())
+    )
+    if isinstance(design.request, TSRequest):
+        made = replace(made, scale=tuple(np.asarray(design.request.initial_std).tolist()))
+    return made
 
 
 def compare_with_ekf(
@@ -252,7 +279,7 @@ class _TruthReader:
 
     def __init__(self, source: Source, size: int | None) -> None:
         self._parts, self._read_until = source.truth(size), -math.inf
-        self._kept = Truth(None, None)
+        self._kept = Truth(None, None, None)
 
     def read(self, begin: float, end: float) -> Truth:
         """Return the truth that was recorded from a second before one log time to another [ns]."""
@@ -279,16 +306,19 @@ class _RunScore:
 
     def __init__(self, run: Run, joint: int, name: str, options: MetricsOptions) -> None:
         self._run, self._joint, self._name = run, joint, name
-        std = expected_innovation(run.observer.designs[joint])
-        self._options = replace(options, innovation_std=std)
-        self._innovations = SquareSum()
+        design = run.observer.designs[joint]
+        self._request, self._options = design.request, metrics_options(design, options)
+        self._outputs = tuple(outputs_of(design.request))
+        self._quantities = quantities_of(design.request)
+        self._innovations = [SquareSum() for _ in self._outputs]
         self._pass, self._longest = ScoreFile(), ScoreFile()
         self._newest = 0
 
     def add(self, truth: Truth) -> None:
         run, joint = self._run, self._joint
         ticks, messages = run.made
-        self._innovations.add(run.table.innovations[messages, joint])
+        for place, squares in enumerate(self._innovations):
+            squares.add(run.table.innovations[messages, joint, place])
         there = np.flatnonzero(np.isfinite(run.table.states[ticks, joint, 0]))
         stamps = run.schedule.stamps[there]
         for number, (begin, end) in enumerate(passes(stamps, self._newest)):
@@ -310,22 +340,29 @@ class _RunScore:
         run, joint = self._run, self._joint
         samples, table = run.samples.take(messages), run.table
         there = samples.complete[:, joint]
-        measured = np.column_stack([samples.y[there, joint], samples.u[there, joint]])
-        innovations = table.innovations[messages, joint]
-        used = ~np.isnan(innovations)
+        own = run.signals[joint]
+        p, m, plant, t = map(len, (own.outputs, own.inputs, own.states, own.torques))
+        measured = np.hstack([samples.y[there, joint, :p], samples.u[there, joint, :m]])
+        innovations = table.innovations[messages, joint, :p]
+        used = np.isfinite(innovations).any(axis=1)
         stamps = run.schedule.stamps[ticks]
         return RecordedRun(
             name=run.observer.name,
             joint=self._name,
             measurements=Series(samples.stamps[there], measured),
             stamps=stamps,
-            states=table.states[ticks, joint],
-            state_bounds=table.state_bounds[ticks, joint],
-            disturbance=table.disturbances[ticks, joint, 0],
-            disturbance_bounds=table.disturbance_bounds[ticks, joint, 0],
-            innovations=Series(samples.stamps[used], innovations[used, np.newaxis]).ordered(),
-            truth=_series(truth.states, 2 * joint, 2),
-            true_disturbance=_series(truth.disturbance, joint, 1),
+            states=table.states[ticks, joint, :plant],
+            state_bounds=table.state_bounds[ticks, joint, :plant],
+            disturbance=table.disturbances[ticks, joint, :p],
+            disturbance_bounds=table.disturbance_bounds[ticks, joint, :p],
+            torque=table.torques[ticks, joint, :t],
+            torque_bounds=table.torque_bounds[ticks, joint, :t],
+            innovations=Series(samples.stamps[used], innovations[used]).ordered(),
+            truth=_series(truth.states, joint, plant),
+            true_disturbance=_series(truth.disturbance, joint, p),
+            true_torque=_series(truth.torque, joint, t),
+            quantities=self._quantities,
+            measured=measured_states(self._request),
             begin=self._pass.origin,
             since=self._pass.until,
             until=int(stamps[-1]) + 1,
@@ -336,22 +373,24 @@ class _RunScore:
         self._pass.close()
         metrics, scores = None, self._longest
         if scores.count:
-            metrics = measure_scores(scores, self._options)
+            metrics = measure_scores(scores, self._options, self._quantities)
         scores.close()
-        innovation = self._innovations.root_mean()
-        return ObserverErrors(self._run.observer.name, self._name, innovation, metrics)
+        return ObserverErrors(
+            self._run.observer.name,
+            self._name,
+            tuple(one.root_mean() for one in self._innovations),
+            metrics,
+            self._quantities,
+            self._outputs,
+        )
 
 
-def _series(series: JointSeries | None, begin: int, names: int) -> Series | None:
-    """Return some neighbouring names of a topic, None if no message has them."""
-    if series is None:
+def _series(series: JointSeries | None, joint: int, width: int) -> Series | None:
+    """Return a joint's values on a topic, None if no message has them."""
+    there = None if series is None else series.named[:, joint]
+    if series is None or there is None or not there.any():
         return None
-    chosen = slice(begin, begin + names)
-    there = series.named[:, chosen].all(axis=1)
-    if not there.any():
-        return None
-    values = series.values[there, chosen]
-    return Series(series.stamps[there], values.reshape(len(values), -1)).ordered()
+    return Series(series.stamps[there], series.values[there, joint, :width]).ordered()
 
 
 def _ratio(ours: float | None, theirs: float | None) -> float | None:
@@ -389,13 +428,15 @@ def _cells(rows: Sequence[ObserverErrors]) -> list[list[str]]:
         cells.append([name, unit, *map(_number, measured)])
 
     def rmse(metrics: RunMetrics, key: str) -> float | None:
-        return metrics[key].rmse
+        return metrics[key].rmse if key in metrics else None
 
     if any(row.metrics is not None and row.metrics.has_truth for row in rows):
-        for key, name, unit in QUANTITIES:
-            add(name, unit, partial(rmse, key=key))
+        for quantity in rows[0].quantities:
+            add(quantity.name, quantity.unit, partial(rmse, key=quantity.key))
         add("all states, normalised", "", lambda metrics: metrics.normalised_rmse)
-    cells.append(["innovation", "rad", *(_number(row.innovation_rms) for row in rows)])
+    for place, (output, unit) in enumerate(rows[0].outputs):
+        name = "innovation" if len(rows[0].outputs) == 1 else f"innovation of {output}"
+        cells.append([name, unit, *(_number(row.innovation_rms[place]) for row in rows)])
     add("innovation² / expected", "", lambda metrics: metrics.nis)
     return cells
 
@@ -411,15 +452,20 @@ def _note(rows: Sequence[ObserverErrors]) -> str:
     return f"errors over the {first.settled_time:.1f} s that count as settled"
 
 
-def render_metrics(metrics: RunMetrics, comparison: EkfComparison | None = None) -> str:
+def render_metrics(
+    metrics: RunMetrics,
+    comparison: EkfComparison | None = None,
+    quantities: Sequence[Quantity] = QUANTITIES,
+) -> str:
     """Return the metrics as a table with a line on the run above and on its events below.
 
     Args:
         metrics: Of the recorded estimates.
+        quantities: What is estimated.
         comparison: With an EKF on the same data; adds two columns.
     """
     rows = [["", "unit", "RMSE", "bound (1σ)", "RMSE/bound", f"inside {SIGMAS:g}σ"]]
-    for quantity in QUANTITIES:
+    for quantity in quantities:
         one = metrics[quantity.key]
         inside = _NOTHING if one.inside is None else f"{100.0 * one.inside:.1f} %"
         numbers = [_number(one.rmse), _number(one.bound), _quotient(one.ratio), inside]
@@ -427,9 +473,9 @@ def render_metrics(metrics: RunMetrics, comparison: EkfComparison | None = None)
     rows.append(["all states, normalised", "", _number(metrics.normalised_rmse), "", "", ""])
     below = _events(metrics)
     if comparison is not None:
-        errors = [one.rmse for one in comparison.ekf.quantities]
-        errors.append(comparison.ekf.normalised_rmse)
-        ratios = [*comparison.ratios.values(), comparison.normalised_ratio]
+        theirs = {one.key: one.rmse for one in comparison.ekf.quantities}
+        errors = [*(theirs.get(one.key) for one in quantities), comparison.ekf.normalised_rmse]
+        ratios = [*(comparison.ratios[one.key] for one in quantities), comparison.normalised_ratio]
         rows[0] += ["EKF RMSE", "RMSE/EKF"]
         for row, error, ratio in zip(rows[1:], errors, ratios, strict=True):
             row += [_number(error), _quotient(ratio)]
@@ -449,7 +495,8 @@ def _events(metrics: RunMetrics) -> list[str]:
             settled = f"errors settled after {event.settled_after:.2f} s"
         else:
             settled = "settling not seen"
-        what = "start" if event.what == "start" else f"jump of {event.size:+.3g} rad"
+        unit = {"start": "", "jump": "rad", "step": "N m"}[event.what]
+        what = event.what if event.what == "start" else f"{event.what} of {event.size:+.3g} {unit}"
         lines.append(f"{what} at {event.time:.2f} s: {settled}")
     if metrics.nis is not None:
         lines.append(f"innovations: mean square {metrics.nis:.3g} × what the design expects")

@@ -4,6 +4,7 @@
 
 import gc
 from pathlib import Path
+from textwrap import wrap
 
 import matplotlib
 import numpy as np
@@ -24,6 +25,8 @@ _DPI = 140
 _TALL, _FLAT = 1.72, 1.35
 _TOP, _BOTTOM = 1.0, 0.52
 _FAINT, _STRONG = 0.13, 0.32
+_JUMPS = {"jump": "fault {:+.2g} rad", "step": "torque {:+.2g} N m"}
+_LABEL_WIDTH = 18
 
 
 def draw_run(picture: Picture, path: Path) -> None:
@@ -132,7 +135,8 @@ def _legend(picture: Picture) -> list[Line2D | Patch]:
 def _draw(axes: Axes, plot: Plot, unit: str) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
     axes.tick_params(length=0)
-    axes.set_ylabel(f"{plot.label}\n[{unit}]", linespacing=1.4)
+    lines = [*wrap(plot.label, _LABEL_WIDTH), *([f"[{unit}]"] if unit else [])]
+    axes.set_ylabel("\n".join(lines), linespacing=1.4)
     axes.set_ylim(plot.limits)
     if plot.dots is not None:
         # Thousands of dots as vectors would make an SVG slow and large.
@@ -185,7 +189,7 @@ def _mark_events(axes: Axes, picture: Picture) -> None:
     for begin, end in picture.unsettled:
         axes.axvspan(begin, end, color=content.SETTLING_COLOUR, lw=0, zorder=0)
     for event in picture.events:
-        if event.what == "jump":
+        if event.what != "start":
             axes.axvline(event.time, color=content.EVENT_COLOUR, lw=1.0, ls=(0, (2, 2)), zorder=6)
 
 
@@ -194,13 +198,13 @@ def _label_jumps(axes: Axes, picture: Picture) -> None:
     last = -np.inf
     for event in picture.events:
         # A label is up to 40 % wide, and must not cover the one before it.
-        if event.what != "jump" or event.time - last < 0.4 * (end - begin):
+        if event.what == "start" or event.time - last < 0.4 * (end - begin):
             continue
         last, after = event.time, event.settled_after
         late = event.time > 0.5 * (begin + end)
         settled = "" if after is None else f", settled after {after:.2g} s"
         axes.annotate(
-            f"fault {event.size:+.2g} rad{settled}",
+            f"{_JUMPS[event.what].format(event.size)}{settled}",
             (event.time, 1.0),
             xycoords=axes.get_xaxis_transform(),
             xytext=(-4 if late else 4, 3),

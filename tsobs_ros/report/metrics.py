@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array, as_matrix, check_each, non_negative, positive
+from tsobs_ros.errors import ModelError
+from tsobs_ros.report.quantities import QUANTITIES, Quantity
 from tsobs_ros.report.run import RecordedRun
 
 SIGMAS = 3.0
@@ -25,23 +27,7 @@ SIGMAS = 3.0
 
 
 SAME_JUMP = 0.1
-
-
-class Quantity(NamedTuple):
-    """An estimated quantity: a key for programs, a name for people, a unit."""
-
-    key: str
-    name: str
-    unit: str
-
-
-QUANTITIES = (
-    Quantity("link_angle", "link angle", "rad"),
-    Quantity("link_velocity", "link velocity", "rad/s"),
-    Quantity("motor_angle", "motor angle", "rad"),
-    Quantity("motor_velocity", "motor velocity", "rad/s"),
-    Quantity("disturbance", "sensor disturbance", "rad"),
-)
+_JUMPS = {"disturbance": "jump", "torque": "step"}
 
 
 @dataclass(frozen=True)
@@ -51,13 +37,14 @@ class MetricsOptions:
     Attributes:
         start_settle_time: Time after the first estimate that does not count [s].
         jump_settle_time: Time after a jump of the true disturbance that does not count [s].
-        jump_threshold: Change of the true disturbance from one sample to the next that is a jump
-            [rad]; about 1σ of the sensor's noise, and several times what a fault of 0.4 rad at
-            3 rad/s moves in a sample at 200 Hz.
+        jump_threshold: Change of an angle's true disturbance from one sample to the next that is a
+            jump [rad]; about 1σ of the sensor's noise, and several times what a fault of 0.4 rad
+            at 3 rad/s moves in a sample at 200 Hz.
         hold_time: Time that errors must stay inside their bound to have settled [s].
-        scale: Typical size of [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), which the normalised RMSE divides
-            by; the default is the root mean square of the default arm's motion.
-        innovation_std: 1σ the design expects of an innovation [rad]; None if unknown.
+        scale: Typical size of each state, which the normalised RMSE divides by; the default is the
+            root mean square of the default arm's motion (rad, rad/s).
+        innovation_std: 1σ the design expects of each output's innovation; one number for all, None
+            if unknown.
 
     Raises:
         ModelError: A time or size is negative, or not finite.
@@ -68,15 +55,21 @@ class MetricsOptions:
     jump_threshold: float = 0.03
     hold_time: float = 1.0
     scale: tuple[float, ...] = (0.226, 0.60, 0.355, 0.464)
-    innovation_std: float | None = None
+    innovation_std: float | tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         check_each(non_negative, self, "start_settle_time", "jump_settle_time", "hold_time")
         positive("jump_threshold", self.jump_threshold)
-        for value in as_matrix("scale", self.scale, (4,)):
+        for value in as_matrix("scale", self.scale, (len(self.scale),)):
             positive("scale", float(value))
-        if self.innovation_std is not None:
-            positive("innovation_std", self.innovation_std)
+        for value in self.innovation_stds:
+            positive("innovation_std", value)
+
+    @property
+    def innovation_stds(self) -> tuple[float, ...]:
+        """1σ expected of each output's innovation; empty if unknown."""
+        one = self.innovation_std
+        return () if one is None else one if isinstance(one, tuple) else (one,)
 
 
 @dataclass(frozen=True)
@@ -84,7 +77,7 @@ class QuantityMetrics:
     """One estimated quantity over the settled parts; None if the data for it are missing.
 
     Attributes:
-        key: As in `QUANTITIES`.
+        key: The quantity's.
         rmse: Root mean square error, in the quantity's unit.
         bound: Root mean square of the published 1σ bound.
         ratio: rmse / bound; at most 1, up to chance, if the certificate's model is true.
@@ -103,10 +96,17 @@ Windows = tuple[tuple[float, float], ...]
 
 
 class Jump(NamedTuple):
-    """A sudden change of the true disturbance: when [s] since the origin, and by what [rad]."""
+    """A sudden change of a true disturbance.
+
+    Attributes:
+        time: Seconds since the origin.
+        size: Change, in the disturbance's unit.
+        of: Place of the disturbance among the run's quantities.
+    """
 
     time: float
     size: float
+    of: int
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,9 @@ class Event:
     """A start or a jump, after which errors have to settle.
 
     Attributes:
-        what: "start" or "jump".
+        what: "start", "jump" of an output's disturbance, or "step" of a torque disturbance.
         time: Seconds since the run's origin.
-        size: Change of the true disturbance [rad]; 0 for the start.
+        size: Change of the true disturbance, in its unit; 0 for the start.
         settled_after: Seconds until all errors are inside their settled bounds and stay there for
             the hold time; None if they never are before the next event, or without truth.
     """
@@ -132,10 +132,11 @@ class RunMetrics:
     """The measured run.
 
     Attributes:
-        quantities: One for each of `QUANTITIES`, in that order.
-        normalised_rmse: Root mean square over the four states of RMSE / scale; None without truth.
+        quantities: One for each of the run's quantities, in that order.
+        normalised_rmse: Root mean square over the states of RMSE / scale; None without truth.
         nis: Mean normalised innovation squared over the settled parts, 1 if the innovations are
             as large as the design expects; None if that is not known.
+        output_nis: The same of each output.
         events: The start and the jumps, in order.
         windows: Settled parts as (begin, end) in seconds since the run's origin.
         settled_time: Their total length [s].
@@ -147,6 +148,7 @@ class RunMetrics:
     quantities: tuple[QuantityMetrics, ...]
     normalised_rmse: float | None
     nis: float | None
+    output_nis: tuple[float | None, ...]
     events: tuple[Event, ...]
     windows: Windows
     settled_time: float
@@ -159,6 +161,9 @@ class RunMetrics:
         """Whether the error of any quantity is known."""
         return any(one.rmse is not None for one in self.quantities)
 
+    def __contains__(self, key: str) -> bool:
+        return any(one.key == key for one in self.quantities)
+
     def __getitem__(self, key: str) -> QuantityMetrics:
         """Return the metrics of one quantity, else raise `KeyError`."""
         return {one.key: one for one in self.quantities}[key]
@@ -169,6 +174,8 @@ class RunMetrics:
         data["quantities"] = {one.pop("key"): one for one in data["quantities"]}
         data["windows"] = [list(window) for window in self.windows]
         data["events"] = list(data["events"])
+        if len(self.output_nis) <= 1:
+            del data["output_nis"]
         return data
 
 
@@ -177,10 +184,11 @@ class Score(NamedTuple):
 
     Attributes:
         times: Of the estimates, since the run's origin [s], shape (m,).
-        error: Estimate − truth of all `QUANTITIES`, NaN if unknown, shape (m, 5).
-        bounds: 1σ bound of each, shape (m, 5).
-        innovations: Time [s] and innovation [rad], shape (i, 2); None if not recorded.
-        jumps: Time [s] and size [rad] of the true disturbance's large steps, shape (s, 2).
+        error: Estimate − truth of all k quantities, NaN if unknown, shape (m, k).
+        bounds: 1σ bound of each, shape (m, k).
+        innovations: Time [s] and innovations of the outputs, shape (i, 1 + p); None if not
+            recorded.
+        jumps: Time [s], size and quantity of true disturbances' large steps, shape (s, 3).
         measurements: Number of measurements.
         last_measured: Time of the last measurement [s].
         has_truth: Whether any truth was recorded.
@@ -198,20 +206,21 @@ class Score(NamedTuple):
 
 def score(run: RecordedRun, options: MetricsOptions) -> Score:
     """Return what is measured of a run, or of a part of it."""
-    error, innovations = errors(run), None
+    innovations = None
     if run.innovations is not None:
         seconds = run.innovations.seconds(run.origin)
-        innovations = np.column_stack([seconds, run.innovations.values[:, 0]])
+        innovations = np.column_stack([seconds, run.innovations.values])
     measured = run.measurements.seconds(run.origin)
+    each = [run.of(quantity) for quantity in run.quantities]
     return Score(
         times=run.times,
-        error=np.full((len(run.times), len(QUANTITIES)), np.nan) if error is None else error,
-        bounds=np.column_stack([run.state_bounds, run.disturbance_bounds]),
+        error=np.column_stack([one.error for one in each]),
+        bounds=np.column_stack([one.bounds for one in each]),
         innovations=innovations,
         jumps=_large_steps(run, options.jump_threshold),
         measurements=len(measured),
         last_measured=float(measured.max(initial=-math.inf)),
-        has_truth=error is not None,
+        has_truth=any(one.truth is not None for one in each),
     )
 
 
@@ -227,11 +236,11 @@ def measure(
     """
     options = options or MetricsOptions()
     if isinstance(run, RecordedRun):
-        return measure_scores([score(run, options)], options)
+        return measure_scores([score(run, options)], options, run.quantities)
     with closing(ScoreFile()) as scores:
         for part in run:
             scores.add(part, options)
-        return measure_scores(scores, options)
+        return measure_scores(scores, options, scores.quantities)
 
 
 class ScoreFile:
@@ -241,17 +250,19 @@ class ScoreFile:
         count: Number of estimates.
         origin: Stamp that times count from [ns]; None before the first part.
         until: End of the parts until now [ns].
+        quantities: What the scores are of.
     """
 
     def __init__(self) -> None:
         self.count, self._parts = 0, 0
+        self.quantities: tuple[Quantity, ...] = QUANTITIES
         self.origin: int | None = None
         self.until: int | None = None
         self._file = TemporaryFile()  # noqa: SIM115 (`close` closes it)
 
     def add(self, part: RecordedRun, options: MetricsOptions) -> None:
         """Add a part."""
-        self.origin, self.until = part.origin, part.until
+        self.origin, self.until, self.quantities = part.origin, part.until, part.quantities
         self.count += len(part.stamps)
         self._parts += 1
         for one in score(part, options):
@@ -268,9 +279,13 @@ class ScoreFile:
             yield Score(*fields[:5], *(one.item() for one in fields[5:]))
 
 
-def measure_scores(scores: Iterable[Score], options: MetricsOptions) -> RunMetrics:
-    """Measure a run by its scores, which are gone through twice."""
-    whole = _Whole()
+def measure_scores(
+    scores: Iterable[Score],
+    options: MetricsOptions,
+    quantities: Sequence[Quantity] = QUANTITIES,
+) -> RunMetrics:
+    """Measure a run by its scores of some quantities, which are gone through twice."""
+    whole = _Whole(len(quantities))
     for one in scores:
         whole.add(one)
     jumps = whole.jumps()
@@ -278,35 +293,52 @@ def measure_scores(scores: Iterable[Score], options: MetricsOptions) -> RunMetri
     windows = _settled_windows(
         whole.first, last, jumps, options.start_settle_time, options.jump_settle_time
     )
-    quantities = [_Quantity(key) for key, _, _ in QUANTITIES]
-    innovations = SquareSum()
+    sums = [_Quantity(quantity.key) for quantity in quantities]
+    innovations: list[SquareSum] = []
     begins = [whole.first, *(jump.time for jump in jumps)]
     settlings = [_Settling(begin, options.hold_time) for begin in begins]
     for one in scores:
         settled = inside_windows(one.times, windows)
-        for place, quantity in enumerate(quantities):
+        for place, quantity in enumerate(sums):
             quantity.add(one.error[settled, place], one.bounds[settled, place])
         if one.innovations is not None:
             of_settled = inside_windows(one.innovations[:, 0], windows)
-            innovations.add(one.innovations[of_settled, 1])
+            outputs = one.innovations.shape[1] - 1
+            innovations += [SquareSum() for _ in range(outputs - len(innovations))]
+            for output, squares in enumerate(innovations, 1):
+                squares.add(one.innovations[of_settled, output])
         if whole.has_truth and len(one.times):
             outside = whole.is_outside(one)
             of_event = np.searchsorted(begins, one.times, side="right") - 1
             for event in range(max(0, int(of_event[0])), int(of_event[-1]) + 1):
                 here = of_event == event
                 settlings[event].add(one.times[here], outside[here])
-    measured = tuple(quantity.result() for quantity in quantities)
-    std, size = options.innovation_std, innovations.root_mean()
-    known = std is not None and size is not None
+    measured = tuple(one.result() for one in sums)
+    stds = options.innovation_stds
+    stds = stds * len(innovations) if len(stds) == 1 else stds
+    nis = tuple(
+        None if (size := each.root_mean()) is None else _bounded((size / std) * (size / std))
+        for each, std in zip(innovations, stds, strict=False)
+    )
+    states = [
+        one.rmse
+        for one, quantity in zip(measured, quantities, strict=True)
+        if quantity.kind == "state"
+    ]
+    if len(states) != len(options.scale):
+        raise ModelError(
+            f"scale: expected {len(states)} sizes, one a state, got {len(options.scale)}"
+        )
     return RunMetrics(
         quantities=measured,
-        normalised_rmse=_normalised([one.rmse for one in measured[:4]], options.scale),
-        nis=_bounded((size / std) * (size / std)) if known and std and size is not None else None,
+        normalised_rmse=_normalised(states, options.scale),
+        nis=_mean(nis, [one.count for one in innovations]),
+        output_nis=nis,
         events=tuple(
-            Event("jump" if place else "start", one.begin, size, one.after)
-            for place, (one, size) in enumerate(
-                zip(settlings, [0.0, *(jump.size for jump in jumps)], strict=True)
-            )
+            Event("start", one.begin, 0.0, one.after)
+            if jump is None
+            else Event(_JUMPS[quantities[jump.of].kind], one.begin, jump.size, one.after)
+            for one, jump in zip(settlings, [None, *jumps], strict=True)
         ),
         windows=windows,
         settled_time=sum(end - begin for begin, end in windows),
@@ -316,33 +348,16 @@ def measure_scores(scores: Iterable[Score], options: MetricsOptions) -> RunMetri
     )
 
 
-def errors(run: RecordedRun) -> Array | None:
-    """Return estimate − truth of all `QUANTITIES`, NaN if unknown, shape (m, 5).
-
-    None without any truth; a truth that was not recorded in part is NaN.
-    """
-    states, disturbance = run.true_states, run.true_disturbance_held
-    if states is None and disturbance is None:
-        return None
-    nothing = np.full(len(run.stamps), np.nan)
-    return np.column_stack(
-        [
-            run.states - (nothing[:, np.newaxis] if states is None else states),
-            run.disturbance - (nothing if disturbance is None else disturbance),
-        ]
-    )
-
-
 class _Whole:
     """What must be known of a whole run before it is measured."""
 
-    def __init__(self) -> None:
+    def __init__(self, quantities: int) -> None:
         self.first, self.last = math.inf, -math.inf
         self.last_measured = -math.inf
         self.estimates, self.measurements, self.has_truth = 0, 0, False
         self._steps: list[Array] = []
-        self._limits = np.full(len(QUANTITIES), np.inf)
-        self._known = np.zeros(len(QUANTITIES), np.bool_)
+        self._limits = np.full(quantities, np.inf)
+        self._known = np.zeros(quantities, np.bool_)
 
     def add(self, part: Score) -> None:
         """Add a part."""
@@ -369,12 +384,13 @@ class _Whole:
         return np.asarray(~(np.abs(part.error) <= self._limits)[:, judged].all(axis=1))
 
     def jumps(self) -> tuple[Jump, ...]:
-        """Return the jumps of the true disturbance during the estimates."""
+        """Return the jumps of the true disturbances during the estimates."""
         found, before = [], -math.inf
-        for time, size in np.concatenate(self._steps).tolist() if self._steps else ():
+        steps = np.concatenate(self._steps) if self._steps else np.zeros((0, 3))
+        for time, size, quantity in steps[np.argsort(steps[:, 0], kind="stable")].tolist():
             # A fault that chatters is one event, which begins with its first jump.
             if self.first < time <= self.last and time - before > SAME_JUMP:
-                found.append(Jump(time, size))
+                found.append(Jump(time, size, int(quantity)))
             before = time
         return tuple(found)
 
@@ -431,9 +447,17 @@ def root_mean_square(values: Array) -> float | None:
 
 def _normalised(rmse: list[float | None], scale: tuple[float, ...]) -> float | None:
     relative = [e / s for e, s in zip(rmse, scale, strict=True) if e is not None]
-    if len(relative) < 4:
+    if len(relative) < len(scale):
         return None
-    return _bounded(math.sqrt(sum(r * r for r in relative) / 4.0))
+    return _bounded(math.sqrt(sum(r * r for r in relative) / len(scale)))
+
+
+def _mean(values: Sequence[float | None], counts: Sequence[int]) -> float | None:
+    """Return the mean of values that are means of so many, None without any."""
+    known = [(value, n) for value, n in zip(values, counts, strict=False) if value is not None]
+    if len(known) <= 1:
+        return known[0][0] if known else None
+    return _bounded(sum(value * n for value, n in known) / sum(n for _, n in known))
 
 
 def _bounded(value: float) -> float:
@@ -442,14 +466,18 @@ def _bounded(value: float) -> float:
 
 
 def _large_steps(run: RecordedRun, threshold: float) -> Array:
-    """Return times [s] and sizes [rad] of the true disturbance's steps above a threshold [rad]."""
-    if run.true_disturbance is None:
-        return np.zeros((0, 2))
-    stamps, values = run.true_disturbance
-    steps = np.diff(values[:, 0])
-    large = (np.abs(steps) > threshold) & run.covers(stamps[1:])
-    seconds = run.true_disturbance.seconds(run.origin)[1:]
-    return np.column_stack([seconds[large], steps[large]])
+    """Return time [s], size and quantity of steps of the truth above thresholds, shape (s, 3)."""
+    found = [np.zeros((0, 3))]
+    for place, quantity in enumerate(run.quantities):
+        limit = threshold if quantity.jump is None else quantity.jump
+        truth = run.of(quantity).truth if limit < math.inf else None
+        if truth is None:
+            continue
+        steps = np.diff(truth.values[:, 0])
+        large = (np.abs(steps) > limit) & run.covers(truth.stamps[1:])
+        times = truth.seconds(run.origin)[1:][large]
+        found.append(np.column_stack([times, steps[large], np.full(len(times), float(place))]))
+    return np.concatenate(found)
 
 
 def _settled_windows(

@@ -4,6 +4,7 @@
 
 import html
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from tsobs_ros.style import INK, MUTED
 _ROW = 210
 _HEAD = 130
 _PIECE = 2**16
+_LABEL_WIDTH = 24
 _CELL: dict[str, Any] = {}
 
 
@@ -151,7 +153,7 @@ def _add_plot(figure: Any, plot: Plot, unit: str, place: tuple[int, int]) -> Non
         line = {"color": MUTED, "dash": "dash", "width": 1}
         for sign in (-1.0, 1.0):
             figure.add_hline(sign * plot.level[0], row=row, col=column, line=line)
-    title = f"{plot.label}<br>[{unit}]"
+    title = "<br>".join([*wrap(plot.label, _LABEL_WIDTH), *([f"[{unit}]"] if unit else [])])
     figure.update_yaxes(title_text=title, range=plot.limits, row=row, col=column)
 
 
@@ -167,7 +169,7 @@ def _add(
         y=values.astype(np.float32),
         name=name,
         legendgroup=name,
-        showlegend=name not in known and name not in (ERROR, "innovation"),
+        showlegend=name not in known and name != ERROR and not name.startswith("innovation"),
         **style,
     )
     figure.add_trace(trace, row=place[0], col=place[1])
@@ -179,6 +181,6 @@ def _mark_events(figure: Any, picture: Picture) -> None:
             begin, end, fillcolor=content.SETTLING_COLOUR, opacity=1.0, line_width=0, layer="below"
         )
     for event in picture.events:
-        if event.what == "jump":
+        if event.what != "start":
             line = {"color": content.EVENT_COLOUR, "dash": "dot", "width": 1}
             figure.add_vline(event.time, line=line)

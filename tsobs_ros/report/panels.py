@@ -3,7 +3,7 @@
 """Panels of curves on one time axis: the content of a run's figure and of its page."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,15 +14,8 @@ from tsobs_ros.estimation.events import BOUNDS
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.replay.thinning import ThinnedValues
-from tsobs_ros.report.metrics import (
-    QUANTITIES,
-    SIGMAS,
-    Event,
-    Quantity,
-    RunMetrics,
-    errors,
-    inside_windows,
-)
+from tsobs_ros.report.metrics import SIGMAS, Event, RunMetrics, inside_windows
+from tsobs_ros.report.quantities import Quantity
 from tsobs_ros.report.run import RecordedRun
 
 MAX_CURVE = 5000
@@ -126,7 +119,7 @@ class Picture(NamedTuple):
     Attributes:
         name: The run's origin.
         headline: A line on the run as a whole.
-        panels: Four states, disturbance and, if recorded, innovations and health.
+        panels: States, disturbances, torque disturbances and, if recorded, innovations and health.
         time_range: Begin and end of the time axis [s]: all measurements and estimates.
         unsettled: Parts that do not count as settled, (begin, end) in seconds.
         events: The start and the jumps.
@@ -145,39 +138,46 @@ class Picture(NamedTuple):
 def picture(
     run: RecordedRun | Iterable[RecordedRun],
     metrics: RunMetrics,
-    innovation_std: float | None = None,
+    innovation_std: Sequence[float] = (),
+    outputs: Sequence[tuple[str, str]] = (("link angle", "rad"),),
 ) -> Picture:
     """Return what is shown of a run.
 
     Args:
         run: The recorded run, or its parts.
         metrics: Its metrics.
-        innovation_std: 1σ the design expects of an innovation [rad]; None if unknown.
+        innovation_std: 1σ the design expects of each output's innovation; empty if unknown.
+        outputs: Names of the outputs with their units.
     """
-    quantities = [_Quantity(place, metrics) for place in range(len(QUANTITIES))]
-    innovations, sizes = _Extremes(), ThinnedValues(_FOR_QUANTILES)
+    quantities: list[_Quantity] = []
+    innovations = [(_Extremes(), ThinnedValues(_FOR_QUANTILES)) for _ in outputs]
     health = _Health()
     first, last, measured, part = math.inf, 0.0, 0.0, None
     known, has_truth = False, False
     for part in [run] if isinstance(run, RecordedRun) else run:
+        quantities = quantities or [_Quantity(one, metrics) for one in part.quantities]
         if len(part.times):
             first, last = min(first, float(part.times[0])), float(part.times[-1])
         measured = max(measured, float(part.measurements.seconds(part.origin).max(initial=0.0)))
-        has_truth |= part.truth is not None or part.true_disturbance is not None
         known |= part.truth is not None
-        error = errors(part)
         for quantity in quantities:
-            quantity.add(part, None if error is None else error[:, quantity.place])
+            has_truth |= quantity.add(part)
         if part.innovations is not None and len(part.innovations.stamps):
-            times, values = part.innovations.seconds(part.origin), part.innovations.values[:, 0]
-            innovations.add(times, values)
-            sizes.add(np.abs(values[np.isfinite(values)]))
+            times = part.innovations.seconds(part.origin)
+            for (curve, sizes), values in zip(innovations, part.innovations.values.T, strict=True):
+                there = np.isfinite(values)
+                curve.add(times[there], values[there])
+                sizes.add(np.abs(values[there]))
         if part.health is not None and len(part.health.stamps):
             health.add(part.health.seconds(part.origin), part.health.values)
     assert part is not None, "a run has a part"
     made = [quantity.panel() for quantity in quantities]
-    if innovations.there:
-        made.append(_innovation_panel(innovations.curve(), sizes, metrics, innovation_std))
+    for place, ((curve, sizes), (name, unit)) in enumerate(zip(innovations, outputs, strict=True)):
+        if curve.there:
+            label = "innovation" if len(outputs) == 1 else f"innovation of {name}"
+            std = innovation_std[place] if innovation_std else None
+            nis = metrics.output_nis[place] if metrics.output_nis else None
+            made.append(_innovation_panel(label, unit, (curve.curve(), sizes), nis, std))
     if health.count:
         made.append(health.panel())
     return Picture(
@@ -291,12 +291,12 @@ class _Quantity:
     """Gathers the panel of an estimated quantity part by part.
 
     Args:
-        place: Of the quantity in `QUANTITIES`.
+        quantity: The quantity.
         metrics: Metrics of the run.
     """
 
-    def __init__(self, place: int, metrics: RunMetrics) -> None:
-        self.place, self._metrics = place, metrics
+    def __init__(self, quantity: Quantity, metrics: RunMetrics) -> None:
+        self._quantity, self._metrics = quantity, metrics
         self._dots, self._truth = _Extremes(), _Extremes()
         self._estimate, self._error = _Extremes(), _Extremes()
         self._bands, self._error_bands = _Ranges(), _Ranges()
@@ -308,37 +308,39 @@ class _Quantity:
             for name, share in (("estimate", 0.01), ("upper", 0.1), ("lower", 0.1), ("dots", 0.002))
         }
 
-    def add(self, run: RecordedRun, error: Array | None) -> None:
-        values = np.column_stack([run.states, run.disturbance])[:, self.place]
-        bound = np.column_stack([run.state_bounds, run.disturbance_bounds])[:, self.place]
+    def add(self, run: RecordedRun) -> bool:
+        """Add a part, and return whether its truth is known."""
+        one, key = run.of(self._quantity), self._quantity.key
+        values, bound, truth = one.values, one.bounds, one.truth
         self._estimate.add(run.times, values)
         self._bands.add(run.times, values, bound)
         self._show("estimate", values)
         self._show("upper", values + SIGMAS * bound)
         self._show("lower", values - SIGMAS * bound)
-        source, column = (run.true_disturbance, 0) if self.place == 4 else (run.truth, self.place)
-        if source is not None:
-            own = run.covers(source.stamps)
-            self._truth.add(source.seconds(run.origin)[own], source.values[own, column])
-        if self.place == 0:
+        if truth is not None:
+            own = run.covers(truth.stamps)
+            self._truth.add(truth.seconds(run.origin)[own], truth.values[own, 0])
+        if key in run.measured and len(run.measurements.stamps):
             measured = run.measurements.ordered()
-            times = measured.seconds(run.origin)
+            times, column = measured.seconds(run.origin), run.measured[key]
             # What is outside of the time axis must not squeeze the rest.
             own = (times >= 0.0) & (times <= run.times.max(initial=0.0) + _MAX_AHEAD)
-            self._dots.add(times[own], measured.values[own, 0])
-            self._show("dots", measured.values[:, 0])
-        if error is not None:
+            self._dots.add(times[own], measured.values[own, column])
+            self._show("dots", measured.values[:, column])
+        if truth is not None:
+            error = one.error
             self._error_is_known |= bool(np.isfinite(error).any())
             self._error.add(run.times, error)
             self._error_bands.add(run.times, np.zeros(len(bound)), bound)
             size = _max_error(run, self._metrics, error, bound)
             self._error_size = max(self._error_size, size)
+        return truth is not None
 
     def _show(self, name: str, values: Array) -> None:
         self._shares[name][1].add(values[np.isfinite(values)])
 
     def panel(self) -> Panel:
-        quantity = QUANTITIES[self.place]
+        quantity = self._quantity
         truth = self._truth.curve() if self._truth.there else None
         shown = Plot(
             label=quantity.name,
@@ -369,13 +371,18 @@ class _Quantity:
 
 
 def _innovation_panel(
-    curve: Curve, sizes: ThinnedValues, metrics: RunMetrics, std: float | None
+    label: str,
+    unit: str,
+    shown: tuple[Curve, ThinnedValues],
+    nis: float | None,
+    std: float | None,
 ) -> Panel:
+    curve, sizes = shown
     size = 1.2 * float(np.quantile(sizes.values, 0.998)) if len(sizes.values) else 1.0
     size = max(size, 3.5 * (std or 0.0)) or 1.0
     level = None if std is None else (SIGMAS * std, f"±{SIGMAS:g}σ expected")
-    remark = () if metrics.nis is None else (f"mean square {metrics.nis:.2f} × expected",)
-    return Panel("rad", remark, Plot("innovation", (-size, size), dots=curve, level=level))
+    remark = () if nis is None else (f"mean square {nis:.2f} × expected",)
+    return Panel(unit, remark, Plot(label, (-size, size), dots=curve, level=level))
 
 
 class _Health:

@@ -19,10 +19,14 @@ from tsobs_ros.bag.joint_series import JointSeries, Wanted, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
+from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
-from tsobs_ros.replay.source import RESTART_MESSAGES, restarts
+from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
+from tsobs_ros.replay.places import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, places_of
+from tsobs_ros.replay.source import MEASUREMENTS, RESTART_MESSAGES, UNNAMED_SYSTEM, restarts
+from tsobs_ros.report.quantities import QUANTITIES, Quantity, measured_states, quantities_of
 
 Stamps = NDArray[np.int64]
 """Integer nanoseconds, shape (n,)."""
@@ -32,13 +36,15 @@ MAX_GAP = 0.1
 
 
 _FIRST_MESSAGES = 1000
-_TRUTH = ("truth", "true_disturbance")
-_OPTIONAL = ("innovations", *_TRUTH, "health")
-_WIDTHS = {
-    **dict.fromkeys(("states", "bounds", "truth"), 4),
-    **dict.fromkeys(("disturbance", "disturbance_bound", "innovations", "true_disturbance"), 1),
-    "measurements": 2,
-    "health": len(topics.CONDITIONS),
+_TRUTH = ("truth", "true_disturbance", "true_torque")
+_REQUIRED = ("measurements", "states", "bounds", "disturbance", "disturbance_bound")
+_SERIES = ("innovations", *_TRUTH, "health")
+_ALIGNED = {
+    "bounds": "state_bounds",
+    "disturbance": "disturbance",
+    "disturbance_bound": "disturbance_bounds",
+    "torque": "torque",
+    "torque_bound": "torque_bounds",
 }
 BLOCK = 2**14
 """Number of messages that are read at once, of all topics: some 10 s at 200 Hz."""
@@ -70,6 +76,10 @@ class Series(NamedTuple):
         """Return these values and others behind them."""
         return Series(*(np.concatenate(both) for both in zip(self, other, strict=True)))
 
+    def column(self, place: int) -> "Series":
+        """Return one of the values at each stamp."""
+        return Series(self.stamps, self.values[:, place : place + 1])
+
     def seconds(self, origin: int) -> Array:
         """Return the stamps as seconds since `origin` [ns], shape (n,)."""
         return np.asarray((self.stamps - origin) / NANOSECONDS, dtype=np.float64)
@@ -79,6 +89,29 @@ def _no_series(width: int) -> Series:
     return Series(np.zeros(0, np.int64), np.zeros((0, width)))
 
 
+class Estimated(NamedTuple):
+    """A quantity of a run.
+
+    Attributes:
+        values: The estimates, shape (m,).
+        bounds: 1σ bound of each, shape (m,).
+        truth: As recorded, values (k, 1); None on a robot.
+        true_values: At the estimates' stamps, NaN if unknown, shape (m,); None on a robot.
+    """
+
+    values: Array
+    bounds: Array
+    truth: Series | None
+    true_values: Array | None
+
+    @property
+    def error(self) -> Array:
+        """Estimate − truth, NaN if unknown, shape (m,)."""
+        if self.true_values is None:
+            return np.full(len(self.values), np.nan)
+        return self.values - self.true_values
+
+
 @dataclass(frozen=True)
 class RecordedRun:
     """Measurements, estimates and, from a simulation, the truth.
@@ -86,21 +119,29 @@ class RecordedRun:
     Attributes:
         name: Its origin, for titles.
         joint: The joint's name.
-        measurements: In order of arrival: [y (rad), u (N m)] at the sampling stamps, (n, 2).
+        measurements: In order of arrival: outputs and then inputs at the sampling stamps, of an arm
+            [y (rad), u (N m)], values (n, p + m).
         stamps: Of the estimates [ns], ascending, shape (m,).
-        states: Estimated [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (m, 4).
-        state_bounds: Published 1σ bound of each, NaN if lost, shape (m, 4).
-        disturbance: Estimated sensor disturbance [rad], NaN if lost, shape (m,).
-        disturbance_bounds: Published 1σ bound of it [rad], NaN if lost, shape (m,).
-        innovations: y − ŷ [rad] at the measurements' stamps, values (n', 1); None if not recorded.
-        truth: True [q₁, q̇₁, q₂, q̇₂] at the sampling stamps, values (k, 4); None on a robot.
-        true_disturbance: [rad] at the sampling stamps, values (k', 1); None on a robot.
+        states: Estimated, of an arm [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (m, plant).
+        state_bounds: Published 1σ bound of each, NaN if lost, shape (m, plant).
+        disturbance: Estimated disturbance of each output, NaN if lost, shape (m, p).
+        disturbance_bounds: Published 1σ bound of each, NaN if lost, shape (m, p).
+        torque: Estimated torque disturbances [N m], NaN if lost, shape (m, t).
+        torque_bounds: Published 1σ bound of each [N m], NaN if lost, shape (m, t).
+        innovations: y − ŷ at the measurements' stamps, NaN of outputs that were not used, values
+            (n', p); None if not recorded.
+        truth: True states at the sampling stamps, values (k, plant); None on a robot.
+        true_disturbance: Of the outputs at the sampling stamps, values (k', p); None on a robot.
+        true_torque: Torque disturbances at the sampling stamps [N m], values (k'', t); None on a
+            robot.
         health: Numbers of `estimation.events.Condition` at their stamps, values (h, 6); None if
             not recorded.
         topic: Name of the measurements' topic.
         joints: All that there are estimates of.
         ran: What the observer ran, as far as the bag has it.
         passes: Number of passes over the recorded time; this is the longest one.
+        quantities: What the estimates are of.
+        measured: The place of the output that measures a state, by the state's key.
         begin: Origin of the times [ns]; None if it is in these data.
         since: Begin of this part of a run [ns], truth may begin earlier; None for the first.
         until: End of this part of a run [ns], truth may go on; None for the last.
@@ -114,14 +155,19 @@ class RecordedRun:
     state_bounds: Array
     disturbance: Array
     disturbance_bounds: Array
+    torque: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    torque_bounds: Array = field(default_factory=lambda: np.zeros((0, 0)))
     innovations: Series | None = None
     truth: Series | None = None
     true_disturbance: Series | None = None
+    true_torque: Series | None = None
     health: Series | None = None
     topic: str = "joint_measurements"
     joints: tuple[str, ...] = ()
     ran: RecordedObserver = field(default_factory=RecordedObserver)
     passes: int = 1
+    quantities: tuple[Quantity, ...] = QUANTITIES
+    measured: Mapping[str, int] = field(default_factory=lambda: {"link_angle": 0})
     begin: int | None = None
     since: int | None = None
     until: int | None = None
@@ -149,17 +195,50 @@ class RecordedRun:
         """Times of the estimates since the origin [s], shape (m,)."""
         return np.asarray((self.stamps - self.origin) / NANOSECONDS, dtype=np.float64)
 
+    @property
+    def output_count(self) -> int:
+        """Number of outputs p."""
+        return int(self.disturbance.shape[1])
+
     @cached_property
     def true_states(self) -> Array | None:
-        """Truth at the estimates' stamps, NaN if unknown, shape (m, 4)."""
-        return None if self.truth is None else interpolate_motion(self.truth, self.stamps)
+        """Truth at the estimates' stamps, NaN if unknown, shape (m, plant)."""
+        if self.truth is None:
+            return None
+        rated = self.quantities[1].key == "link_velocity"
+        return (interpolate_motion if rated else interpolate)(self.truth, self.stamps)
 
     @cached_property
     def true_disturbance_held(self) -> Array | None:
-        """True disturbance at the estimates' stamps, NaN if unknown [rad], shape (m,)."""
-        if self.true_disturbance is None:
-            return None
-        return hold(self.true_disturbance, self.stamps)[:, 0]
+        """True disturbances at the estimates' stamps, NaN if unknown, shape (m, p)."""
+        truth = self.true_disturbance
+        return None if truth is None else hold(truth, self.stamps)
+
+    @cached_property
+    def true_torque_held(self) -> Array | None:
+        """True torque disturbances at the estimates' stamps, NaN if unknown [N m], shape (m, t)."""
+        return None if self.true_torque is None else hold(self.true_torque, self.stamps)
+
+    def of(self, quantity: Quantity) -> Estimated:
+        """Return what is known of a quantity."""
+        own = {
+            "state": (self.states, self.state_bounds, self.truth, self.true_states),
+            "disturbance": (
+                self.disturbance,
+                self.disturbance_bounds,
+                self.true_disturbance,
+                self.true_disturbance_held,
+            ),
+            "torque": (self.torque, self.torque_bounds, self.true_torque, self.true_torque_held),
+        }
+        values, bounds, series, truth = own[quantity.kind]
+        column = quantity.column
+        return Estimated(
+            values[:, column],
+            bounds[:, column],
+            None if series is None else series.column(column),
+            None if truth is None else truth[:, column],
+        )
 
 
 def read_run(
@@ -182,10 +261,7 @@ def find_run(
     observer: str = "observer",
     size: int | None = BLOCK,
 ) -> "RunParts":
-    """Find a run in a bag.
-
-    The topics are found by how their names end, so that any namespace will do. If the recorded
-    time restarts, as in a looped bag, the pass with the longest estimates is read.
+    """Find a run in a bag, of the design that its observer ran, else of the shipped one.
 
     Args:
         bag: Bag folder or MCAP file.
@@ -195,55 +271,146 @@ def find_run(
         size: Number of messages in a part, divisible by 4; None for one part.
 
     Raises:
-        BagReadError: The bag cannot be read, lacks a topic that is needed or messages of the
-            joint on it, or has several topics or joints that could be meant.
+        BagReadError: As for `find_observer` and its `run`.
+        DesignFileError: The design that the observer ran is not known here.
+    """
+    found = find_observer(bag, namespace=namespace, observer=observer)
+    joint = found.choose(joint)
+    (files,) = choose_designs(bag, found.ran, [joint]).values()
+    return found.run(joint, files[0].design.request, size)
+
+
+def find_observer(
+    bag: Path, *, namespace: str | None = None, observer: str = "observer"
+) -> "FoundObserver":
+    """Find a recorded observer in a bag, by how the names of its topics end.
+
+    Args:
+        bag: Bag folder or MCAP file.
+        namespace: Namespace of all topics, for a bag with several arms.
+        observer: Name of the observer node.
+
+    Raises:
+        BagReadError: The bag cannot be read, or has several topics that could be meant.
     """
     reader = BagReader(bag)
-    suffixes = {key: suffix for key, (suffix, _) in _wanted("", observer).items()}
-    names = {key: _find(reader, suffix, namespace) for key, suffix in suffixes.items()}
-    ran, joints = RecordedObserver(), tuple[str, ...]()
+    names = {key: _find(reader, end, namespace) for key, end in _topics(observer).items()}
+    ran, entries = RecordedObserver(), tuple[str, ...]()
     if names["states"] is not None:
         ran = recorded_observer(reader, names["states"].removesuffix(f"/{topics.STATES}"))
         names["measurements"] = names["measurements"] or _there(reader, ran.measurements)
-        joints = _observed_joints(reader, names["states"])
-        joint = _choose_joint(reader.path, joints, joint)
-    wanted = _wanted(joint or "", observer)
-    required = {key: names[key] for key in wanted if key not in _OPTIONAL}
-    if missing := [wanted[key][0] for key, name in required.items() if name is None]:
-        has = ", ".join(reader.topics) or "none"
-        raise BagReadError(f"{bag}: no topic ends in {', '.join(missing)}; topics: {has}")
-    there = {name: (key, wanted[key][1]) for key, name in names.items() if name is not None}
-    streams = _survey(reader, there)
-    if empty := [str(name) for key, name in required.items() if not streams[key]]:
-        raise BagReadError(f"{bag}: no message about joint '{joint}' on {', '.join(empty)}")
-    states = max(streams["states"], key=lambda one: one.last - one.first)
-    # Each topic restarts at its own moment, but all of them at about the same.
-    chosen = {
-        key: min(spans, key=lambda one: abs(one.log_time - states.log_time))
-        for key, spans in streams.items()
-        if spans
-    }
-    return RunParts(
-        reader,
-        {name: one for name, one in there.items() if one[0] in chosen},
-        chosen,
-        RecordedRun(
-            name="/".join(Path(bag).absolute().parts[-2:]),
-            joint=str(joint),
-            measurements=_no_series(2),
+        entries = _first_entries(reader, names["states"])
+    return FoundObserver(reader, observer, names, ran, entries)
+
+
+class FoundObserver:
+    """A recorded observer.
+
+    Args:
+        reader: The bag.
+        observer: Name of the node.
+        names: Its topics by what they are of; None for one that the bag does not have.
+        ran: What it ran, as far as the bag has it.
+        entries: Names in its first estimates.
+
+    Attributes:
+        ran: The same.
+        joints: All that there are estimates of.
+    """
+
+    def __init__(
+        self,
+        reader: BagReader,
+        observer: str,
+        names: Mapping[str, str | None],
+        ran: RecordedObserver,
+        entries: tuple[str, ...],
+    ) -> None:
+        self._reader, self._observer, self._names, self.ran = reader, observer, names, ran
+        links = [one.removesuffix("_link") for one in entries if one.endswith("_link")]
+        arms = [joint for joint in links if topics.sides(joint)[1] in entries]
+        self._has_names = {one.partition("/")[0] for one in entries if "/" in one}
+        alone = len(ran.designs) == 1 and bool(entries)
+        systems = [one for one in ran.designs if one in self._has_names or alone]
+        self.joints = tuple(dict.fromkeys([*arms, *systems]))
+        if entries and not self.joints:
+            self.joints = (UNNAMED_SYSTEM,)
+
+    def choose(self, joint: str | None) -> str:
+        """Return the joint of a name, the only one if it is None.
+
+        Raises:
+            BagReadError: There are no estimates of such a joint, or of several.
+        """
+        self._require({key: self._names[key] for key in ("states",)})
+        return _choose_joint(self._reader.path, self.joints, joint)
+
+    def run(
+        self, joint: str, request: ArmRequest | TSRequest, size: int | None = BLOCK
+    ) -> "RunParts":
+        """Return the estimates of a joint.
+
+        If the recorded time restarts, as in a looped bag, the pass with the longest estimates is
+        read.
+
+        Args:
+            joint: The joint.
+            request: Of its design.
+            size: Number of messages in a part, divisible by 4; None for one part.
+
+        Raises:
+            BagReadError: The bag lacks a topic that is needed, or messages of the joint on it.
+        """
+        reader, names = self._reader, self._names
+        own = signals(request, joint, joint not in self._has_names)
+        quantities = quantities_of(request)
+        wanted = _wanted(joint, own)
+        required = {key: names[key] for key in _REQUIRED}
+        self._require(required)
+        there = {name: (key, wanted[key]) for key, name in names.items()
+                 if name is not None and any(wanted[key])}  # fmt: skip
+        streams = _survey(reader, there)
+        if empty := [str(name) for key, name in required.items() if not streams[key]]:
+            raise BagReadError(
+                f"{reader.path}: no message about joint '{joint}' on {', '.join(empty)}"
+            )
+        states = max(streams["states"], key=lambda one: one.last - one.first)
+        # Each topic restarts at its own moment, but all of them at about the same.
+        chosen = {
+            key: min(spans, key=lambda one: abs(one.log_time - states.log_time))
+            for key, spans in streams.items()
+            if spans
+        }
+        none = {key: np.zeros((0, sum(map(len, one)))) for key, one in wanted.items()}
+        run = RecordedRun(
+            name="/".join(Path(reader.path).absolute().parts[-2:]),
+            joint=joint,
+            measurements=_no_series(len(own.outputs) + len(own.inputs)),
             stamps=_no_series(0).stamps,
-            states=_no_series(4).values,
-            state_bounds=_no_series(4).values,
-            disturbance=np.zeros(0),
-            disturbance_bounds=np.zeros(0),
+            states=none["states"],
+            state_bounds=none["bounds"],
+            disturbance=none["disturbance"],
+            disturbance_bounds=none["disturbance_bound"],
+            torque=none["torque"],
+            torque_bounds=none["torque_bound"],
             topic=str(names["measurements"]),
-            joints=joints,
-            ran=ran,
+            joints=self.joints,
+            ran=self.ran,
             passes=len(streams["states"]),
+            quantities=quantities,
+            measured=measured_states(request),
             begin=min([states.first, *chosen["measurements"].first_stamped]),
-        ),
-        size,
-    )
+        )
+        shown = {name: one for name, one in there.items() if one[0] in chosen}
+        return RunParts(reader, shown, chosen, run, size)
+
+    def _require(self, names: Mapping[str, str | None]) -> None:
+        ends = _topics(self._observer)
+        if missing := [ends[key] for key, name in names.items() if name is None]:
+            has = ", ".join(self._reader.topics) or "none"
+            raise BagReadError(
+                f"{self._reader.path}: no topic ends in {', '.join(missing)}; topics: {has}"
+            )
 
 
 class _Span(NamedTuple):
@@ -310,7 +477,7 @@ def _survey(reader: BagReader, there: Mapping[str, tuple[str, Wanted]]) -> dict[
     finders = {key: _PassFinder() for key, _ in there.values()}
     for block, is_last in _blocks(reader, there, BLOCK):
         for key, series in block.items():
-            named = series.named.all(axis=1)
+            named = series.named[:, 0]
             stamps, log_times = series.stamps[named], series.log_times[named]
             finders[key].add(log_times, stamps, is_last=is_last)
     return {key: finder.spans for key, finder in finders.items()}
@@ -353,20 +520,25 @@ class RunParts:
     ) -> None:
         self.run, self._size = run, size
         self._reader, self._there, self._spans = reader, there, spans
+        # Of the health there are two groups, of which one has numbers.
+        self._widths = {key: [len(one) for one in wanted[: 1 if key == "health" else None]]
+                        for key, wanted in there.values()}  # fmt: skip
         self.has_truth = "truth" in spans
 
     def __iter__(self) -> Iterator[RecordedRun]:
         count = dict.fromkeys(self._spans, 0)
-        waiting = {key: _no_series(_WIDTHS[key]) for key in self._spans}
+        waiting = {key: _no_series(sum(self._widths[key])) for key in self._spans}
         since: int | None = None
         for block, is_last in _blocks(self._reader, self._there, self._size):
             for key, series in block.items():
-                span, named = self._spans[key], series.named.all(axis=1)
+                span, named = self._spans[key], series.named[:, 0]
                 places = count[key] + np.arange(int(named.sum()))
                 count[key] += len(places)
                 own = (span.begin <= places) & (places < span.end)
                 stamps = series.stamps[named][own]
-                values = series.values[named][own].reshape(len(stamps), _WIDTHS[key])
+                chosen = series.values[named][own]
+                widths = enumerate(self._widths[key])
+                values = np.hstack([chosen[:, group, :width] for group, width in widths])
                 waiting[key] = waiting[key].followed_by(Series(stamps, values))
             latest = waiting["states"].stamps.max(initial=0)
             until = None if is_last else int(latest) - _LATENESS
@@ -390,34 +562,55 @@ class RunParts:
             for key, one in waiting.items()
         }
         states = known["states"].ordered()
-        optional: dict[str, Any] = {key: known[key].ordered() for key in _OPTIONAL if key in known}
+        optional: dict[str, Any] = {key: known[key].ordered() for key in _SERIES if key in known}
+        aligned: dict[str, Any] = {
+            name: align(known[key], states.stamps) for key, name in _ALIGNED.items() if key in known
+        }
+        nothing = np.full((len(states.stamps), run.torque.shape[1]), np.nan)
         return replace(
             run,
             measurements=known["measurements"],
             stamps=states.stamps,
             states=states.values,
-            state_bounds=align(known["bounds"], states.stamps),
-            disturbance=align(known["disturbance"], states.stamps)[:, 0],
-            disturbance_bounds=align(known["disturbance_bound"], states.stamps)[:, 0],
+            **{"torque": nothing, "torque_bounds": nothing, **aligned},
             **optional,
         )
 
 
-def _wanted(joint: str, observer: str) -> dict[str, tuple[str, Wanted]]:
-    """Return for each part of a run the end of its topic's name, and what to read of it."""
-    motion = Wanted(topics.sides(joint), ("position", "velocity"))
-    angle = Wanted((joint,), ("position",))
-    health = [*topics.CONDITIONS, *topics.parameter_names(joint, topics.CONDITIONS, alone=False)]
+def _topics(observer: str) -> dict[str, str]:
+    """Return for each part of a run the end of its topic's name."""
     return {
-        "measurements": ("joint_measurements", Wanted((joint,), ("position", "effort"))),
-        "states": (f"{observer}/{topics.STATES}", motion),
-        "bounds": (f"{observer}/{topics.STATE_BOUNDS}", motion),
-        "disturbance": (f"{observer}/{topics.DISTURBANCE}", angle),
-        "disturbance_bound": (f"{observer}/{topics.DISTURBANCE_BOUND}", angle),
-        "innovations": (f"{observer}/{topics.INNOVATION}", angle),
-        "health": (f"{observer}/{topics.HEALTH}", Wanted(health, ("position",))),
-        "truth": ("ground_truth/joint_states", motion),
-        "true_disturbance": ("ground_truth/disturbance", angle),
+        "measurements": MEASUREMENTS,
+        "states": f"{observer}/{topics.STATES}",
+        "bounds": f"{observer}/{topics.STATE_BOUNDS}",
+        "disturbance": f"{observer}/{topics.DISTURBANCE}",
+        "disturbance_bound": f"{observer}/{topics.DISTURBANCE_BOUND}",
+        "torque": f"{observer}/{topics.TORQUE_DISTURBANCE}",
+        "torque_bound": f"{observer}/{topics.TORQUE_DISTURBANCE_BOUND}",
+        "innovations": f"{observer}/{topics.INNOVATION}",
+        "health": f"{observer}/{topics.HEALTH}",
+        "truth": TRUE_STATES,
+        "true_disturbance": TRUE_DISTURBANCE,
+        "true_torque": TRUE_TORQUE,
+    }
+
+
+def _wanted(joint: str, own: Signals) -> dict[str, Wanted]:
+    """Return for each part of a run what to read of its topic."""
+    alone, named = (places_of(joint, own, alone=alone, rated=False) for alone in (True, False))
+    return {
+        "measurements": [own.outputs, own.inputs],
+        "states": [own.states],
+        "bounds": [own.states],
+        "disturbance": [alone[topics.DISTURBANCE]],
+        "disturbance_bound": [alone[topics.DISTURBANCE]],
+        "torque": [own.torques],
+        "torque_bound": [own.torques],
+        "innovations": [alone[topics.INNOVATION]],
+        "health": [alone[topics.HEALTH], named[topics.HEALTH]],
+        "truth": [own.states],
+        "true_disturbance": [alone[TRUE_DISTURBANCE]],
+        "true_torque": [own.torques],
     }
 
 
@@ -442,12 +635,11 @@ def _there(reader: BagReader, name: str | None) -> str | None:
     return None if info is None or info.type != JOINT_STATE else info.name
 
 
-def _observed_joints(reader: BagReader, topic: str) -> tuple[str, ...]:
-    """Return the joints that the first estimates are of."""
+def _first_entries(reader: BagReader, topic: str) -> tuple[str, ...]:
+    """Return the names in the first estimates."""
     messages = islice(reader.messages([topic]), _FIRST_MESSAGES)
     groups, _ = JointStateDecoder().decode_all([message.data for message in messages])
-    sides = dict.fromkeys(name for group in groups for name in group.names)
-    return tuple(side.removesuffix("_link") for side in sides if side.endswith("_link"))
+    return tuple(dict.fromkeys(name for group in groups for name in group.names))
 
 
 def _choose_joint(bag: Path, joints: tuple[str, ...], joint: str | None) -> str:
@@ -462,10 +654,7 @@ def _choose_joint(bag: Path, joints: tuple[str, ...], joint: str | None) -> str:
 
 def _as_named(health: JointSeries) -> JointSeries:
     """Return the numbers of a joint that is alone or, if there are such, of one among several."""
-    begin = len(topics.CONDITIONS) if health.named[:, len(topics.CONDITIONS) :].any() else 0
-    own = slice(begin, begin + len(topics.CONDITIONS))
-    given = health.given[:, own]
-    return replace(health, values=health.values[:, own], named=health.named[:, own], given=given)
+    return health.of_joint(int(health.named[:, 1].any()))
 
 
 def align(series: Series, stamps: Stamps) -> Array:
@@ -506,6 +695,27 @@ def interpolate_motion(series: Series, stamps: Stamps, max_gap: float = MAX_GAP)
     spline = CubicHermiteSpline(times, series.values[:, 0::2], series.values[:, 1::2], axis=0)
     result[inside, 0::2] = spline(wanted)
     result[inside, 1::2] = spline(wanted, 1)
+    return result
+
+
+def interpolate(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
+    """Return values between their samples, NaN outside of them and in gaps, shape (m, k).
+
+    They follow the cubic that has the values of both neighbours and their slopes to the next ones.
+
+    Args:
+        series: Samples in ascending order, values of shape (n, k).
+        stamps: Where to evaluate [ns], shape (m,).
+        max_gap: Distance of neighbouring samples that still counts as sampled [s].
+    """
+    result = np.full((len(stamps), series.values.shape[1]), np.nan)
+    if len(series.stamps) < 2:
+        return result
+    inside = _between_close_samples(series.stamps, stamps, max_gap)
+    origin = int(series.stamps[0])
+    times, wanted = series.seconds(origin), (stamps[inside] - origin) / NANOSECONDS
+    slopes = np.gradient(series.values, times, axis=0)
+    result[inside] = CubicHermiteSpline(times, series.values, slopes, axis=0)(wanted)
     return result
 
 

@@ -1,0 +1,135 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The quantities that are estimated with a design: their names, units and places."""
+
+import math
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from tsobs_ros.design.request import ArmRequest, TSRequest
+
+Kind: TypeAlias = Literal["state", "disturbance", "torque"]
+
+
+class Quantity(NamedTuple):
+    """An estimated quantity.
+
+    Attributes:
+        key: For programs.
+        name: For people.
+        unit: Of its values, empty if not known.
+        kind: Whether it is a state of the plant, an output's disturbance or a torque disturbance.
+        column: Its place among those of its kind.
+        jump: Change of its truth from one sample to the next that is a jump; infinite if none is,
+            None as `MetricsOptions.jump_threshold`.
+    """
+
+    key: str
+    name: str
+    unit: str
+    kind: Kind = "state"
+    column: int = 0
+    jump: float | None = math.inf
+
+
+_ARM = (
+    Quantity("link_angle", "link angle", "rad", column=0),
+    Quantity("link_velocity", "link velocity", "rad/s", column=1),
+    Quantity("motor_angle", "motor angle", "rad", column=2),
+    Quantity("motor_velocity", "motor velocity", "rad/s", column=3),
+)
+
+QUANTITIES = (
+    *_ARM,
+    Quantity("disturbance", "sensor disturbance", "rad", "disturbance", 0, None),
+)
+"""Those of an arm with an encoder on its link."""
+
+
+def quantities_of(request: ArmRequest | TSRequest) -> tuple[Quantity, ...]:
+    """Return what is estimated with a design: states, disturbances and torque disturbances.
+
+    Of several outputs, those without a disturbance are left out.
+    """
+    if isinstance(request, TSRequest):
+        states = zip(request.state_names, request.state_units, strict=True)
+        outputs = list(zip(request.output_names, request.output_units, strict=True))
+        return (
+            *(
+                Quantity(name, name, unit, column=place)
+                for place, (name, unit) in enumerate(states)
+            ),
+            *(
+                Quantity(
+                    f"disturbance_{name}", f"disturbance of {name}", unit, "disturbance", place
+                )
+                for place, (name, unit) in enumerate(outputs)
+                if _is_disturbed(request, place)
+            ),
+        )
+    names = request.output_names
+    if len(names) == 1:
+        unit = _unit_of_output(names[0])
+        disturbances = [QUANTITIES[4]._replace(unit=unit)]
+    else:
+        disturbances = [
+            Quantity(
+                f"disturbance_{name}",
+                f"disturbance of {_words(name)}",
+                _unit_of_output(name),
+                "disturbance",
+                place,
+                None if name.endswith("_angle") else math.inf,
+            )
+            for place, name in enumerate(names)
+            if _is_disturbed(request, place)
+        ]
+    return (*_ARM, *disturbances, *_torques(request))
+
+
+def outputs_of(request: ArmRequest | TSRequest) -> list[tuple[str, str]]:
+    """Return the names of the outputs, for people, with their units."""
+    if isinstance(request, TSRequest):
+        return list(zip(request.output_names, request.output_units, strict=True))
+    return [(_words(name), _unit_of_output(name)) for name in request.output_names]
+
+
+def measured_states(request: ArmRequest | TSRequest) -> dict[str, int]:
+    """Return the place of the output that measures a state and nothing else, by the state's key."""
+    if isinstance(request, ArmRequest):
+        return {name: place for place, name in enumerate(request.output_names)}
+    found = {}
+    for place, row in enumerate(np.asarray(request.model.C)):
+        (there,) = np.nonzero(row)
+        if len(there) == 1 and row[there[0]] == 1.0:
+            found[request.state_names[int(there[0])]] = place
+    return found
+
+
+def _torques(request: ArmRequest) -> list[Quantity]:
+    if not request.torque_sides:
+        return []
+    flow = request.flow
+    model = flow.torque_disturbance
+    sizes = np.sqrt((flow.torque_map @ request.initial_covariance @ flow.torque_map.T).diagonal())
+    assert model is not None
+    return [
+        Quantity(
+            f"torque_disturbance_{side}", f"torque disturbance at {side}", "N m", "torque", place,
+            float(size),
+        )
+        for place, (side, size) in enumerate(zip(request.torque_sides, sizes, strict=True))
+    ]  # fmt: skip
+
+
+def _is_disturbed(request: ArmRequest | TSRequest, channel: int) -> bool:
+    return bool(request.disturbance_model.H[channel].any())
+
+
+def _unit_of_output(name: str) -> str:
+    return "rad" if name.endswith("_angle") else "rad/s"
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
