@@ -8,8 +8,9 @@ those who built it with colcon, so the advice names the libraries.
 
 import sys
 import sysconfig
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 _BASE = ("numba>=0.59", "scipy", "pyyaml", "msgspec>=0.18.5", "mcap>=1.5", "zstandard", "lz4")
 _DESIGN = ("cvxpy", "clarabel")
@@ -35,7 +36,15 @@ class ModelError(TsobsError, ValueError):
 
 
 class DesignError(TsobsError, RuntimeError):
-    """A gain could not be designed: the solver failed or its answer did not pass the re-check."""
+    """A gain could not be designed: the solver failed or its answer did not pass the re-check.
+
+    Attributes:
+        remedies: Changes of the request that were found to have a design, of `design.remedies`.
+    """
+
+    def __init__(self, message: str, remedies: Sequence[Any] = ()) -> None:
+        super().__init__(message)
+        self.remedies = tuple(remedies)
 
 
 class DetectabilityError(DesignError):

@@ -320,7 +320,7 @@ def test_a_hidden_mode_is_named_with_its_rule() -> None:
     )
     assert "rule 2" not in text
     assert "gauss_markov" in text
-    assert "damping" in text
+    assert "kind clean for y1" in text
 
 
 def test_an_arbitrary_disturbance_is_refused_with_a_way_out() -> None:

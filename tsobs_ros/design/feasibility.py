@@ -1,157 +1,304 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Detectability of a request: its hidden modes, their gravity slopes and the remedies."""
+"""Detectability of a request: its hidden modes, their gravity slopes and what would help.
+
+The test of an arm is structural, with no rank to judge. In a hidden mode of eigenvalue λ ≥ 0 the
+angles are a and b, and
+
+    (λ² J₁ + λ b₁ + k + c mgl) a − k b = d₁        (λ² J₂ + λ b₂ + k) b − k a = d₂
+
+with d₁, d₂ the torques at link and motor. A torque is other than zero only if its exosystem has the
+eigenvalue. An output that has it too is *copied*: its disturbance takes back what it would show.
+Every other output shows a or b, a velocity only if λ is not zero. So λ is an eigenvalue of an
+exosystem, or 0, and each of the few cases of what is shown and of what is free has a closed form.
+"""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsobs_ros.design.problem import DesignProblem
+from tsobs_ros.design.remedies import Remedy, helpful, remedies_of_hidden_modes
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import DetectabilityError
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import QUANTITIES, SIDES
 from tsobs_ros.model.detectability import (
     HiddenMode,
     format_mode,
     hidden_modes,
     undetectable_modes,
 )
+from tsobs_ros.model.disturbance import DisturbanceModel, clean
 
 _PERSISTENT = -1e-9
 """Real parts above this [1/s] do not decay: the mode would outlive the robot."""
 
 _SLOPE_TOLERANCE = 1e-9
 
+Complex = NDArray[np.complex128]
+
 
 class Obstacle(NamedTuple):
-    """A mode that the sensor does not see, with the gravity slope, or None if it is any."""
+    """A mode that the outputs do not show.
+
+    Attributes:
+        slope: Gravity slope at which it is hidden, None if at any.
+        mode: Eigenvalue and shape.
+        parties: What cannot be told apart, in words.
+    """
 
     slope: float | None
     mode: HiddenMode
+    parties: tuple[str, ...]
+
+
+class _Exosystem(NamedTuple):
+    """The disturbance of an output, or of one side's torque, among the augmented states."""
+
+    name: str
+    place: int
+    model: DisturbanceModel
+
+    def copy(self, eigenvalue: complex) -> Complex | None:
+        """Return the mode of an eigenvalue whose disturbance is 1; None if there is none."""
+        q = self.model.state_count
+        if not q:
+            return None
+        _, singular, right = np.linalg.svd(self.model.S - eigenvalue * np.eye(q))
+        kernel = right[singular <= 1e-9 * max(1.0, float(singular[0]))].conj().T
+        own = kernel @ (kernel.conj().T @ self.model.H[0])
+        size = complex(self.model.H[0] @ own)
+        return own / size if abs(size) > 1e-12 else None
 
 
 def find_obstacles(request: ArmRequest) -> list[Obstacle]:
     """Return the undetectable modes on the request's domain, one of each conjugate pair.
 
-    The test is structural, with no rank to judge: the arm alone is observable at every slope, so
-    a hidden mode is one of the disturbance. It is hidden among the disturbance's own terms, or at
-    a slope at which the arm has a mode of the same eigenvalue. Gravity enters in a single place,
-    so that slope has a closed form. An arbitrary disturbance hides the whole arm, decaying or not.
+    An output with an arbitrary disturbance shows nothing. If there is no other, every mode of the
+    arm is hidden, decaying or not.
     """
-    if request.disturbance_model.arbitrary:
+    exosystems = _exosystems(request)
+    if all(output.model.arbitrary for output in request.sensors):
         # ω = y − C x explains every output whatever x does: C̄ carries nothing about the state.
         return [
-            Obstacle(slope, mode)
-            for slope in request.slope_range
+            Obstacle(slope, mode, ("the arm", "an arbitrary disturbance"))
+            for slope in dict.fromkeys(request.slope_range)
             for mode in hidden_modes(request.arm.slope_matrix(slope), np.zeros((1, 4)))
             if mode.eigenvalue.imag >= 0.0
         ]
-    if request.outputs or request.torque_sides or not request.arm.gravity_torque:
-        return [
-            Obstacle(slope, mode)
-            for slope in request.slope_range
-            for mode in undetectable_modes(
-                request.flow.slope_matrix(slope), request.flow.output_matrix
-            )
-            if mode.eigenvalue.imag >= 0.0
-        ]
-    return [*_indistinct_terms(request), *_resonances(request)]
+    eigenvalues = [0j]
+    for exosystem in exosystems:
+        for eigenvalue in np.linalg.eigvals(exosystem.model.S).astype(complex):
+            known = any(abs(eigenvalue - other) < 1e-6 for other in eigenvalues)
+            if not known and eigenvalue.real >= _PERSISTENT and eigenvalue.imag >= 0.0:
+                eigenvalues.append(complex(eigenvalue))
+    return [
+        *_indistinct_terms(request, exosystems),
+        *(each for value in eigenvalues for each in _shared_modes(request, exosystems, value)),
+    ]
 
 
-def require_detectable(problem: DesignProblem) -> None:
+def is_detectable(request: DesignProblem) -> bool:
+    """Return whether no mode that persists is hidden, and no disturbance is arbitrary."""
+    if request.disturbance_model.arbitrary:
+        return False
+    if isinstance(request, ArmRequest):
+        return not find_obstacles(request)
+    return not (isinstance(request, TSRequest) and _hidden_at_vertices(request))
+
+
+def require_detectable(
+    problem: DesignProblem, has_design: Callable[[DesignProblem], bool] = is_detectable
+) -> None:
     """Refuse a request that no observer can answer.
 
     For a T–S system every vertex is tested by itself (Popov–Belevitch–Hautus). That all of them
     pass is necessary; only the synthesis shows whether what lies between them passes too.
 
+    Args:
+        problem: The request.
+        has_design: What a changed request must pass to be suggested.
+
     Raises:
         DetectabilityError: A mode that does not decay is hidden, or a disturbance is arbitrary;
             the text names the place, the mode's eigenvalue and shape, and what would help.
     """
+    if is_detectable(problem):
+        return
     if isinstance(problem, ArmRequest):
         obstacles = find_obstacles(problem)
-        if obstacles:
-            raise DetectabilityError(explain(problem, obstacles))
-    elif isinstance(problem, TSRequest):
-        _require_detectable_vertices(problem)
+        slopes = [obstacle.slope for obstacle in obstacles]
+        oscillates = any(abs(obstacle.mode.eigenvalue.imag) > 1e-3 for obstacle in obstacles)
+        found = helpful(remedies_of_hidden_modes(problem, slopes, oscillates), has_design)
+        raise DetectabilityError(explain(problem, obstacles, found), found)
+    if isinstance(problem, TSRequest):
+        oscillates = any(mode.eigenvalue.imag > 1e-3 for _, mode in _hidden_at_vertices(problem))
+        found = helpful(remedies_of_hidden_modes(problem, (), oscillates), has_design)
+        raise DetectabilityError(_explain_hidden(problem, found), found)
 
 
-def explain(request: ArmRequest, obstacles: list[Obstacle]) -> str:
+def explain(
+    request: ArmRequest, obstacles: Sequence[Obstacle], remedies: Sequence[Remedy] = ()
+) -> str:
     """Return the report: what is hidden, at which slope and angle, its shape, what would help."""
-    label = request.disturbance_model.label
-    lines = [
-        f"no observer can distinguish the arm from a disturbance of kind {label} on "
-        f"|q1| <= {request.x_max:.6g} rad:"
+    outputs = [
+        f"{output.model.label}" + (f" ({output.measures})" if request.outputs else "")
+        for output in request.sensors
+        if output.model.state_count or output.model.arbitrary
     ]
+    parts = [f"a disturbance of kind {' and '.join(outputs)}"] if outputs else []
+    parts += [
+        f"a torque of kind {model.label} at the {side}"
+        for side, model in request.torque_disturbance.by_side.items()
+    ]
+    domain = f" on |q1| <= {request.x_max:.6g} rad" if request.arm.gravity_torque else ""
+    if parts:
+        lines = [f"no observer can distinguish the arm from {' and '.join(parts)}{domain}:"]
+    else:
+        lines = [
+            f"no observer finds the arm's angles from {_joined(request.output_names)}{domain}:"
+        ]
     if request.disturbance_model.arbitrary:
-        lines.append(
-            "  - every mode of the arm is hidden, whether it decays or not: the estimate can only "
-            "be an open-loop simulation"
-        )
+        hidden = [output.measures for output in request.sensors if output.model.arbitrary]
+        if len(hidden) < len(request.sensors):
+            lines.append(
+                f"  - an arbitrary disturbance of {', '.join(hidden)} explains every value of it: "
+                "nothing can be proved for a gain that uses it"
+            )
+        else:
+            lines.append(
+                "  - every mode of the arm is hidden, whether it decays or not: the estimate can "
+                "only be an open-loop simulation"
+            )
     lines += [f"  - {_describe(request, obstacle)}" for obstacle in obstacles]
-    lines += ["what would help:"]
-    lines += [f"  - {advice}" for advice in _advice(request, obstacles)]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_advice(remedies)])
 
 
-def _indistinct_terms(request: ArmRequest) -> Iterator[Obstacle]:
-    """Yield the persistent modes that cancel within the disturbance, whatever the arm does."""
-    model = request.disturbance_model
-    for mode in hidden_modes(model.S, model.H):
-        if mode.eigenvalue.real >= _PERSISTENT and mode.eigenvalue.imag >= 0.0:
-            yield Obstacle(None, mode._replace(shape=np.concatenate([np.zeros(4), mode.shape])))
+def _advice(remedies: Sequence[Remedy]) -> list[str]:
+    if not remedies:
+        return ["what would help: none of the changes that were tried"]
+    return ["what would help:", *(f"  - {remedy.text}" for remedy in remedies)]
 
 
-def _resonances(request: ArmRequest) -> Iterator[Obstacle]:
-    """Yield the persistent modes of the disturbance that the arm can copy, with the slope."""
-    lowest, highest = request.slope_range
-    found: list[complex] = []
-    for eigenvalue in np.linalg.eigvals(request.disturbance_model.S).astype(complex):
-        known = any(abs(eigenvalue - other) < 1e-6 for other in found)
-        if known or eigenvalue.real < _PERSISTENT or eigenvalue.imag < 0.0:
-            continue
-        found.append(eigenvalue)
-        slope, twist = _resonance(request.arm, eigenvalue)
+def _exosystems(request: ArmRequest) -> list[_Exosystem]:
+    """Return the disturbance of every output, then of the torques at motor and link."""
+    found, place = [], 4
+    sides = request.torque_disturbance.by_side
+    pairs = [(output.measures, output.model) for output in request.sensors]
+    for name, model in [*pairs, *((side, sides.get(side, clean())) for side in SIDES)]:
+        found.append(_Exosystem(name, place, model))
+        place += model.state_count
+    return found
+
+
+def _indistinct_terms(request: ArmRequest, exosystems: Sequence[_Exosystem]) -> Iterator[Obstacle]:
+    """Yield the persistent modes that cancel within one disturbance, whatever the arm does."""
+    for name, place, model in exosystems:
+        for mode in hidden_modes(model.S, model.H):
+            if mode.eigenvalue.real >= _PERSISTENT and mode.eigenvalue.imag >= 0.0:
+                shape = np.zeros(request.flow.state_count, dtype=complex)
+                shape[place : place + model.state_count] = mode.shape
+                of = f"of the torque at the {name}" if name in SIDES else f"of the {name}"
+                parties = tuple(f"the {kind} {of}" for kind in model.label.split("+"))
+                yield Obstacle(None, mode._replace(shape=shape), parties)
+
+
+def _shared_modes(
+    request: ArmRequest, exosystems: Sequence[_Exosystem], eigenvalue: complex
+) -> Iterator[Obstacle]:
+    """Yield the mode of an eigenvalue in which the disturbances take back the arm's motion."""
+    arm, (lowest, highest) = request.arm, request.slope_range
+    copies = [exosystem.copy(eigenvalue) for exosystem in exosystems]
+    shown = {
+        output.measures.split("_")[0]
+        for output, copy in zip(request.sensors, copies, strict=False)
+        if copy is None
+        and not output.model.arbitrary
+        and (output.measures.endswith("angle") or abs(eigenvalue) > 1e-6)
+    }
+    free = {side for side, copy in zip(SIDES, copies[-2:], strict=True) if copy is not None}
+    k, mgl = arm.stiffness, arm.gravity_torque
+    link = eigenvalue * (eigenvalue * arm.link_inertia + arm.link_damping)
+    motor = eigenvalue * (eigenvalue * arm.motor_inertia + arm.motor_damping)
+    motor_locked = abs(motor + k) <= 1e-9 * (abs(motor) + k)  # its resonance if the link is held
+
+    # Angles, and the gravity slope at which they are a mode; None for any.
+    a, b, slope = 1.0 + 0j, 1.0 + 0j, None
+    if shown == {"link", "motor"}:
+        return
+    if "link" in shown:
+        if "link" not in free or not ("motor" in free or motor_locked):
+            return
+        a = 0j
+    elif "motor" in shown:
+        if "motor" not in free:
+            return
+        b = 0j
+        if "link" not in free:
+            slope = _slope_at(-(link + k), abs(link) + k, mgl)
+    elif "motor" in free:
+        if "link" not in free:
+            b = (link + k + highest * mgl) / k
+    elif motor_locked:
+        if "link" not in free:
+            return
+        a = 0j
+    else:
+        b = k / (motor + k)
+        if "link" not in free:
+            # Without cancellation at λ = 0.
+            slope = _slope_at(-(link + k * motor / (motor + k)), abs(link) + k, mgl)
+    if slope is not None:
         outside = max(lowest - slope.real, slope.real - highest)
-        # Written so that an infinite slope, at the link's own node, is no obstacle.
-        if abs(slope.imag) <= _SLOPE_TOLERANCE and outside <= _SLOPE_TOLERANCE:
-            nearest = min(max(slope.real, lowest), highest)
-            yield Obstacle(nearest, _shared_mode(request, complex(eigenvalue), twist, nearest))
+        # Written so that an infinite slope is no obstacle.
+        if not (abs(slope.imag) <= _SLOPE_TOLERANCE and outside <= _SLOPE_TOLERANCE):
+            return
+    at = highest if slope is None else min(max(slope.real, lowest), highest)
+    torques = (motor + k) * b - k * a, (link + k + at * mgl) * a - k * b
+    place = None if slope is None or not mgl else at
+    yield _obstacle(request, exosystems, copies, eigenvalue, (a, b), torques, place)
 
 
-def _resonance(arm: ElasticJointArm, eigenvalue: complex) -> tuple[complex, complex]:
-    """Return the slope at which the arm has the eigenvalue λ, and q₂/q₁ of the mode.
-
-    det(A(c) − λI) = (m₁ + k/J₁ + c mgl/J₁)(m₂ + k/J₂) − k²/(J₁J₂) with mᵢ = λ² + λ bᵢ/Jᵢ vanishes
-    if c mgl/J₁ = −m₁ − (k/J₁) m₂/(m₂ + k/J₂), a form without cancellation at λ = 0.
-    """
-    link = eigenvalue * (eigenvalue + arm.link_damping / arm.link_inertia)
-    motor = eigenvalue * (eigenvalue + arm.motor_damping / arm.motor_inertia)
-    spring = arm.stiffness / arm.motor_inertia
-    if motor + spring == 0.0:
-        return complex(math.inf), complex(math.inf)
-    reaction = arm.stiffness / arm.link_inertia * motor / (motor + spring)
-    return -(link + reaction) / arm.gravity_gain, spring / (motor + spring)
+def _slope_at(torque: complex, scale: float, mgl: float) -> complex:
+    """Return c with c mgl = torque; without gravity 0 if the torque is none, else infinity."""
+    if mgl:
+        return torque / mgl
+    return 0j if abs(torque) <= 1e-9 * scale else complex(math.inf)
 
 
-def _shared_mode(
-    request: ArmRequest, eigenvalue: complex, twist: complex, slope: float
-) -> HiddenMode:
-    """Return the mode in which the disturbance takes back the arm's motion."""
-    model, arm = request.disturbance_model, request.arm
-    motor = twist * arm.stiffness / arm.link_inertia
-    _, singular, right = np.linalg.svd(model.S - eigenvalue * np.eye(model.state_count))
-    kernel = right[singular <= 1e-9 * max(1.0, float(singular[0]))].conj().T
-    own = kernel @ (kernel.conj().T @ model.H[0])
-    shape = np.concatenate(
-        [[1.0, eigenvalue, motor, motor * eigenvalue], -own / (model.H[0] @ own)]
-    )
+def _obstacle(
+    request: ArmRequest,
+    exosystems: Sequence[_Exosystem],
+    copies: Sequence[Complex | None],
+    eigenvalue: complex,
+    angles: tuple[complex, complex],
+    torques: tuple[complex, complex],
+    slope: float | None,
+) -> Obstacle:
+    """Return the mode in which the disturbances take back the arm's motion."""
+    a, b = angles
+    moved = {
+        "link_angle": a, "link_velocity": eigenvalue * a,
+        "motor_angle": b, "motor_velocity": eigenvalue * b,
+    }  # fmt: skip
+    shape = np.zeros(request.flow.state_count, dtype=complex)
+    shape[:4] = [moved[name] for name in QUANTITIES]
+    shape[2:4] *= request.arm.stiffness / request.arm.link_inertia
+    parties = ["the arm's motion" if abs(eigenvalue) > 1e-6 else "where the arm is"]
+    sizes = [-moved[output.measures] for output in request.sensors] + list(torques)
+    for (name, place, model), copy, size in zip(exosystems, copies, sizes, strict=True):
+        if copy is not None and abs(size) > 1e-9:
+            shape[place : place + copy.size] = size * copy
+            where = f"torque at the {name}" if name in SIDES else name
+            parties.append(f"the {model.label} of the {where}")
     shape /= np.linalg.norm(shape)
-    pencil = request.flow.slope_matrix(slope) - eigenvalue * np.eye(shape.size)
+    at = request.slope_range[1] if slope is None else slope
+    pencil = request.flow.slope_matrix(at) - eigenvalue * np.eye(shape.size)
     visibility = np.linalg.norm(pencil @ shape) / np.linalg.norm(pencil)
-    return HiddenMode(eigenvalue, shape, float(visibility))
+    return Obstacle(slope, HiddenMode(eigenvalue, shape, float(visibility)), tuple(parties))
 
 
 def _describe(request: ArmRequest, obstacle: Obstacle) -> str:
@@ -159,105 +306,79 @@ def _describe(request: ArmRequest, obstacle: Obstacle) -> str:
     # A persistent mode's tiny real part, or a defective zero's spread, is rounding.
     clean = complex(*(0.0 if abs(part) < 1e-6 else part for part in _parts(eigenvalue)))
     rate = f"{clean.real:.4g} ± {clean.imag:.4g}j" if clean.imag else f"{clean.real:.4g}"
-    names = ["q1", "q1'", "q2", "q2'"]
-    names += [f"w{index + 1}" for index in range(obstacle.mode.shape.size - 4)]
     fate = "decays by itself but" if clean.real < 0.0 else "does not decay and"
+    fault = "cannot be told apart" if len(obstacle.parties) > 1 else "is not shown by velocities"
+    at = " at c = 1" if obstacle.slope is None and request.arm.gravity_torque else ""
     return (
-        f"{_place(obstacle.slope)}: the mode with eigenvalue {rate} 1/s {fate} is not seen; shape "
-        f"{_shape(request, obstacle.mode.shape, names)}"
+        f"{_place(request, obstacle.slope)}: {_joined(obstacle.parties)} {fault}: the mode with "
+        f"eigenvalue {rate} 1/s {fate} is not seen; shape{at} "
+        f"{_shape(request, obstacle.mode.shape)}"
     )
 
 
-def _place(slope: float | None) -> str:
+def _joined(parts: Sequence[str]) -> str:
+    *others, last = parts
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def _place(request: ArmRequest, slope: float | None) -> str:
+    if not request.arm.gravity_torque:
+        return "without gravity"
     if slope is None:
         return "at every gravity slope"
     angle = math.degrees(math.acos(max(-1.0, min(1.0, slope))))
-    return f"gravity slope c = {_tidy(slope):.4g} (|q1| = {angle:.1f} deg)"
+    # cos(π/2) is 6e-17 in floating point.
+    tidy = 0.0 if abs(slope) < 1e-12 else slope
+    return f"gravity slope c = {tidy:.4g} (|q1| = {angle:.1f} deg)"
 
 
-def _shape(
-    request: ArmRequest,
-    mode: "np.ndarray[tuple[int, ...], np.dtype[np.complex128]]",
-    names: list[str],
-) -> str:
+def _shape(request: ArmRequest, mode: Complex) -> str:
+    """Return a mode in rad, rad/s and N m, its largest part 1."""
     physical = mode.copy()
-    scale = request.arm.to_physical(np.ones(4))
-    physical[:4] *= scale
-    # Turn and scale the mode so that its largest part is exactly 1.
+    physical[:4] *= request.arm.to_physical(np.ones(4))
     physical /= physical[int(np.argmax(np.abs(physical)))]
+    names = ["q1", "q1'", "q2", "q2'"]
+    outputs, torques = request.disturbance_model.state_count, request.flow.state_count - 4
+    names += [f"w{i + 1}" for i in range(outputs)]
+    names += [f"d{i + 1}" for i in range(torques - outputs)]
     parts = []
-    for name, value in zip(names, physical, strict=True):
+    for name, value in zip(names, physical, strict=False):
         real, imaginary = (0.0 if abs(part) < 1e-6 else part for part in _parts(value))
         text = f"{real:.3g}{imaginary:+.3g}j" if imaginary else f"{real:.3g}"
         parts.append(f"{name} {text}")
-    return "[" + ", ".join(parts) + "]"
-
-
-def _tidy(slope: float) -> float:
-    # cos(π/2) is 6e-17 in floating point.
-    return 0.0 if abs(slope) < 1e-12 else slope
+    units = " (rad, rad/s, N m)" if request.torque_sides else ""
+    return "[" + ", ".join(parts) + "]" + units
 
 
 def _parts(value: complex) -> tuple[float, float]:
     return float(value.real), float(value.imag)
 
 
-def _advice(request: ArmRequest, obstacles: list[Obstacle]) -> Iterator[str]:
-    if request.disturbance_model.arbitrary:
-        yield "a model of the disturbance: bias, gauss_markov, sinusoid, ramp, or a sum of them"
-        yield "a second sensor known to be clean (a motor encoder, say)"
-        return
-    slopes = [obstacle.slope for obstacle in obstacles if obstacle.slope is not None]
-    if len(slopes) < len(obstacles):
-        terms = " and ".join(term.kind for term in request.disturbance)
-        yield (
-            f"fewer terms: two of {terms} move alike and cannot be distinguished, not even "
-            f"without the arm"
-        )
-    if slopes and max(slopes) < 1.0 - _SLOPE_TOLERANCE:
-        worst = _tidy(max(slopes))
-        yield (
-            f"a smaller domain: x_max below {math.acos(worst):.4g} rad keeps the slope above "
-            f"{worst:.4g}"
-        )
-    if any(abs(obstacle.mode.eigenvalue.imag) > 1e-3 for obstacle in obstacles if obstacle.slope):
-        yield "a disturbance frequency away from the arm's own frequencies on the domain"
-    yield "kind gauss_markov, whose decaying state need not be seen, in place of one that persists"
-    yield "kind clean, if the sensor carries noise only"
-
-
-def _require_detectable_vertices(request: TSRequest) -> None:
-    if request.disturbance_model.arbitrary:
-        raise DetectabilityError(
-            "an arbitrary disturbance explains every value of the outputs it acts on, which "
-            "then carry nothing about the state. What would help: a model of it (bias, "
-            "gauss_markov, sinusoid, ramp), or leaving these outputs out of C and reading "
-            "their disturbance as y − C x̂ from the others"
-        )
+def _hidden_at_vertices(request: TSRequest) -> list[tuple[str, HiddenMode]]:
     matrices, names = request.vertex_matrices()
-    hidden = [
+    return [
         (name, mode)
         for name, matrix in zip(names, matrices, strict=True)
         for mode in undetectable_modes(request.flow.augmented(matrix), request.flow.output_matrix)
         if mode.eigenvalue.imag >= 0.0
     ]
-    if hidden:
-        raise DetectabilityError(_explain_hidden(request, hidden))
 
 
-def _explain_hidden(request: TSRequest, hidden: Sequence[tuple[str, HiddenMode]]) -> str:
-    n, q = request.model.state_count, request.disturbance_model.state_count
+def _explain_hidden(request: TSRequest, remedies: Sequence[Remedy]) -> str:
+    if request.disturbance_model.arbitrary:
+        lines = [
+            "an arbitrary disturbance explains every value of the outputs it acts on, which "
+            "then carry nothing about the state"
+        ]
+        return "\n".join([*lines, *_advice(remedies)])
+    q = request.disturbance_model.state_count
     names = [*request.state_names, *(f"w{i + 1}" for i in range(q))]
     label = f"[{', '.join(names)}]"
     lines = [
         f"no observer exists for outputs disturbed by {request.disturbance_model.label}:",
-        *(f"  - {name}: the mode {format_mode(mode, label)} is not seen" for name, mode in hidden),
-        "what would help:",
+        *(
+            f"  - {name}: the mode {format_mode(mode, label)} is not seen"
+            for name, mode in _hidden_at_vertices(request)
+        ),
     ]
-    if any(np.abs(mode.shape[n:]).max(initial=0.0) > 1e-6 for _, mode in hidden):
-        lines.append(
-            "  - a disturbance that cannot copy the mode: gauss_markov, another frequency, or "
-            "kind clean on an output that shows it"
-        )
-    lines.append("  - an output that shows the mode, or damping that makes it decay")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_advice(remedies)])

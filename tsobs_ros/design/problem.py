@@ -115,11 +115,6 @@ class DesignProblem(ABC):
     def domain(self) -> str:
         """The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]"."""
 
-    @property
-    @abstractmethod
-    def remedies(self) -> Sequence[str]:
-        """What would help if no common matrix is found, the best first."""
-
     @abstractmethod
     def vertices(self, share: float = 1.0) -> Sequence[ErrorVertex]:
         """Return the error systems of a share of the domain, 0 for its middle, 1 for all of it."""

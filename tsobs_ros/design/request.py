@@ -202,17 +202,18 @@ class TorqueDisturbance:
                         "got kind arbitrary"
                     )
 
-    @property
-    def sides(self) -> tuple[str, ...]:
-        """The sides with a model of at least one state, motor first."""
-        return tuple(side for side in SIDES if _sum_of(getattr(self, side)).state_count)
+    @cached_property
+    def by_side(self) -> Mapping[str, DisturbanceModel]:
+        """The exosystems with at least one state by their sides, the motor's first."""
+        models = {side: _sum_of(getattr(self, side)) for side in SIDES}
+        return {side: model for side, model in models.items() if model.state_count}
 
     @cached_property
     def model(self) -> DisturbanceModel | None:
         """The exosystem of both sides, None if neither has a model."""
-        if not self.sides:
+        if not self.by_side:
             return None
-        return per_channel([_sum_of(getattr(self, side)) for side in SIDES])
+        return per_channel([self.by_side.get(side, disturbances.clean()) for side in SIDES])
 
 
 def _sum_of(terms: Sequence[DisturbanceTerm]) -> DisturbanceModel:
@@ -335,7 +336,7 @@ class ArmRequest(DesignProblem):
     @property
     def torque_sides(self) -> tuple[str, ...]:
         """The sides with a torque disturbance, of "motor" and "link", in this order."""
-        return self.torque_disturbance.sides
+        return tuple(self.torque_disturbance.by_side)
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
@@ -418,9 +419,8 @@ class ArmRequest(DesignProblem):
                 for output in self.outputs
                 for i in range(output.model.state_count)
             ]
-        for side in self.torque_sides:
-            count = _sum_of(getattr(self.torque_disturbance, side)).state_count
-            labels += [f"{side} torque {i + 1} [N m]" for i in range(count)]
+        for side, model in self.torque_disturbance.by_side.items():
+            labels += [f"{side} torque {i + 1} [N m]" for i in range(model.state_count)]
         return labels
 
     @property
@@ -429,9 +429,8 @@ class ArmRequest(DesignProblem):
         parts = [f"disturbance {self.disturbance_model.label}"]
         if self.outputs:
             parts = [f"{output.measures} ({output.model.label})" for output in self.outputs]
-        for side in self.torque_sides:
-            terms = getattr(self.torque_disturbance, side)
-            parts.append(f"torque at the {side} ({_sum_of(terms).label})")
+        for side, model in self.torque_disturbance.by_side.items():
+            parts.append(f"torque at the {side} ({model.label})")
         gravity = f"|q1| <= {self.x_max:.4g} rad" if self.arm.gravity_torque else "no gravity"
         return ", ".join([*parts, gravity])
 
@@ -468,17 +467,6 @@ class ArmRequest(DesignProblem):
             return slopes
         bounds = " and ".join(f"{name} ± {bound:.4g}" for name, bound in self.uncertainty.items())
         return f"{slopes}, {bounds}"
-
-    @property
-    def remedies(self) -> list[str]:
-        """What would help if no common matrix is found."""
-        smaller = ["smaller bounds of uncertainty"] if self.certify_uncertainty else []
-        return [
-            *smaller,
-            "a smaller x_max",
-            "a smaller decay_rate",
-            "a disturbance model that decays",
-        ]
 
     @cached_property
     def initial_covariance(self) -> Array:

@@ -33,18 +33,33 @@ from scipy.linalg import solve_discrete_are
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
-from tsobs_ros.design.feasibility import require_detectable
+from tsobs_ros.design.feasibility import is_detectable, require_detectable
 from tsobs_ros.design.problem import DesignProblem, ErrorVertex
 from tsobs_ros.design.record import Design, SolverReport
+from tsobs_ros.design.remedies import helpful, remedies_of_gain
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import DesignError
 
 MARGINS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Extra noise density, as a fraction of the bound per second, that makes the claim strict."""
 
-_PASSES = 12
 _SETTLED = 1e-3
-_SMALLEST_STEP = 1.0 / 64.0
+
+
+class Effort(NamedTuple):
+    """How much a synthesis tries.
+
+    Attributes:
+        passes: Largest number of solves until the bound's volume stops shrinking.
+        smallest_step: Share of the domain by which the last attempts to reach it grow.
+    """
+
+    passes: int = 12
+    smallest_step: float = 1.0 / 64.0
+
+
+_FULL = Effort()
+_LITTLE = Effort(passes=1, smallest_step=1.0 / 4.0)
 
 
 class _Solution(NamedTuple):
@@ -81,23 +96,40 @@ def synthesise(request: ArmRequest | TSRequest) -> Design:
         DetectabilityError: No observer can exist; the text says which mode is hidden and why.
         DesignError: The solver found no common matrix P, or its answer failed the re-check.
     """
-    require_detectable(request)
-    return Design(request, *solve_gain(request))
+    require_detectable(request, _has_design)
+    try:
+        return Design(request, *solve_gain(request))
+    except DesignError as error:
+        found = helpful(remedies_of_gain(request), _has_design)
+        advice = "; ".join(remedy.text for remedy in found) or "none of the changes that were tried"
+        raise DesignError(f"{error}. What would help: {advice}", found) from error
 
 
-def solve_gain(problem: DesignProblem) -> Gain:
+def _has_design(problem: DesignProblem) -> bool:
+    """Return whether a request has a design that is found with little effort."""
+    try:
+        if is_detectable(problem):
+            solve_gain(problem, _LITTLE)
+            return True
+    except DesignError:
+        pass
+    return False
+
+
+def solve_gain(problem: DesignProblem, effort: Effort = _FULL) -> Gain:
     """Return the gain with the smallest proved bound, its certificate re-checked.
 
     Args:
         problem: Error systems and noise, every one of them detectable.
+        effort: How much is tried.
 
     Raises:
         DesignError: The solver found no common matrix P, or its answer failed the re-check.
     """
     started = time.perf_counter()
-    solution = _walk_to_domain(problem, MARGINS[0])
+    solution = _walk_to_domain(problem, MARGINS[0], effort.smallest_step)
     for margin in MARGINS:
-        solution = _settle(problem, solution, margin)
+        solution = _settle(problem, solution, margin, effort.passes)
         P, K = _answer(problem, solution.covariance)
         report = check_certificate(problem, P, K)
         if report.holds:
@@ -129,7 +161,7 @@ def _answer(problem: DesignProblem, covariance: Array) -> tuple[Array, Array]:
     return P, bound @ C.T @ np.linalg.inv(C @ bound @ C.T + R)
 
 
-def _walk_to_domain(problem: DesignProblem, margin: float) -> _Solution:
+def _walk_to_domain(problem: DesignProblem, margin: float, smallest_step: float) -> _Solution:
     """Solve for all that is asked, from its middle in as few steps as the solver bears."""
     starts = problem.starts()
     guesses = [
@@ -147,7 +179,7 @@ def _walk_to_domain(problem: DesignProblem, margin: float) -> _Solution:
         candidate = _solve(problem, problem.vertices(target), scaling, margin)
         if candidate is None:
             step = step / 2
-            if step < _SMALLEST_STEP:
+            if step < smallest_step:
                 raise DesignError(_no_common_matrix(problem, None if solution is None else share))
             if solution is None:
                 scaling = guesses[-1]
@@ -156,11 +188,11 @@ def _walk_to_domain(problem: DesignProblem, margin: float) -> _Solution:
     return solution
 
 
-def _settle(problem: DesignProblem, solution: _Solution, margin: float) -> _Solution:
+def _settle(problem: DesignProblem, solution: _Solution, margin: float, passes: int) -> _Solution:
     """Repeat the solve around its own answer until the bound's volume stops shrinking."""
     vertices = problem.vertices()
     best = solution
-    for _ in range(_PASSES):
+    for _ in range(passes):
         candidate = _solve(problem, vertices, best.covariance, margin)
         if candidate is None:
             return best
@@ -242,11 +274,9 @@ def _no_common_matrix(problem: DesignProblem, share: float | None) -> str:
         reached = "not a single solve succeeded"
     else:
         reached = f"it got as far as {100.0 * share:.3g} % of that range"
-    *advice, last = problem.remedies
     return (
         f"no common matrix P exists, or none the solver can find, for {problem.domain} at decay "
-        f"rate {problem.decay_rate:.4g} 1/s and {1.0 / problem.period:.4g} Hz; {reached}. What "
-        f"would help: {', '.join(advice)}, or {last}"
+        f"rate {problem.decay_rate:.4g} 1/s and {1.0 / problem.period:.4g} Hz; {reached}"
     )
 
 

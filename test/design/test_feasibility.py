@@ -1,0 +1,237 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Requests without a design: what hides what, proved by the modes, and remedies that help."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tsobs_ros.design.feasibility import find_obstacles, require_detectable
+from tsobs_ros.design.request import (
+    ArmRequest,
+    DisturbanceTerm,
+    Output,
+    TorqueDisturbance,
+    TSRequest,
+)
+from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.errors import DesignError, DetectabilityError, ModelError
+from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
+from tsobs_ros.model.detectability import undetectable_modes
+from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.fuzzy import RuleBase, membership
+from tsobs_ros.model.ts_model import TSModel
+
+BIAS, CLEAN = (DisturbanceTerm("bias"),), (DisturbanceTerm("clean"),)
+DRIFT = (DisturbanceTerm("gauss_markov"),)
+NO_GRAVITY = ElasticJointArm(gravity_torque=0.0)
+
+
+def tone(frequency: float) -> tuple[DisturbanceTerm, ...]:
+    return (DisturbanceTerm("sinusoid", {"frequency": frequency}),)
+
+
+def of(*outputs: Any, motor: Any = (), link: Any = (), **changes: Any) -> ArmRequest:
+    """Return a request for outputs (name, terms) and torques at motor and link."""
+    return ArmRequest(
+        outputs=[Output(name, 0.001, terms) for name, terms in outputs],
+        torque_disturbance=TorqueDisturbance(motor, link),
+        **changes,
+    )
+
+
+TERMS = st.sampled_from([CLEAN, BIAS, DRIFT, tone(2.0), (*BIAS, *tone(3.0)), (*BIAS, *BIAS)])
+TORQUES = st.sampled_from([(), BIAS, DRIFT, tone(2.0), tone(3.0)])
+REQUESTS = st.builds(
+    lambda arm, outputs, motor, link: of(*outputs.items(), motor=motor, link=link, arm=arm),
+    st.builds(
+        ElasticJointArm, st.floats(0.5, 2.0), st.floats(0.5, 2.0), st.floats(5.0, 20.0),
+        st.just(0.0) | st.floats(5.0, 20.0), st.just(0.0) | st.floats(0.1, 1.0),
+        st.just(0.0) | st.floats(0.1, 1.0),
+    ),
+    st.dictionaries(st.sampled_from(QUANTITIES), TERMS, min_size=1, max_size=3),
+    TORQUES, TORQUES,
+)  # fmt: skip
+
+
+@settings(max_examples=150)
+@given(REQUESTS, st.floats(0.75, 0.99))
+def test_the_closed_forms_agree_with_a_rank_test(request_: ArmRequest, slope: float) -> None:
+    """Obstacles at any slope are what a rank test finds at a slope at random, mode by mode."""
+    flow = request_.flow
+    obstacles = find_obstacles(request_)
+    for obstacle in obstacles:
+        at = obstacle.slope if obstacle.slope is not None else request_.slope_range[1]
+        A, shape = flow.slope_matrix(at), obstacle.mode.shape
+        residual = A @ shape - obstacle.mode.eigenvalue * shape
+        assert np.linalg.norm(residual) < 1e-9 * np.linalg.norm(A)
+        assert np.linalg.norm(flow.output_matrix @ shape) < 1e-9
+        assert obstacle.mode.eigenvalue.real > -1e-9
+    A = flow.slope_matrix(slope if request_.arm.gravity_torque else 0.0)
+    anywhere = {round(each.mode.eigenvalue.imag, 6) for each in obstacles if each.slope is None}
+    # At the eigenvalues themselves, which numbers have only to few digits if they are defective.
+    candidates = (0.0, 2.0, 3.0)
+    hidden = set()
+    for frequency in candidates:
+        pencil = np.vstack([A - 1j * frequency * np.eye(len(A)), flow.output_matrix])
+        sizes = np.linalg.svd(pencil, compute_uv=False)
+        if sizes[-1] < 1e-9 * sizes[0]:
+            hidden.add(frequency)
+    assert anywhere == hidden
+    for mode in undetectable_modes(A, flow.output_matrix):
+        assert np.abs(abs(mode.eigenvalue) - np.array(candidates)).min() < 1e-2
+
+
+@settings(max_examples=60)
+@given(REQUESTS, st.floats(0.74, 1.0), st.booleans())
+def test_a_mode_hidden_at_one_slope_only_is_found_there(
+    request_: ArmRequest, slope: float, with_link: bool
+) -> None:
+    """A tone at the frequency of the arm, or of a link on a held motor, at that very slope."""
+    arm = request_.arm
+    if not arm.gravity_torque or arm.link_damping or arm.motor_damping:
+        arm = ElasticJointArm(arm.link_inertia, arm.motor_inertia, arm.stiffness, 7.0)
+    if with_link:
+        own = float(np.abs(np.linalg.eigvals(arm.slope_matrix(slope)).imag).max())
+        request_ = of(("link_angle", tone(own)), arm=arm)
+    else:
+        own = float(np.sqrt((arm.stiffness + slope * arm.gravity_torque) / arm.link_inertia))
+        request_ = of(("motor_angle", CLEAN), ("link_angle", tone(own)), motor=tone(own), arm=arm)
+    (obstacle,) = find_obstacles(request_)
+    assert obstacle.slope == pytest.approx(slope, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("request_", "parties"),
+    [
+        (of(("link_angle", BIAS)), None),
+        (of(("motor_angle", BIAS)), None),
+        (of(("motor_angle", CLEAN), arm=NO_GRAVITY), None),
+        (of(("link_angle", CLEAN), motor=BIAS, link=DRIFT), None),
+        (of(("link_angle", BIAS), link=DRIFT), None),
+        (of(("link_angle", BIAS), link=BIAS),
+         "where the arm is, the bias of the link_angle and the bias of the torque at the link"),
+        (of(("motor_angle", BIAS), motor=BIAS),
+         "where the arm is, the bias of the motor_angle and the bias of the torque at the motor"),
+        (of(("motor_angle", CLEAN), ("link_angle", BIAS), link=BIAS), None),
+        (of(("motor_angle", BIAS), ("link_angle", BIAS), link=BIAS), "the bias of the motor_angle"),
+        (of(("motor_angle", CLEAN), ("link_angle", BIAS), motor=BIAS, link=BIAS), "at the motor"),
+        (of(("link_angle", BIAS), arm=NO_GRAVITY), "where the arm is and the bias of the link_ang"),
+        (of(("link_angle", DRIFT), arm=NO_GRAVITY), None),
+        (of(("link_velocity", CLEAN), ("motor_velocity", CLEAN), arm=NO_GRAVITY),
+         "where the arm is is not shown by velocities"),
+        (of(("motor_velocity", CLEAN)), None),
+        (of(("motor_velocity", CLEAN), x_max=2.0), "c = 0 (|q1| = 90.0 deg): where the arm is is"),
+        (of(("motor_angle", tone(2.0)), link=tone(2.0)),
+         "the arm's motion, the sinusoid of the motor_angle and the sinusoid of the torque at the"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_told_apart_is_named(request_: ArmRequest, parties: str | None) -> None:
+    if parties is None:
+        require_detectable(request_)
+        return
+    with pytest.raises(DetectabilityError) as caught:
+        require_detectable(request_)
+    assert parties in str(caught.value)
+
+
+def lorenz() -> TSRequest:
+    """The Lorenz system for |x1| <= 30, of which x1 is measured."""
+    A = [[[-10, 10, 0], [28, -1, s * 30.0], [0, -s * 30.0, -8 / 3]] for s in (1.0, -1.0)]
+    ends = {"zero": 30.0, "one": -30.0}, {"zero": -30.0, "one": 30.0}
+    rules = RuleBase(tuple((membership("linear", each),) for each in ends))
+    model = TSModel(
+        np.array(A), np.zeros((2, 3, 1)), np.eye(3)[:1], rules, np.array([[1.0, 0.0, 0.0]])
+    )
+    return TSRequest(
+        model=model,
+        disturbance=[CLEAN],
+        process_noise=[1e-3] * 3,
+        measurement_std=[0.1],
+        rate=200.0,
+        initial_std=[10.0] * 3,
+    )
+
+
+def integrator() -> TSRequest:
+    """An integrator and a constant, measured as their sum."""
+    always = RuleBase(((membership("always", {}),),))
+    A = np.array([[[0.0, 1.0], [0.0, -1.0]]])
+    return TSRequest(
+        model=TSModel(A, np.zeros((1, 2, 1)), np.eye(2)[:1], always, np.ones((1, 2))),
+        disturbance=[BIAS],
+        process_noise=[1e-3, 1e-2],
+        measurement_std=[0.1],
+        rate=50.0,
+        initial_std=[1.0, 1.0],
+    )
+
+
+@pytest.mark.parametrize(
+    ("request_", "expected"),
+    [
+        pytest.param(of(("motor_angle", BIAS), ("link_angle", BIAS), link=BIAS),
+         ["kind gauss_markov for the torque at the link", "kind clean for motor_angle",
+          "kind clean for link_angle", "kind clean for the torque at the link"],
+         id="two encoders"),
+        pytest.param(of(("link_velocity", CLEAN), x_max=2.0),
+         ["a smaller domain: x_max below 1.571 rad", "a further output without disturbance: link_"],
+         id="velocity"),
+        pytest.param(ArmRequest(disturbance=tone(1.4)),
+         ["x_max below 0.5722 rad", "a disturbance frequency away from the arm's own", "motor_ang"],
+         id="tone"),
+        pytest.param(ArmRequest(disturbance=(*BIAS, *BIAS)), ["fewer terms"], id="two biases"),
+        pytest.param(of(("motor_angle", CLEAN), ("link_angle", (DisturbanceTerm("arbitrary"),))),
+         ["a model of the disturbance", "leaving these outputs out"], id="arbitrary"),
+        pytest.param(ArmRequest(process_noise=ProcessNoise(0.0, 0.0)), ["process_noise above 0"],
+         id="no noise"),
+        pytest.param(lorenz(), ["a faster rate: ", "a smaller domain: rules 75 % as far"],
+         id="Lorenz"),
+        pytest.param(integrator(), ["kind gauss_markov for y1", "kind clean for y1"],
+         id="integrator"),
+    ],
+)  # fmt: skip
+def test_every_remedy_that_is_suggested_has_a_design(
+    request_: ArmRequest | TSRequest, expected: list[str]
+) -> None:
+    with pytest.raises(DesignError) as caught:
+        synthesise(request_)
+    text = str(caught.value)
+    for part in expected:
+        assert part in text
+    assert caught.value.remedies
+    for remedy in caught.value.remedies:
+        assert remedy.text in text
+        assert synthesise(remedy.request).certificate.holds
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: of(("elbow", CLEAN)), "measures: expected one of link_angle, .*got 'elbow'"),
+        (lambda: Output("link_angle", 0.0), "measurement_std: expected a finite number above 0"),
+        (lambda: Output("link_angle", 0.1, ()), "disturbance: expected at least one term"),
+        (
+            lambda: ArmRequest(outputs=[Output("link_angle", 0.1), Output("link_angle", 0.2)]),
+            r"outputs\[1\]: link_angle is listed already, as outputs\[0\]",
+        ),
+        (
+            lambda: ArmRequest(outputs=[Output("link_angle", 0.1)], measurement_std=0.2),
+            "measurement_std: expected in outputs, one an output, got 0.2 besides them",
+        ),
+        (
+            lambda: of(("link_angle", CLEAN), link=(DisturbanceTerm("arbitrary"),)),
+            r"link\[0\]: expected a torque with a model, e.g. gauss_markov, got kind arbitrary",
+        ),
+        (
+            lambda: of(("link_angle", CLEAN), motor=tone(700.0)),
+            "sinusoid frequency: expected less than half the measurement rate",
+        ),
+    ],
+)
+def test_wrong_outputs_and_torques_are_named(make: Any, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        make()
