@@ -36,7 +36,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "methods": {*CORE, "design", "paper"},
     "replay": {*CORE, "bag", "design", "methods"},
     "report": {*CORE, "bag", "design", "methods", "replay"},
-    "nodes": {*CORE, "bag", "design", "methods", "simulation"},
+    "plants": {"design", "simulation"},
+    "nodes": {*CORE, "bag", "design", "methods", "plants", "simulation"},
     "executables": {"nodes"},
     "cli": {
         *CORE,
@@ -53,7 +54,17 @@ MAY_IMPORT: dict[str, set[str]] = {
     },
     **{name: set() for name in COMMON},
     "campaign": {*CORE, "design", "methods", "report", "simulation"},
-    "api": {*CORE, "bag", "campaign", "design", "methods", "replay", "report", "simulation"},
+    "api": {
+        *CORE,
+        "bag",
+        "campaign",
+        "design",
+        "methods",
+        "plants",
+        "replay",
+        "report",
+        "simulation",
+    },
     # Lazily: importing the package itself imports nothing, which test_front_door.py checks.
     "__init__": {*CORE, "api", "bag", "design", "methods"},
 }

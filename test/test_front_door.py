@@ -127,6 +127,12 @@ def test_a_disturbance_is_named_or_passed(disturbance) -> None:
         ({"mismatch": {"mass": 0.1}}, "mismatch: expected some of link_inertia"),
         ({"torque": [1.0, 2.0]}, r"torque: expected shape \(201,\) or \(201, 1\).*got \(2,\)"),
         ({"rate": -1.0}, "rate"),
+        ({"disturbance": {"link_angle": "ramp", "elbow": "ramp"}}, "disturbance: expected some of"),
+        ({"torque_disturbance": {"elbow": "ramp"}}, "torque_disturbance: expected some of motor"),
+        ({"payload": {"mass": 1.0, "inertia": 0.1}}, "payload: expected some of mass, distance"),
+        ({"friction": {"motor": 0.1}}, "friction: expected some of link_viscous"),
+        ({"noise_std": [0.1, 0.2]}, "noise_std"),
+        ({"initial_state": [0.1]}, r"initial_state: expected shape \(4,\), got \(1,\)"),
     ],
 )
 def test_a_wrong_simulation_is_refused(options, match) -> None:

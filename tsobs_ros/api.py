@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tsobs_ros.checks import Array, shown
+from tsobs_ros.checks import Array, as_matrix, shown
 from tsobs_ros.design import file
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
@@ -21,12 +21,15 @@ from tsobs_ros.estimation.history import CORRECTING, EXTRA, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, Basis
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.methods import METHODS, ObserverSettings, make_runner
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import SIDES, ElasticJointArm
+from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.passes import Ticks, new_pass
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
+from tsobs_ros.simulation.integrator import Friction, Payload
+from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import KINDS, Component, Excitation, Sine, parse_kinds
+from tsobs_ros.simulation.signals import KINDS, Component, Excitation, parse_kinds
+from tsobs_ros.simulation.systems import SystemScenario
 
 if TYPE_CHECKING:
     from tsobs_ros.replay.estimate import Observer, Run
@@ -42,7 +45,11 @@ Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Component]
 
 @dataclass(frozen=True)
 class Simulation:
-    """A simulated run of n samples: what an arm measures, and the truth.
+    """A simulated run of n samples: what a plant measures, and the truth.
+
+    Shapes are those of an arm with one output. With p of them, and of a T–S system, angle and
+    disturbance have the shape (n, p); a T–S system's torque, its inputs and scheduled signals, has
+    (n, m + s), and its states are the model's.
 
     Attributes:
         time: Time since the start [s], shape (n,).
@@ -51,6 +58,8 @@ class Simulation:
         state: True [q₁, q̇₁, q₂, q̇₂] of link and motor (rad, rad/s), shape (n, 4).
         disturbance: True disturbance of the sensor, white noise and outliers not included [rad],
             shape (n,).
+        torque_disturbance: True torques on motor and link besides the drive's, friction and what a
+            payload costs included [N m], shape (n, 2); of a T–S system (n, 0).
     """
 
     time: Array
@@ -58,6 +67,7 @@ class Simulation:
     torque: Array
     state: Array
     disturbance: Array
+    torque_disturbance: Array
 
 
 @dataclass(frozen=True)
@@ -143,56 +153,105 @@ def simulate(
     duration: float = 20.0,
     rate: float | None = None,
     seed: int = 0,
-    noise_std: float | None = None,
-    disturbance: Disturbance = "none",
-    torque: Excitation | Callable[[float], float] | ArrayLike | None = None,
+    noise_std: float | Sequence[float] | None = None,
+    disturbance: Disturbance | Mapping[str, Disturbance] = "none",
+    torque: Excitation | Callable[[float], ArrayLike] | ArrayLike | None = None,
     mismatch: Mapping[str, float] | None = None,
+    initial_state: Sequence[float] | None = None,
+    friction: Mapping[str, float] | None = None,
+    torque_disturbance: Mapping[str, Disturbance] | None = None,
+    payload: Mapping[str, float] | None = None,
 ) -> Simulation:
-    """Simulate an arm with an elastic joint and its sensor.
+    """Simulate an arm with an elastic joint, or a T–S system, and its sensors.
 
     Args:
-        arm: The arm, or a design, whose arm, rate and noise are taken; the default arm if None.
+        arm: The arm, or a design, whose plant, outputs, rate and noise are taken; the default arm
+            if None.
         duration: Length of the run [s].
         rate: Samples a second [Hz]; the design's, or 200.
         seed: Seed of everything random: the same seed gives the same numbers.
-        noise_std: 1σ of the sensor's white noise [rad]; the design's, or 0.028.
-        disturbance: Of the sensor: "none", a kind or a sum of kinds such as "bias_step+ramp", a
-            mapping of kinds to their parameters, or components of `simulation.signals`.
+        noise_std: 1σ of the sensors' white noise [rad], one number for all outputs or one each;
+            the design's, or 0.028.
+        disturbance: Of the first output: "none", a kind or a sum of kinds such as
+            "bias_step+ramp", a mapping of kinds to their parameters, or components of
+            `simulation.signals`. Or a mapping of names of outputs to such disturbances.
         torque: A number, one number a sample, or a function of the time [s], in N m; sin t if None.
-        mismatch: Relative changes of the true arm's parameters, such as {"stiffness": 0.2}.
+            Of m inputs shape (n, m), or a function with m numbers.
+        mismatch: Relative changes of the true arm's parameters, such as {"stiffness": 0.2}; θ of
+            the true T–S system.
+        initial_state: True state at the start (rad, rad/s of an arm); by default about what
+            `Scenario` has, 0 for a T–S system.
+        friction: Of the true arm, such as {"motor_viscous": 0.1}; see `simulation.integrator`.
+        torque_disturbance: Torques on "motor" and "link" besides the drive's [N m], each as
+            `disturbance`.
+        payload: What the link carries from `start` on for `duration` [s]: `mass` [kg] at a
+            `distance` [m], or `link_inertia` [kg m²] and `gravity_torque` [N m].
 
     Raises:
-        ModelError: A number is out of range, a kind or parameter is unknown, or there is not one
-            torque a sample.
+        ModelError: A number is out of range, a kind, output or parameter is unknown, a T–S system
+            is to have what only arms have, or there is not one torque a sample.
 
     >>> import tsobs_ros as ts
     >>> run = ts.simulate(duration=2.0, disturbance={"bias_step": {"amplitude": 0.1, "start": 1.0}})
     >>> run.angle.shape, run.state.shape, float(run.disturbance[-1])
     ((401,), (401, 4), 0.1)
+    >>> contact = {"bias_step": {"amplitude": 3.0, "start": 1.0}}
+    >>> touched = ts.simulate(duration=2.0, torque_disturbance={"link": contact})
+    >>> touched.torque_disturbance[-1].tolist()
+    [0.0, 3.0]
     """
+    scenario: Scenario | SystemScenario
     if isinstance(arm, Design):
-        request = arm.arm_request
-        arm, rate = request.arm, rate or request.rate
-        noise_std = request.measurement_std if noise_std is None else noise_std
-    scenario = Scenario(
-        arm=arm or ElasticJointArm(),
-        mismatch=_changed("mismatch", Mismatch(), mismatch or {}),
-        rate=rate or Scenario.rate,
-        duration=duration,
-        excitation=torque if isinstance(torque, Excitation) else Sine(),
-        disturbance=_components(disturbance),
-        sensor=Sensor() if noise_std is None else Sensor(noise_std=noise_std),
-    )
-    count, given = scenario.sample_count, None
-    if torque is not scenario.excitation and torque is not None:
-        given = _torques(torque, np.arange(count) / scenario.rate)
+        scenario = scenario_of(arm.request, mismatch)
+    else:
+        scenario = scenario_of(ArmRequest(), mismatch)
+        assert isinstance(scenario, Scenario)
+        scenario = replace(scenario, arm=arm or ElasticJointArm())
+    excited = torque if isinstance(torque, Excitation) else None
+    changes: dict[str, Any] = {
+        "rate": rate or scenario.rate,
+        "duration": duration,
+        "outputs": _outputs(scenario.outputs, noise_std, disturbance),
+    }
+    if isinstance(scenario, Scenario):
+        changes["excitation"] = excited or scenario.excitation
+        changes["friction"] = _changed("friction", Friction(), friction or {})
+        sides = torque_disturbance or {}
+        _check_names("torque_disturbance", sides, SIDES)
+        changes["torque_disturbance"] = TorqueDisturbance(
+            **{side: _components(terms) for side, terms in sides.items()}
+        )
+        changes["payload"] = _payload(payload or {})
+        if initial_state is not None:
+            physical = as_matrix("initial_state", initial_state, (4,))
+            changes["initial_state"] = tuple(scenario.arm.from_physical(physical).tolist())
+            changes["initial_spread"] = (0.0,) * 4
+    else:
+        for name, unwanted in (
+            ("friction", friction),
+            ("torque_disturbance", torque_disturbance),
+            ("payload", payload),
+        ):
+            if unwanted:
+                raise ModelError(f"{name}: expected none for a T-S system, which has no torques")
+        if excited is not None:
+            m = scenario.input_count
+            changes["inputs"] = (excited,) * m + scenario.inputs[m:]
+        if initial_state is not None:
+            changes["initial_state"] = initial_state
+    scenario = replace(scenario, **changes)
+    count, m, given = scenario.sample_count, scenario.input_count, None
+    if torque is not None and excited is None:
+        given = _torques(torque, np.arange(count) / scenario.rate, m)
     run = Plant(scenario, seed).run(count, given)
+    alone = isinstance(scenario, Scenario) and len(scenario.outputs) == 1
     return Simulation(
         time=run.times,
-        angle=run.measurements[:, 0],
-        torque=run.torques[:, 0],
+        angle=run.measurements[:, 0] if alone else run.measurements,
+        torque=run.torques[:, 0] if isinstance(scenario, Scenario) else run.torques,
         state=run.physical,
-        disturbance=run.disturbances[:, 0],
+        disturbance=run.disturbances[:, 0] if alone else run.disturbances,
+        torque_disturbance=run.torque_disturbances,
     )
 
 
@@ -422,6 +481,40 @@ def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
     )
 
 
+def _outputs(
+    outputs: tuple[SimulatedOutput, ...],
+    noise_std: float | Sequence[float] | None,
+    disturbance: Disturbance | Mapping[str, Disturbance],
+) -> tuple[SimulatedOutput, ...]:
+    """Return the outputs with other noise and with disturbances."""
+    names = [output.measures for output in outputs]
+    given: Mapping[str, Any] = {names[0]: disturbance}
+    if isinstance(disturbance, Mapping) and any(name in names for name in disturbance):
+        given = disturbance
+        _check_names("disturbance", given, names)
+    stds: Any = [output.sensor.noise_std for output in outputs]
+    if noise_std is not None:
+        given_std = [noise_std] * len(stds) if np.ndim(noise_std) == 0 else noise_std
+        stds = as_matrix("noise_std", given_std, (len(stds),))
+    return tuple(
+        SimulatedOutput(
+            output.measures,
+            Sensor(noise_std=float(std)),
+            _components(given.get(output.measures, "none")),
+        )
+        for output, std in zip(outputs, stds, strict=True)
+    )
+
+
+def _payload(numbers: Mapping[str, float]) -> Payload:
+    known = [item.name for item in fields(Payload)]
+    if "mass" in numbers or "distance" in numbers:
+        _check_names("payload", numbers, ["mass", "distance", "start", "duration"])
+        return Payload.point(**{"mass": 0.0, "distance": 0.0, **numbers})
+    _check_names("payload", numbers, known)
+    return Payload(**numbers)
+
+
 def _components(disturbance: Disturbance) -> tuple[Component, ...]:
     if isinstance(disturbance, str):
         return tuple(KINDS[kind] for kind in parse_kinds(disturbance))
@@ -433,17 +526,21 @@ def _components(disturbance: Disturbance) -> tuple[Component, ...]:
 
 def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
     """Return a dataclass record with some of its numbers changed."""
-    known = [item.name for item in fields(record)]
-    if unknown := [key for key in values if key not in known]:
-        raise ModelError(f"{name}: expected some of {', '.join(known)}, got {unknown[0]!r}")
+    _check_names(name, values, [item.name for item in fields(record)])
     return replace(record, **values)
 
 
-def _torques(torque: Any, times: Array) -> Array:
+def _check_names(name: str, values: Iterable[str], known: Sequence[str]) -> None:
+    for key in values:
+        if key not in known:
+            raise ModelError(f"{name}: expected some of {', '.join(known)}, got {key!r}")
+
+
+def _torques(torque: Any, times: Array, inputs: int) -> Array:
     function = getattr(torque, "torque", torque)
     if callable(function):
-        torque = [float(function(time)) for time in times.tolist()]
-    return _columns("torque", torque, len(times), 1)
+        torque = [function(time) for time in times.tolist()]
+    return _columns("torque", torque, len(times), inputs)
 
 
 def _columns_of(

@@ -15,7 +15,7 @@ from tsobs_ros.nodes import observer, plant_simulator, player, recorder
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 POLICY = config_path("sros2_policy.xml")
-EVERYTHING = [*RECORDED_TOPICS, *ADAPTIVE_TOPICS]
+EVERYTHING = [*RECORDED_TOPICS, *ADAPTIVE_TOPICS, "/ground_truth/torque_disturbance"]
 TYPES = {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "/observer/design": "std_msgs/msg/String",

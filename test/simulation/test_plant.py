@@ -20,10 +20,13 @@ from scipy.stats import t
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.fuzzy import Always, Gaussian, RuleBase, SineUpper
+from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.simulation.integrator import ArmIntegrator, Friction, Payload
 from tsobs_ros.simulation.plant import (
     Mismatch,
     Plant,
+    PlantScenario,
     Sample,
     Scenario,
     SimulatedOutput,
@@ -47,6 +50,7 @@ from tsobs_ros.simulation.signals import (
     StuckSensor,
     TwoTone,
 )
+from tsobs_ros.simulation.systems import SystemScenario
 
 QUIET = Scenario(
     initial_spread=(0.0,) * 4, process_noise=ProcessNoise(0.0, 0.0), sensor=Sensor(noise_std=0.0)
@@ -93,13 +97,29 @@ MANY = replace(
         SimulatedOutput("motor_velocity", Sensor(0.1, latency=0.02, dropout_interval=0.4)),
     ),
 )
+SYSTEM = SystemScenario(
+    TSModel(
+        A=np.array([[[0.0, 1.0], [-9.81, -0.2]], [[0.0, 1.0], [-4.0, -0.2]]]),
+        B=np.array([[0.0], [1.0]]),
+        C=np.eye(2),
+        rule_base=RuleBase(((Gaussian(0.0, 0.5), SineUpper(1.2)), (Gaussian(1.0, 0.7), Always()))),
+        premise=np.array([[1.0, 0.0], [0.5, 0.0]]),
+        schedule=np.array([[0.3], [0.0]]),
+    ),
+    tuple(replace(each, measures=name) for each, name in zip(MANY.outputs, "ab", strict=False)),
+    initial_state=(0.4, 0.0),
+    initial_spread=(0.1, 0.2),
+    process_noise=(1e-4, 1e-3),
+    inputs=(Multisine(), Sine(0.5)),
+    change=np.full((2, 2, 3), 0.01),
+)
 
 
 def digests() -> list[str]:
     """Return a digest of the runs of each excitation."""
     excitations = (BUSY.excitation, NoTorque(), Sine(1.1, 0.7), Square(2.0, 3.0), Chirp(sweep=1.3))
     scenarios = [replace(BUSY, excitation=each) for each in excitations]
-    runs = [Plant(each, [4, 9]).run(300) for each in (*scenarios, MANY)]
+    runs = [Plant(each, [4, 9]).run(300) for each in (*scenarios, MANY, SYSTEM)]
     return [hashlib.sha256(b"".join(map(bytes, run))).hexdigest() for run in runs]
 
 
@@ -127,9 +147,11 @@ def test_samples_are_what_the_integrator_and_the_formulas_say() -> None:
         x = integrator.advance(x, sample.torque)
 
 
-@pytest.mark.parametrize(("scenario", "seeds"), [(BUSY, range(700)), (MANY, [4, 9, 2])])
+@pytest.mark.parametrize(
+    ("scenario", "seeds"), [(BUSY, range(700)), (MANY, [4, 9, 2]), (SYSTEM, [4, 9, 2])]
+)
 def test_a_run_is_the_same_bits_in_a_batch_alone_in_one_call_and_sample_by_sample(
-    scenario: Scenario, seeds: Any
+    scenario: PlantScenario, seeds: Any
 ) -> None:
     # Random numbers are drawn 256 samples at a time, of 700 runs 93.
     batch, stepped = Plant(scenario, seeds).run(600), Plant(scenario, seeds)

@@ -23,6 +23,7 @@ from tsobs_ros.simulation.signals import (
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 Counts = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 class Channels:

@@ -8,14 +8,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.stepping import record_type
-from tsobs_ros.simulation.channels import Channels, Counts, drifts_in, with_drifts
+from tsobs_ros.simulation.channels import Channels, Counts, Flags, drifts_in, with_drifts
 from tsobs_ros.simulation.integrator import (
     ArmIntegrator,
     Friction,
@@ -90,7 +89,7 @@ class Motion(ABC):
             self._stream.fill(self.kicks)
         self.torques.draw()
 
-    def add_others(self, inputs: Array, given: NDArray[np.bool_], index: int, rate: float) -> None:
+    def add_others(self, inputs: Array, given: Flags, index: int, rate: float) -> None:
         """Write the signals that are not those of `signals`, and mark their inputs as given.
 
         Args:
@@ -105,9 +104,14 @@ class Motion(ABC):
                 inputs[..., place] = [other.torque(sample / rate) for sample in samples]
                 given[place] = True
 
-    @abstractmethod
-    def outputs(self) -> Array:
-        """Return the present true values of the outputs, shape (runs, p)."""
+    @property
+    def fed_back(self) -> tuple[tuple[int, int], ...]:
+        """Places of the inputs that are measurements, each with the number of its output."""
+        return ()
+
+    def known_outputs(self) -> Array:
+        """Return the present true values of the outputs that are fed back, shape (runs, p)."""
+        raise NotImplementedError
 
     @abstractmethod
     def move(
@@ -118,7 +122,7 @@ class Motion(ABC):
         states: Array,
         truths: Array,
         inputs: Array,
-        given: NDArray[np.bool_],
+        given: Flags,
         torques: Array,
         first: int,
     ) -> None:
@@ -181,10 +185,6 @@ class ArmMotion(Motion):
         kicks = 2 * bare.substeps if process_noise.link or process_noise.motor else 0
         super().__init__(seeds, states, kicks, 1, 2, block)
 
-    def outputs(self) -> Array:
-        """Return the present true values of the outputs, shape (runs, p)."""
-        return self.states[:, self._columns]
-
     def move(
         self,
         index: int,
@@ -193,7 +193,7 @@ class ArmMotion(Motion):
         states: Array,
         truths: Array,
         inputs: Array,
-        given: NDArray[np.bool_],
+        given: Flags,
         torques: Array,
         first: int,
     ) -> None:

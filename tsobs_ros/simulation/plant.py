@@ -20,6 +20,7 @@ from tsobs_ros.checks import Array, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.simulation.channels import Flags
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.motion import ArmMotion, Motion
 from tsobs_ros.simulation.sensor import Sensor, Sensors
@@ -366,6 +367,10 @@ class Plant:
             self.exchange_disturbance(output.disturbance, place)
         for side, components in enumerate(scenario.torques):
             self.exchange_torque_disturbance(components, side)
+        self._measured_last: Flags = np.ones(len(outputs), np.bool_)
+        for _, fed in self._motion.fed_back:
+            self._measured_last[fed] = False
+        self._held = np.zeros((runs, len(outputs)))
         # So that the code is compiled, or loaded, and the first block drawn, before the first step.
         self._advance(0)
 
@@ -396,7 +401,7 @@ class Plant:
 
     def exchange_sensor(self, sensor: Sensor, output: int = 0) -> None:
         """Measure with other noise, outliers or dropouts from the next sample on."""
-        self._sensors.exchange(output, sensor, self._motion.outputs()[:, output], self._drawn)
+        self._sensors.exchange(output, sensor, self._drawn)
 
     def step(self, torque: ArrayLike | None = None) -> Sample:
         """Measure at the present sample, move on to the next one and return the former.
@@ -495,8 +500,13 @@ class Plant:
                 self._drawn = 0
             part = min(samples - done, self._block - self._drawn)
             where = (self._index, self._drawn, part)
+            if motion.fed_back:
+                where = (self._index, self._drawn, part := min(part, 1))
+                self._feed_back(where, truths, disturbances, measurements, torques, given, done)
             motion.move(*where, physical, truths, torques, given, missing, done)
-            self._sensors.measure(*where, truths, disturbances, measurements, done)
+            self._sensors.measure(
+                *where, truths, disturbances, measurements, done, self._measured_last
+            )
             self._index += part
             self._drawn += part
             done += part
@@ -506,3 +516,25 @@ class Plant:
             torques[..., 0] += error
             missing[..., 0] -= error
         return physical, torques, disturbances, measurements, missing
+
+    def _feed_back(
+        self,
+        where: tuple[int, int, int],
+        truths: Array,
+        disturbances: Array,
+        measurements: Array,
+        inputs: Array,
+        given: Flags,
+        place: int,
+    ) -> None:
+        """Measure what is fed back at a sample, and enter it into the inputs."""
+        if where[2] == 0:
+            return
+        truths[:, place] = self._motion.known_outputs()
+        first = ~self._measured_last
+        self._sensors.measure(*where, truths, disturbances, measurements, place, first)
+        for row, output in self._motion.fed_back:
+            now = measurements[:, place, output]
+            self._held[:, output] = np.where(np.isfinite(now), now, self._held[:, output])
+            inputs[:, place, row] = self._held[:, output]
+            given[row] = True

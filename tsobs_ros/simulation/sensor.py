@@ -14,7 +14,7 @@ from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.stepping import record_type
 from tsobs_ros.model.trigonometry import exponential
-from tsobs_ros.simulation.channels import Channels, Counts, drifts_in, with_drifts
+from tsobs_ros.simulation.channels import Channels, Counts, Flags, drifts_in, with_drifts
 from tsobs_ros.simulation.signals import Component, disturbance_at, is_stuck, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
 
@@ -34,6 +34,7 @@ _SENSOR = record_type(
         ("latency", np.float64),
         ("resolution", np.float64),
         ("places", np.int64),
+        ("fresh", np.int64),
         ("lost", np.bool_),
     ]
 )
@@ -118,6 +119,7 @@ class Sensors:
             normal = RandomStream(seeds, Source.MEASUREMENT, key)
             uniform = RandomStream(seeds, Source.OUTLIER, key, uniform=True)
             self._streams += [(normal, self._noise[output]), (uniform, self._luck[output])]
+        self._all = np.ones(count, np.bool_)
         self._tails: list[RandomStream | None] = [None] * count
 
     @property
@@ -125,13 +127,14 @@ class Sensors:
         """Whether the last sample of every output was lost in a dropout."""
         return bool(self._sensors["lost"].all())
 
-    def exchange(self, output: int, sensor: Sensor, values: Array, drawn: int) -> None:
+    def exchange(self, output: int, sensor: Sensor, drawn: int) -> None:
         """Measure an output by another sensor.
+
+        Of another latency, older values than the next one are not known; the next one is taken.
 
         Args:
             output: Its number.
             sensor: The other one.
-            values: The present values, those of a latency that is not known, shape (runs,).
             drawn: Place of the next sample in the blocks of random numbers.
         """
         numbers = self._sensors[output]
@@ -147,8 +150,7 @@ class Sensors:
             self._tails[output] = stream
         if places != numbers["places"]:
             self._past = _with_room(self._past, places)
-            self._past[output, :, :places] = values[:, np.newaxis]
-            numbers["places"] = places
+            numbers["places"], numbers["fresh"] = places, 1
         for item in fields(sensor):
             numbers[item.name] = getattr(sensor, item.name)
 
@@ -176,8 +178,9 @@ class Sensors:
         disturbances: Array,
         measurements: Array,
         first: int,
+        chosen: Flags | None = None,
     ) -> None:
-        """Measure all outputs of every run at the next samples.
+        """Measure outputs of every run at the next samples.
 
         Args:
             index: Index of the first sample.
@@ -187,6 +190,7 @@ class Sensors:
             disturbances: Disturbances to add to, of the same shape.
             measurements: To write, of the same shape.
             first: Place of the first sample in these three.
+            chosen: Which outputs, shape (p,); all by default.
         """
         channels = self.channels
         _measure(
@@ -209,6 +213,7 @@ class Sensors:
             disturbances,
             measurements,
             first,
+            self._all if chosen is None else chosen,
         )
 
 
@@ -239,13 +244,18 @@ def _measure(
     disturbances: Array,
     measurements: Array,
     first: int,
+    chosen: Flags,
 ) -> None:
-    """Measure each output of every run, sample by sample; see `Sensors`."""
+    """Measure each chosen output of every run, sample by sample; see `Sensors`."""
     begin = drift = 0
     for output in range(sensors.shape[0]):
         numbers, end, places = sensors[output], ends[output], int(sensors[output].places)
         components, degrees = rows[begin:end], int(numbers.noise_degrees)
-        for step in range(samples):
+        if numbers.fresh and samples > 0 and chosen[output]:
+            numbers.fresh = 0
+            for run in range(truths.shape[0]):
+                past[output, run, :places] = truths[run, first, output]
+        for step in range(samples if chosen[output] else 0):
             draw, place = drawn + step, first + step
             time, since = (index + step) / rate, index + step - int(injected[output])
             elapsed = since / rate

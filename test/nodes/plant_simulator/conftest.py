@@ -36,11 +36,13 @@ class Listener:
         self.measurements: list[Received] = []
         self.states: list[Received] = []
         self.disturbances: list[Received] = []
+        self.torques: list[Received] = []
         self.clock: list[int] = []
         for topic, qos, kept in (
             ("joint_measurements", BEST_EFFORT, self.measurements),
             ("ground_truth/joint_states", RELIABLE, self.states),
             ("ground_truth/disturbance", RELIABLE, self.disturbances),
+            ("ground_truth/torque_disturbance", RELIABLE, self.torques),
         ):
             self.node.create_subscription(JointState, topic, self._keeper(kept), qos)
         self.commands = self.node.create_publisher(Float64MultiArray, "joint_torque_command", 10)

@@ -15,6 +15,7 @@ from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.plant_simulator import create
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.plant import SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Constant, Pulses
 
@@ -141,10 +142,11 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(ro
         latency=0.015,
         resolution=0.006,
     )
-    assert scenario.sensor == sensor
+    assert scenario.measured == (
+        SimulatedOutput("link_angle", sensor, (Pulses(0.4, 3.0, 0.7, 6.0),)),
+    )
     assert scenario.friction == Friction(0.1, 0.05, 0.3, 0.15)
     assert scenario.excitation == Constant(4.5)
-    assert scenario.disturbance == (Pulses(0.4, 3.0, 0.7, 6.0),)
     assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
     assert PlantSimulatorParameters().scenario().torque_error == ()
 

@@ -10,6 +10,7 @@ node itself, which then publishes /clock (publish_clock) ahead of each sample.
 """
 
 import math
+from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -17,11 +18,13 @@ from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 
 from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.model.arm import SIDES
 from tsobs_ros.nodes.compiling import compile_ahead
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.topics import SamplePublisher, TorqueCommands
-from tsobs_ros.simulation.plant import Plant
+from tsobs_ros.simulation.plant import Plant, PlantScenario
+from tsobs_ros.simulation.signals import Component
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.
 _LONGEST_LAG = NANOSECONDS
@@ -33,6 +36,8 @@ _DRIVEN_START = NANOSECONDS
 _BACKWARD = JumpThreshold(
     min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
 )
+# Seeds of the joints lie apart, so that no joint repeats another one at a later seed.
+SEED_STEP = 2**32
 _START_POLL = 0.02
 _CLOCK_PATIENCE = 5 * NANOSECONDS
 _WARN_EVERY = 5.0
@@ -59,7 +64,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def configure(self) -> None:
         """Make the arm at t = 0 with its topics and services."""
         self._settings = parameters = self.parameters
-        compile_ahead(self, lambda: Plant(parameters.scenario(), parameters.seed))
+        compile_ahead(self, lambda: plants_of(parameters))
         self._publish_sample = SamplePublisher(self, parameters)
         self._commands = TorqueCommands(self, parameters)
         self.offer_triggers({"reset": self._reset})
@@ -105,7 +110,12 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     @property
     def _is_over(self) -> bool:
         duration = self._settings.duration
-        return duration > 0.0 and self._plant.index >= self._plant.scenario.sample_count
+        return duration > 0.0 and self._index >= self._plants[0].scenario.sample_count
+
+    @property
+    def _index(self) -> int:
+        """Index of the next sample, which all joints have in common."""
+        return self._plants[0].index
 
     def _steady_ns(self) -> int:
         return int(self._steady.now().nanoseconds)
@@ -128,14 +138,14 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
             if waited > _CLOCK_PATIENCE:
                 self.get_logger().warning("waiting for /clock", throttle_duration_sec=_WARN_EVERY)
             return
-        if self._plant.index == 0 and not self._is_subscribed(waited):
+        if self._index == 0 and not self._is_subscribed(waited):
             return
         self.destroy_timer(self._start_timer)
         if self._driven is not None:
             self._driven.start(self._steady_ns(), self._schedule.next_stamp)
         elif self._schedule.lag(now := self._now_ns()) > 0:
             self._schedule.start(now)
-        what = "going on" if self._plant.index else "started"
+        what = "going on" if self._index else "started"
         subscribers = self._publish_sample.subscribers
         self.get_logger().info(f"{what}: {subscribers} subscriptions of joint_measurements")
         # A timer on the node's clock wakes up with each /clock message; only then does it serve,
@@ -163,11 +173,14 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         if self._timer is None or self._went_back(now):
             return
         self._latest = now
-        self._commands.take(self._plant.index)
+        self._commands.take(self._index)
         now = self._limit_lag(now)
         while not self._is_over and (stamp := self._schedule.take(now)) is not None:
-            torque = self._commands.at(self._plant.index)
-            self._publish_sample(stamp, self._plant.step(torque))
+            torques = self._commands.at(self._index)
+            samples = [
+                plant.step(torque) for plant, torque in zip(self._plants, torques, strict=True)
+            ]
+            self._publish_sample(stamp, samples)
         if self._is_over:
             self._timer.cancel()
             return
@@ -212,22 +225,17 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         return now
 
     def _new_plant(self) -> None:
-        self._plant = Plant(self._settings.scenario(), self._settings.seed)
+        self._plants = plants_of(self._settings)
         self._commands.forget()
 
     def retune(self, parameters: PlantSimulatorParameters) -> None:
         """Take changed parameters over from the next sample on."""
-        old, new = self._settings.scenario(), parameters.scenario()
+        old, new = self._settings.scenarios(), parameters.scenarios()
         self._settings = parameters
         self._commands.parameters = parameters
-        if new.disturbance != old.disturbance:
-            self._plant.exchange_disturbance(new.disturbance)
-            self.get_logger().info(
-                f"disturbance is now {parameters.disturbance.kind}, "
-                f"counted from t = {self._plant.time:g} s"
-            )
-        self._plant.exchange_excitation(new.excitation)
-        self._plant.exchange_sensor(new.sensor)
+        for joint, plant in zip(new, self._plants, strict=True):
+            for what in exchange(plant, old[joint], new[joint]):
+                self.get_logger().info(f"{joint}: {what}, counted from t = {plant.time:g} s")
 
     def _reset(self) -> tuple[bool, str]:
         """Restart the plant at the next sample; the stamps go on."""
@@ -239,6 +247,44 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         message = f"restarted with seed {self._settings.seed}"
         self.get_logger().info(message)
         return True, message
+
+
+def plants_of(parameters: PlantSimulatorParameters) -> list[Plant]:
+    """Return each joint's plant at t = 0; the numbers of one do not depend on the others."""
+    return [
+        Plant(scenario, parameters.seed + place * SEED_STEP)
+        for place, scenario in enumerate(parameters.scenarios().values())
+    ]
+
+
+def exchange(plant: Plant, old: PlantScenario, new: PlantScenario) -> Iterator[str]:
+    """Let a plant go on by another scenario.
+
+    Args:
+        plant: The plant.
+        old: Its scenario so far.
+        new: One with other signals and sensors.
+
+    Yields:
+        What is disturbed otherwise from the next sample on.
+    """
+    pairs = zip(old.measured, new.measured, strict=True)
+    for place, (before, after) in enumerate(pairs):
+        if after.disturbance != before.disturbance:
+            plant.exchange_disturbance(after.disturbance, place)
+            yield f"disturbance of {after.measures} is now {kinds_of(after.disturbance)}"
+        plant.exchange_sensor(after.sensor, place)
+    for side, (was, now) in enumerate(zip(old.torques, new.torques, strict=True)):
+        if now != was:
+            plant.exchange_torque_disturbance(now, side)
+            yield f"torque disturbance of the {SIDES[side]} is now {kinds_of(now)}"
+    for place, excitation in enumerate(new.excitations):
+        plant.exchange_excitation(excitation, place)
+
+
+def kinds_of(components: tuple[Component, ...]) -> str:
+    """Return the kinds of components as a parameter has them."""
+    return "+".join(each.kind for each in components) or "none"
 
 
 def create(**node_kwargs: Any) -> PlantSimulatorNode:

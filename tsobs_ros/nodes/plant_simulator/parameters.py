@@ -1,17 +1,25 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the plant simulator node, and the scenario they describe."""
+"""Parameters of the plant simulator node, and the scenarios they describe.
+
+A joint with a design file is what that says: its arm or T–S system, its outputs and their noise,
+its process noise. A joint without is the one arm of the parameters, with an encoder on its link.
+"""
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import Any
 
-from tsobs_ros.errors import ModelError, ParameterError
+from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.errors import ParameterError, TsobsError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.nodes.managed import ManagedParameters
 from tsobs_ros.nodes.parameters import fixed_parameter, parameter, parameter_group
-from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.nodes.plant_simulator.scenarios import scenarios_of
+from tsobs_ros.plants import request_in
+from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
@@ -32,6 +40,7 @@ from tsobs_ros.simulation.signals import (
     TwoTone,
     parse_kinds,
 )
+from tsobs_ros.simulation.systems import SystemScenario
 
 
 def _start() -> Any:
@@ -63,6 +72,7 @@ class DisturbanceParameters:
         amplitude=parameter(0.2, "Amplitude", unit="rad"),
         frequency=parameter(3.0, "Frequency", unit="rad/s"),
         start=_start(),
+        phase=parameter(0.0, "Phase at the start", unit="rad"),
     )
     ramp: Ramp = parameter_group(
         Ramp, rate=parameter(0.004, "Growth", unit="rad/s"), start=_start()
@@ -144,8 +154,9 @@ class OutlierParameters:
 
 @dataclass(frozen=True)
 class NoiseParameters:
-    """What makes the measurement noise other than white and normal."""
+    """What makes the measurement noise other than white, normal and as designed."""
 
+    factor: float = parameter(1.0, "What multiplies its standard deviation", minimum=0.0)
     time_constant: float = parameter(
         0.0, "Time constant of its correlation; 0: white", unit="s", minimum=0.0
     )
@@ -157,6 +168,33 @@ class NoiseParameters:
     )
     burst_duration: float = parameter(1.5, "Length of a burst", unit="s", minimum=0.0)
     burst_factor: float = parameter(4.0, "What multiplies the noise in a burst", minimum=0.0)
+
+
+@dataclass(frozen=True)
+class PayloadParameters:
+    """What arms carry for a while."""
+
+    joints: tuple[str, ...] = fixed_parameter((), "Arms that carry it; none: all of them")
+    mass: float = fixed_parameter(0.0, "Mass of the payload", unit="kg", minimum=0.0)
+    distance: float = fixed_parameter(0.0, "Its distance from the axis", unit="m", minimum=0.0)
+    link_inertia: float = fixed_parameter(
+        0.0, "What it adds to the link's inertia besides", unit="kg m^2", minimum=0.0
+    )
+    gravity_torque: float = fixed_parameter(
+        0.0, "What it adds to the gravity torque besides", unit="N m", minimum=0.0
+    )
+    start: float = fixed_parameter(0.0, "When it is put on", unit="s", minimum=0.0)
+    duration: float = fixed_parameter(0.0, "How long it is carried; 0: for ever", unit="s")
+
+    def build(self) -> Payload:
+        """Return the payload of one arm."""
+        point = Payload.point(self.mass, self.distance)
+        return Payload(
+            point.link_inertia + self.link_inertia,
+            point.gravity_torque + self.gravity_torque,
+            self.start,
+            self.duration or math.inf,
+        )
 
 
 @dataclass(frozen=True)
@@ -189,7 +227,16 @@ class PlantSimulatorParameters(ManagedParameters):
         ParameterError: They do not describe a plant.
     """
 
-    joint: str = fixed_parameter("elastic_joint", "Name of the joint")
+    joint: str = fixed_parameter("elastic_joint", "Name of the joint if `joints` has none")
+    joints: tuple[str, ...] = fixed_parameter((), "Names of the joints, or none for one, `joint`")
+    design: str = fixed_parameter(
+        "",
+        "Design or request file of the joints; empty for the arm of the parameters `arm.*`, with "
+        "an encoder on its link",
+    )
+    joint_designs: tuple[str, ...] = fixed_parameter(
+        (), "Such a file for each of `joints`, empty for that of `design`; no list: that for all"
+    )
     rate: float = fixed_parameter(200.0, "Samples a second", unit="Hz", minimum=1.0, maximum=5000.0)
     seed: int = parameter(0, "Seed of everything random, used from the next reset on", minimum=0)
     duration: float = fixed_parameter(
@@ -216,13 +263,18 @@ class PlantSimulatorParameters(ManagedParameters):
     )
     initial_state: tuple[float, ...] = fixed_parameter(
         (0.3, 0.0, 0.2, 0.0),
-        "Link angle, link velocity, motor angle, motor velocity at t = 0 (rad, rad/s)",
+        "Link angle, link velocity, motor angle, motor velocity at t = 0 (rad, rad/s), or the "
+        "states of a T-S system; of one joint for all, or of all joints in turn. With the default, "
+        "joints with a design file start at 0",
     )
     initial_spread: tuple[float, ...] = fixed_parameter(
         (0.0, 0.0, 0.0, 0.0), "Standard deviation of each of them (rad, rad/s)", minimum=0.0
     )
     noise_std: float = parameter(
-        0.028, "Standard deviation of the measurement noise", unit="rad", minimum=0.0
+        0.028,
+        "Standard deviation of the measurement noise of joints without a design file",
+        unit="rad",
+        minimum=0.0,
     )
     latency: float = parameter(
         0.0,
@@ -254,6 +306,11 @@ class PlantSimulatorParameters(ManagedParameters):
         link_damping=fixed_parameter(0.0, "Relative change of b1"),
         motor_damping=fixed_parameter(0.0, "Relative change of b2"),
     )
+    joint_mismatch: tuple[str, ...] = fixed_parameter(
+        (),
+        "Changes of single joints in place of `mismatch`, such as 'elbow/stiffness: 0.2'; of a T-S "
+        "system the true value of an uncertain parameter",
+    )
     friction: Friction = parameter_group(
         Friction,
         link_viscous=fixed_parameter(0.0, "Viscous friction of the link", unit="N m s/rad"),
@@ -261,9 +318,20 @@ class PlantSimulatorParameters(ManagedParameters):
         motor_viscous=fixed_parameter(0.0, "Viscous friction of the motor", unit="N m s/rad"),
         motor_coulomb=fixed_parameter(0.0, "Coulomb friction of the motor", unit="N m"),
     )
+    payload: PayloadParameters = parameter_group(PayloadParameters)
     process_noise: ProcessNoiseParameters = parameter_group(ProcessNoiseParameters)
     excitation: ExcitationParameters = parameter_group(ExcitationParameters)
     disturbance: DisturbanceParameters = parameter_group(DisturbanceParameters)
+    signals: tuple[str, ...] = parameter(
+        (),
+        "Signals of single outputs, torques and inputs, such as "
+        "'elbow/link_torque: {kind: bias_step, amplitude: 2.0, start: 5.0}'",
+    )
+    affected: tuple[str, ...] = parameter(
+        (),
+        "Outputs, as <joint>/<output>, that latency, resolution, disturbance, noise, outliers and "
+        "dropouts act on; none: all of them",
+    )
     noise: NoiseParameters = parameter_group(NoiseParameters)
     outliers: OutlierParameters = parameter_group(OutlierParameters)
     dropouts: DropoutParameters = parameter_group(DropoutParameters)
@@ -280,50 +348,84 @@ class PlantSimulatorParameters(ManagedParameters):
     def __post_init__(self) -> None:
         if not self.joint:
             raise ParameterError("parameter 'joint' must not be empty")
-        for name in ("initial_state", "initial_spread"):
-            if len(getattr(self, name)) != 4:
-                raise ModelError(f"{name}: expected four numbers, got {getattr(self, name)}")
-        self.scenario()
+        names = self.joint_names
+        if "" in names or len(set(names)) < len(names):
+            raise ParameterError(f"joints: expected names, each once, got {list(names)}")
+        if self.joint_designs and len(self.joint_designs) != len(self.joints):
+            raise ParameterError(
+                f"joint_designs: expected one for each of the {len(self.joints)} joints or none, "
+                f"got {len(self.joint_designs)}"
+            )
+        for joint in self.payload.joints:
+            if not isinstance(self.requests.get(joint), ArmRequest):
+                raise ParameterError(f"payload.joints: expected arms of the node, got '{joint}'")
+        self.scenarios()
 
-    def scenario(self) -> Scenario:
-        """Return what the parameters describe.
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The joints."""
+        return self.joints or (self.joint,)
+
+    @cached_property
+    def requests(self) -> dict[str, ArmRequest | TSRequest]:
+        """What describes each joint's signals; of one without a file the default request."""
+        own = self.joint_designs or ("",) * len(self.joint_names)
+        paths = [path or self.design for path in own]
+        return {
+            joint: _request(path) if path else ArmRequest()
+            for joint, path in zip(self.joint_names, paths, strict=True)
+        }
+
+    @property
+    def designed(self) -> dict[str, bool]:
+        """Whether each joint has a design file."""
+        own = self.joint_designs or ("",) * len(self.joint_names)
+        return {
+            joint: bool(path or self.design)
+            for joint, path in zip(self.joint_names, own, strict=True)
+        }
+
+    def sensor(self, noise_std: float) -> Sensor:
+        """Return the sensor of an output with a standard deviation of its noise."""
+        return Sensor(
+            noise_std * self.noise.factor,
+            self.outliers.probability,
+            self.outliers.size,
+            self.dropouts.interval,
+            self.dropouts.duration,
+            self.outliers.uniform,
+            self.noise.time_constant,
+            self.noise.degrees_of_freedom,
+            self.noise.burst_interval,
+            self.noise.burst_duration,
+            self.noise.burst_factor,
+            self.latency,
+            self.resolution,
+        )
+
+    def scenario(self) -> Scenario | SystemScenario:
+        """Return the scenario of the first joint; see `scenarios`."""
+        return next(iter(self.scenarios().values()))
+
+    def scenarios(self) -> dict[str, Scenario | SystemScenario]:
+        """Return what the parameters describe, by joint.
 
         Raises:
             ModelError: They do not describe a plant.
+            ParameterError: An entry of a list names no signal of the joints.
         """
-        start, spread = (
-            tuple(self.arm.from_physical(q).tolist())
-            for q in (self.initial_state, self.initial_spread)
-        )
-        densities = self.process_noise
-        return Scenario(
-            arm=self.arm,
-            mismatch=self.mismatch,
-            friction=self.friction,
-            rate=self.rate,
-            duration=self.duration,
-            initial_state=start,
-            initial_spread=spread,
-            process_noise=ProcessNoise(
-                link=densities.link_acceleration_density,
-                motor=densities.motor_acceleration_density,
-            ),
-            excitation=self.excitation.build(),
-            disturbance=self.disturbance.build(),
-            sensor=Sensor(
-                self.noise_std,
-                self.outliers.probability,
-                self.outliers.size,
-                self.dropouts.interval,
-                self.dropouts.duration,
-                self.outliers.uniform,
-                self.noise.time_constant,
-                self.noise.degrees_of_freedom,
-                self.noise.burst_interval,
-                self.noise.burst_duration,
-                self.noise.burst_factor,
-                self.latency,
-                self.resolution,
-            ),
-            torque_error=(self.effort_error,) if self.effort_error.amplitude else (),
-        )
+        return scenarios_of(self)
+
+
+def _request(path: str) -> ArmRequest | TSRequest:
+    """Return the request in a file; a parameter may be refused for it, but not end a node."""
+    file = Path(path)
+    try:
+        return _read(file, file.stat().st_mtime_ns if file.exists() else 0)
+    except TsobsError as error:
+        raise ParameterError(str(error)) from error
+
+
+@lru_cache(maxsize=64)
+def _read(path: Path, _modified: int) -> ArmRequest | TSRequest:
+    return request_in(path)

@@ -3,6 +3,7 @@
 """The plant simulator's topics: torque commands in; the measurement, the truth and the time out."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from rclpy.duration import Duration
@@ -14,6 +15,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.bag.estimate_topics import sides
+from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.signals import Place, signals
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import set_stamp
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
@@ -26,14 +29,18 @@ _WARN_EVERY = 5.0
 class TorqueCommands:
     """The torque commands of a node, each of which holds for some time.
 
+    A command has a number for each arm, and for each input of a T–S system, in the joints' order.
+
     Attributes:
         parameters: Of commands from the next one on; may be exchanged.
-        rejected: Number of commands that were not one finite number.
+        rejected: Number of commands that were not so many finite numbers.
     """
 
     def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
         self.parameters = parameters
         self.rejected = 0
+        self._is_arm = [isinstance(each, ArmRequest) for each in parameters.requests.values()]
+        self._counts = [each.input_count for each in parameters.scenarios().values()]
         self._node = node
         self._subscription = DrainedSubscription(
             node, Float64MultiArray, "joint_torque_command", QoSProfile(depth=10)
@@ -42,7 +49,8 @@ class TorqueCommands:
 
     def forget(self) -> None:
         """Let no command hold."""
-        self._torque = self._end = 0.0
+        self._torques: list[list[float]] = []
+        self._end = 0.0
 
     def discard(self) -> None:
         """Throw away what has arrived."""
@@ -52,34 +60,73 @@ class TorqueCommands:
         """Take what has arrived, to hold from a sample on."""
         for message, _ in self._subscription.drain():
             values = message.data
-            if len(values) != 1 or not math.isfinite(values[0]):
+            count = sum(self._counts)
+            if len(values) != count or not all(map(math.isfinite, values)):
                 self.rejected += 1
+                expected = "one finite number" if count == 1 else f"{count} finite numbers"
                 self._node.get_logger().warning(
-                    f"rejected {self.rejected} torque commands so far: expected one finite "
-                    f"number, got {list(values)[:4]}",
+                    f"rejected {self.rejected} torque commands so far: expected {expected}, "
+                    f"got {list(values)[:4]}",
                     throttle_duration_sec=_WARN_EVERY,
                 )
                 continue
-            given = self.parameters
-            self._torque = min(max(values[0], -given.torque_limit), given.torque_limit)
+            given, numbers = self.parameters, iter(values)
+            self._torques = []
+            for is_arm, inputs in zip(self._is_arm, self._counts, strict=True):
+                limit = given.torque_limit if is_arm else math.inf
+                own = [min(max(next(numbers), -limit), limit) for _ in range(inputs)]
+                self._torques.append(own)
             held = math.inf
             if given.command_timeout > 0.0:
                 held = max(1, round(given.command_timeout * given.rate))
             self._end = sample + held
 
-    def at(self, sample: int) -> float | None:
-        """Return the torque commanded at a sample [N m], None without a command."""
-        return self._torque if sample < self._end else None
+    def at(self, sample: int) -> list[list[float]] | list[None]:
+        """Return each joint's inputs commanded at a sample, None without a command."""
+        return self._torques if sample < self._end else [None] * len(self._counts)
+
+
+class Filled:
+    """A JointState that is made once and whose numbers are overwritten.
+
+    Args:
+        places: Where each of the numbers is; several may be in the same place.
+    """
+
+    def __init__(self, places: Sequence[Place]) -> None:
+        names = list(dict.fromkeys(place.name for place in places))
+        used = {place.field for place in places}
+        lists = {field: [math.nan] * len(names) for field in used}
+        self.message = JointState(name=names, **lists)
+        self._cells = [
+            (getattr(self.message, place.field), names.index(place.name)) for place in places
+        ]
+
+    def fill(self, stamp: int, numbers: Sequence[float]) -> None:
+        """Overwrite the stamp [ns] and all numbers, one a place."""
+        set_stamp(self.message.header.stamp, stamp)
+        for (field, row), value in zip(self._cells, numbers, strict=True):
+            field[row] = value
 
 
 class SamplePublisher:
-    """Publishes samples as messages, which are made once and overwritten."""
+    """Publishes samples as messages, each of all joints."""
 
     def __init__(self, node: Node, parameters: PlantSimulatorParameters) -> None:
-        joint = parameters.joint
-        self._measurement = JointState(name=[joint], position=[0.0], effort=[0.0])
-        self._states = JointState(name=[*sides(joint)], position=[0.0] * 2, velocity=[0.0] * 2)
-        self._disturbance = JointState(name=[joint], position=[0.0])
+        requests = parameters.requests
+        self._joints = [
+            signals(request, joint, alone=len(requests) == 1) for joint, request in requests.items()
+        ]
+        arms = [joint for joint, each in requests.items() if isinstance(each, ArmRequest)]
+        self._measurements: dict[tuple[int, ...], Filled] = {}
+        self._states = Filled([place for each in self._joints for place in each.states])
+        self._disturbance = Filled(
+            [Place(name, "position") for each in self._joints for name in each.disturbances]
+        )
+        # The motor's first, as in the truth of a sample.
+        self._torque = Filled(
+            [Place(name, "effort") for joint in arms for name in reversed(sides(joint))]
+        )
         self._clock = ClockMessage()
         self._to_measurements = node.create_publisher(
             JointState, "joint_measurements", qos_profile_sensor_data
@@ -92,6 +139,11 @@ class SamplePublisher:
         self._to_disturbance = node.create_publisher(
             JointState, "ground_truth/disturbance", **options
         )
+        self._to_torque: Any = None
+        if arms:
+            self._to_torque = node.create_publisher(
+                JointState, "ground_truth/torque_disturbance", **options
+            )
         self._to_clock: Any = None
         if parameters.publish_clock:
             self._to_clock = node.create_publisher(ClockMessage, "/clock", **options)
@@ -101,26 +153,50 @@ class SamplePublisher:
         """Number of matched subscriptions of the measurements."""
         return int(self._to_measurements.get_subscription_count())
 
-    def __call__(self, stamp: int, sample: Sample) -> None:
-        """Publish the time, the truth and, unless it was lost, the measurement of a sample."""
+    def __call__(self, stamp: int, samples: Sequence[Sample]) -> None:
+        """Publish the time, the truth and, unless they were lost, the measurements.
+
+        Args:
+            stamp: Of the samples [ns].
+            samples: One of each joint.
+        """
         if self._to_clock is not None:
             set_stamp(self._clock.clock, stamp)
             self._to_clock.publish(self._clock)
-        for message in (self._measurement, self._states, self._disturbance):
-            set_stamp(message.header.stamp, stamp)
-        states = self._states
-        states.position[0], states.velocity[0], states.position[1], states.velocity[1] = (
-            sample.physical.tolist()
-        )
-        self._to_states.publish(states)
-        self._disturbance.position[0] = sample.disturbance.item()
-        self._to_disturbance.publish(self._disturbance)
-        if not sample.lost:
-            self._measurement.position[0] = sample.measurement.item()
-            self._measurement.effort[0] = sample.torque.item()
-            self._to_measurements.publish(self._measurement)
+        self._states.fill(stamp, [x for each in samples for x in each.physical.tolist()])
+        self._to_states.publish(self._states.message)
+        self._disturbance.fill(stamp, [d for each in samples for d in each.disturbance.tolist()])
+        self._to_disturbance.publish(self._disturbance.message)
+        if self._to_torque is not None:
+            torques = [d for each in samples for d in each.torque_disturbance.tolist()]
+            self._torque.fill(stamp, torques)
+            self._to_torque.publish(self._torque.message)
+        measured = tuple(place for place, each in enumerate(samples) if not each.lost)
+        if measured:
+            filled = self._of(measured)
+            # Outputs last: of an output that is an input too, a lost value shall be NaN.
+            filled.fill(
+                stamp,
+                [
+                    value
+                    for place in measured
+                    for numbers in (samples[place].torque, samples[place].measurement)
+                    for value in numbers.tolist()
+                ],
+            )
+            self._to_measurements.publish(filled.message)
 
     def wait_for_acknowledgement(self) -> None:
         """Wait at most a second until subscribers have the truth that was published."""
-        for publisher in (self._to_states, self._to_disturbance):
-            publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+        for publisher in (self._to_states, self._to_disturbance, self._to_torque):
+            if publisher is not None:
+                publisher.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGE_TIMEOUT))
+
+    def _of(self, measured: tuple[int, ...]) -> Filled:
+        """Return the message of the joints that have a measurement."""
+        if measured not in self._measurements:
+            joints = [self._joints[place] for place in measured]
+            self._measurements[measured] = Filled(
+                [place for each in joints for place in (*each.inputs, *each.outputs)]
+            )
+        return self._measurements[measured]
