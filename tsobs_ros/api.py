@@ -14,6 +14,7 @@ from tsobs_ros.checks import Array, as_matrix, shown
 from tsobs_ros.design import file
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
