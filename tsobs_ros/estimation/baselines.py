@@ -17,9 +17,9 @@ e₀ = ∫y − x̂₀ [rad s], as x₀ itself grows without bound if y has a me
 for motion. Between two samples the last one is held, and the observer is integrated.
 
 The extended Kalman filter (EKF) has the states [x; w] of a design, its noise and its start, or
-[x; w; θ] with its uncertain parameters. It is what somebody writes who knows about outliers: a
-sample that is further off than so many sigmas is left out, and if most of the last half second was,
-the covariance starts again. Late samples are put in their place. No observer here has a
+[x; w; θ] with its uncertain parameters. It is what a careful engineer writes: an output that is
+further off than so many sigmas is left out, and if all were in most of the last half second, the
+covariance starts again. Late samples are put in their place. No observer here has a
 certificate.
 """
 
@@ -50,11 +50,11 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import Always, RuleBase
 from tsobs_ros.model.linear_flow import cut_into_steps, flow_over
-from tsobs_ros.model.matrices import congruence, product
+from tsobs_ros.model.matrices import congruence, has_finite, product
 from tsobs_ros.model.prediction import fill_matrix
 from tsobs_ros.model.stepping import INTEGRATED, Room
 from tsobs_ros.model.trigonometry import cosine, sine
-from tsobs_ros.model.uncertainty import SINE, TORQUE, Uncertainty
+from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
 """Poles as multiples of −θ; distinct, so that a small change of a gain moves them little."""
@@ -248,27 +248,33 @@ class EkfNumbers(NamedTuple):
     """The model of an EKF, as its compiled functions take it.
 
     Attributes:
-        sizes: Of [x; w] and of θ, of the window of the gate, of its ring, and terms of the series.
+        sizes: Of [x; w] and of θ, of the window of the gate, of its ring, terms of the series, and
+            whether there are unknown torques.
         times: Longest lateness, the clock's tolerance and the longest gap [ns].
-        numbers: Nominal step [s], reach of the series [s], mgl/J₁ [1/s²], R [rad²], the gate, and
-            half width of the certificate's domain [rad].
+        numbers: Nominal step [s], reach of the series [s], mgl/J₁ [1/s²], the gate, and half width
+            of the certificate's domain [rad].
+        variances: Of the noise of a sample of each output, shape (p,).
         series: Of the linear flow.
         phi, gamma, noise: The linear flow over a nominal step.
-        output, disturbance: States to measured angle and to its disturbance, shape (n + k,).
+        output, read: States to the outputs, and to their disturbances and the unknown torques,
+            shapes (p, n + k) and (p + t, n + k).
+        torques: States to the unknown torques of motor and link, shape (2, n + k).
         scale: Physical units of the arm's states, shape (4,).
-        effects: Accelerations of link and motor by each θ, from [x, sin x₁, u], shape (k, 2, 6).
+        effects: Accelerations of link and motor by each θ, from [x, sin x₁, u, d], shape (k, 2, 7).
         initial: Covariance before any measurement.
     """
 
     sizes: NDArray[np.int64]
     times: NDArray[np.int64]
     numbers: Array
+    variances: Array
     series: Array
     phi: Array
     gamma: Array
     noise: Array
     output: Array
-    disturbance: Array
+    read: Array
+    torques: Array
     scale: Array
     effects: Array
     initial: Array
@@ -280,7 +286,7 @@ class EkfMemory(NamedTuple):
     Attributes:
         counts: Place of the oldest state, number of states, late samples, failures.
         stamps: Of the samples [ns].
-        samples: Angle and torque.
+        samples: Outputs and torque.
         x, P: The states.
         left_out: Whether each of the last samples was left out.
         seen: Number of samples since the covariance was started.
@@ -300,7 +306,7 @@ class KalmanFilter:
 
     Args:
         flow: Prediction model of [x; w].
-        measurement_std: 1σ of a sample [rad].
+        variances: Of the noise of a sample of each output, shape (p,).
         initial_std: 1σ of [x; w] before any measurement, shape (n,).
         uncertainty: Parameters to have as states; none if None.
         gate: Sigmas, infinite for a filter that leaves nothing out.
@@ -322,7 +328,7 @@ class KalmanFilter:
     def __init__(
         self,
         flow: ArmFlow,
-        measurement_std: float,
+        variances: Array,
         initial_std: Array,
         uncertainty: Uncertainty | None = None,
         *,
@@ -330,34 +336,31 @@ class KalmanFilter:
         options: TrackerOptions,
     ) -> None:
         self.flow, self.options = flow, options
-        effects = np.zeros((0, 2, TORQUE + 1))
+        effects = np.zeros((0, 2, EXTERNAL + 1))
         if uncertainty is not None and uncertainty.count:
             effects = np.ascontiguousarray(uncertainty.directions[:, 0, [1, 3]])
         n, k, step, linear = flow.state_count, len(effects), flow.nominal, flow.linear
+        p, t = len(flow.output_matrix), len(flow.torque_map)
         std = np.concatenate([initial_std, np.full(k, THETA_STD)])
-        padding = np.zeros(k)
-        disturbance = np.concatenate([np.zeros(4), flow.disturbance.H[0], padding])
+        torques = np.stack([flow.motor_torque, flow.link_torque])
+
+        def padded(rows: Array) -> Array:
+            return np.pad(rows, ((0, 0), (0, k)))
+
         window = max(10, round(_WINDOW / flow.period))
         limits = (options.history, options.future_tolerance, options.restart_after)
         self.numbers = EkfNumbers(
-            np.array([n, k, window, options.max_steps, linear.terms]),
+            np.array([n, k, window, options.max_steps, linear.terms, int(torques.any())]),
             np.array([round(min(each, 1e9) * NANOSECONDS) for each in limits]),
-            np.array(
-                [
-                    flow.period,
-                    linear.reach,
-                    flow.arm.gravity_gain,
-                    positive("measurement_std", measurement_std) ** 2,
-                    gate,
-                    options.x_max,
-                ]
-            ),
+            np.array([flow.period, linear.reach, flow.arm.gravity_gain, gate, options.x_max]),
+            as_matrix("variances", variances, (p,)),
             linear.series,
             np.ascontiguousarray(step.phi),
             np.ascontiguousarray(step.gamma),
             np.ascontiguousarray(step.noise),
-            np.concatenate([flow.output_matrix[0], padding]),
-            disturbance,
+            padded(flow.output_matrix),
+            padded(np.concatenate([flow.disturbance_map, flow.torque_map])),
+            padded(torques),
             flow.arm.to_physical(np.ones(4)),
             effects,
             np.diag(std * std),
@@ -366,15 +369,16 @@ class KalmanFilter:
         self.memory = EkfMemory(
             np.zeros(4, np.int64),
             np.zeros(ring, np.int64),
-            np.zeros((ring, 2)),
+            np.zeros((ring, p + 1)),
             np.zeros((ring, size)),
             np.zeros((ring, size, size)),
             np.zeros((ring, window), np.bool_),
             np.zeros(ring, np.int64),
         )
-        self.shape = Shape(n, 4, 1, 1, k)
-        widths = {"state": 4, "state_bound": 4, "disturbance": 1, "disturbance_rate": 0}
-        widths |= {"disturbance_bound": 1, "parameters": k, "parameter_bound": k}
+        self.shape = Shape(n, 4, p, 1, k, t=t)
+        widths = {"state": 4, "state_bound": 4, "disturbance": p, "torque_disturbance": t}
+        widths |= {"disturbance_rate": 0, "disturbance_bound": p, "torque_disturbance_bound": t}
+        widths |= {"parameters": k, "parameter_bound": k}
         self.row_parts: dict[str, slice] = {}
         at = 0
         for name, width in widths.items():
@@ -419,14 +423,16 @@ class KalmanFilter:
         Args:
             ticks: Stamps, times on the clock [ns], ends of the samples that each includes, and
                 the sample before which it forgets everything or -1, shape (m,) each.
-            samples: Stamps [ns], angles [rad] and torques [N m] in the order of arrival.
+            samples: Stamps [ns], outputs, NaN of one that is missing, and torques [N m] in the
+                order of arrival, shapes (i,), (i, p) and (i,).
             results: Outcomes, codes of `history.REASONS`, of which those below 0 are of samples
-                that are skipped; innovations y − ŷ and 1σ expected of them [rad]; written.
+                that are skipped; innovations y − ŷ and 1σ expected of them, NaN of an output that
+                is missing, shape (i, p); written.
             newest: Stamp of the newest sample in use [ns], 0 without an estimate; written.
             rows: The estimates, written where there are any, shape (m, row_width + EXTRA).
         """
-        size = len(self.numbers.output)
-        vectors, matrices = np.zeros((3, size)), np.zeros((8, size, size))
+        size = self.numbers.output.shape[1]
+        vectors, matrices = np.zeros((5, size)), np.zeros((8, size, size))
         gammas = np.zeros((2, self.numbers.sizes[0], 1))
         _advance_ekf(
             self.numbers, self.memory, ticks, samples, results, newest, rows,
@@ -438,7 +444,8 @@ class KalmanFilter:
 
         Args:
             stamps: Ascending [ns], shape (m,).
-            y: Angles, NaN of a sample that is lost with its torque [rad], shape (m, 1).
+            y: Outputs, NaN of one that is missing; a sample without any is lost with its torque,
+                shape (m, p).
             u: Torques [N m], shape (m, 1).
 
         Returns:
@@ -449,18 +456,18 @@ class KalmanFilter:
     def misfits(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
         """Use samples as `follow` does, and return |innovation| / 1σ of those used, shape (i,)."""
         _, outcomes, innovations, expected = self._follow(stamps, y, u)
-        used = outcomes == USED
+        used = (outcomes == USED)[:, np.newaxis] & np.isfinite(innovations)
         return np.asarray(np.abs(innovations[used]) / expected[used])
 
     def _follow(
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
     ) -> tuple[Array, NDArray[np.int64], Array, Array]:
-        times, angles = np.array(stamps, np.int64), np.array(y, np.float64)[:, 0]
+        times, outputs = np.array(stamps, np.int64), np.array(y, np.float64, order="C")
         torques, count = np.array(u, np.float64)[:, 0], len(times)
         ticks = (times, times, np.arange(1, count + 1), np.full(count, -1))
-        results = (np.zeros(count, np.int64), *np.empty((2, count)))
+        results = (np.zeros(count, np.int64), *np.empty((2, count, self.shape.p)))
         newest, rows = np.zeros(count, np.int64), np.empty((count, self.row_width + EXTRA))
-        self.advance(ticks, (times, angles, torques), results, newest, rows)
+        self.advance(ticks, (times, outputs, torques), results, newest, rows)
         rows[newest == 0] = np.nan
         return rows, *results
 
@@ -482,7 +489,8 @@ def _advance_ekf(
     stamps, now, ends, resets = ticks
     times, y, u = samples
     outcomes, innovations, expected = results
-    n, k, x_max = model.sizes[0], model.sizes[1], model.numbers[5]
+    n, k, x_max = model.sizes[0], model.sizes[1], model.numbers[4]
+    p, q = model.output.shape[0], model.read.shape[0]
     counts, size, ring = memory.counts, n + k, model.sizes[3]
     x, P = vectors[0], matrices[0]
     begin = 0
@@ -509,29 +517,32 @@ def _advance_ekf(
         if place < 0 or elapsed > model.times[2]:
             continue
         _copy_state(memory.x[slot], memory.P[slot], x, P)
-        _predict(model, elapsed / 1e9, memory.samples[slot, 1], vectors, matrices, gammas)
-        row, total = rows[tick], 0.0
+        _predict(model, elapsed / 1e9, memory.samples[slot, p], vectors, matrices, gammas)
+        row = rows[tick]
         for i in range(len(row)):
             row[i] = 0.0
         for i in range(4):
             row[i] = model.scale[i] * x[i]
             row[4 + i] = model.scale[i] * math.sqrt(P[i, i]) if P[i, i] >= 0.0 else math.nan
-        for i in range(size):
-            row[8] += model.disturbance[i] * x[i]
-            for j in range(size):
-                total += model.disturbance[i] * P[i, j] * model.disturbance[j]
-        row[9] = math.sqrt(total) if total >= 0.0 else math.nan
+        for a in range(q):
+            total, reader = 0.0, model.read[a]
+            for i in range(size):
+                row[8 + a] += reader[i] * x[i]
+                for j in range(size):
+                    total += reader[i] * P[i, j] * reader[j]
+            row[8 + q + a] = math.sqrt(total) if total >= 0.0 else math.nan
+        at = 8 + 2 * q
         for i in range(k):
             variance = P[n + i, n + i]
-            row[10 + i] = x[n + i]
-            row[10 + k + i] = math.sqrt(variance) if variance >= 0.0 else math.nan
-        row[10 + 2 * k] = _ALONG_THE_ESTIMATE
+            row[at + i] = x[n + i]
+            row[at + k + i] = math.sqrt(variance) if variance >= 0.0 else math.nan
+        row[at + 2 * k] = _ALONG_THE_ESTIMATE
         # It takes its parameters for valid, and the noise for the design's.
-        row[11 + 2 * k], row[12 + 2 * k] = 1.0 if k > 0 else 0.0, 1.0
+        row[at + 1 + 2 * k], row[at + 2 + 2 * k] = 1.0 if k > 0 else 0.0, 1.0
         inside = abs(row[0]) <= x_max
         row[len(row) - 2], row[len(row) - 1] = 1.0 if inside else 0.0, elapsed / 1e9
         finite = True
-        for i in range(10):
+        for i in range(at):
             finite = finite and math.isfinite(row[i])
         if not finite:
             # It diverged: what follows starts over.
@@ -546,7 +557,7 @@ def _use(
     model: EkfNumbers,
     memory: EkfMemory,
     stamp: int,
-    y: float,
+    y: Array,
     u: float,
     now: int,
     innovations: Array,
@@ -557,8 +568,8 @@ def _use(
     gammas: Array,
 ) -> int:
     """Use a sample, in its place; return its outcome."""
-    counts, ring = memory.counts, model.sizes[3]
-    if not math.isfinite(y):
+    counts, ring, p = memory.counts, model.sizes[3], model.output.shape[0]
+    if not has_finite(y, p):
         return NON_FINITE
     if stamp <= 0:
         return ZERO_STAMP
@@ -576,21 +587,23 @@ def _use(
             return TOO_OLD
         counts[2] += 1
     # The sample, and those after it again.
-    stamps, samples = np.empty(later + 1, np.int64), np.empty((later + 1, 2))
-    stamps[0], samples[0, 0], samples[0, 1] = stamp, y, u
+    stamps, samples = np.empty(later + 1, np.int64), np.empty((later + 1, p + 1))
+    stamps[0], samples[0, p] = stamp, u
+    for i in range(p):
+        samples[0, i] = y[i]
     for i in range(later):
         slot = (counts[0] + length - later + i) % ring
         stamps[1 + i] = memory.stamps[slot]
-        samples[1 + i, 0], samples[1 + i, 1] = memory.samples[slot, 0], memory.samples[slot, 1]
+        for j in range(p + 1):
+            samples[1 + i, j] = memory.samples[slot, j]
     counts[1] = length - later
     outcome = USED
     for i in range(later + 1):
-        code = _correct(
-            model, memory, stamps[i], samples[i, 0], samples[i, 1], vectors, matrices, gammas
-        )
+        code = _correct(model, memory, stamps[i], samples[i], vectors, matrices, gammas)
         if i == 0:
             outcome = code
-            innovations[sample], expected[sample] = vectors[2, 0], vectors[2, 1]
+            for j in range(p):
+                innovations[sample, j], expected[sample, j] = vectors[2, j], vectors[3, j]
     return outcome
 
 
@@ -599,15 +612,18 @@ def _correct(
     model: EkfNumbers,
     memory: EkfMemory,
     stamp: int,
-    y: float,
-    u: float,
+    sample: Array,
     vectors: Array,
     matrices: Array,
     gammas: Array,
 ) -> int:
-    """Predict to a sample from the newest state, correct unless it is too far off, and remember."""
-    counts, size, window, ring = memory.counts, len(model.output), model.sizes[2], model.sizes[3]
-    x, cross, P = vectors[0], vectors[1], matrices[0]
+    """Predict to a sample from the newest state, correct by what is near enough, and remember.
+
+    Innovations and the 1σ expected of them are left in the vectors.
+    """
+    p, size = model.output.shape
+    counts, window, ring = memory.counts, model.sizes[2], model.sizes[3]
+    x, cross, P, u = vectors[0], vectors[1], matrices[0], sample[p]
     last = (counts[0] + counts[1] - 1) % ring
     elapsed = stamp - memory.stamps[last]
     left_out, seen, torque = memory.left_out, memory.seen[last], 0.0
@@ -617,22 +633,22 @@ def _correct(
         for i in range(window):
             left_out[slot, i] = False
     else:
-        slot, torque = (last + 1) % ring, memory.samples[last, 1]
+        slot, torque = (last + 1) % ring, memory.samples[last, p]
         _copy_state(memory.x[last], memory.P[last], x, P)
         for i in range(window):
             left_out[slot, i] = left_out[last, i]
         _predict(model, elapsed / 1e9, torque, vectors, matrices, gammas)
     if math.isfinite(u):
         torque = u
-    spread, innovation = model.numbers[3], y
-    for i in range(size):
-        cross[i] = 0.0
-        for j in range(size):
-            cross[i] += P[i, j] * model.output[j]
-        spread += model.output[i] * cross[i]
-        innovation -= model.output[i] * x[i]
-    is_out = abs(innovation) > model.numbers[4] * math.sqrt(spread)
-    left_out[slot, seen % window] = is_out
+    are_out, near = True, vectors[4]
+    for j in range(p):
+        vectors[2, j], vectors[3, j], near[j] = math.nan, math.nan, 0.0
+        if math.isfinite(sample[j]):
+            spread, innovation = _expected(model, x, P, cross, sample[j], j)
+            vectors[2, j], vectors[3, j] = innovation, math.sqrt(spread)
+            near[j] = 0.0 if abs(innovation) > model.numbers[3] * math.sqrt(spread) else 1.0
+            are_out = are_out and near[j] == 0.0
+    left_out[slot, seen % window] = are_out
     seen += 1
     gone = 0
     for i in range(window):
@@ -642,20 +658,40 @@ def _correct(
         _copy_state(x, model.initial, x, P)
         for i in range(window):
             left_out[slot, i] = False
-    elif not is_out:
-        for i in range(size):
-            x[i] += cross[i] / spread * innovation
-            for j in range(size):
-                P[i, j] -= cross[i] * cross[j] / spread
-    vectors[2, 0], vectors[2, 1] = innovation, math.sqrt(spread)
+    elif not are_out:
+        for output in range(p):
+            if near[output] == 0.0:
+                continue
+            spread, innovation = _expected(model, x, P, cross, sample[output], output)
+            for i in range(size):
+                x[i] += cross[i] / spread * innovation
+                for j in range(size):
+                    P[i, j] -= cross[i] * cross[j] / spread
     memory.stamps[slot], memory.seen[slot] = stamp, seen
-    memory.samples[slot, 0], memory.samples[slot, 1] = y, torque
+    for j in range(p):
+        memory.samples[slot, j] = sample[j]
+    memory.samples[slot, p] = torque
     _copy_state(x, P, memory.x[slot], memory.P[slot])
     counts[1] += 1
     if counts[1] == ring:
         counts[0] = (counts[0] + 1) % ring
         counts[1] -= 1
-    return GATED if is_out else USED
+    return GATED if are_out else USED
+
+
+@compiled
+def _expected(
+    model: EkfNumbers, x: Array, P: Array, cross: Array, y: float, output: int
+) -> tuple[float, float]:
+    """Return an innovation's variance and the innovation; write the state's covariance with it."""
+    C, spread, innovation = model.output[output], model.variances[output], y
+    for i in range(len(x)):
+        cross[i] = 0.0
+        for j in range(len(x)):
+            cross[i] += P[i, j] * C[j]
+        spread += C[i] * cross[i]
+        innovation -= C[i] * x[i]
+    return spread, innovation
 
 
 @compiled
@@ -724,15 +760,16 @@ def _predict(
                             P[i, j] += noise[i, j]
                         elif i == j:
                             P[i, i] += THETA_WANDER * length
-            _kick(model.effects, half, half * gravity, u, x, jacobian)
+            _kick(model, half, half * gravity, u, x, jacobian)
             congruence(jacobian, P, nothing, scratch, P, size, size)
 
 
 @compiled
 def _kick(
-    effects: Array, half: float, half_kick: float, u: float, x: Array, jacobian: Array
+    model: EkfNumbers, half: float, half_kick: float, u: float, x: Array, jacobian: Array
 ) -> None:
     """Give half a kick by gravity and by the parameters; write its Jacobian."""
+    effects, torques = model.effects, model.torques
     size, k = x.shape[0], effects.shape[0]
     angle, slope = sine(x[0]), cosine(x[0])
     for i in range(size):
@@ -740,15 +777,24 @@ def _kick(
             jacobian[i, j] = 1.0 if i == j else 0.0
     jacobian[1, 0] -= half_kick * slope
     link, motor = -half_kick * angle, 0.0
+    drive, external = u, 0.0
+    if model.sizes[5] != 0:
+        for j in range(size):
+            drive += torques[0, j] * x[j]
+            external += torques[1, j] * x[j]
     for row in range(2):
         place = 1 + 2 * row
         for i in range(k):
             theta, effect = x[size - k + i], effects[i, row]
-            push = effect[SINE] * angle + effect[TORQUE] * u
+            push = effect[SINE] * angle + effect[TORQUE] * drive + effect[EXTERNAL] * external
             for j in range(4):
                 push += effect[j] * x[j]
                 jacobian[place, j] += half * theta * effect[j]
             jacobian[place, 0] += half * theta * effect[SINE] * slope
+            if model.sizes[5] != 0:
+                for j in range(4, size - k):
+                    share = effect[TORQUE] * torques[0, j] + effect[EXTERNAL] * torques[1, j]
+                    jacobian[place, j] += half * theta * share
             jacobian[place, size - k + i] = half * push
             if row == 0:
                 link += half * theta * push

@@ -12,7 +12,7 @@ from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation import state as records
 from tsobs_ros.estimation import steps
-from tsobs_ros.estimation.hypotheses import alternatives, enter_alternatives
+from tsobs_ros.estimation.hypotheses import Alternative, alternatives, enter_alternatives
 from tsobs_ros.estimation.options import (
     AdaptationOptions,
     CertifiedGain,
@@ -24,7 +24,7 @@ from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import CONDITIONS, Shape
 from tsobs_ros.estimation.torque import take_torque
 from tsobs_ros.model.flow import ArmFlow, GapFlow
-from tsobs_ros.model.matrices import is_finite
+from tsobs_ros.model.matrices import has_finite
 from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix
 from tsobs_ros.model.stepping import Room
 from tsobs_ros.model.uncertainty import Uncertainty
@@ -39,8 +39,8 @@ For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes 
 class State:
     """All that an estimator remembers, or a batch of such states; it is not changed by a step.
 
-    The fields of `estimation.state.state_type` are attributes, of a batch with the batch's axis in
-    front. Two states are equal if their bytes are.
+    The fields of `estimation.state.state_type` are attributes, and those of `sensor_type` with an
+    axis of the outputs; of a batch with the batch's axis in front. Two states are equal if their bytes are.
 
     Attributes:
         records: The records, shape (1,) for a single state.
@@ -57,10 +57,8 @@ class State:
     def __getattr__(self, name: str) -> Any:
         if name in State.__slots__:  # of a copy that is still being made
             raise AttributeError(name)
-        fields = self.records.dtype.names or ()
-        if name not in fields:
-            raise AttributeError(f"a state has no {name!r}; it has {fields}")
-        return _shaped(self.records, name, self.shape, self.batch)
+        values = self._numbers(self.records, name)
+        return values.reshape(*self.batch, *values.shape[1:]) if self.batch else values[0]
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, State):
@@ -68,6 +66,15 @@ class State:
         return self.batch == other.batch and self.records.tobytes() == other.records.tobytes()
 
     __hash__ = None  # type: ignore[assignment]
+
+    def _numbers(self, of_records: Record, name: str) -> Any:
+        """Return a field of records, or of their sensors, without the room that is not in use."""
+        sensors = of_records["sensors"][:, : self.shape.p]
+        for values in (of_records, sensors):
+            if name in (values.dtype.names or ()):
+                return self.shape.trim(name, values[name])
+        fields = (*(of_records.dtype.names or ()), *(sensors.dtype.names or ()))
+        raise AttributeError(f"a state has no {name!r}; it has {fields}")
 
     def copy(self) -> "State":
         """Return the same state with records of its own."""
@@ -77,8 +84,7 @@ class State:
         """Return the state with some fields replaced."""
         copy = self.copy()
         for name, value in values.items():
-            getattr(copy, name)  # names a field that is not there
-            target = self.shape.trim(name, copy.records[name])
+            target = self._numbers(copy.records, name)
             target[...] = np.reshape(value, target.shape) if self.batch else value
         return copy
 
@@ -90,13 +96,14 @@ class Correction(NamedTuple):
         innovation: y − ŷ before the correction, shape (..., p).
         innovation_covariance: Expected covariance of the innovation, shape (..., p, p).
         gain: The gain for the estimate, times the weight, shape (..., n, p).
-        weight: The share of the correction that was applied; 0 if the measurement was not used.
+        weight: The share of each output's correction that was applied; 0 if it was not used,
+            shape (..., p).
     """
 
     innovation: Array
     innovation_covariance: Array
     gain: Array
-    weight: Any
+    weight: Array
 
 
 class Readout(NamedTuple):
@@ -113,6 +120,8 @@ class Readout(NamedTuple):
         designed_disturbance: Output disturbance if all is as designed, whatever the hypothesis,
             shape (..., p); of length zero if there is none.
         designed_bound: 1σ bound of it, likewise.
+        torque_disturbance: Unknown torques that the design has a model of [N m], shape (..., t).
+        torque_disturbance_bound: 1σ bound of each [N m], likewise.
         basis: What the bounds rest on, a code of `Basis`.
         parameters_valid: Whether the motion was rich enough for them to count.
         noise_scale: Size of the sensor's noise relative to the design's, at least 1.
@@ -130,6 +139,8 @@ class Readout(NamedTuple):
     parameter_bound: Array
     designed_disturbance: Array
     designed_bound: Array
+    torque_disturbance: Array
+    torque_disturbance_bound: Array
     basis: Any
     parameters_valid: Any
     noise_scale: Any
@@ -185,15 +196,7 @@ class Estimator:
         return bool(self.model["supervised"][0])
 
     def supervise(self, options: SupervisionOptions) -> None:
-        """Supervise from now on, or by other options than before.
-
-        Raises:
-            ModelError: The system has several outputs.
-        """
-        if self.shape.p != 1:
-            raise ModelError(
-                f"supervised observer: expected a system of one output, got {self.shape.p}"
-            )
+        """Supervise from now on, or by other options than before."""
         records.enter_supervision(self.model[0], options)
 
     def limit_torque(self, limits: TorqueLimits) -> None:
@@ -227,7 +230,7 @@ class Estimator:
 
         Args:
             state: The state predicted to the measurement's stamp.
-            y: Measurement, shape (..., p).
+            y: Measurement, NaN of an output that is missing, shape (..., p).
 
         Returns:
             The corrected state, and the innovation with its gain.
@@ -297,7 +300,7 @@ class Estimator:
         """Return the estimates after each sample of some runs, without holding Python's lock.
 
         Args:
-            y: Measurements, one of them NaN or infinite if lost, shape (runs, samples, p).
+            y: Measurements, an output of them NaN if it is missing, shape (runs, samples, p).
             u: Inputs from each sample to the next, shape (runs, samples, m).
             period: Time between samples [s]; the nominal one if None.
             start: States at the first sample, a batch of shape (runs,); the initial one if None.
@@ -349,6 +352,8 @@ class Estimator:
             ("parameter_bound", shape.k),
             ("designed_disturbance", shape.p),
             ("designed_bound", shape.p),
+            ("torque_disturbance", shape.t),
+            ("torque_disturbance_bound", shape.t),
         ):
             parts[name] = slice(at, at if name in self.lacking else at + size)
             at += size
@@ -418,14 +423,14 @@ def certified_estimator(
         gap_flow = GapFlow(flow, torque_rate)
     scale = flow.to_physical(np.ones(n))
     wide = 0 if gap_flow is None else gap_flow.state_count
-    shape = Shape(n, len(scale), p, flow.input_count, k, wide)
-    bank = []
+    shape = Shape(n, len(scale), p, flow.input_count, k, wide, len(flow.torque_map))
+    bank: list[Alternative | None] = []
     if isinstance(flow, ArmFlow):
-        bank = alternatives(flow, float(measurement_covariance[0, 0]))
-    widest = max(n, wide, *(each.flow.state_count for each in bank))
+        bank = alternatives(flow, np.diag(measurement_covariance).copy())
+    widest = max(n, wide, *(each.flow.state_count for each in bank if each))
     room = Room.fitting(widest, p, shape.m, k, *flow.rule_counts)
     model = records.new_model(room, shape, flow.period)
-    one, q = model[0], flow.disturbance.state_count
+    one = model[0]
     flow.fill(one["flow"], uncertainty)
     if gap_flow is not None:
         gap_flow.fill(one["gap"], uncertainty)
@@ -434,12 +439,13 @@ def certified_estimator(
         enter_alternatives(one, bank, uncertainty)
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period
     one["longest"] = (1.0 + PERIOD_TOLERANCE) * flow.period
-    one["disturbed"] = int(flow.disturbance.H.any())
+    fill_matrix(one["disturbed"], flow.disturbance.H.any(axis=1))
     for name, matrix in (
         ("C", flow.output_matrix),
         ("scale", scale),
-        ("disturbance_map", np.hstack([np.zeros((p, n - q)), flow.disturbance.H])),
-        ("rate_map", np.hstack([np.zeros((p, n - q)), flow.disturbance.rate_map])),
+        ("disturbance_map", flow.disturbance_map),
+        ("rate_map", flow.rate_map),
+        ("torque_map", flow.torque_map),
     ):
         fill_matrix(one[name], matrix)
     initial = as_matrix("initial covariance", initial_covariance, (n, n))
@@ -512,7 +518,7 @@ def observe_each(
                 held = states[run].held[:]
                 steps.predict(model, states[run], held, duration, bool(0), work[0])
             take_torque(model, states[run], u[run, sample])
-            if is_finite(y[run, sample], model.p):
+            if has_finite(y[run, sample], model.p):
                 steps.correct(model, states[run], y[run, sample], corrections[0])
             steps.read(model, states[run], readouts[0], work[0])
             steps.write_row(model, readouts[0], rows[run, sample])

@@ -38,6 +38,7 @@ class FaultKind(enum.Enum):
     DRIFT = "drift"
     OSCILLATION = "oscillation"
     STUCK = "stuck"
+    MISSING = "missing"
     NOISE = "noise"
     UNKNOWN = "unknown"
 

@@ -1,9 +1,9 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The fault monitor of a sensor: stuck, too noisy, biased, drifting or oscillating.
+"""The fault monitor of a sensor: missing, stuck, too noisy, biased, drifting or oscillating.
 
-There are three signs of a fault. Raw samples repeat although they are noisy or the arm moves: the
-sensor is stuck. Innovations are too large, or too many of them are: it is noise if they are white;
+There are four signs of a fault. Samples lack a value of the sensor: it is missing. Raw samples
+repeat although they are noisy or the arm moves: the sensor is stuck. Innovations are too large, or too many of them are: it is noise if they are white;
 if not, the model does not fit and the disturbance has no bound. The last seconds of the estimated
 disturbance have a shape, see `fault_shapes`. A level is about size, a kind about shape; both must
 last to be reported.
@@ -28,7 +28,7 @@ from tsobs_ros.estimation.health import (
     Status,
     duration_text,
 )
-from tsobs_ros.estimation.history import CORRECTING, GATED, USED
+from tsobs_ros.estimation.history import CORRECTING, GATED, NON_FINITE, USED
 from tsobs_ros.estimation.repeats import REPEAT_FIELDS, count_repeats
 
 __all__ = ["Fault", "FaultKind", "FaultMonitor", "add_estimates", "add_samples", "new_watches"]
@@ -36,6 +36,7 @@ __all__ = ["Fault", "FaultKind", "FaultMonitor", "add_estimates", "add_samples",
 _SAME_SIGMAS = 0.02
 _STUCK_TIME = 100_000_000
 _STUCK_SAMPLES = 10
+_MISSING_TIME = 100_000_000
 
 _MEMORY = 1.0
 _CLIP = 5.0
@@ -43,6 +44,9 @@ _LARGE = 2.0
 _OUTLIER_MEMORY = 5.0
 _MANY_OUTLIERS, _FEW_OUTLIERS = 0.03, 0.02
 _COLOURED = 0.3
+
+_SURE = (FaultKind.STUCK, FaultKind.MISSING)
+"""Kinds that are reported at once."""
 
 _BLOCK = 100_000_000
 _BLOCKS = 150
@@ -59,7 +63,7 @@ class Fault(NamedTuple):
     Attributes:
         kind: What it looks like.
         level: How bad it is: of a size by the limits, WARN if the innovations are too large, ERROR
-            if the sensor is stuck.
+            if the sensor is stuck or missing.
         magnitude: Of a bias or drift its present size, of an oscillation its amplitude, of noise
             its standard deviation, else the largest disturbance of the last second [rad].
         bound: 1σ of the magnitude [rad]; infinite if the model does not hold.
@@ -85,6 +89,8 @@ _WATCH = np.dtype(
             *REPEAT_FIELDS,
             ("since", np.int64),
             ("stuck", np.int64),
+            ("lacking", np.int64),
+            ("missing", np.int64),
             ("stamp", np.int64),
             ("normalised", np.float64),
             ("square", np.float64),
@@ -110,7 +116,9 @@ _WATCH = np.dtype(
 """What is remembered of a sensor.
 
 std: 1σ of the noise [rad]. since: stamp of the first sample with the present value [ns]. stuck:
-whether it has come for a tenth of a second, with ten repetitions that count. stamp: of the latest
+whether it has come for a tenth of a second, with ten repetitions that count. lacking: stamp from
+which samples lack a value [ns], 0 if the newest has one; missing: whether that is a tenth of a
+second. stamp: of the latest
 innovation in order [ns], 0 before it. normalised: that one in σ, clipped at 5σ. square, product:
 averages over a second of its square, 1 if the model fits, and of its product with the one before.
 period: between the last two [s]. seen, last: stamp of the latest sample in order, gated or not
@@ -146,18 +154,23 @@ def add_samples(
     Args:
         watches: Records of the sensors, shape (k,).
         stamps: [ns], shape (m,).
-        y: Raw angles [rad], shape (k, m).
-        codes: Outcomes by the codes of `history.REASONS`; only of samples that were used, or gated
-            for their value, something is taken in; shape (k, m).
-        innovations: y − ŷ [rad], shape (k, m).
-        expected_std: 1σ expected of the innovations [rad], shape (k, m).
+        y: Raw values, shape (k, m).
+        codes: Outcomes by the codes of `history.REASONS`; only of samples that were used, gated
+            for their value or missing, something is taken in; shape (k, m).
+        innovations: y − ŷ, shape (k, m).
+        expected_std: 1σ expected of the innovations, shape (k, m).
     """
     for place in range(watches.shape[0]):
         watch = watches[place]
         for sample in range(stamps.shape[0]):
             code, stamp = codes[place, sample], stamps[sample]
             innovation, expected = innovations[place, sample], expected_std[place, sample]
+            if code == NON_FINITE and stamp > 0:
+                if watch.lacking == 0:
+                    watch.lacking = stamp
+                watch.missing = 1 if stamp - watch.lacking >= _MISSING_TIME else 0
             if code in CORRECTING or code == GATED:
+                watch.lacking, watch.missing = 0, 0
                 _compare(watch, stamp, y[place, sample], innovation, expected)
                 _count_outlier(watch, stamp, innovation / expected)
             if code in CORRECTING:
@@ -245,7 +258,7 @@ def add_estimates(watches: Any, stamp: int, disturbances: Array, bounds: Array) 
         watch.in_block += 1
         if stamp - watch.begun >= (watch.block + 1) * _BLOCK:
             _end_block(watch, stamp - watch.begun)
-        ready = ready or watch.complete != 0 or watch.stuck != 0
+        ready = ready or watch.complete != 0 or watch.stuck != 0 or watch.missing != 0
     return ready
 
 
@@ -269,9 +282,10 @@ class FaultMonitor:
     """Finds the fault of one sensor from the input and output of its estimator.
 
     Args:
-        measurement_std: 1σ of the noise of one sample that the design expects [rad].
+        measurement_std: 1σ of the noise of one sample that the design expects.
         limits: When a disturbance is bad, and how long that, and a kind, must last.
         watch: One of the records of several sensors, as an array of one; its own if None.
+        unit: Unit of the sensor's values, for diagnostics; "" if it is not known.
 
     Attributes:
         limits: May be changed at any time.
@@ -286,7 +300,9 @@ class FaultMonitor:
         measurement_std: float,
         limits: DisturbanceLimits | None = None,
         watch: Any = None,
+        unit: str = "rad",
     ) -> None:
+        self._unit = unit
         self.limits = limits or DisturbanceLimits()
         self.fault = Fault()
         self._std = positive("measurement_std", measurement_std)
@@ -337,7 +353,7 @@ class FaultMonitor:
         if watch.complete:
             if watch.count >= watch.least and watch.block % _EVERY == 0:
                 self._look()
-        elif not watch.stuck or self.fault.kind is FaultKind.STUCK:
+        elif not (watch.stuck or watch.missing) or self.fault.kind in _SURE:
             return
         watch.complete = 0
         self.fault = self._judge(int(watch.estimated), disturbance, bound)
@@ -349,16 +365,20 @@ class FaultMonitor:
             now: Time on the clock of the stamps [ns].
         """
         fault = self.fault
+        def entry(name: str, per: str = "") -> str:
+            unit = f"{self._unit}{per}" if self._unit else ""
+            return f"{name} [{unit}]" if unit else name
+
         values = {
             "kind": fault.kind.value,
-            "magnitude [rad]": f"{fault.magnitude:.4g}",
-            "bound [rad]": f"{fault.bound:.4g}",
+            entry("magnitude"): f"{fault.magnitude:.4g}",
+            entry("bound"): f"{fault.bound:.4g}",
             "normalised innovation squared": f"{self.square:.3g}",
         }
         if fault.since is not None:
             values["since"] = duration_text(now - fault.since)
         if fault.rate is not None:
-            values["rate [rad/s]"] = f"{fault.rate:.4g}"
+            values[entry("rate", "/s")] = f"{fault.rate:.4g}"
         if fault.frequency is not None:
             values["frequency [rad/s]"] = f"{fault.frequency:.4g}"
         return Status("sensor fault", fault.level, fault.kind.value, values)
@@ -400,7 +420,7 @@ class FaultMonitor:
     def _judge(self, stamp: int, disturbance: float, bound: float) -> Fault:
         now = self._candidate(disturbance, bound)
         self._candidates[now.kind] = now
-        hold = 0.0 if now.kind is FaultKind.STUCK else self.limits.hold
+        hold = 0.0 if now.kind in _SURE else self.limits.hold
         kind = self._kind.update(stamp, now.kind, hold)
         level = self._level.update(stamp, now.level, hold)
         wrong = self._wrong.update(stamp, now.kind is not FaultKind.NONE, hold)
@@ -413,6 +433,8 @@ class FaultMonitor:
     def _candidate(self, disturbance: float, bound: float) -> Fault:
         """Return the fault as it looks at the moment."""
         watch, shape = self._watches[0], self._shape
+        if watch.missing:
+            return Fault(FaultKind.MISSING, Level.ERROR, abs(disturbance))
         if watch.stuck:
             return Fault(FaultKind.STUCK, Level.ERROR, abs(disturbance))
         fits = self.white or not self.large

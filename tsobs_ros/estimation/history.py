@@ -19,7 +19,7 @@ from tsobs_ros.estimation.records import Basis, RejectReason
 from tsobs_ros.estimation.state import correction_type, readout_type, work_type
 from tsobs_ros.estimation.steps import correct, predict, read, write_row
 from tsobs_ros.estimation.torque import take_torque
-from tsobs_ros.model.matrices import is_finite
+from tsobs_ros.model.matrices import has_finite, is_finite
 from tsobs_ros.model.stepping import Room, record_type
 
 REASONS = (None, *RejectReason)
@@ -99,6 +99,7 @@ def offer(
     u: Array,
     now: int,
     outcomes: Any,
+    output_codes: Any,
     innovations: Array,
     expected_std: Array,
 ) -> None:
@@ -111,11 +112,13 @@ def offer(
         memories: Record of `memory_type`, shape (1,).
         ring: State records, `max_steps` + 2 + `SPARE` or more.
         stamps: Of N measurements [ns], shape (N,).
-        y: Shape (N, p).
+        y: NaN of an output that is missing, shape (N, p).
         u: Inputs from each measurement until the next one, shape (N, m).
         now: Time on the clock of the stamps [ns].
         outcomes: Codes of `REASONS`, written, shape (N,).
-        innovations: y − ŷ of those that are used, written, shape (N, p).
+        output_codes: Those of each output, written, shape (N, p): of a measurement that is used
+            `USED`, `GATED`, or `NON_FINITE` of one that is missing.
+        innovations: y − ŷ of those that are used, NaN if missing, written, shape (N, p).
         expected_std: 1σ expected of each, written, shape (N, p).
     """
     model, memory = models[0], memories[0]
@@ -141,6 +144,8 @@ def offer(
             if code != USED:
                 memory.refused[code] += 1
                 outcomes[i] = code
+                for j in range(model.p):
+                    output_codes[i, j] = code
                 i += 1
                 continue
             if again >= late and memory.length > 0 and stamp < newest:
@@ -163,6 +168,10 @@ def offer(
         if not repeated:
             outcomes[i] = code
             for j in range(model.p):
+                if not math.isfinite(sample[j]):
+                    output_codes[i, j] = NON_FINITE
+                else:
+                    output_codes[i, j] = USED if memory.correction.weight[j] > 0.0 else GATED
                 innovations[i, j] = memory.correction.innovation[j]
                 variance = memory.correction.innovation_covariance[j, j]
                 expected_std[i, j] = math.sqrt(variance) if variance >= 0.0 else math.nan
@@ -247,7 +256,7 @@ def follow(
         memories: Record of `memory_type`, shape (1,).
         ring: State records.
         stamps: Of N measurements [ns], shape (N,).
-        y: Shape (N, p).
+        y: NaN of an output that is missing, shape (N, p).
         u: Shape (N, m).
         there: Whether there is an estimate, written, shape (N,).
         rows: The estimates, as of `estimate_at`, written where there are any, shape (N, width).
@@ -312,7 +321,8 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
         correct(model, state, y, correction)
         total = 0.0
         for i in range(model.p):
-            total += correction.innovation[i]
+            if math.isfinite(y[i]):
+                total += correction.innovation[i]
             for j in range(model.p):
                 total += correction.innovation_covariance[i, j]
         if attempt > 0 or math.isfinite(total):
@@ -322,7 +332,10 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
         restarts += 1
         failures += 1
     code = IMPLAUSIBLE_TORQUE if state.torque_unknown != 0 else USED
-    if correction.weight == 0.0:
+    used = bool(0)
+    for i in range(model.p):
+        used = used or correction.weight[i] > 0.0
+    if not used:
         code = GATED
     state.stamp = stamp
     for i in range(model.m):
@@ -379,8 +392,8 @@ def _count_before(memory: Any, ring: Any, stamp: int) -> int:
 
 @compiled
 def _is_readable(model: Any, y: Array, u: Array) -> bool:
-    """Return whether a measurement's numbers are finite, but for a torque, which is judged."""
-    return is_finite(y, model.p) and (model.torque_limit > 0.0 or is_finite(u, model.m))
+    """Return whether an output and all inputs are numbers, but for a torque, which is judged."""
+    return has_finite(y, model.p) and (model.torque_limit > 0.0 or is_finite(u, model.m))
 
 
 @compiled

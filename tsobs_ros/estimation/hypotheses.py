@@ -20,10 +20,12 @@ import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.records import Hypothesis
-from tsobs_ros.model.disturbance import gauss_markov
+from tsobs_ros.model.disturbance import gauss_markov, per_channel
 from tsobs_ros.model.flow import ArmFlow, ForceFlow
 from tsobs_ros.model.matrices import copy, dot, quadratic
 from tsobs_ros.model.prediction import Flow, fill_matrix
@@ -91,57 +93,65 @@ class Alternative(NamedTuple):
 
     Attributes:
         flow: Prediction model, whose states are the design's and then those of its own.
-        variance: Of the white noise of one sample [rad²].
+        variances: Of the white noise of one sample of each output, shape (p,).
         initial_std: 1σ of its own states before any measurement.
         prior: By how much its score must exceed the design's.
         hysteresis: By how much less, once it is selected.
     """
 
     flow: Flow
-    variance: float
+    variances: Array
     initial_std: tuple[float, ...]
     prior: float
     hysteresis: float
 
 
-def alternatives(flow: ArmFlow, variance: float) -> list[Alternative]:
-    """Return what the hypotheses assume, in the order of `Hypothesis`.
+def alternatives(flow: ArmFlow, variances: Array) -> list[Alternative | None]:
+    """Return what the hypotheses assume, in the order of `Hypothesis`; None if one has no use.
 
     Args:
         flow: The design's prediction model.
-        variance: Of the white noise of one sample [rad²].
+        variances: Of the white noise of one sample of each output, shape (p,).
     """
-    std, gravity = math.sqrt(variance), flow.arm.gravity_torque
-    forces = [share * gravity for share in (*FORCES, *OTHER_FORCES)]
+    torque = flow.arm.reference_torque
+    forces = [share * torque for share in (*FORCES, *OTHER_FORCES)]
+    stds = np.sqrt(variances).tolist()
+    colours = per_channel([gauss_markov(std, COLOUR_TIME) for std in stds])
     faster = replace(flow.disturbance, G=DRIFT_SPEED * flow.disturbance.G)
     coloured, drifting = (
-        ArmFlow(flow.arm, disturbance, flow.process_noise, flow.period)
-        for disturbance in (flow.disturbance + gauss_markov(std, COLOUR_TIME), faster)
+        flow.disturbed_by(disturbance) for disturbance in (flow.disturbance + colours, faster)
     )
     flows = [
         ForceFlow(base, force, FORCE_TIME)
         for base, force in zip((flow, flow, coloured, drifting), forces, strict=True)
     ]
     own: list[tuple[float, ...]] = [(force,) for force in forces]
-    variances = [variance] * ALTERNATIVES
-    variances[_COLOURED - 1] *= WHITE_SHARE
-    own[_COLOURED - 1] = (std, *own[_COLOURED - 1])
-    numbers = zip(flows, variances, own, _PRIORS, _HYSTERESES, strict=True)
-    return [Alternative(*each) for each in numbers]
+    whites = [variances] * ALTERNATIVES
+    whites[_COLOURED - 1] = variances * WHITE_SHARE
+    own[_COLOURED - 1] = (*stds, *own[_COLOURED - 1])
+    numbers = zip(flows, whites, own, _PRIORS, _HYSTERESES, strict=True)
+    bank: list[Alternative | None] = [Alternative(*each) for each in numbers]
+    if flow.torque_disturbance is not None:
+        # The design has a force of its own.
+        bank[: len(FORCES)] = [None] * len(FORCES)
+    return bank
 
 
 def enter_alternatives(
-    model: Any, bank: list[Alternative], uncertainty: Uncertainty | None
+    model: Any, bank: list[Alternative | None], uncertainty: Uncertainty | None
 ) -> None:
     """Enter the hypotheses into one model record, whose period is there already."""
     model["has_alternatives"] = 1
     for record, assumed in zip(model["alternatives"], bank, strict=True):
+        if assumed is None:
+            continue
         n = assumed.flow.state_count
         assumed.flow.fill(record["flow"], uncertainty)
-        fill_matrix(record["C"], assumed.flow.output_matrix[0])
+        fill_matrix(record["C"], assumed.flow.output_matrix)
+        fill_matrix(record["variances"], assumed.variances)
         for place, std in enumerate(assumed.initial_std, n - len(assumed.initial_std)):
             record["added"][place] = std * std
-        record["n"], record["variance"] = n, assumed.variance
+        record["n"] = n
         record["prior"], record["hysteresis"] = assumed.prior, assumed.hysteresis
     period = float(model["period"])
     model["sign_share"] = 1.0 - exponential(-period / _SIGN_TIME)
@@ -150,29 +160,27 @@ def enter_alternatives(
 
 
 @compiled
-def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
+def weigh(model: Any, state: Any, correction: Any) -> None:
     """Weigh the hypotheses by one measurement, and correct those that are awake.
 
     Args:
         model: Model record.
         state: Corrected by the measurement.
-        y: Measurement, shape (1,).
         correction: Its effect.
     """
-    scale = max(state.noise_scale, 1.0)
-    variance = scale * scale * correction.innovation_covariance[0, 0]
-    innovation = correction.innovation[0]
-    if not (variance > 0.0 and math.isfinite(innovation)):
-        return
+    expected = correction.innovation_covariance[:]
+    for i in range(model.p):
+        if _shows(model, state, i) and not (
+            expected[i, i] > 0.0 and math.isfinite(correction.innovation[i])
+        ):
+            return
     # White noise that has just grown is not in the scale yet, and a jump not in the estimate.
     bursting = state.nis - max(state.coloured_power, 0.0) > _MAX_WHITE
     if state.awake == 0 and (bursting or state.pause > 0.0):
         return
-    r = min(max(innovation / math.sqrt(variance), -_CLIP), _CLIP)
-    share = model.sign_share
-    state.slow += share * (r - state.slow)
-    power = state.slow * state.slow * ((2.0 - share) / share)
-    state.slow_power += model.sign_power_share * (power - state.slow_power)
+    designed, smooth = _weigh_design(model, state, correction), True
+    for i in range(model.p):
+        smooth = smooth and state.sensors[i].noise_scale < _SMOOTH
     if state.awake == 0:
         suspicious = state.slow_power > _WAKING_SLOW or state.coloured_power > _WAKING_COLOUR
         # They begin from an estimate that has settled.
@@ -183,17 +191,13 @@ def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
     # neighbours.
     young = model.k > 0 and (state.age < _LEARNT or state.pass_age < _PASS)
     young = young and not 0 < state.hypothesis <= _LAST_FORCE
-    smooth = state.noise_scale < _SMOOTH
-    designed = -0.5 * (r * r + logarithm(variance))
     state.score = state.score * model.score_fade + designed
     best, finite = state.score, True
     for i in range(ALTERNATIVES):
-        alternative, own_scale = state.alternatives[i], scale
-        if i == _COLOURED - 1:
-            # The white scale is of differences, which coloured noise hardly has.
-            own_scale *= math.sqrt(max(state.coloured_power / _DESIGNED_COLOUR, 1.0))
-        ratio = _correct(model, state, i, y[0], own_scale, correction)
-        gain = -0.5 * (ratio + logarithm(alternative.variance))
+        if model.alternatives[i].n == 0:
+            continue
+        alternative = state.alternatives[i]
+        gain, ratio = _correct(model, state, i, correction)
         if bursting or (young and not (smooth and i == _COLOURED - 1)):
             gain = designed
         if i == _COLOURED - 1 and state.coloured_power < _LEAST_COLOUR:
@@ -204,7 +208,7 @@ def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
         finite = finite and math.isfinite(alternative.score)
         best = max(best, alternative.score)
     if not finite:
-        sleep(state)
+        sleep(model, state)
         return
     state.score = max(state.score - best, -_MAX_SCORE)
     for i in range(ALTERNATIVES):
@@ -217,6 +221,8 @@ def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
     if state.hypothesis == _AS_DESIGNED:
         most += _HYSTERESIS
     for i in range(ALTERNATIVES):
+        if model.alternatives[i].n == 0:
+            continue
         value = state.alternatives[i].score - model.alternatives[i].prior
         if state.hypothesis == i + 1:
             value += model.alternatives[i].hysteresis
@@ -225,35 +231,100 @@ def weigh(model: Any, state: Any, y: Array, correction: Any) -> None:
     state.hypothesis = selected
     calm = state.slow_power < _CALM_SLOW and state.coloured_power < _CALM_COLOUR
     if calm and selected == _AS_DESIGNED and state.awake_time > _LEAST_TIME:
-        sleep(state)
+        sleep(model, state)
 
 
 @compiled
-def _correct(model: Any, state: Any, place: int, y: float, scale: float, correction: Any) -> float:
-    """Correct an alternative; return the square of its innovation in sigmas, clipped."""
+def _shows(model: Any, state: Any, i: int) -> bool:
+    """Return whether an output's newest sample shows what arm and sensor are."""
+    there: bool = state.y[i] == state.y[i]
+    return model.p == 1 or (there and state.sensors[i].excluded == 0)
+
+
+@compiled
+def _weigh_design(model: Any, state: Any, correction: Any) -> float:
+    """Follow the slow innovations; return the logarithm of the sample's likelihood as designed.
+
+    The outputs are weighed one after the other, each given those before it.
+    """
+    expected, factor = correction.innovation_covariance[:], correction.factor[:]
+    whitened, likelihood, power = correction.crossed[0], 0.0, -math.inf
+    for i in range(model.p):
+        if not _shows(model, state, i):
+            for j in range(i + 1):
+                factor[i, j] = 0.0
+            whitened[i] = 0.0
+            continue
+        sensor = state.sensors[i]
+        scale = max(sensor.noise_scale, 1.0)
+        variance = scale * scale * expected[i, i]
+        innovation = correction.innovation[i]
+        r = min(max(innovation / math.sqrt(variance), -_CLIP), _CLIP)
+        share = model.sign_share
+        sensor.slow += share * (r - sensor.slow)
+        slow = sensor.slow * sensor.slow * ((2.0 - share) / share)
+        sensor.slow_power += model.sign_power_share * (slow - sensor.slow_power)
+        power = max(power, sensor.slow_power)
+        for j in range(i):
+            other = max(state.sensors[j].noise_scale, 1.0)
+            entry = scale * other * expected[i, j]
+            for a in range(j):
+                entry -= factor[i, a] * factor[j, a]
+            factor[i, j] = entry / factor[j, j] if factor[j, j] > 0.0 else 0.0
+            innovation -= factor[i, j] * whitened[j]
+            variance -= factor[i, j] * factor[i, j]
+        factor[i, i] = math.sqrt(variance)
+        whitened[i] = innovation / factor[i, i]
+        r = min(max(whitened[i], -_CLIP), _CLIP)
+        likelihood += -0.5 * (r * r + logarithm(variance))
+    if power >= 0.0:
+        state.slow_power = power
+    return likelihood
+
+
+@compiled
+def _correct(model: Any, state: Any, place: int, correction: Any) -> tuple[float, float]:
+    """Correct an alternative by one output after the other.
+
+    Returns:
+        The logarithm of the sample's likelihood, and the mean square of its innovations in sigmas,
+        each clipped.
+    """
     assumed, alternative = model.alternatives[place], state.alternatives[place]
-    n, k, C = assumed.n, model.k, assumed.C[:]
+    n, k = assumed.n, model.k
     x, covariance, upsilon = alternative.x[:], alternative.covariance[:], alternative.upsilon[:]
     crossed, omega = correction.crossed[0], correction.turned[0]
-    for i in range(n):
-        crossed[i] = dot(covariance[i], C, n)
-    known = dot(C, crossed, n) + assumed.variance
-    for a in range(k):
-        omega[a] = dot(C, upsilon[a], n)
-    alternative.variance = scale * scale * (known + quadratic(state.gamma[:], omega, k))
-    innovation = y - dot(C, x, n)
-    ratio, weight = innovation * innovation / alternative.variance, 1.0
-    if ratio > model.gate * model.gate:
-        weight = model.gate * model.gate / ratio
-    for i in range(n):
-        gain = crossed[i] / known
-        x[i] += gain * (weight * innovation)
-        for j in range(n):
-            covariance[i, j] -= crossed[i] * crossed[j] / known
+    likelihood, total, count = 0.0, 0.0, 0
+    for output in range(model.p):
+        if not _shows(model, state, output):
+            continue
+        sensor, C = state.sensors[output], assumed.C[output]
+        scale = max(sensor.noise_scale, 1.0)
+        if place == _COLOURED - 1:
+            # The white scale is of differences, which coloured noise hardly has.
+            scale *= math.sqrt(max(sensor.coloured_power / _DESIGNED_COLOUR, 1.0))
+        for i in range(n):
+            crossed[i] = dot(covariance[i], C, n)
+        known = dot(C, crossed, n) + assumed.variances[output]
         for a in range(k):
-            upsilon[a, i] -= omega[a] * gain
-    clipped: float = min(ratio, _CLIP * _CLIP)
-    return clipped
+            omega[a] = dot(C, upsilon[a], n)
+        variance = scale * scale * (known + quadratic(state.gamma[:], omega, k))
+        alternative.variances[output] = variance
+        innovation = state.y[output] - dot(C, x, n)
+        ratio, weight = innovation * innovation / variance, 1.0
+        if ratio > model.gate * model.gate:
+            weight = model.gate * model.gate / ratio
+        for i in range(n):
+            gain = crossed[i] / known
+            x[i] += gain * (weight * innovation)
+            for j in range(n):
+                covariance[i, j] -= crossed[i] * crossed[j] / known
+            for a in range(k):
+                upsilon[a, i] -= omega[a] * gain
+        ratio = min(ratio, _CLIP * _CLIP)
+        likelihood += -0.5 * (ratio + logarithm(variance))
+        total, count = total + ratio, count + 1
+    return likelihood, total / max(count, 1)
 
 
 @compiled
@@ -270,16 +341,23 @@ def _wake(model: Any, state: Any) -> None:
             covariance[a, a] = assumed.added[a]
             for b in range(k):
                 upsilon[b, a] = state.upsilon[b, a] if a < n else 0.0
-        copy(model.posterior[:] if state.certified != 0 else state.covariance[:], covariance, n, n)
+        if assumed.n > 0:
+            copy(
+                model.posterior[:] if state.certified != 0 else state.covariance[:],
+                covariance,
+                n,
+                n,
+            )
         alternative.score, alternative.nis = 0.0, 1.0
     state.awake, state.awake_time, state.score = 1, 0.0, 0.0
 
 
 @compiled
-def sleep(state: Any) -> None:
+def sleep(model: Any, state: Any) -> None:
     """Take arm and sensor for what the design says, until there are new signs."""
-    state.awake, state.hypothesis = 0, _AS_DESIGNED
-    state.slow, state.slow_power = 0.0, 0.0
+    state.awake, state.hypothesis, state.slow_power = 0, _AS_DESIGNED, 0.0
+    for i in range(model.p):
+        state.sensors[i].slow, state.sensors[i].slow_power = 0.0, 0.0
 
 
 @compiled
@@ -310,6 +388,8 @@ def predict_alternatives(model: Any, state: Any, u: Array, duration: float, work
         wider = model.rate_variance * (2.0 * begin + duration) * duration
     for i in range(ALTERNATIVES):
         assumed, alternative = model.alternatives[i], state.alternatives[i]
+        if assumed.n == 0:
+            continue
         covariance, force = alternative.covariance[:], assumed.n - 1
         covariance[force, force] += wider
         advance(

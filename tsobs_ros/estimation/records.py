@@ -12,12 +12,13 @@ NANOSECONDS = 1_000_000_000
 
 
 class Measurement(NamedTuple):
-    """One sample of a joint.
+    """One sample of a joint or a system.
 
     Attributes:
-        stamp: When the angle was sampled [ns].
-        y: Measured link angle [rad], shape (1,).
-        u: Torque applied from this stamp until the next sample [N m], shape (1,).
+        stamp: When the outputs were sampled [ns].
+        y: Measured outputs, of an arm [rad] or [rad/s], NaN if one is missing, shape (p,).
+        u: Inputs applied from this stamp until the next sample, of an arm the torque [N m],
+            shape (m,).
     """
 
     stamp: int
@@ -109,8 +110,8 @@ class Innovation(NamedTuple):
 
     Attributes:
         stamp: The measurement's stamp [ns].
-        value: y − ŷ [rad], shape (1,).
-        expected_std: 1σ expected of it [rad], shape (1,).
+        value: y − ŷ of each output, NaN if it is missing, shape (p,).
+        expected_std: 1σ expected of it, shape (p,).
     """
 
     stamp: int
@@ -123,21 +124,25 @@ class Estimate(NamedTuple):
 
     Attributes:
         stamp: The instant it is for [ns].
-        state: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (4,).
-        state_bound: 1σ bound of each, shape (4,).
-        disturbance: Output disturbance or fault [rad], shape (1,).
-        disturbance_rate: Its modelled rate [rad/s], shape (1,).
-        disturbance_bound: 1σ bound of the disturbance [rad], shape (1,).
+        state: Of an arm [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (plant,).
+        state_bound: 1σ bound of each, shape (plant,).
+        disturbance: Disturbance or fault of each output, in its unit, shape (p,).
+        disturbance_rate: Its modelled rate [1/s], shape (p,).
+        disturbance_bound: 1σ bound of the disturbance, shape (p,).
         parameters: Estimated changes θ of the model's parameters, shape (k,).
         parameter_bound: 1σ of each, shape (k,).
         designed_disturbance: Disturbance if all is as designed, whatever the hypothesis: what
-            faults are judged by [rad], shape (1,).
-        designed_bound: 1σ bound of it [rad], shape (1,).
+            faults are judged by, shape (p,).
+        designed_bound: 1σ bound of it, shape (p,).
+        torque_disturbance: Unknown torques that the design has a model of, the motor's before the
+            link's [N m], shape (t,).
+        torque_disturbance_bound: 1σ bound of each [N m], shape (t,).
         basis: What the bounds rest on.
         parameters_valid: Whether the motion was rich enough for them to count.
-        noise_scale: Size of the sensor's noise relative to the design's, at least 1.
+        noise_scale: Size of the sensor's noise relative to the design's, at least 1; of several
+            outputs the largest.
         coloured_power: Mean product of neighbouring innovations relative to their expected power,
-            0 if the model is right.
+            0 if the model is right; of several outputs the largest.
         learning: What the learning does.
         hypothesis: What the estimate takes the arm and its sensor for.
         in_domain: Whether the estimated link angle lies in the certificate's domain.
@@ -154,6 +159,8 @@ class Estimate(NamedTuple):
     parameter_bound: Array
     designed_disturbance: Array
     designed_bound: Array
+    torque_disturbance: Array
+    torque_disturbance_bound: Array
     basis: Basis
     parameters_valid: bool
     noise_scale: float

@@ -26,6 +26,7 @@ from tsobs_ros.estimation.options import (
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.repeats import REPEAT_FIELDS
 from tsobs_ros.model import stepping
+from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.matrices import congruent, inverse, joseph
 from tsobs_ros.model.prediction import Record, fill_matrix
 from tsobs_ros.model.stepping import Room, flow_type, record_type
@@ -44,6 +45,9 @@ CONDITIONS = (
 )
 """Fields of a readout that say what its numbers are worth, in the order of a row."""
 
+_ANGLE_STD = 0.028
+"""1σ of the angle's noise that the default of `jump_std` is for [rad]."""
+
 OPEN, RICCATI, CERTIFIED = 0, 1, 2
 """Gains of a sample: none, as it is held while the observer is integrated, or one of these."""
 
@@ -58,6 +62,7 @@ class Shape(NamedTuple):
         m: Number of inputs and scheduled signals.
         k: Number of learnt parameters.
         gap: Number of augmented states in a gap, 0 if the torque is held there.
+        t: Number of torques that are estimated.
     """
 
     n: int
@@ -66,6 +71,7 @@ class Shape(NamedTuple):
     m: int
     k: int = 0
     gap: int = 0
+    t: int = 0
 
     def trim(self, name: str, values: Any) -> Any:
         """Return a field's numbers, shape (records, ...), without the room that is not in use."""
@@ -83,6 +89,7 @@ _SIZES: dict[str, tuple[str, ...]] = {
     "pending": ("k",),
     "anchor": ("k",),
     "gain": ("n", "p"),
+    "sensors": ("p",),
     "innovation_covariance": ("p", "p"),
     "state": ("plant",),
     "state_bound": ("plant",),
@@ -94,6 +101,7 @@ _SIZES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(
         (
             "y",
+            "weight",
             "innovation",
             "disturbance",
             "disturbance_rate",
@@ -103,7 +111,55 @@ _SIZES: dict[str, tuple[str, ...]] = {
         ),
         ("p",),
     ),
+    **dict.fromkeys(("torque_disturbance", "torque_disturbance_bound"), ("t",)),
 }
+
+MAX_TORQUES = 2
+"""Torques that a readout has room for: of the motor and of the link."""
+
+
+@cache
+def sensor_type() -> np.dtype[Any]:
+    """Return the type of what is remembered of one output.
+
+    recent, sizes, calm: its newest innovations in sigmas and in units, and the coloured power
+    before each, the newest of `watched` last. leap: by how much they lean after a jump. nis,
+    magnitude, coloured_power: averages of r², |r| and the product of neighbours. noise_scale: size
+    of the white noise relative to the design's; scale_age: time it has been learnt for [s];
+    previous, paired: the innovation before and its kind; since: time since the last sample [s].
+    slow: low-passed innovation in sigmas; slow_power: power of it relative to a white one's.
+    jump_ages, jump_count: of its jumps since a start; jumped: whether the newest sample shows one,
+    or that all trust in it is lost. excluded: whether the other outputs contradict it.
+    Then the fields of `repeats.REPEAT_FIELDS`, and counts.
+    """
+    number, count = np.float64, np.int64
+    return record_type(
+        [
+            ("recent", number, (WINDOW,)),
+            ("sizes", number, (WINDOW,)),
+            ("calm", number, (WINDOW,)),
+            ("watched", count),
+            ("in_a_row", count),
+            ("nis", number),
+            ("magnitude", number),
+            ("noise_scale", number),
+            ("scale_age", number),
+            ("previous", number),
+            ("leap", number),
+            ("paired", count),
+            ("since", number),
+            ("coloured_power", number),
+            ("slow", number),
+            ("slow_power", number),
+            ("jump_ages", number, (MAX_JUMP_BUDGET,)),
+            ("jump_count", count),
+            ("jumped", count),
+            ("excluded", count),
+            *REPEAT_FIELDS,
+            ("gated", count),
+            ("missing", count),
+        ]
+    )
 
 
 @cache
@@ -112,9 +168,9 @@ def alternative_type(room: Room) -> np.dtype[Any]:
 
     x, covariance, upsilon: as of the estimator, with states of its own behind the design's. score:
     logarithm of its likelihood relative to the best. nis: one-second average of the squares of its
-    innovations in sigmas. variance: expected of the newest innovation [rad²].
+    innovations in sigmas. variances: expected of the newest innovations.
     """
-    n, _, _, k = room[:4]
+    n, p, _, k = room[:4]
     number = np.float64
     return record_type(
         [
@@ -123,7 +179,7 @@ def alternative_type(room: Room) -> np.dtype[Any]:
             ("upsilon", number, (k, n)),
             ("score", number),
             ("nis", number),
-            ("variance", number),
+            ("variances", number, (p,)),
         ]
     )
 
@@ -132,9 +188,10 @@ def alternative_type(room: Room) -> np.dtype[Any]:
 def state_type(room: Room) -> np.dtype[Any]:
     """Return the type of a state.
 
-    stamp, y, u: of the newest sample [ns]. held: inputs in use, those of the newest sample with
-    plausible ones; torque_age: time since that [s]; torque_unknown: whether it is not the newest.
-    torque_change to distrust: of `torque`, as what was suspected of it, and since when.
+    stamp, y, u: of the newest sample [ns], a missing output is NaN. sample: the newest of each
+    output. held: inputs in use, those of the newest sample with plausible ones; torque_age: time
+    since that [s]; torque_unknown: whether it is not the newest. torque_change to distrust: of
+    `torque`, as what was suspected of it, and since when.
     x: estimate in design coordinates. covariance: of its error; the certificate's bound while
     `certified`. While `in_gap` both have the unknown torque's states too. late: whether it is read
     after the stamp at which the next sample was due. settling: least time with Riccati gains left
@@ -150,16 +207,11 @@ def state_type(room: Room) -> np.dtype[Any]:
     limit [s]; strained: time for which innovations have contradicted the model [s]. pause: time for
     which the adaptation rests after a jump [s].
 
-    recent, sizes, calm: the newest innovations in sigmas and in units, and the coloured power
-    before each, the newest of `watched` last. leap: by how much they lean after a jump. nis,
-    magnitude, coloured_power: averages of r², |r| and the product of neighbours. noise_scale: size
-    of the white noise relative to the design's; scale_age: time it has been learnt for [s];
-    previous, paired: the innovation before and its kind; since: time since the last sample [s].
-    doubt: time for which nothing is certified [s]; doubted: code of the `Basis` meanwhile.
-    watch_age [s], jump_ages, jump_count: time since a start, and the jumps since. slow: low-passed
-    innovation in sigmas; slow_power: power of it relative to a white one's. awake, awake_time [s]:
-    of the alternatives, which are in the order of `Hypothesis`. hypothesis: its code. score: of the
-    design. Then the fields of `repeats.REPEAT_FIELDS`. The others are counts.
+    sensors: of the outputs, see `sensor_type`. nis, coloured_power, noise_scale, slow_power: the
+    largest of theirs. since: time since the last sample [s]. doubt: time for which nothing is
+    certified [s]; doubted: code of the `Basis` meanwhile. watch_age: time since a start [s]. awake,
+    awake_time [s]: of the alternatives, which are in the order of `Hypothesis`. hypothesis: its
+    code. score: of the design. The others are counts.
     """
     n, p, m, k = room[:4]
     number, count = np.float64, np.int64
@@ -167,6 +219,7 @@ def state_type(room: Room) -> np.dtype[Any]:
         [
             ("stamp", count),
             ("y", number, (p,)),
+            ("sample", number, (p,)),
             ("u", number, (m,)),
             ("held", number, (m,)),
             ("torque_age", number),
@@ -202,38 +255,25 @@ def state_type(room: Room) -> np.dtype[Any]:
             ("spread", number, (n,)),
             ("cause", count),
             ("age", number),
-            ("recent", number, (WINDOW,)),
-            ("sizes", number, (WINDOW,)),
-            ("calm", number, (WINDOW,)),
-            ("watched", count),
-            ("in_a_row", count),
+            ("sensors", sensor_type(), (p,)),
             ("nis", number),
-            ("magnitude", number),
-            ("noise_scale", number),
-            ("scale_age", number),
-            ("previous", number),
-            ("leap", number),
-            ("paired", count),
-            ("since", number),
             ("coloured_power", number),
+            ("noise_scale", number),
+            ("slow_power", number),
+            ("since", number),
             ("strained", number),
             ("doubt", number),
             ("doubted", count),
             ("resting", count),
             ("relearned", number),
-            ("slow", number),
-            ("slow_power", number),
             ("awake", count),
             ("awake_time", number),
             ("hypothesis", count),
             ("score", number),
             ("alternatives", alternative_type(room), (ALTERNATIVES,)),
             ("watch_age", number),
-            ("jump_ages", number, (MAX_JUMP_BUDGET,)),
-            ("jump_count", count),
             ("pause", number),
             ("pinned", number),
-            *REPEAT_FIELDS,
             ("outliers", count),
             ("jumps", count),
             ("losses", count),
@@ -256,7 +296,7 @@ def correction_type(room: Room) -> np.dtype[Any]:
             ("innovation", number, (p,)),
             ("innovation_covariance", number, (p, p)),
             ("gain", number, (n, p)),
-            ("weight", number),
+            ("weight", number, (p,)),
             ("known", number, (p, p)),
             ("explained", number, (p, p)),
             ("omega", number, (p, k)),
@@ -292,6 +332,8 @@ def readout_type(room: Room) -> np.dtype[Any]:
             ("parameter_bound", number, (k,)),
             ("designed_disturbance", number, (p,)),
             ("designed_bound", number, (p,)),
+            ("torque_disturbance", number, (MAX_TORQUES,)),
+            ("torque_disturbance_bound", number, (MAX_TORQUES,)),
             ("basis", count),
             ("parameters_valid", count),
             ("noise_scale", number),
@@ -319,17 +361,18 @@ def work_type(room: Room) -> np.dtype[Any]:
 def alternative_model_type(room: Room) -> np.dtype[Any]:
     """Return the type of a hypothesis' model.
 
-    n: number of its states, the last of them a torque. C: output. variance: of the white noise of
-    one sample [rad²]. added: initial variances of its own states. prior: by how much its score must
-    exceed the design's. hysteresis: by how much less, once it is selected.
+    n: number of its states, the last of them a torque; 0 if it is not considered. C: outputs.
+    variances: of the white noise of one sample of each. added: initial variances of its own states.
+    prior: by how much its score must exceed the design's. hysteresis: by how much less, once it is
+    selected.
     """
     number = np.float64
     return record_type(
         [
             ("flow", flow_type(room)),
             ("n", np.int64),
-            ("C", number, (room.n,)),
-            ("variance", number),
+            ("C", number, (room.p, room.n)),
+            ("variances", number, (room.p,)),
             ("prior", number),
             ("hysteresis", number),
             ("added", number, (room.n,)),
@@ -355,6 +398,7 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("m", count),
             ("k", count),
             ("n_gap", count),
+            ("t", count),
             ("period", number),
             ("shortest", number),
             ("longest", number),
@@ -377,9 +421,11 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("disturbance_map", number, (p, n)),
             ("disturbance_direct", number, (p, p)),
             ("rate_map", number, (p, n)),
-            ("disturbed", count),
+            ("torque_map", number, (MAX_TORQUES, n)),
+            ("disturbed", count, (p,)),
             ("state_std", number, (n,)),
             ("disturbance_std", number, (p,)),
+            ("torque_std", number, (MAX_TORQUES,)),
             ("limits", number, (k,)),
             ("theta_variance", number),
             ("motion_share", number),
@@ -394,14 +440,14 @@ def model_type(room: Room) -> np.dtype[Any]:
             ("supervised", count),
             ("gate", number),
             ("reject", number),
-            ("jump_std", number),
+            ("jump_std", number, (p,)),
             ("jump_duration", number),
             ("jump_quiet", number),
             ("jump_budget", count),
             ("jump_budget_window", number),
             ("lost", number),
             ("stuck_samples", count),
-            ("disturbance_limit", number),
+            ("disturbance_limit", number, (p,)),
             ("strain", number),
             ("relearn_budget", count),
             ("relearn_time", number),
@@ -417,12 +463,15 @@ def model_type(room: Room) -> np.dtype[Any]:
 def new_model(room: Room, shape: Shape, period: float) -> Record:
     """Return a model record with sizes and a period, whose other numbers are zero, shape (1,)."""
     model = np.zeros(1, model_type(room))
-    for name, size in zip(("n", "plant", "p", "m", "k", "n_gap"), shape, strict=True):
+    for name, size in zip(("n", "plant", "p", "m", "k", "n_gap", "t"), shape, strict=True):
         model[name] = size
     model["period"] = period
     model["initial"]["cause"] = Basis.STARTING
-    model["initial"]["value"] = np.nan
+    sensors = model["initial"]["sensors"]
+    sensors["value"] = np.nan
     for name in ("nis", "magnitude", "noise_scale"):
+        sensors[name] = 1.0
+    for name in ("nis", "noise_scale"):
         model["initial"][name] = 1.0
     model["initial"]["torque_age"] = model["initial"]["step_age"] = np.inf
     return model
@@ -440,7 +489,8 @@ def enter_gain(
     """Enter gains and bounds into one model record, whose C and maps are there already."""
     n, p = certified.K.shape
     X, K, R = certified.X, certified.K, measurement_covariance
-    C, H = model["C"][:p, :n], model["disturbance_map"][:p, :n]
+    C, H, T = (model[name][:, :n] for name in ("C", "disturbance_map", "torque_map"))
+    C, H = C[:p], H[:p]
     model["late_factor"] = certified.late
     model["gain_mode"] = CERTIFIED if gain_mode is GainMode.CERTIFIED else RICCATI
     for name, matrix in (
@@ -452,6 +502,7 @@ def enter_gain(
         ("innovation_covariance", congruent(C, X, R)),
         ("state_std", np.sqrt(X.diagonal())),
         ("disturbance_std", np.sqrt(np.maximum(congruent(H, X).diagonal(), 0.0))),
+        ("torque_std", np.sqrt(np.maximum(congruent(T, X).diagonal(), 0.0))),
     ):
         fill_matrix(model[name], matrix)
 
@@ -478,6 +529,12 @@ def enter_supervision(model: Any, options: SupervisionOptions) -> None:
     for name, value in vars(options).items():
         model[name] = value
     model["supervised"] = 1
+    for i in range(int(model["p"])):
+        row = model["C"][i]
+        if not (model["flow"]["kind"] == stepping.ARM and (row[LINK_ANGLE] or row[MOTOR_ANGLE])):
+            # The options are for angles; another output has a unit of its own.
+            model["jump_std"][i] *= math.sqrt(model["R"][i, i]) / _ANGLE_STD
+            model["disturbance_limit"][i] = math.inf
     # The step of the torque whose effect over a sample is a third of the certified bound.
     n, flow = int(model["n"]), model["flow"]
     effect = congruent(flow["gamma"][:n, :1].T, model["P"][:n, :n]).item()

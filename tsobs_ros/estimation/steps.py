@@ -18,7 +18,7 @@ it is significant. The regressor is taken at the estimate, so innovations count 
 is uncertain, and what was learnt far from the truth is learnt again. Learning rests if the model is
 wrong in other ways, and comes back with time.
 
-Supervision works on one output. The size of white noise is that of the differences of neighbouring
+Supervision works on each output by itself. The size of white noise is that of the differences of neighbouring
 innovations, in which a wrong model does not show. The colour of a wrong model is the product of
 neighbours, in which white noise does not. An innovation that is far too large is an outlier and has
 little influence. Eight that lean to one side of a sudden are a jump of the sensor. A long average
@@ -84,6 +84,13 @@ _NEIGHBOURS = 10.0
 _LEAST_SCALE = 0.5
 """The noise's scale is kept above it, so that it grows in seconds if a quiet sensor gets noisy."""
 
+_USELESS, _EARLY_OUTLIERS, _LOST, _JUMPED, _AS_USUAL = range(5)
+"""What an output's innovation is a sign of."""
+
+_BACK, _WIDE = 2.0, 20.0
+"""Half-second average of |r| below which an excluded output is used again, and how many times wider
+than after a jump the covariance of a sensor's disturbance is if all trust in it is lost."""
+
 _REGULAR, _OUTLIER = 1, 2
 """Kinds of an innovation for the noise's scale, 0 for none."""
 
@@ -128,7 +135,7 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
     Args:
         model: Model record.
         state: Predicted to the measurement's stamp; corrected in place.
-        y: Measurement, shape (p,).
+        y: Measurement, NaN of an output that is missing, shape (p,).
         correction: Record of `correction_type`, written.
     """
     if state.torque_unknown == 0:
@@ -137,22 +144,22 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
         if is_suspected(state):
             _leave_certified(model, state, _TORQUE)
         begin_step(model, state)
-    _expect(model, state, y, correction)
-    used, adapt, jumped = model.gain_mode != OPEN, True, False
-    suspected = False
+    _take_sample(model, state, y, correction)
+    _expect(model, state, correction)
+    adapt, jumped, suspected = True, False, False
     if model.supervised != 0:
         suspected = weigh_step(model, state, correction)
-        used, jumped = _judge(model, state, y, correction)
+        jumped = _judge(model, state, correction)
         adapt = state.pause <= 0.0 and state.resting == 0
-    if used:
+    used = _count_used(model, correction) if model.gain_mode != OPEN else 0
+    if used > 0:
+        if used < model.p:
+            # The certified gain is for all outputs together.
+            _leave_certified(model, state, _GAP)
+            _expect(model, state, correction)
         _apply(model, state, correction, adapt)
-        if jumped and model.disturbed != 0:
-            _unlearn(model, state)
-            _leap(model, state)
-            _leave_certified(model, state, _JUMP)
-            _inflate(model, state, model.jump_std, model.jump_duration)
-            state.jumps += 1
-            state.pause = model.jump_duration
+        if jumped:
+            _follow_jumps(model, state)
         if model.supervised != 0:
             correct_response(model, state, correction)
             if suspected:
@@ -160,42 +167,77 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
                 distrust_torque(model, state)
             elif jumped:
                 state.evidence = 0.0
-            _limit_disturbance(model, state.x[:], state.covariance[:], _width(model, state))
+            _limit_disturbances(model, state.x[:], state.covariance[:], _width(model, state))
             _guard(model, state)
         if (jumped or suspected) and state.hypothesis == _AS_DESIGNED:
-            sleep(state)
+            sleep(model, state)
     if model.supervised != 0 and model.has_alternatives != 0:
         # What is far beyond reason shows nothing, unless the design is what is far off.
-        stuck = 0 < model.stuck_samples <= state.repeats
-        if used or (not stuck and state.hypothesis != _AS_DESIGNED):
-            weigh(model, state, y, correction)
+        if used > 0 or (not _is_stuck(model, state) and state.hypothesis != _AS_DESIGNED):
+            weigh(model, state, correction)
         if state.hypothesis != _AS_DESIGNED:
             chosen = state.alternatives[state.hypothesis - 1]
-            _limit_disturbance(
+            _limit_disturbances(
                 model,
                 chosen.x[:],
                 chosen.covariance[:],
                 model.alternatives[state.hypothesis - 1].n,
             )
-    sample = state.y[:]
-    for i in range(model.p):
-        sample[i] = y[i]
     state.since = 0.0
+    for i in range(model.p):
+        if y[i] == y[i]:
+            state.sensors[i].since = 0.0
+        if correction.weight[i] == 0.0:
+            if y[i] == y[i]:
+                state.sensors[i].gated += 1
+            else:
+                state.sensors[i].missing += 1
 
 
 @compiled
-def _expect(model: Any, state: Any, y: Array, correction: Any) -> None:
-    """Write the innovation of a measurement, its covariance and the gain for it."""
+def _take_sample(model: Any, state: Any, y: Array, correction: Any) -> None:
+    """Remember the newest sample of each output, and use those that there are."""
+    for i in range(model.p):
+        state.y[i] = y[i]
+        there = math.isfinite(y[i])
+        correction.weight[i] = 1.0 if there else 0.0
+        if there:
+            state.sample[i] = y[i]
+
+
+@compiled
+def _count_used(model: Any, correction: Any) -> int:
+    used = 0
+    for i in range(model.p):
+        used += 1 if correction.weight[i] > 0.0 else 0
+    return used
+
+
+@compiled
+def _is_stuck(model: Any, state: Any) -> bool:
+    """Return whether no output's sensor is anything but stuck."""
+    for i in range(model.p):
+        if not 0 < model.stuck_samples <= state.sensors[i].repeats:
+            return False
+    return True
+
+
+@compiled
+def _expect(model: Any, state: Any, correction: Any) -> None:
+    """Write the innovation of a measurement, its covariance and the gain for it.
+
+    The gain for an output of no weight is 0.
+    """
     n, p, k = _width(model, state), model.p, model.k
     S, gain, C, R = correction.innovation_covariance[:], correction.gain[:], model.C[:], model.R[:]
     crossed, factor, omega = correction.crossed[:], correction.factor[:], correction.omega[:]
     innovation, D, x = correction.innovation[:], model.D[:], state.x[:]
+    y, weight = state.y[:], correction.weight[:]
     for i in range(p):
         expected = dot(C[i], x, n)
         if model.gain_mode == OPEN:  # else D is zero, but not times infinity
-            expected += dot(D[i], y, p)
+            expected += dot(D[i], state.sample[:], p)
         innovation[i] = y[i] - expected
-    correction.weight = 1.0
     if model.gain_mode == OPEN:
         copy(R, S, p, p)
     elif state.certified != 0:
@@ -203,21 +245,35 @@ def _expect(model: Any, state: Any, y: Array, correction: Any) -> None:
         copy(model.K[:], gain, n, p)
     else:
         congruence(C, state.covariance[:], R, crossed, S, p, n)
-        solve(S, crossed, factor, crossed, p, n)
-        for i in range(n):
-            for j in range(p):
-                gain[i, j] = crossed[j, i]
+    known = correction.known[:]
+    copy(S, known, p, p)
     if k > 0:
-        upsilon, explained, known = state.upsilon[:], correction.explained[:], correction.known[:]
+        upsilon, explained, cross = state.upsilon[:], correction.explained[:], correction.cross[:]
         for i in range(p):
             for j in range(k):
                 omega[i, j] = dot(C[i], upsilon[j], n)
-        nothing, cross = correction.nothing[:], correction.cross[:]
-        congruence(omega, state.gamma[:], nothing, cross, explained, p, k)
-        copy(S, known, p, p)
+        congruence(omega, state.gamma[:], correction.nothing[:], cross, explained, p, k)
         for i in range(p):
             for j in range(p):
                 S[i, j] += explained[i, j]
+    for i in range(p):
+        if weight[i] > 0.0:
+            continue
+        for j in range(p):
+            known[i, j], known[j, i] = 0.0, 0.0
+        known[i, i] = 1.0
+        for j in range(n):
+            crossed[i, j] = 0.0
+        if k > 0:
+            for j in range(k):
+                omega[i, j], cross[i, j] = 0.0, 0.0
+            for j in range(p):
+                explained[i, j], explained[j, i] = 0.0, 0.0
+    if model.gain_mode != OPEN and state.certified == 0:
+        solve(known, crossed, factor, crossed, p, n)
+        for i in range(n):
+            for j in range(p):
+                gain[i, j] = crossed[j, i]
 
 
 @compiled
@@ -235,9 +291,11 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
     estimate that is wrong would take sample after sample for an outlier, and its bound would fall.
     """
     n, p, k = _width(model, state), model.p, model.k
-    gain, weight, x = correction.gain[:], correction.weight, state.x[:]
+    gain, weight, x = correction.gain[:], correction.weight[:], state.x[:]
     innovation = correction.innovation[:]
-    adapt = adapt and weight >= 1.0 and state.age >= model.adaptation_start
+    adapt = adapt and state.age >= model.adaptation_start
+    for j in range(p):
+        adapt = adapt and not 0.0 < weight[j] < 1.0
     inflation = 1.0
     if adapt and k > 0 and state.certified == 0:
         # κ ≥ 1, the mean of the error covariance relative to the certified bound, tr(PΣ)/n.
@@ -250,8 +308,9 @@ def _apply(model: Any, state: Any, correction: Any, adapt: bool) -> None:
         inflation *= scale * scale * larger(state.nis, 1.0) * _repetition(state)
     for i in range(n):
         for j in range(p):
-            gain[i, j] *= weight
-            x[i] += gain[i, j] * innovation[j]
+            if weight[j] > 0.0:
+                gain[i, j] *= weight[j]
+                x[i] += gain[i, j] * innovation[j]
     state.corrected = 1
     if state.certified != 0:
         state.settling = 0.0
@@ -315,9 +374,10 @@ def _learn(model: Any, state: Any, correction: Any, adapt: bool, inflation: floa
         for i in range(k):
             shift[i, 0] = 0.0
         for a in range(p):
-            left = innovation[a] - dot(omega[a], pending, k)
-            for i in range(k):
-                shift[i, 0] += turned[a, i] * left
+            if correction.weight[a] > 0.0:
+                left = innovation[a] - dot(omega[a], pending, k)
+                for i in range(k):
+                    shift[i, 0] += turned[a, i] * left
         for i in range(k):
             moved = theta[i] + pending[i] + shift[i, 0]
             pending[i] = min(max(moved, -limits[i]), limits[i]) - theta[i]
@@ -350,96 +410,201 @@ def _add_square(s: Array, a: Array, b: Array, sign: float, p: int, k: int) -> No
 
 
 @compiled
-def _judge(model: Any, state: Any, y: Array, correction: Any) -> tuple[bool, bool]:
-    """Weigh a measurement of one output by its innovation, which the supervision remembers.
+def _judge(model: Any, state: Any, correction: Any) -> bool:
+    """Weigh each output by its innovation, which the supervision remembers.
 
     Returns:
-        Whether it is used, and whether the sensor jumped.
+        Whether a sensor jumped.
     """
-    variance = correction.innovation_covariance[0, 0]
-    innovation = correction.innovation[0]
-    count_repeats(state, y[0], innovation, variance, model.R[0, 0], 0.0)
-    if 0 < model.stuck_samples <= state.repeats:
-        correction.weight = 0.0
-        return False, False
+    there, early, lost, off = 0, 0, 0, 0
+    jumped, regular, contradicted, colour = False, False, False, 0.0
+    for i in range(model.p):
+        sensor = state.sensors[i]
+        sensor.jumped = 0
+        if correction.weight[i] == 0.0:
+            continue
+        verdict = _judge_output(model, state, i, correction)
+        if verdict == _USELESS:
+            continue
+        if sensor.excluded != 0:
+            correction.weight[i] = 0.0
+            if sensor.magnitude < _BACK:
+                sensor.excluded = 0
+            continue
+        there += 1
+        early += 1 if verdict == _EARLY_OUTLIERS else 0
+        lost += 1 if verdict == _LOST else 0
+        off += 1 if verdict == _LOST or sensor.nis > _MAX_NIS else 0
+        jumped = jumped or verdict == _JUMPED
+        if verdict == _AS_USUAL:
+            regular, colour = True, larger(sensor.coloured_power, colour)
+            contradicted = contradicted or sensor.nis > _MAX_NIS
+    if early > 0 and early == there:
+        # The first samples were outliers themselves, and the others are taken for some.
+        sleep(model, state)
+        restart(model, state)
+        for i in range(model.p):
+            _forget(state.sensors[i])
+            state.sensors[i].in_a_row = 0
+            correction.weight[i] = 1.0 if math.isfinite(state.y[i]) else 0.0
+        state.strained, state.watch_age = 0.0, 0.0
+        _expect(model, state, correction)
+        jumped = False
+    elif lost > 0 and off == there:
+        _give_up(model, state, correction)
+        jumped = False
+    elif jumped or lost > 0:
+        jumped = True
+        for i in range(model.p):
+            sensor = state.sensors[i]
+            if lost > 0 and sensor.excluded == 0 and _is_lost(model, sensor):
+                # The other outputs are as expected: it is not the arm that is lost.
+                _forget(sensor)
+                sensor.jumped, sensor.excluded = 2, 1 - model.disturbed[i]
+                correction.weight[i] = 0.0
+        _doubt(state, _JUMP)
+        state.strained = 0.0
+    elif regular:
+        if contradicted or colour > _MAX_COLOUR:
+            _doubt(state, _CONTRADICTED)
+        state.strained = state.strained + model.period if colour > _STRAIN else 0.0
+    _sum_up(model, state)
+    return jumped
+
+
+@compiled
+def _judge_output(model: Any, state: Any, i: int, correction: Any) -> int:
+    """Weigh one output by its innovation and return what that is a sign of."""
+    sensor, y = state.sensors[i], state.y[i]
+    variance = correction.innovation_covariance[i, i]
+    innovation = correction.innovation[i]
+    count_repeats(sensor, y, innovation, variance, model.R[i, i], 0.0)
+    if 0 < model.stuck_samples <= sensor.repeats:
+        correction.weight[i] = 0.0
+        return _USELESS
     r = innovation / math.sqrt(variance) if variance >= 0.0 else math.nan
     if not math.isfinite(r):
-        correction.weight = 0.0
-        return False, False
-    _scale_noise(model, state, innovation)
-    r /= larger(state.noise_scale, 1.0)
-    size, recent, calm, sizes = abs(r), state.recent[:], state.calm[:], state.sizes[:]
-    limit = model.gate * math.sqrt(larger(state.coloured_power, 1.0))
+        correction.weight[i] = 0.0
+        return _USELESS
+    _scale_noise(model, sensor, innovation, model.innovation_covariance[i, i])
+    r /= larger(sensor.noise_scale, 1.0)
+    size, recent, calm, sizes = abs(r), sensor.recent[:], sensor.calm[:], sensor.sizes[:]
+    limit = model.gate * math.sqrt(larger(sensor.coloured_power, 1.0))
+    weight = 1.0
     if size > limit:
-        correction.weight = (limit / size) * (limit / size)
+        weight = (limit / size) * (limit / size)
     if size > model.reject:
-        correction.weight = 0.0
+        weight = 0.0
+    correction.weight[i] = weight
     clipped = min(max(r, -_CLIP), _CLIP)
-    coloured = state.coloured_power
-    if state.watched > 0:
-        product = clipped * recent[state.watched - 1]
+    coloured = sensor.coloured_power
+    if sensor.watched > 0:
+        product = clipped * recent[sensor.watched - 1]
         coloured += model.second_share * (product - coloured)
-    if state.watched == WINDOW:
-        for i in range(WINDOW - 1):
-            recent[i], calm[i], sizes[i] = recent[i + 1], calm[i + 1], sizes[i + 1]
+    if sensor.watched == WINDOW:
+        for j in range(WINDOW - 1):
+            recent[j], calm[j], sizes[j] = recent[j + 1], calm[j + 1], sizes[j + 1]
     else:
-        state.watched += 1
-    recent[state.watched - 1] = clipped
-    sizes[state.watched - 1] = abs(innovation)
-    calm[state.watched - 1] = state.coloured_power
-    nis = state.nis + model.second_share * (clipped * clipped - state.nis)
+        sensor.watched += 1
+    recent[sensor.watched - 1] = clipped
+    sizes[sensor.watched - 1] = abs(innovation)
+    calm[sensor.watched - 1] = sensor.coloured_power
+    sensor.nis += model.second_share * (clipped * clipped - sensor.nis)
     # A lone value of any size must not give the estimate up.
     bounded = min(size, _LOST_CLIP * model.lost)
-    magnitude = state.magnitude + model.magnitude_share * (bounded - state.magnitude)
-    state.in_a_row = state.in_a_row + 1 if correction.weight < 1.0 else 0
+    sensor.magnitude += model.magnitude_share * (bounded - sensor.magnitude)
+    sensor.coloured_power = coloured
+    sensor.in_a_row = sensor.in_a_row + 1 if weight < 1.0 else 0
     early = state.settling > 0.0 and state.watch_age < _EARLY
-    if early and state.in_a_row >= _IN_A_ROW:
-        # The first samples were outliers themselves, and the others are taken for some.
-        sleep(state)
-        restart(model, state)
-        _forget(state)
-        state.in_a_row, state.watch_age = 0, 0.0
-        _expect(model, state, y, correction)
-        return True, False
-    if magnitude > model.lost and coloured > _SMOOTH:
-        # This sample is not used: it may be the worst of those that gave the estimate up. The
-        # disturbance is wide open, as the sensor is lost more often than the arm.
-        if state.hypothesis != _AS_DESIGNED:
-            adopt(model, state)
-        else:
-            sleep(state)
-            restart(model, state)
-            _inflate(model, state, model.disturbance_limit, 0.0)
-        _forget(state)
-        state.watch_age, state.jump_count, state.losses = 0.0, 0, state.losses + 1
-        _doubt(state, _STARTING)
-        chosen = state.alternatives[max(state.hypothesis - 1, 0)]
-        if state.hypothesis == _AS_DESIGNED or chosen.nis > _MAX_NIS:
-            sleep(state)
-        jump_ages = state.jump_ages[:]
-        for i in range(MAX_JUMP_BUDGET):
-            jump_ages[i] = 0.0
-        correction.weight = 0.0
-        return False, False
-    if correction.weight < 1.0:
+    if early and sensor.in_a_row >= _IN_A_ROW:
+        return _EARLY_OUTLIERS
+    if _is_lost(model, sensor):
+        return _LOST
+    if weight < 1.0:
         state.outliers += 1
-    used = correction.weight > 0.0
-    leans = _leans(state) and calm[0] < _CALM and state.evidence < _SUSPICION
-    if leans and _may_jump(model, state):
+    leans = _leans(model, sensor) and calm[0] < _CALM and state.evidence < _SUSPICION
+    if leans and _may_jump(model, state, sensor):
         least = abs(innovation)
-        for i in range(WINDOW - _CLOSE, WINDOW):
-            least = min(least, sizes[i])
-        state.leap = math.copysign(least, innovation)
+        for j in range(WINDOW - _CLOSE, WINDOW):
+            least = min(least, sizes[j])
+        sensor.leap, sensor.jumped = math.copysign(least, innovation), 1
         # The averages start over: they belong to the time before the jump.
-        _forget(state)
-        _note_jump(model, state)
-        _doubt(state, _JUMP)
-        return used, True
-    state.nis, state.magnitude, state.coloured_power = nis, magnitude, coloured
-    if nis > _MAX_NIS or coloured > _MAX_COLOUR:
-        _doubt(state, _CONTRADICTED)
-    state.strained = state.strained + model.period if coloured > _STRAIN else 0.0
-    return used, False
+        _forget(sensor)
+        _note_jump(model, state, sensor)
+        return _JUMPED
+    return _AS_USUAL
+
+
+@compiled
+def _is_lost(model: Any, sensor: Any) -> bool:
+    """Return whether innovations of one side have been far too large for long."""
+    lost: bool = sensor.magnitude > model.lost and sensor.coloured_power > _SMOOTH
+    return lost
+
+
+@compiled
+def _give_up(model: Any, state: Any, correction: Any) -> None:
+    """Start the estimate over, after the sample, which may be the worst of those that led here.
+
+    The disturbance is wide open, as a sensor is lost more often than the arm.
+    """
+    if state.hypothesis != _AS_DESIGNED:
+        adopt(model, state)
+    else:
+        sleep(model, state)
+        restart(model, state)
+        for i in range(model.p):
+            if math.isfinite(model.disturbance_limit[i]):
+                _inflate(model, state, i, model.disturbance_limit[i])
+        state.corrected = 1
+    for i in range(model.p):
+        sensor = state.sensors[i]
+        _forget(sensor)
+        sensor.jump_count, sensor.excluded, correction.weight[i] = 0, 0, 0.0
+        ages = sensor.jump_ages[:]
+        for j in range(MAX_JUMP_BUDGET):
+            ages[j] = 0.0
+    state.strained, state.watch_age, state.losses = 0.0, 0.0, state.losses + 1
+    _doubt(state, _STARTING)
+    chosen = state.alternatives[max(state.hypothesis - 1, 0)]
+    if state.hypothesis == _AS_DESIGNED or chosen.nis > _MAX_NIS:
+        sleep(model, state)
+
+
+@compiled
+def _sum_up(model: Any, state: Any) -> None:
+    """Take the largest of the used outputs' averages for those of all."""
+    nis, coloured, scale, there = -math.inf, -math.inf, -math.inf, 0
+    for i in range(model.p):
+        sensor = state.sensors[i]
+        if model.p == 1 or (state.y[i] == state.y[i] and sensor.excluded == 0):
+            nis, coloured = max(nis, sensor.nis), max(coloured, sensor.coloured_power)
+            scale, there = max(scale, sensor.noise_scale), there + 1
+    if there > 0:
+        state.nis, state.coloured_power, state.noise_scale = nis, coloured, scale
+
+
+@compiled
+def _follow_jumps(model: Any, state: Any) -> None:
+    """Move the disturbance of a sensor that jumped, and open its covariance."""
+    disturbed = False
+    for i in range(model.p):
+        disturbed = disturbed or (state.sensors[i].jumped != 0 and model.disturbed[i] != 0)
+    if not disturbed:
+        return
+    _unlearn(model, state)
+    for i in range(model.p):
+        if state.sensors[i].jumped == 1 and model.disturbed[i] != 0:
+            _leap(model, state, i)
+    _leave_certified(model, state, _JUMP)
+    for i in range(model.p):
+        sensor = state.sensors[i]
+        if sensor.jumped != 0 and model.disturbed[i] != 0:
+            widest = min(model.disturbance_limit[i], _WIDE * model.jump_std[i])
+            _inflate(model, state, i, model.jump_std[i] if sensor.jumped == 1 else widest)
+            state.jumps += 1
+    state.settling = max(model.jump_duration, state.settling)
+    state.corrected, state.pause = 1, model.jump_duration
 
 
 @compiled
@@ -464,57 +629,64 @@ def _repetition(state: Any) -> float:
 
 
 @compiled
-def _scale_noise(model: Any, state: Any, innovation: float) -> None:
+def _scale_noise(model: Any, sensor: Any, innovation: float, variance: float) -> None:
     """Follow the size of white noise by the running median of neighbouring differences.
 
     It is a stochastic approximation in the logarithm of the scale.
+
+    Args:
+        model: Model record.
+        sensor: Of the output.
+        innovation: Of its newest sample.
+        variance: Of its innovations under the certified gain.
     """
-    elapsed = state.since
-    limit = larger(state.noise_scale, 1.0) * model.gate
+    elapsed = sensor.since
+    limit = larger(sensor.noise_scale, 1.0) * model.gate
     kind = _REGULAR
-    if abs(innovation) > limit * math.sqrt(model.innovation_covariance[0, 0]):
+    if abs(innovation) > limit * math.sqrt(variance):
         kind = _OUTLIER
     # An outlier and its neighbour show nothing; if most are outliers, the noise is larger.
-    if state.paired == kind and elapsed <= _NEIGHBOURS * model.period:
-        expected = math.sqrt(2.0 * model.innovation_covariance[0, 0]) * _MEDIAN
-        rate = larger(20.0 / (1.0 + 20.0 * state.scale_age), 1.0)
+    if sensor.paired == kind and elapsed <= _NEIGHBOURS * model.period:
+        expected = math.sqrt(2.0 * variance) * _MEDIAN
+        rate = larger(20.0 / (1.0 + 20.0 * sensor.scale_age), 1.0)
         step = 1.0 + 0.5 * rate * elapsed
-        if abs(innovation - state.previous) > state.noise_scale * expected:
-            state.noise_scale *= step
+        if abs(innovation - sensor.previous) > sensor.noise_scale * expected:
+            sensor.noise_scale *= step
         else:
-            state.noise_scale = larger(state.noise_scale / step, _LEAST_SCALE)
-        state.scale_age += elapsed
-    state.previous, state.paired = innovation, kind
+            sensor.noise_scale = larger(sensor.noise_scale / step, _LEAST_SCALE)
+        sensor.scale_age += elapsed
+    sensor.previous, sensor.paired = innovation, kind
 
 
 @compiled
-def _note_jump(model: Any, state: Any) -> None:
-    jump_ages = state.jump_ages[:]
-    while state.jump_count >= model.jump_budget:
-        state.jump_count -= 1
-        for i in range(state.jump_count):
+def _note_jump(model: Any, state: Any, sensor: Any) -> None:
+    jump_ages = sensor.jump_ages[:]
+    while sensor.jump_count >= model.jump_budget:
+        sensor.jump_count -= 1
+        for i in range(sensor.jump_count):
             jump_ages[i] = jump_ages[i + 1]
-    jump_ages[state.jump_count] = state.watch_age
-    state.jump_count += 1
+    jump_ages[sensor.jump_count] = state.watch_age
+    sensor.jump_count += 1
 
 
 @compiled
-def _forget(state: Any) -> None:
+def _forget(sensor: Any) -> None:
     """Start the averages and the window of the innovations over."""
-    state.nis, state.magnitude, state.coloured_power = 1.0, 1.0, 0.0
-    state.strained, state.watched, state.paired = 0.0, 0, 0
-    recent, calm = state.recent[:], state.calm[:]
+    sensor.nis, sensor.magnitude, sensor.coloured_power = 1.0, 1.0, 0.0
+    sensor.watched, sensor.paired = 0, 0
+    recent, calm = sensor.recent[:], sensor.calm[:]
     for i in range(WINDOW):
         recent[i], calm[i] = 0.0, 0.0
 
 
 @compiled
-def _leans(state: Any) -> bool:
+def _leans(model: Any, sensor: Any) -> bool:
     """Return whether the newest innovations lean to one side, of a sudden and all alike."""
-    if state.watched < WINDOW:
+    if sensor.watched < WINDOW:
         return False
-    total, before, positives, up, down, recent = 0.0, 0.0, 0, 0, 0, state.recent[:]
-    for i in range(_LEANING):
+    total, before, positives, up, down, recent = 0.0, 0.0, 0, 0, 0, sensor.recent[:]
+    # A torque makes them lean as the second power of time: within a window, but not at once.
+    for i in range(_LEANING if model.t == 0 else 2 * _LEANING):
         before += recent[i]
     for i in range(WINDOW - _LEANING, WINDOW):
         total += recent[i]
@@ -542,38 +714,41 @@ def _leans(state: Any) -> bool:
 
 
 @compiled
-def _may_jump(model: Any, state: Any) -> bool:
-    if model.jump_std == 0.0 or model.jump_budget == 0 or state.watch_age < model.jump_quiet:
+def _may_jump(model: Any, state: Any, sensor: Any) -> bool:
+    if model.jump_std[0] == 0.0 or model.jump_budget == 0 or state.watch_age < model.jump_quiet:
         return False
-    count = state.jump_count
-    if count > 0 and state.watch_age - state.jump_ages[count - 1] < model.jump_duration:
+    count = sensor.jump_count
+    if count > 0 and state.watch_age - sensor.jump_ages[count - 1] < model.jump_duration:
         return False
     full = count >= model.jump_budget
-    return not full or state.watch_age - state.jump_ages[0] > model.jump_budget_window
+    return not full or state.watch_age - sensor.jump_ages[0] > model.jump_budget_window
 
 
 @compiled
-def _limit_disturbance(model: Any, x: Array, covariance: Array, n: int) -> None:
-    """Keep the disturbance ω = h w within its limit, by the likeliest change of all states.
+def _limit_disturbances(model: Any, x: Array, covariance: Array, n: int) -> None:
+    """Keep each disturbance ω = h w within its limit, by the likeliest change of all states.
 
     A change of w alone would leave the innovation unexplained.
     """
-    h = model.disturbance_map[0]
-    omega, variance = dot(h, x, model.n), quadratic(covariance, h, model.n)
-    if abs(omega) <= model.disturbance_limit or not variance > 0.0:
-        return
-    excess = omega - math.copysign(model.disturbance_limit, omega)
-    for j in range(n):
-        x[j] -= excess * (dot(h, covariance[j], model.n) / variance)
+    for i in range(model.p):
+        h, limit = model.disturbance_map[i], model.disturbance_limit[i]
+        omega = dot(h, x, model.n)
+        if abs(omega) <= limit:
+            continue
+        variance = quadratic(covariance, h, model.n)
+        if variance > 0.0:
+            excess = omega - math.copysign(limit, omega)
+            for j in range(n):
+                x[j] -= excess * (dot(h, covariance[j], model.n) / variance)
 
 
 @compiled
-def _leap(model: Any, state: Any) -> None:
-    """Move the disturbance by the least of the innovations that lean, by the smallest change."""
-    h, x = model.disturbance_map[0], state.x[:]
+def _leap(model: Any, state: Any, output: int) -> None:
+    """Move a disturbance by the least of the innovations that lean, by the smallest change."""
+    h, x = model.disturbance_map[output], state.x[:]
     square = dot(h, h, model.n)
     for j in range(model.n):
-        x[j] += state.leap * (h[j] / square)
+        x[j] += state.sensors[output].leap * (h[j] / square)
 
 
 @compiled
@@ -675,7 +850,8 @@ def restart(model: Any, state: Any) -> None:
     initial = model.initial
     state.settling, state.age = initial.settling, 0.0
     state.certified, state.corrected, state.in_gap, state.cause = 0, 0, 0, _STARTING
-    forget_value(state)
+    for i in range(model.p):
+        forget_value(state.sensors[i])
     n, k, x, theta = model.n, model.k, state.x[:], state.theta[:]
     for i in range(n):
         x[i] = 0.0
@@ -692,21 +868,19 @@ def restart(model: Any, state: Any) -> None:
 
 
 @compiled
-def _inflate(model: Any, state: Any, std: float, duration: float) -> None:
-    """Add uncertainty to the disturbance's states, for a change that the model does not foresee.
+def _inflate(model: Any, state: Any, output: int, std: float) -> None:
+    """Add uncertainty to a disturbance's states, for a change that the model does not foresee.
 
     Args:
         model: Model record.
         state: After a correction, with a Riccati gain.
+        output: The one that is disturbed.
         std: 1σ of what is added to each state that the disturbance is read from.
-        duration: Least time with Riccati gains [s].
     """
-    h, covariance = model.disturbance_map[0], state.covariance[:]
+    h, covariance = model.disturbance_map[output], state.covariance[:]
     for i in range(model.n):
         if h[i] != 0.0:
             covariance[i, i] += std * std
-    state.settling = max(duration, state.settling)
-    state.corrected = 1
 
 
 @compiled
@@ -757,7 +931,7 @@ def predict(
         state.covariance[:],
         not simple,
         state.theta[:],
-        state.y[:],
+        state.sample[:],
         u,
         duration,
         work.flow,
@@ -783,6 +957,8 @@ def predict(
         state.pause = max(0.0, state.pause - duration)
         state.watch_age += duration
         state.since += duration
+        for i in range(model.p):
+            state.sensors[i].since += duration
         state.doubt = max(0.0, state.doubt - duration)
         state.relearned = max(0.0, state.relearned - duration / model.relearn_time)
         if k > 0:
@@ -824,7 +1000,7 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         model.scale[:],
         model.state_std[:],
     )
-    x, y, covariance = state.x[:], state.y[:], state.covariance[:]
+    x, y, covariance = state.x[:], state.sample[:], state.covariance[:]
     upsilon, gamma, theta = state.upsilon[:], state.gamma[:], state.theta[:]
     pending = state.pending[:]
     noise = larger(state.noise_scale, 1.0) if model.supervised != 0 else 1.0
@@ -886,6 +1062,22 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         if state.hypothesis != _AS_DESIGNED:
             readout.designed_disturbance[i] = dot(h, state.x[:], n)
             readout.designed_bound[i] = noise * std[i]
+    for i in range(model.t):
+        h = model.torque_map[i]
+        bound = model.torque_std[i]
+        if uncertain:
+            bound = larger(_root(quadratic(covariance, h, n)), bound)
+        bound *= spread
+        for a in range(k):
+            share[a] = dot(h, upsilon[a], n)
+        shift = dot(share, pending, k)
+        added = larger(quadratic(gamma, share, k), 0.0) + shift * shift
+        if open_torque:
+            shift = dot(h, response, n)
+            added += shift * shift
+        readout.torque_disturbance[i] = dot(h, x, n)
+        readout.torque_disturbance_bound[i] = _root(bound * bound + added)
+        total += readout.torque_disturbance[i] + readout.torque_disturbance_bound[i]
     for i in range(k):
         readout.parameters[i] = theta[i]
         # What was learnt over a distance is wrong by a share of it: regressors move with x̂.
@@ -952,8 +1144,8 @@ def _is_excited(model: Any, state: Any, work: Any) -> bool:
 def write_row(model: Any, readout: Any, row: Array) -> int:
     """Write the numbers of a readout one after the other; return how many they are.
 
-    State, its bound, disturbance, its rate, its bound, parameters, their bounds, the
-    disturbance and its bound if all is as designed; then those of `state.CONDITIONS`.
+    State, its bound, disturbance, its rate, its bound, parameters, their bounds, the disturbance
+    and its bound if all is as designed, torques, their bounds; then those of `state.CONDITIONS`.
     """
     plant, p, k = model.plant, model.p, model.k
     states, bounds = readout.state[:], readout.state_bound[:]
@@ -971,6 +1163,10 @@ def write_row(model: Any, readout: Any, row: Array) -> int:
     for i in range(p):
         row[at + i], row[at + p + i] = readout.designed_disturbance[i], readout.designed_bound[i]
     at += 2 * p
+    for i in range(model.t):
+        row[at + i] = readout.torque_disturbance[i]
+        row[at + model.t + i] = readout.torque_disturbance_bound[i]
+    at += 2 * model.t
     row[at], row[at + 1] = readout.basis, readout.parameters_valid
     row[at + 2], row[at + 3] = readout.noise_scale, readout.coloured_power
     row[at + 4], row[at + 5] = readout.learning, readout.hypothesis

@@ -157,18 +157,22 @@ def weigh_step(model: Any, state: Any, correction: Any) -> bool:
     """
     if not is_suspected(state) or state.torque_unknown != 0:
         return False
-    response, innovation = state.response[:], correction.innovation[0]
-    variance = correction.innovation_covariance[0, 0]
-    if not (math.isfinite(innovation) and variance > 0.0):
+    response, weighed = state.response[:], bool(0)
+    for i in range(model.p):
+        innovation = correction.innovation[i]
+        variance = correction.innovation_covariance[i, i]
+        if not (math.isfinite(innovation) and variance > 0.0):
+            continue
+        expected = dot(model.C[i], response, model.n)
+        spread = math.sqrt(variance) * larger(state.sensors[i].noise_scale, 1.0)
+        made = min(abs(innovation) / spread, _CLIP)
+        not_made = min(abs(innovation + expected) / spread, _CLIP)
+        # If both are strange, it is the sensor's fault, which says nothing of the torque.
+        if not (made > _STRANGE and not_made > _STRANGE):
+            state.evidence += 0.5 * (made * made - not_made * not_made)
+            weighed = bool(1)
+    if not weighed:
         return False
-    expected = dot(model.C[0], response, model.n)
-    spread = math.sqrt(variance) * larger(state.noise_scale, 1.0)
-    made = min(abs(innovation) / spread, _CLIP)
-    not_made = min(abs(innovation + expected) / spread, _CLIP)
-    if made > _STRANGE and not_made > _STRANGE:
-        # The sensor's fault, which says nothing of the torque.
-        return False
-    state.evidence += 0.5 * (made * made - not_made * not_made)
     if state.evidence < -_CERTAIN:
         forget_step(model, state)
         return False
@@ -181,10 +185,16 @@ def correct_response(model: Any, state: Any, correction: Any) -> None:
     """Correct what the suspected steps have done to the estimate, as that is."""
     if not is_suspected(state):
         return
-    response, gain = state.response[:], correction.gain[:]
-    expected = correction.weight * dot(model.C[0], response, model.n)
+    response, gain, moved = state.response[:], correction.gain[:], correction.squares[0, 0]
     for i in range(model.n):
-        response[i] -= gain[i, 0] * expected
+        moved[i] = 0.0
+    for j in range(model.p):
+        if correction.weight[j] > 0.0:
+            expected = correction.weight[j] * dot(model.C[j], response, model.n)
+            for i in range(model.n):
+                moved[i] += gain[i, j] * expected
+    for i in range(model.n):
+        response[i] -= moved[i]
 
 
 @compiled

@@ -79,11 +79,13 @@ class Outcomes(NamedTuple):
 
     Attributes:
         codes: 0 of those used, else the place of the reason in `history.REASONS`, shape (N,).
-        innovations: y − ŷ of those used [rad], shape (N, p).
-        expected_std: 1σ expected of each [rad], shape (N, p).
+        output_codes: The same of each output, shape (N, p).
+        innovations: y − ŷ of those used, NaN if missing, shape (N, p).
+        expected_std: 1σ expected of each, shape (N, p).
     """
 
     codes: NDArray[np.int64]
+    output_codes: NDArray[np.int64]
     innovations: Array
     expected_std: Array
 
@@ -118,6 +120,7 @@ class Tracker:
             np.zeros((1, shape.p)),
             np.zeros((1, shape.m)),
             np.zeros(1, np.int64),
+            np.zeros((1, shape.p), np.int64),
         )
         self.reset()
 
@@ -190,6 +193,17 @@ class Tracker:
         state = self.state
         return {} if state is None else self.estimator.events(state)
 
+    @property
+    def output_counts(self) -> tuple[dict[str, int], ...]:
+        """Numbers of samples of each output that were gated, and that were missing."""
+        last = self._last
+        if last is None:
+            return ({"gated": 0, "missing": 0},) * self.estimator.shape.p
+        sensors = last["sensors"][: self.estimator.shape.p]
+        return tuple(
+            {"gated": int(each["gated"]), "missing": int(each["missing"])} for each in sensors
+        )
+
     def reject(self, reason: RejectReason, count: int = 1) -> None:
         """Count measurements that the caller could not even read."""
         self.memory["refused"][0, REASONS.index(reason)] += count
@@ -205,7 +219,7 @@ class Tracker:
             Its innovation, or the reason of its rejection, which has been counted.
         """
         stamp, y, u = measurement
-        stamps, sample, inputs, codes = self._one
+        stamps, sample, inputs, codes, output_codes = self._one
         if np.shape(y) != sample.shape[1:] or np.shape(u) != inputs.shape[1:]:
             self._prepared([stamp], [y], [u])  # names what is wrong
         # Arrays that are kept: making them would take longer than the estimator does.
@@ -220,6 +234,7 @@ class Tracker:
             inputs,
             now,
             codes,
+            output_codes,
             innovation,
             expected_std,
         )
@@ -234,7 +249,7 @@ class Tracker:
 
         Args:
             stamps: Of N measurements, in any order [ns], shape (N,).
-            y: Measured outputs, shape (N, p).
+            y: Measured outputs, NaN of one that is missing, shape (N, p).
             u: Inputs from each measurement until the next one, shape (N, m).
             now: Time on the clock of the stamps [ns].
 
@@ -243,7 +258,12 @@ class Tracker:
         """
         times, samples, inputs = self._prepared(stamps, y, u)
         count, p = samples.shape
-        outcomes = Outcomes(np.zeros(count, np.int64), np.empty((count, p)), np.empty((count, p)))
+        outcomes = Outcomes(
+            np.zeros(count, np.int64),
+            np.zeros((count, p), np.int64),
+            np.empty((count, p)),
+            np.empty((count, p)),
+        )
         ascending = count < 2 or bool((times[1:] >= times[:-1]).all())
         if not ascending:
             order = np.argsort(times, kind="stable")
@@ -306,9 +326,8 @@ class Tracker:
         basis, valid, scale, coloured, learning, hypothesis, in_domain, age = row[
             -len(CONDITIONS) - EXTRA :
         ].tolist()
-        x, bound, omega, rate, omega_bound, theta, theta_bound, designed, designed_bound = [
-            row[part] for part in self.estimator.row_parts.values()
-        ]
+        numbers = [row[part] for part in self.estimator.row_parts.values()]
+        x, bound, omega, rate, omega_bound, theta, theta_bound, designed, *others = numbers
         # Arguments by name would take a tenth of a tick.
         return Estimate(
             stamp,
@@ -320,7 +339,7 @@ class Tracker:
             theta,
             theta_bound,
             designed,
-            designed_bound,
+            *others,
             _BASES[int(basis)],
             valid != 0.0,
             scale,

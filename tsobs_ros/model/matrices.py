@@ -34,6 +34,15 @@ def is_finite(a: Array, n: int) -> bool:
 
 
 @compiled
+def has_finite(a: Array, n: int) -> bool:
+    """Return whether one of the first n numbers is finite."""
+    for i in range(n):
+        if math.isfinite(a[i]):
+            return True
+    return False
+
+
+@compiled
 def larger(value: float, least: float) -> float:
     """Return the value, but at least so much; NaN stays."""
     return least if value < least else value

@@ -21,10 +21,11 @@ from tsobs_ros.model.matrices import apply, congruence, dot, multiply
 from tsobs_ros.model.memberships import rule_weights, rule_weights_and_slopes
 from tsobs_ros.model.trigonometry import cosine, sine
 
-EFFECTS = 12
-"""What θ = 1 adds to both accelerations of an arm: by x (4 each), by sin x₁ and by u."""
+EFFECTS = 14
+"""What θ = 1 adds to both accelerations of an arm: by x (4 each), by sin x₁, by the torque of the
+motor and by a torque at the link."""
 
-LINK_SINE, MOTOR_SINE, LINK_TORQUE, MOTOR_TORQUE = 8, 9, 10, 11
+LINK_SINE, MOTOR_SINE, LINK_TORQUE, MOTOR_TORQUE, LINK_EXTERNAL, MOTOR_EXTERNAL = range(8, 14)
 
 ARM, SYSTEM, INTEGRATED = 0, 1, 2
 """Kinds of models."""
@@ -51,9 +52,13 @@ class Room(NamedTuple):
 
     @classmethod
     def fitting(cls, *sizes: int) -> "Room":
-        """Return the smallest class of sizes that some sizes fit into: powers of two."""
+        """Return the smallest class of sizes that some sizes fit into.
+
+        They are powers of two, of states multiples of four.
+        """
         least = (8, 2, 4, 4, 4, 2)
-        return cls(*(_power_of_two(max(pair)) for pair in zip(sizes, least, strict=True)))
+        classes = [_power_of_two(max(pair)) for pair in zip(sizes, least, strict=True)]
+        return cls(max(least[0], -(-sizes[0] // 4) * 4), *classes[1:])
 
 
 def _power_of_two(size: int) -> int:
@@ -74,8 +79,9 @@ def flow_type(room: Room) -> np.dtype[Any]:
 
     kind: ARM, SYSTEM or INTEGRATED. n, m, inputs, p, k, plant, rules, premises: sizes in use; the
     m signals are the inputs and then the scheduled ones. period to noise: a `LinearFlow` with its
-    nominal step. gravity_gain, effects, unknown_torque: of an arm. deviations to parameters: of a
-    T–S system. The rest is of an integrated observer.
+    nominal step. gravity_gain, effects: of an arm; has_unknown, motor_torque, link_torque: whether it
+    has unknown torques, and the states that make them up. deviations to parameters: of a T–S
+    system. The rest is of an integrated observer.
     """
     n, p, m, k, rules, premises = room
     number, count = np.float64, np.int64
@@ -99,7 +105,9 @@ def flow_type(room: Room) -> np.dtype[Any]:
             ("noise", number, (n, n)),
             ("gravity_gain", number),
             ("effects", number, (k, EFFECTS)),
-            ("unknown_torque", count),
+            ("has_unknown", count),
+            ("motor_torque", number, (n,)),
+            ("link_torque", number, (n,)),
             ("deviations", number, (rules, n, n + m)),
             ("directions", number, (k, rules, n, n + m)),
             ("premise", number, (premises, n)),
@@ -239,7 +247,7 @@ def _step_arm(
     work: Any,
 ) -> None:
     """Kick both velocities by gravity and by θ̂, take the linear flow, and kick again."""
-    n, k, half, unknown = flow.n, flow.k, 0.5 * duration, flow.unknown_torque
+    n, k, half = flow.n, flow.k, 0.5 * duration
     total, effects, vectors = work.effects[:], flow.effects[:], work.vectors[:]
     moved, link, motor = vectors[0], vectors[1], vectors[2]
     for place in range(EFFECTS):
@@ -266,24 +274,45 @@ def _step_arm(
         before = moved
         for j in range(n):
             before[j] = x[j]
-        x[1] += dot(link, before, 4) + total[LINK_SINE] * sin + total[LINK_TORQUE] * torque
-        x[3] += dot(motor, before, 4) + total[MOTOR_SINE] * sin + total[MOTOR_TORQUE] * torque
+        drive, external = torque, 0.0
+        if flow.has_unknown != 0:
+            # What θ̂ does to the known torque, it does to its unknown part.
+            drive += dot(flow.motor_torque[:], before, n)
+            external = dot(flow.link_torque[:], before, n)
+        x[1] += (
+            dot(link, before, 4)
+            + total[LINK_SINE] * sin
+            + total[LINK_TORQUE] * drive
+            + total[LINK_EXTERNAL] * external
+        )
+        x[3] += (
+            dot(motor, before, 4)
+            + total[MOTOR_SINE] * sin
+            + total[MOTOR_TORQUE] * drive
+            + total[MOTOR_EXTERNAL] * external
+        )
         link[0] += total[LINK_SINE] * cos
         motor[0] += total[MOTOR_SINE] * cos
-        if unknown > 0:
-            # What θ̂ does to the torque, it does to its unknown part.
-            link[unknown], motor[unknown] = total[LINK_TORQUE], total[MOTOR_TORQUE]
+        if flow.has_unknown != 0:
+            for j in range(4, n):
+                share, other = flow.motor_torque[j], flow.link_torque[j]
+                link[j] = total[LINK_TORQUE] * share + total[LINK_EXTERNAL] * other
+                motor[j] = total[MOTOR_TORQUE] * share + total[MOTOR_EXTERNAL] * other
         for i in range(k):
             effect = effects[i]
             on_link = dot(link, upsilon[i], n)
             on_motor = dot(motor, upsilon[i], n)
             upsilon[i, 1] += on_link + half * (
-                dot(effect, before, 4) + effect[LINK_SINE] * sin + effect[LINK_TORQUE] * torque
+                dot(effect, before, 4)
+                + effect[LINK_SINE] * sin
+                + effect[LINK_TORQUE] * drive
+                + effect[LINK_EXTERNAL] * external
             )
             upsilon[i, 3] += on_motor + half * (
                 dot(effect[4:], before, 4)
                 + effect[MOTOR_SINE] * sin
-                + effect[MOTOR_TORQUE] * torque
+                + effect[MOTOR_TORQUE] * drive
+                + effect[MOTOR_EXTERNAL] * external
             )
         if with_covariance:
             _shear(covariance, link, motor, n)
