@@ -331,7 +331,8 @@ def make_ekf(
     flow = ArmFlow(known, disturbance, request.process_noise, request.period)
     std = np.concatenate([known.from_physical(request.initial_std), disturbance.initial_std])
     options = _limits(design, settings or ObserverSettings())
-    return KalmanFilter(flow, request.measurement_std, std, uncertainty, gate=gate, options=options)
+    variances = np.diag(request.measurement_covariance).copy()
+    return KalmanFilter(flow, variances, std, uncertainty, gate=gate, options=options)
 
 
 def _limits(design: Design, settings: ObserverSettings) -> TrackerOptions:

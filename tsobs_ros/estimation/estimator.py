@@ -40,7 +40,8 @@ class State:
     """All that an estimator remembers, or a batch of such states; it is not changed by a step.
 
     The fields of `estimation.state.state_type` are attributes, and those of `sensor_type` with an
-    axis of the outputs; of a batch with the batch's axis in front. Two states are equal if their bytes are.
+    axis of the outputs; of a batch with the batch's axis in front. Two states are equal if their
+    bytes are.
 
     Attributes:
         records: The records, shape (1,) for a single state.

@@ -3,10 +3,10 @@
 """The fault monitor of a sensor: missing, stuck, too noisy, biased, drifting or oscillating.
 
 There are four signs of a fault. Samples lack a value of the sensor: it is missing. Raw samples
-repeat although they are noisy or the arm moves: the sensor is stuck. Innovations are too large, or too many of them are: it is noise if they are white;
-if not, the model does not fit and the disturbance has no bound. The last seconds of the estimated
-disturbance have a shape, see `fault_shapes`. A level is about size, a kind about shape; both must
-last to be reported.
+repeat although they are noisy or the arm moves: the sensor is stuck. Innovations are too large, or
+too many of them are: it is noise if they are white; if not, the model does not fit and the
+disturbance has no bound. The last seconds of the estimated disturbance have a shape, see
+`fault_shapes`. A level is about size, a kind about shape; both must last to be reported.
 
 What is added up at each sample and estimate is a record in an array of them, one a sensor, for
 compiled code; the rest is done ten times a second.
@@ -365,6 +365,7 @@ class FaultMonitor:
             now: Time on the clock of the stamps [ns].
         """
         fault = self.fault
+
         def entry(name: str, per: str = "") -> str:
             unit = f"{self._unit}{per}" if self._unit else ""
             return f"{name} [{unit}]" if unit else name

@@ -25,7 +25,6 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled
 from tsobs_ros.estimation.records import Hypothesis
-from tsobs_ros.model.disturbance import gauss_markov, per_channel
 from tsobs_ros.model.flow import ArmFlow, ForceFlow
 from tsobs_ros.model.matrices import copy, dot, quadratic
 from tsobs_ros.model.prediction import Flow, fill_matrix
@@ -85,7 +84,7 @@ _SMOOTH = 0.8
 """A noise scale below it means that neighbours differ by less than white noise."""
 
 _AS_DESIGNED, _LAST_FORCE = Hypothesis.AS_DESIGNED.value, Hypothesis.STRONG_FORCE.value
-_COLOURED = Hypothesis.COLOURED_NOISE.value
+_COLOURED, _DRIFT = Hypothesis.COLOURED_NOISE.value, Hypothesis.DRIFT.value
 
 
 class Alternative(NamedTuple):
@@ -116,15 +115,17 @@ def alternatives(flow: ArmFlow, variances: Array) -> list[Alternative | None]:
     torque = flow.arm.reference_torque
     forces = [share * torque for share in (*FORCES, *OTHER_FORCES)]
     stds = np.sqrt(variances).tolist()
-    colours = per_channel([gauss_markov(std, COLOUR_TIME) for std in stds])
-    faster = replace(flow.disturbance, G=DRIFT_SPEED * flow.disturbance.G)
-    coloured, drifting = (
-        flow.disturbed_by(disturbance) for disturbance in (flow.disturbance + colours, faster)
+    drifting = ArmFlow(
+        flow.arm,
+        replace(flow.disturbance, G=DRIFT_SPEED * flow.disturbance.G),
+        flow.process_noise,
+        flow.period,
+        flow.outputs,
+        flow.torque_disturbance,
     )
-    flows = [
-        ForceFlow(base, force, FORCE_TIME)
-        for base, force in zip((flow, flow, coloured, drifting), forces, strict=True)
-    ]
+    flows = [ForceFlow(flow, force, FORCE_TIME) for force in forces]
+    flows[_COLOURED - 1] = ForceFlow(flow, forces[_COLOURED - 1], FORCE_TIME, stds, COLOUR_TIME)
+    flows[_DRIFT - 1] = ForceFlow(drifting, forces[_DRIFT - 1], FORCE_TIME)
     own: list[tuple[float, ...]] = [(force,) for force in forces]
     whites = [variances] * ALTERNATIVES
     whites[_COLOURED - 1] = variances * WHITE_SHARE

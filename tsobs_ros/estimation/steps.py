@@ -18,13 +18,17 @@ it is significant. The regressor is taken at the estimate, so innovations count 
 is uncertain, and what was learnt far from the truth is learnt again. Learning rests if the model is
 wrong in other ways, and comes back with time.
 
-Supervision works on each output by itself. The size of white noise is that of the differences of neighbouring
-innovations, in which a wrong model does not show. The colour of a wrong model is the product of
-neighbours, in which white noise does not. An innovation that is far too large is an outlier and has
-little influence. Eight that lean to one side of a sudden are a jump of the sensor. A long average
-that is far too large, and of one side, is an estimate that has lost the arm. Everything is decided
-on the innovation in sigmas of the present noise and on durations between stamps, and each decision
-shows in what the bounds are said to rest on. docs/estimator.md has the rules and their reasons.
+Supervision works on each output by itself. The size of white noise is that of the differences of
+neighbouring innovations, in which a wrong model does not show. The colour of a wrong model is the
+product of neighbours, in which white noise does not. An innovation that is far too large is an
+outlier and has little influence. Eight that lean to one side of a sudden are a jump of the sensor.
+A long average that is far too large, and of one side, is an estimate that has lost the arm, or a
+sensor that lies if the other outputs are as expected. Everything is decided on the innovation in
+sigmas of the present noise and on durations between stamps, and each decision shows in what the
+bounds are said to rest on. docs/estimator.md has the rules and their reasons.
+
+An output that is missing, or far beyond reason, is left out. The certified gain is for all of them
+together, so then the gain is that of Riccati for the others.
 """
 
 import math
@@ -215,11 +219,11 @@ def _count_used(model: Any, correction: Any) -> int:
 
 @compiled
 def _is_stuck(model: Any, state: Any) -> bool:
-    """Return whether no output's sensor is anything but stuck."""
+    """Return whether every sensor is stuck."""
+    stuck = True
     for i in range(model.p):
-        if not 0 < model.stuck_samples <= state.sensors[i].repeats:
-            return False
-    return True
+        stuck = stuck and 0 < model.stuck_samples <= state.sensors[i].repeats
+    return stuck
 
 
 @compiled

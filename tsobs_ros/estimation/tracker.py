@@ -327,7 +327,8 @@ class Tracker:
             -len(CONDITIONS) - EXTRA :
         ].tolist()
         numbers = [row[part] for part in self.estimator.row_parts.values()]
-        x, bound, omega, rate, omega_bound, theta, theta_bound, designed, *others = numbers
+        x, bound, omega, rate, omega_bound, theta, theta_bound, designed = numbers[:8]
+        designed_bound, torque, torque_bound = numbers[8:]
         # Arguments by name would take a tenth of a tick.
         return Estimate(
             stamp,
@@ -339,7 +340,9 @@ class Tracker:
             theta,
             theta_bound,
             designed,
-            *others,
+            designed_bound,
+            torque,
+            torque_bound,
             _BASES[int(basis)],
             valid != 0.0,
             scale,

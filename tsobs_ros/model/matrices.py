@@ -36,10 +36,10 @@ def is_finite(a: Array, n: int) -> bool:
 @compiled
 def has_finite(a: Array, n: int) -> bool:
     """Return whether one of the first n numbers is finite."""
+    found = bool(0)
     for i in range(n):
-        if math.isfinite(a[i]):
-            return True
-    return False
+        found = found or math.isfinite(a[i])
+    return found
 
 
 @compiled

@@ -369,6 +369,7 @@ class Pass:
             samples.u[own],
             now,
             results.outcomes[own],
+            results.output_codes[own],
             results.innovations[own],
             results.expected_std[own],
         )
@@ -392,7 +393,7 @@ class EkfPass(Pass):
         self, ekf: KalmanFilter, stamps: Times, y: Array, u: Array, ticks: Ticks, **options: Any
     ) -> None:
         super().__init__(ekf, stamps, y, u, ticks, **{**options, "innovations": None})
-        self._ekf, self._inputs = ekf, (stamps, y[:, 0].copy(), u[:, 0].copy())
+        self._ekf, self._inputs = ekf, (stamps, np.ascontiguousarray(y), u[:, 0].copy())
 
     @property
     def began_without_past(self) -> bool | None:
@@ -428,15 +429,15 @@ class EkfPass(Pass):
         places, results = self.samples.places[first:last], self.results
         received = self.samples.evidence[places] != NO_EVIDENCE
         outcomes = np.where(received, USED, LEFT_OUT)
-        innovations, expected = np.full((2, last - first), np.nan)
+        innovations, expected = np.full((2, last - first, self._ekf.shape.p), np.nan)
         newest = np.zeros(len(ticks[0]), np.int64)
         stamps, y, u = self._inputs
         samples = (stamps[first:last], y[first:last], u[first:last])
         self._ekf.advance(ticks, samples, (outcomes, innovations, expected), newest, rows)
         results.outcomes[places] = outcomes
         results.output_codes[places] = outcomes[:, np.newaxis]
-        results.innovations[places, 0] = innovations
-        results.expected_std[places, 0] = expected
+        results.innovations[places] = innovations
+        results.expected_std[places] = expected
         results.counts[:] = last
         return newest
 
@@ -497,6 +498,7 @@ def _advance(
                 samples.u[taken:known],
                 ticks.now[tick],
                 results.outcomes[taken:known],
+                results.output_codes[taken:known],
                 results.innovations[taken:known],
                 results.expected_std[taken:known],
             )

@@ -14,7 +14,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import EventLog
 from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
 from tsobs_ros.estimation.health import LastMinute, Phase, phase_of
-from tsobs_ros.estimation.history import CORRECTING, GATED, offer
+from tsobs_ros.estimation.history import CORRECTING, GATED, USED, offer
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -120,7 +120,8 @@ class ObservedJoint:
             that was not used, shape (N, p).
         """
         self.received += len(stamps)
-        tracker, codes = self.tracker, np.zeros(len(stamps), np.int64)
+        tracker, outcomes = self.tracker, np.zeros(len(stamps), np.int64)
+        codes = np.zeros(y.shape, np.int64)
         innovations, expected_std = np.empty((2, *y.shape))
         offer(
             tracker.estimator.model,
@@ -130,23 +131,20 @@ class ObservedJoint:
             y,
             u,
             now,
+            outcomes,
             codes,
             innovations,
             expected_std,
         )
         # A column of one and a row of one are the same numbers.
-        by_output = [
-            np.ascontiguousarray(each.T)
-            for each in (y, codes[:, np.newaxis], innovations, expected_std)
-        ]
+        by_output = [np.ascontiguousarray(each.T) for each in (y, codes, innovations, expected_std)]
         add_samples(self.watches, stamps, *by_output)
-        outcomes: list[int] = codes.tolist()
-        accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
-        if accepted:
+        accepted = np.flatnonzero(np.isin(outcomes, _ACCEPTED))
+        if len(accepted):
             self._newest = max(self._newest, int(stamps[accepted[-1]]))
-        if any(outcomes):
-            innovations[~np.isin(codes, CORRECTING)] = math.nan
-        return outcomes, innovations
+        if codes.any():
+            innovations[codes != USED] = math.nan
+        return outcomes.tolist(), innovations
 
     def count(self, steady: int) -> None:
         """Enter the counts there are into those of the last minute.
