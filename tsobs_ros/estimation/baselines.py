@@ -623,19 +623,17 @@ def _correct(
     """
     p, size = model.output.shape
     counts, window, ring = memory.counts, model.sizes[2], model.sizes[3]
-    x, cross, P, u = vectors[0], vectors[1], matrices[0], sample[p]
+    x, cross, P, u = vectors[0], vectors[1], matrices[0], float(sample[p])
     last = (counts[0] + counts[1] - 1) % ring
     elapsed = stamp - memory.stamps[last]
-    left_out, seen = memory.left_out, memory.seen[last]
-    torque: float = 0.0
+    left_out, seen, torque = memory.left_out, memory.seen[last], 0.0
     if counts[1] == 0 or elapsed > model.times[2]:
         counts[1], slot, seen = 0, counts[0], 0
         _start(model, x, P)
         for i in range(window):
             left_out[slot, i] = False
     else:
-        slot = (last + 1) % ring
-        torque = memory.samples[last, p]
+        slot, torque = (last + 1) % ring, float(memory.samples[last, p])
         _copy_state(memory.x[last], memory.P[last], x, P)
         for i in range(window):
             left_out[slot, i] = left_out[last, i]
