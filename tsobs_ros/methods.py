@@ -21,7 +21,6 @@ from tsobs_ros.estimation.events import STALE_AFTER
 from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.paper.observer import (
     PAPER_WARNING,
     SYSTEM_WARNING,
@@ -323,16 +322,16 @@ def make_ekf(
     Raises:
         ModelError: The design is not for an arm, or calls nothing uncertain that is to be a state.
     """
-    request, known = design.arm_request, arm or design.arm_request.arm
+    request = design.arm_request
+    if arm is not None:
+        request = replace(request, arm=arm)
     uncertainty = request.uncertainty_model if learns else None
     if uncertainty is not None and not uncertainty.count:
         raise ModelError("method ekf_augmented: the design calls no parameter uncertain")
-    disturbance = request.disturbance_model
-    flow = ArmFlow(known, disturbance, request.process_noise, request.period)
-    std = np.concatenate([known.from_physical(request.initial_std), disturbance.initial_std])
+    std = np.sqrt(np.diag(request.initial_covariance))
     options = _limits(design, settings or ObserverSettings())
     variances = np.diag(request.measurement_covariance).copy()
-    return KalmanFilter(flow, variances, std, uncertainty, gate=gate, options=options)
+    return KalmanFilter(request.flow, variances, std, uncertainty, gate=gate, options=options)
 
 
 def _limits(design: Design, settings: ObserverSettings) -> TrackerOptions:

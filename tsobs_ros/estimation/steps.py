@@ -162,8 +162,10 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
             _leave_certified(model, state, _GAP)
             _expect(model, state, correction)
         _apply(model, state, correction, adapt)
-        if jumped:
-            _follow_jumps(model, state)
+    if jumped:
+        # A jump may be so large that its samples themselves are not used.
+        _follow_jumps(model, state)
+    if used > 0:
         if model.supervised != 0:
             correct_response(model, state, correction)
             if suspected:

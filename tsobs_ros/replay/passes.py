@@ -373,7 +373,6 @@ class Pass:
             results.innovations[own],
             results.expected_std[own],
         )
-        results.output_codes[own] = results.outcomes[own, np.newaxis]
 
     def _estimate(self, tick: int, row: Array) -> None:
         tracker, stamp = self._tracker, int(self._ticks.stamps[tick])
@@ -502,8 +501,6 @@ def _advance(
                 results.innovations[taken:known],
                 results.expected_std[taken:known],
             )
-            for place in range(taken, known):
-                results.output_codes[place, :] = results.outcomes[place]
             results.ticks_of_use[taken:known] = tick
             counts[:] = known
         newest, row = newest_stamp(memory[0], ring), rows[tick - begin]
