@@ -326,8 +326,8 @@ def test_frequent_outliers_are_noise_and_the_steps_of_an_encoder_are_not(
     kinds: Counter[FaultKind] = Counter()
     for k, (y, u) in enumerate(zip(run.measurements[0], run.torques[0], strict=False)):
         stamp = SECOND + k * PERIOD
-        codes, innovations, deviations = tracker.offer_many([stamp], [y], [u], stamp)
-        samples = (codes[np.newaxis], innovations.T, deviations.T)
+        _, codes, innovations, deviations = tracker.offer_many([stamp], [y], [u], stamp)
+        samples = (codes.T.copy(), innovations.T, deviations.T)
         add_samples(watch, np.array([stamp]), np.array([y]), *samples)
         known = tracker.estimate(stamp)
         assert known is not None

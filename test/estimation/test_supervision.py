@@ -77,7 +77,9 @@ def judge(state: State, value: float, estimator: Estimator = ESTIMATOR) -> tuple
     assert correction.innovation[0] == value
     assert correction.innovation_covariance[0, 0] == 1.0
     verdict = Verdict(
-        float(correction.weight), bool(after.jumps > state.jumps), bool(after.losses > state.losses)
+        float(correction.weight[0]),
+        bool(after.jumps > state.jumps),
+        bool(after.losses > state.losses),
     )
     return after, verdict
 
@@ -283,7 +285,7 @@ def test_a_jump_forgets_the_averages() -> None:
     after, verdict = judge(follow(LEANING[:-1])[0], 3.0)
     assert verdict.jumped
     assert (after.watched, after.nis, after.magnitude, after.coloured_power) == (0, 1.0, 1.0, 0.0)
-    assert (after.jump_count, after.jump_ages[0]) == (1, after.watch_age)
+    assert (after.jump_count[0], after.jump_ages[0, 0]) == (1, after.watch_age)
 
 
 @pytest.mark.parametrize(

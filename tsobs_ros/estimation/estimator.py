@@ -58,7 +58,7 @@ class State:
     def __getattr__(self, name: str) -> Any:
         if name in State.__slots__:  # of a copy that is still being made
             raise AttributeError(name)
-        values = self._numbers(self.records, name)
+        values = self._numbers(self.records, name)[0]
         return values.reshape(*self.batch, *values.shape[1:]) if self.batch else values[0]
 
     def __eq__(self, other: object) -> bool:
@@ -68,25 +68,29 @@ class State:
 
     __hash__ = None  # type: ignore[assignment]
 
-    def _numbers(self, of_records: Record, name: str) -> Any:
-        """Return a field of records, or of their sensors, without the room that is not in use."""
+    def _numbers(self, of_records: Record, name: str) -> list[Any]:
+        """Return a field of records and of their sensors, without the room that is not in use."""
         sensors = of_records["sensors"][:, : self.shape.p]
-        for values in (of_records, sensors):
-            if name in (values.dtype.names or ()):
-                return self.shape.trim(name, values[name])
-        fields = (*(of_records.dtype.names or ()), *(sensors.dtype.names or ()))
-        raise AttributeError(f"a state has no {name!r}; it has {fields}")
+        found = [
+            self.shape.trim(name, values[name]) if values is of_records else values[name]
+            for values in (of_records, sensors)
+            if name in (values.dtype.names or ())
+        ]
+        if not found:
+            fields = (*(of_records.dtype.names or ()), *(sensors.dtype.names or ()))
+            raise AttributeError(f"a state has no {name!r}; it has {fields}")
+        return found
 
     def copy(self) -> "State":
         """Return the same state with records of its own."""
         return State(copy_records(self.records), self.shape, self.batch)
 
     def changed(self, **values: ArrayLike) -> "State":
-        """Return the state with some fields replaced."""
+        """Return the state with some fields replaced, its own and those of its sensors."""
         copy = self.copy()
         for name, value in values.items():
-            target = self._numbers(copy.records, name)
-            target[...] = np.reshape(value, target.shape) if self.batch else value
+            for target in self._numbers(copy.records, name):
+                target[...] = np.reshape(value, target.shape) if self.batch else value
         return copy
 
 

@@ -191,10 +191,10 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
             )
     state.since = 0.0
     for i in range(model.p):
-        if y[i] == y[i]:
+        if state.y[i] == state.y[i]:
             state.sensors[i].since = 0.0
         if correction.weight[i] == 0.0:
-            if y[i] == y[i]:
+            if state.y[i] == state.y[i]:
                 state.sensors[i].gated += 1
             else:
                 state.sensors[i].missing += 1
@@ -204,8 +204,8 @@ def correct(model: Any, state: Any, y: Array, correction: Any) -> None:
 def _take_sample(model: Any, state: Any, y: Array, correction: Any) -> None:
     """Remember the newest sample of each output, and use those that there are."""
     for i in range(model.p):
-        state.y[i] = y[i]
         there = math.isfinite(y[i])
+        state.y[i] = y[i] if there else math.nan
         correction.weight[i] = 1.0 if there else 0.0
         if there:
             state.sample[i] = y[i]

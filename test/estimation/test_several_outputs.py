@@ -1,0 +1,237 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of an arm with an encoder on either side and an unknown torque at the link."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tsobs_ros.checks import Array
+from tsobs_ros.design.file import load_design
+from tsobs_ros.estimation.faults import (
+    FaultKind,
+    FaultMonitor,
+    add_estimates,
+    add_samples,
+    new_watches,
+)
+from tsobs_ros.estimation.history import GATED, NON_FINITE, USED
+from tsobs_ros.estimation.options import GainMode
+from tsobs_ros.estimation.records import Basis, RejectReason
+from tsobs_ros.estimation.state import CONDITIONS
+from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import make_ekf, make_tracker
+from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, TorqueDisturbance, Trajectories
+from tsobs_ros.simulation.scenarios import simulate
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import BiasStep
+
+DESIGN = load_design(Path(__file__).parent / "data" / "both_encoders.design.yaml")
+LINK, MOTOR = 0, 1
+PERIOD, CONTACT, FAULT, END = 5_000_000, 8.0, 14.0, 20.0
+
+
+@cache
+def run(contact: float = 2.0, bias: float = 0.1, seeds: int = 3) -> Trajectories:
+    """Return runs with a contact from 8 s on and a bias of the link's encoder from 14 s on."""
+    outputs = (
+        SimulatedOutput("link_angle", Sensor(noise_std=0.005), (BiasStep(bias, FAULT),)),
+        SimulatedOutput("motor_angle", Sensor(noise_std=0.002)),
+    )
+    torques = TorqueDisturbance(link=(BiasStep(contact, CONTACT),))
+    scenario = Scenario(
+        outputs=outputs, torque_disturbance=torques, initial_state=(0.2, 0.0, 2.0, 0.0)
+    )
+    return simulate(scenario, range(seeds), END)
+
+
+def stamps_of(count: int) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
+    return 1_000_000_000 + PERIOD * np.arange(count)
+
+
+def follow(y: Array, seed: int = 0, tracker: Tracker | None = None) -> tuple[Tracker, Array]:
+    tracker = tracker or make_tracker(DESIGN)
+    return tracker, tracker.follow(stamps_of(len(y)), y, run().torques[seed])
+
+
+def field(tracker: Tracker, rows: Array, name: str) -> Array:
+    return rows[:, tracker.estimator.row_parts[name]]
+
+
+def basis(rows: Array) -> Array:
+    return rows[:, -2 - len(CONDITIONS)]
+
+
+def seconds(begin: float, end: float = END) -> slice:
+    return slice(round(begin * 200), round(end * 200))
+
+
+def shares_inside(tracker: Tracker, rows: Array, seed: int, kept: slice) -> dict[str, float]:
+    """Return the least shares of states, torque and bias inside three bounds."""
+    truth = {
+        "state": run().physical[seed],
+        "torque_disturbance": run().torque_disturbances[seed][:, 1:],
+        "disturbance": run().disturbances[seed][:, :1],
+    }
+    shares = {}
+    for name, true in truth.items():
+        error = field(tracker, rows, name)[:, : true.shape[1]] - true
+        bound = field(tracker, rows, f"{name}_bound")[:, : true.shape[1]]
+        shares[name] = float((np.abs(error) <= 3.0 * bound)[kept].mean(axis=0).min())
+    return shares
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_contact_and_a_bias_are_told_apart_and_within_their_bounds(seed: int) -> None:
+    tracker, rows = follow(run().measurements[seed], seed)
+    assert tracker.events["sensor jumps"] == 1
+    assert tracker.events["losses of track"] == 0
+    assert min(shares_inside(tracker, rows, seed, seconds(6.0)).values()) >= 0.97
+    torque, bias = (
+        field(tracker, rows, name)[:, 0] for name in ("torque_disturbance", "disturbance")
+    )
+    before, pressed, both = seconds(6.0, CONTACT), seconds(10.0, FAULT), seconds(16.0)
+    assert np.abs(torque[before]).mean() < 0.4
+    assert torque[pressed].mean() == pytest.approx(2.0, abs=0.4)
+    assert torque[both].mean() == pytest.approx(2.0, abs=0.4)
+    assert np.abs(bias[pressed]).mean() < 0.015
+    assert bias[both].mean() == pytest.approx(0.1, abs=0.015)
+    settled = basis(rows)[pressed]
+    assert (settled == Basis.LEARNT).mean() > 0.8
+
+
+def test_riccati_gains_are_those_of_an_extended_kalman_filter() -> None:
+    """The joint correction of all outputs against the EKF's, which takes one after the other."""
+    ekf, y, u = make_ekf(DESIGN, gate=np.inf), run().measurements[0], run().torques[0]
+    theirs = ekf.follow(stamps_of(len(y)), y, u)
+    ours = DESIGN.observer(gain_mode=GainMode.RICCATI).observe(y[np.newaxis], u[np.newaxis])
+    for name in ("state", "disturbance", "torque_disturbance"):
+        other = theirs[:, ekf.row_parts[name]]
+        np.testing.assert_allclose(getattr(ours, name)[0], other, atol=1e-6)
+
+
+@pytest.mark.parametrize("lost", [LINK, MOTOR])
+def test_the_other_encoder_goes_on_with_a_wider_bound(lost: int) -> None:
+    y = run(bias=0.0).measurements[0].copy()
+    y[seconds(10.0, 16.0), lost] = np.nan
+    tracker, rows = follow(y)
+    away, back = seconds(11.0, 16.0), seconds(17.0)
+    assert tracker.rejected == {}
+    assert tracker.output_counts[lost] == {"gated": 0, "missing": 1200}
+    assert tracker.output_counts[1 - lost]["missing"] == 0
+    assert (basis(rows)[away] == Basis.GAP).all()
+    assert (basis(rows)[back] == Basis.LEARNT).mean() > 0.5
+    bounds = field(tracker, rows, "state_bound")
+    side = 2 * lost
+    assert (bounds[away, side] > 1.2 * np.median(bounds[seconds(7.0, 10.0), side])).all()
+    error = np.abs(field(tracker, rows, "state") - run(bias=0.0).physical[0])
+    assert ((error <= 3.0 * bounds)[away].mean(axis=0) >= 0.97).all()
+    assert np.isfinite(rows[1:]).all()
+
+
+def test_a_sample_without_any_output_is_not_finite() -> None:
+    tracker = make_tracker(DESIGN)
+    y = np.array([[np.nan, np.nan], [0.1, np.nan], [0.1, np.inf], [0.1, 0.1]])
+    outcomes = tracker.offer_many(stamps_of(4), y, np.zeros((4, 1)), 10**10)
+    assert outcomes.codes.tolist() == [NON_FINITE, USED, USED, USED]
+    assert outcomes.output_codes.tolist() == [
+        [NON_FINITE, NON_FINITE],
+        [USED, NON_FINITE],
+        [USED, NON_FINITE],
+        [USED, USED],
+    ]
+    assert np.isnan(outcomes.innovations[1:3, MOTOR]).all()
+    assert np.isfinite(outcomes.innovations[1:, LINK]).all()
+    assert tracker.rejected == {RejectReason.NON_FINITE: 1}
+
+
+@pytest.mark.parametrize(
+    ("output", "spoil"),
+    [
+        (LINK, "outliers"),
+        (MOTOR, "outliers"),
+        (LINK, "stuck"),
+        (MOTOR, "stuck"),
+        (MOTOR, "far off"),
+        (LINK, "far off"),
+    ],
+)
+def test_what_is_wrong_with_one_output_is_no_reason_to_refuse_the_other(
+    output: int, spoil: str
+) -> None:
+    y = run(bias=0.0).measurements[0].copy()
+    own = y[seconds(10.0), output]
+    if spoil == "outliers":
+        own[::20] += np.where(np.arange(len(own[::20])) % 2, 3.0, -3.0)
+    elif spoil == "stuck":
+        own[:] = own[0]
+    else:
+        own += 1.0
+    tracker, rows = follow(y)
+    assert tracker.rejected == {}
+    assert tracker.events["losses of track"] == 0
+    assert tracker.output_counts[1 - output]["gated"] == 0
+    assert tracker.output_counts[output]["gated"] > 0
+    kept = seconds(13.0)
+    error = np.abs(field(tracker, rows, "state") - run(bias=0.0).physical[0])
+    assert ((error <= 3.0 * field(tracker, rows, "state_bound"))[kept].mean(axis=0) >= 0.97).all()
+
+
+@settings(max_examples=15, deadline=None)
+@given(data=st.data())
+def test_late_samples_and_missing_outputs_in_any_order_give_the_bits_of_their_order(
+    data: st.DataObject,
+) -> None:
+    count = 40
+    y = run().measurements[0][:count].copy()
+    for place in data.draw(st.lists(st.integers(0, 2 * count - 1), max_size=20)):
+        if np.isfinite(y[place // 2]).all():
+            y[place // 2, place % 2] = np.nan
+    order = np.array(data.draw(st.permutations(range(count))))
+    stamps, u = stamps_of(count), run().torques[0][:count]
+    straight, shuffled = make_tracker(DESIGN), make_tracker(DESIGN)
+    straight.offer_many(stamps, y, u, 10**10)
+    for place in order:
+        one = slice(place, place + 1)
+        shuffled.offer_many(stamps[one], y[one], u[one], 10**10)
+    ahead = int(stamps[-1]) + PERIOD // 2
+    assert repr(straight.estimate(ahead)) == repr(shuffled.estimate(ahead))
+    assert straight.output_counts == shuffled.output_counts
+
+
+def test_a_stopped_encoder_is_reported_as_missing_and_the_other_as_sound() -> None:
+    y, u = run(bias=0.0).measurements[0].copy(), run().torques[0]
+    y[seconds(10.0, 12.0), MOTOR] = np.nan
+    tracker, watches = make_tracker(DESIGN), new_watches([0.005, 0.002])
+    monitors = [FaultMonitor(std, watch=watches[i : i + 1]) for i, std in enumerate((0.005, 0.002))]
+    kinds: list[tuple[float, FaultKind, FaultKind]] = []
+    for k, stamp in enumerate(stamps_of(len(y)).tolist()):
+        own = slice(k, k + 1)
+        _, codes, innovations, expected = tracker.offer_many([stamp], y[own], u[own], stamp)
+        columns = [each.T.copy() for each in (y[own], codes, innovations, expected)]
+        add_samples(watches, np.array([stamp]), *columns)
+        known = tracker.estimate(stamp)
+        assert known is not None
+        disturbances, bounds = known.designed_disturbance, known.designed_bound
+        if add_estimates(watches, stamp, disturbances, bounds):
+            for monitor, value, bound in zip(monitors, disturbances, bounds, strict=True):
+                monitor.judge(float(value), float(bound))
+        kinds.append((k * 0.005, monitors[LINK].fault.kind, monitors[MOTOR].fault.kind))
+    missing = [time for time, _, motor in kinds if motor is FaultKind.MISSING]
+    assert 10.09 < missing[0] < 10.2
+    assert 11.9 < missing[-1] < 12.7
+    assert {link for time, link, _ in kinds if time > 3.0} == {FaultKind.NONE}
+    assert kinds[-1][2] is FaultKind.NONE
+
+
+def test_gated_and_missing_are_codes_of_an_output() -> None:
+    tracker, _ = follow(run().measurements[0][:1000])
+    newest = tracker.newest or 0
+    y = run().measurements[0][1000:1001].copy()
+    y[0, LINK] += 50.0
+    after = tracker.offer_many([newest + PERIOD], y, np.zeros((1, 1)), newest + PERIOD)
+    assert (after.codes.tolist(), after.output_codes.tolist()) == ([USED], [[GATED, USED]])
