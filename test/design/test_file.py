@@ -20,9 +20,15 @@ from hypothesis.extra import numpy as hnp
 from tsobs_ros.design.file import load_design, load_request, parse_design, save_design
 from tsobs_ros.design.names import Labels
 from tsobs_ros.design.record import Design, SolverReport
-from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
+from tsobs_ros.design.request import (
+    ArmRequest,
+    DisturbanceTerm,
+    Output,
+    TorqueDisturbance,
+    TSRequest,
+)
 from tsobs_ros.errors import CertificateError, DesignFileError, ModelError
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.resources import config_path
 
@@ -40,6 +46,14 @@ def floats(low: float, high: float) -> st.SearchStrategy[float]:
     return st.floats(low, high, allow_subnormal=False)
 
 
+def with_outputs(outputs: list[Output]) -> dict[str, Any]:
+    """Return the entries of a request with some outputs, none if there are none."""
+    if not outputs:
+        return {}
+    own = {name: getattr(outputs[0], name) for name in ("disturbance", "measurement_std")}
+    return {"outputs": outputs, **own}
+
+
 TERMS = st.one_of(
     st.just(DisturbanceTerm("clean")),
     st.builds(lambda d, i: DisturbanceTerm("bias", {"density": d, "initial_std": i}),
@@ -49,7 +63,7 @@ TERMS = st.one_of(
     st.builds(lambda f: DisturbanceTerm("sinusoid", {"frequency": f}), floats(0.1, 50.0)),
     st.builds(lambda r: DisturbanceTerm("ramp", {"rate_density": r}), floats(0.0, 1.0)),
 )  # fmt: skip
-REQUESTS = st.builds(
+ARM_REQUESTS = st.builds(
     ArmRequest,
     arm=st.builds(
         ElasticJointArm, floats(0.1, 10.0), floats(0.1, 10.0), floats(0.1, 100.0),
@@ -65,6 +79,20 @@ REQUESTS = st.builds(
     decay_rate=floats(0.0, 10.0),
     initial_std=st.tuples(*[floats(0.01, 10.0)] * 4),
     uncertainty=st.dictionaries(st.sampled_from(["stiffness", "gravity"]), floats(0.01, 0.5)),
+)  # fmt: skip
+OUTPUT_LISTS = st.dictionaries(
+    st.sampled_from(QUANTITIES),
+    st.tuples(floats(1e-4, 1.0), st.lists(TERMS, min_size=1, max_size=2)), max_size=3,
+)  # fmt: skip
+TORQUES = st.builds(TorqueDisturbance, st.lists(TERMS, max_size=2), st.lists(TERMS, max_size=2))
+REQUESTS = st.builds(
+    lambda request, outputs, torques, gravity: replace(
+        request,
+        arm=request.arm if gravity else replace(request.arm, gravity_torque=0.0),
+        torque_disturbance=torques,
+        **with_outputs([Output(name, *entries) for name, entries in outputs.items()]),
+    ),
+    ARM_REQUESTS, OUTPUT_LISTS, TORQUES, st.booleans(),
 )  # fmt: skip
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 SOLVERS = st.builds(
@@ -259,7 +287,40 @@ def test_request_and_design_are_not_mistaken_for_each_other(name: str, tmp_path:
         load_design(written(tmp_path, yaml_of(f"{name}.request.yaml")))
 
 
+OUTPUT = {"measures": "motor_angle", "measurement_std": 0.001}
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"outputs": [{**OUTPUT, "measures": "elbow"}]},
+         r"outputs\[0\].measures: expected one of link_angle, .*, motor_velocity, got 'elbow'"),
+        ({"outputs": [OUTPUT, dict(OUTPUT)]}, r"outputs\[1\]: motor_angle is listed already"),
+        ({"outputs": [{**OUTPUT, "measurement_std": 0}]}, r"outputs\[0\].measurement_std: .* ab"),
+        ({"outputs": [{"measures": "motor_angle"}]}, r"outputs\[0\].measurement_std: missing"),
+        ({"outputs": [{"measurement_std": 0.1}]}, r"outputs\[0\].measures: missing"),
+        ({"outputs": [{**OUTPUT, "unit": "deg"}]}, r"outputs\[0\]: unknown entry 'unit', expected"),
+        ({"outputs": [{**OUTPUT, "disturbance": [{"kind": "wind"}]}]},
+         r"outputs\[0\].disturbance\[0\].kind: expected one of clean"),
+        ({"outputs": OUTPUT}, "outputs: expected a list"),
+        ({"torque_disturbance": {"elbow": []}}, "torque_disturbance: unknown entry 'elbow'"),
+        ({"torque_disturbance": {"link": [{"kind": "gauss_markov", "std": 0}]}},
+         r"torque_disturbance.link\[0\]: gauss_markov std: expected a finite number above 0"),
+        ({"torque_disturbance": {"link": [{"kind": "arbitrary"}]}},
+         r"torque_disturbance.link\[0\]: expected a torque with a model, .*got kind arbitrary"),
+    ],
+)  # fmt: skip
+def test_a_wrong_output_or_torque_is_named(
+    entries: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DesignFileError, match=rf"my\.yaml: {message}"):
+        load_request(written(tmp_path, yaml.safe_dump(entries)))
+    with pytest.raises(DesignFileError, match=rf"my\.yaml: design\.{message}"):
+        load_request(written(tmp_path, yaml.safe_dump({"design": entries})))
+
+
 A_B = ("system", "rules", 0, "A")
+OUTPUTS = ("design", "outputs")
 ARM = [
     (("format",), ..., "format: expected 'tsobs_ros design' or 'tsobs_ros T-S design', got None"),
     (("format",), "rosbag", "format: expected 'tsobs_ros design' or .*, got 'rosbag'"),
@@ -312,6 +373,12 @@ ARM = [
     (("certificate", "P", 4), ..., r"certificate.P: expected shape \(5, 5\), got \(4, 5\)"),
     (("certificate", "P", 1), [1.0], r"certificate.P\[1\]: expected shape \(5,\) as \[0\] has"),
     (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
+    (OUTPUTS, [], "design.outputs: expected at least one"),
+    (
+        OUTPUTS,
+        [{"measures": "link_angle", "measurement_std": 0.1}],
+        "design.disturbance: expected in",
+    ),
     (("solver", "iterations"), "many", "solver.iterations: expected a whole number, got 'many'"),
 ]
 SYSTEM = [

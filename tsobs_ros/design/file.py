@@ -23,7 +23,7 @@ from tsobs_ros.errors import DesignFileError
 from tsobs_ros.model.fuzzy import Always, Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import system_uncertainty
-from tsobs_ros.schema import decode, encode, naming, within
+from tsobs_ros.schema import decode, encode, located, naming, within
 from tsobs_ros.yaml_files import read_text, read_yaml, write_yaml, yaml_mapping, yaml_text
 
 FilePath: TypeAlias = str | PathLike[str]
@@ -197,7 +197,7 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
         names = [name for name in AnswerEntries.__struct_fields__ if name in data]
         answer = decode({name: data.pop(name) for name in names}, AnswerEntries)
         is_arm = kind == _ARM
-        request = decode(data, ArmFile).design if is_arm else decode(data, SystemFile).request()
+        request = _arm_request(data) if is_arm else decode(data, SystemFile).request()
         n, p = request.flow.state_count, request.flow.output_matrix.shape[0]
         K = as_matrix("gain.K", answer.gain.K, (n,) if is_arm and p == 1 else (n, p)).reshape(n, p)
         P = as_matrix("certificate.P", answer.certificate.P, (n, n))
@@ -231,13 +231,27 @@ def load_request(path: FilePath) -> Request:
         request: Request
         if "system" in data:
             request = decode(data, SystemFile).request()
-        elif "design" in data:
-            request = decode(data, ArmFile).design
         else:
-            request = decode(data, ArmRequest)
+            request = _arm_request(data, stands_alone="design" not in data)
         # Built here, so that a request no model can be made of is refused with the file's name.
         _ = request.flow
         return request
+
+
+def _arm_request(data: dict[Any, Any], stands_alone: bool = False) -> ArmRequest:
+    """Return the request in entries, whose outputs have one of two forms.
+
+    They are a list, or the entries of the link angle alone.
+    """
+    entries, place = (data, "") if stands_alone else (data.get("design"), "design")
+    if isinstance(entries, dict) and "outputs" in entries:
+        if not entries["outputs"]:
+            raise DesignFileError(located(place, "outputs: expected at least one"))
+        for name in ("disturbance", "measurement_std"):
+            if name in entries:
+                message = f"{name}: expected in outputs, one an output, not besides them"
+                raise DesignFileError(located(place, message))
+    return decode(data, ArmRequest) if stands_alone else decode(data, ArmFile).design
 
 
 class GainEntry(msgspec.Struct):

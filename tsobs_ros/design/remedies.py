@@ -9,11 +9,13 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from tsobs_ros.checks import Array
 from tsobs_ros.design.names import NO_LABELS, labelled
 from tsobs_ros.design.problem import DesignProblem
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TSRequest
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty
 
 _FASTER = (1.5, 2.0, 3.0, 5.0, 10.0, 20.0)
@@ -189,12 +191,18 @@ def _with_rows(request: TSRequest, rows: Sequence[int]) -> TSRequest:
     names, units = request.names, request.units
     return replace(
         request,
-        model=replace(request.model, C=np.asarray(request.model.C)[rows]),
+        model=_with_outputs_of(request.model, lambda C: C[rows]),
         disturbance=[request.disturbance[row] for row in rows],
         measurement_std=np.asarray(request.measurement_std)[rows],
         names=_with_labels(names, names.outputs and tuple(names.outputs[row] for row in rows)),
         units=_with_labels(units, units.outputs and tuple(units.outputs[row] for row in rows)),
     )
+
+
+def _with_outputs_of(model: TSModel, change: Callable[[Array], Array]) -> TSModel:
+    """Return a system whose output matrices are changed, those of single rules too."""
+    each = None if model.outputs is None else np.array([change(C) for C in model.outputs])
+    return replace(model, C=change(model.C), outputs=each)
 
 
 def _with_labels(labels: Any, outputs: tuple[str, ...]) -> Any:
@@ -297,7 +305,7 @@ def _with_state(request: TSRequest, state: int) -> Remedy:
     names, units = request.names, request.units
     name, unit = request.state_names[state], request.state_units[state]
     added: dict[str, Any] = {
-        "model": replace(request.model, C=np.vstack([request.model.C, np.eye(n)[state]])),
+        "model": _with_outputs_of(request.model, lambda C: np.vstack([C, np.eye(n)[state]])),
         "measurement_std": np.append(np.asarray(request.measurement_std), std),
     }
     if request.D_s is None:

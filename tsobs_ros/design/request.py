@@ -436,8 +436,13 @@ class ArmRequest(DesignProblem):
 
     @property
     def details(self) -> dict[str, Any]:
-        """The domain as plain data."""
-        return {"x_max": self.x_max}
+        """The domain, the outputs and the torques as plain data."""
+        details: dict[str, Any] = {"x_max": self.x_max} if self.arm.gravity_torque else {}
+        if self.outputs:
+            details["outputs"] = self.output_names
+        if models := self.torque_disturbance.by_side:
+            details["torque_disturbance"] = {side: model.label for side, model in models.items()}
+        return details
 
     def vertices(self, share: float = 1.0) -> list[VertexSystem]:
         """Return the error systems the certificate is about.
