@@ -217,6 +217,9 @@ class ProcessNoiseParameters:
     motor_acceleration_density: float = fixed_parameter(
         1e-5, "White acceleration of the motor", unit="rad^2/s^3", minimum=0.0
     )
+    factor: float = fixed_parameter(
+        1.0, "What multiplies these densities, and those of design files", minimum=0.0
+    )
 
 
 @dataclass(frozen=True)

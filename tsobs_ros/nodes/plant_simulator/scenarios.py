@@ -140,8 +140,10 @@ def _arm(
         side: tuple(map(component, signals.get(name, ()))) for name, side in _TORQUES.items()
     }
     payload = parameters.payload
+    noise, factor = base.process_noise, parameters.process_noise.factor
     made: Scenario = replace(
         base,
+        process_noise=ProcessNoise(noise.link * factor, noise.motor * factor),
         rate=parameters.rate,
         duration=parameters.duration,
         friction=parameters.friction,
@@ -171,6 +173,7 @@ def _system(
     free = (excited,) * base.input_count + base.inputs[base.input_count :]
     made: SystemScenario = replace(
         base,
+        process_noise=base.process_noise * parameters.process_noise.factor,
         rate=parameters.rate,
         duration=parameters.duration,
         initial_state=start,
