@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Observers by name: run elsewhere as the node runs them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import Output
 from tsobs_ros.errors import ModelError
 from tsobs_ros.methods import (
     METHODS,
@@ -79,6 +82,17 @@ def test_a_system_is_observed_by_the_methods_that_fit(method: str, example_1: De
     np.testing.assert_allclose(estimates.disturbance[-1], [0.0, 0.2, 0.0], atol=0.02)
     assert estimates.in_domain.all()
     assert np.isnan(estimates.state_bound).all() == (method == "paper")
+
+
+@pytest.mark.parametrize("method", ["high_gain", "proportional_integral", "paper"])
+def test_observers_of_the_link_angle_are_refused_for_other_encoders(
+    method: str, design: Design
+) -> None:
+    outputs = (Output("motor_angle", 1e-3), Output("link_angle", 1e-3))
+    request = replace(design.arm_request, outputs=outputs)
+    other = Design(request, np.eye(4), np.zeros((4, 2)), design.solver)
+    with pytest.raises(ModelError, match=f"method {method}: .* got motor_angle, link_angle"):
+        make_estimator(other, ObserverSettings(method=method))
 
 
 def test_what_a_method_does_not_do_on_a_system_is_warned_of(

@@ -52,6 +52,7 @@ RANGES = {
 }
 """Least and largest values of settings, with which no estimate takes for ever."""
 
+_LINK_ANGLE = ("link_angle",)
 _ARMS_ONLY = ("ekf_augmented", "high_gain", "proportional_integral")
 
 
@@ -230,10 +231,6 @@ def _require_any_model(method: str) -> None:
 
 
 def _certified(design: Design, settings: ObserverSettings, torque_rate: float | None) -> Estimator:
-    if len(design.request.output_names) > 1:
-        learns = settings.adapt and design.request.uncertainty_model.count
-        make = design.adaptive if learns else design.observer
-        return make(settings.settle_time, settings.gain_mode, torque_rate)
     return design.supervised(
         settings.settle_time,
         settings.gain_mode,
@@ -245,10 +242,15 @@ def _certified(design: Design, settings: ObserverSettings, torque_rate: float | 
 
 def _make_arm_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     request = design.arm_request
-    common = (request.period, request.measurement_std)
+    if settings.method == "certified":
+        return _certified(design, settings, settings.torque_rate)
+    if request.output_names != _LINK_ANGLE:
+        raise ModelError(
+            f"method {settings.method}: expected a design with the link angle as its only output, "
+            f"got {', '.join(request.output_names)}"
+        )
+    common = (request.period, request.sensors[0].measurement_std)
     match settings.method:
-        case "certified":
-            return _certified(design, settings, settings.torque_rate)
         case "high_gain":
             return baselines.high_gain(request.arm, settings.theta, *common)
         case "proportional_integral":

@@ -365,28 +365,29 @@ def test_what_does_not_go_together_is_refused(example: Design) -> None:
         blended(slope_vertices=[np.eye(3)])
     with pytest.raises(ModelError, match="every direction must be one matrix for all rules"):
         replace(example.request, certify_uncertainty=True)
-    with pytest.raises(ModelError, match="expected a system of one output, got 2"):
-        example.supervised()
     with pytest.raises(ModelError, match="expected one for an arm, got one for a T-S system"):
         _ = example.arm_request
     with pytest.raises(ModelError, match="expected 0 for any system but an arm, got 1"):
         example.observer(torque_rate=1.0)
 
 
-def test_a_system_of_one_output_is_supervised() -> None:
+@pytest.mark.parametrize("p", [1, 2])
+def test_a_system_is_supervised(p: int) -> None:
     """At rest, a value that is far off is no motion, and a step of the sensor is a bias."""
-    model = replace(single().model, C=np.eye(2)[:1])
-    design = synthesise(single(model=model, disturbance=[BIAS], measurement_std=[0.01]))
+    model = replace(single().model, C=np.eye(2)[:p])
+    design = synthesise(
+        single(model=model, disturbance=[BIAS, CLEAN][:p], measurement_std=[0.01] * p)
+    )
     observer = design.supervised(settle_time=1.0)
     state, T = observer.initial(), design.request.period
-    for sample, noise in enumerate(np.random.default_rng(3).normal(0.0, 0.01, 2000)):
+    for sample, noise in enumerate(np.random.default_rng(3).normal(0.0, 0.01, (2000, p))):
         bias = 0.25 if sample >= 1500 else 5.0 if sample == 1000 else 0.0
-        state, _ = observer.correct(state, np.array([bias + noise]))
+        state, _ = observer.correct(state, bias * np.eye(p)[0] + noise)
         state = observer.predict(state, np.zeros(1), T)
     readout = observer.readout(state)
     assert state.outliers > 0
     assert abs(readout.state[0]) < 0.05
-    assert readout.disturbance[0] == pytest.approx(0.25, abs=0.05)
+    np.testing.assert_allclose(readout.disturbance, [0.25, 0.0][:p], atol=0.05)
 
 
 @pytest.mark.parametrize(

@@ -187,7 +187,7 @@ class Design:
         torque_rate: float | None = None,
         options: SupervisionOptions | None = None,
     ) -> Estimator:
-        """Return the observer for a real system of one output: supervised, and learning.
+        """Return the observer for a real system: supervised output by output, and learning.
 
         Args:
             settle_time: As for `observer`.
@@ -195,9 +195,6 @@ class Design:
             adapt: Whether to learn the parameters that the request calls uncertain.
             torque_rate: As for `observer`.
             options: When to react, and how strongly.
-
-        Raises:
-            ModelError: The system has several outputs.
         """
         learns = adapt and self.request.uncertainty_model.count
         make = self.adaptive if learns else self.observer
