@@ -337,9 +337,9 @@ def make_ekf(
 
 
 def _limits(design: Design, settings: ObserverSettings) -> TrackerOptions:
-    is_arm = isinstance(design.request, ArmRequest)
+    request = design.request
     return TrackerOptions(
-        x_max=design.arm_request.x_max if is_arm else math.inf,
+        x_max=request.max_angle if isinstance(request, ArmRequest) else math.inf,
         history=settings.history,
         future_tolerance=settings.future_tolerance,
         restart_after=settings.stale_after,

@@ -18,6 +18,9 @@ from staging.stage import Stage
 from std_msgs.msg import String
 
 from tsobs_ros.bag import BagWriter
+from tsobs_ros.design.file import save_design
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
+from tsobs_ros.design.synthesis import synthesise
 
 SECOND = 1_000_000_000
 
@@ -108,6 +111,25 @@ def small_bag(tmp_path: Path) -> Path:
         writer.add_topic("/chatter", "std_msgs/msg/String")
         writer.write("/chatter", serialize_message(String(data="hello")), SECOND, SECOND)
     return writer.path
+
+
+@pytest.fixture(scope="session")
+def both_design(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A design for encoders on both sides of an arm, the link's with a bias, and a contact."""
+    request = ArmRequest(
+        outputs=[
+            Output("link_angle", 1e-3, (DisturbanceTerm("bias"),)),
+            Output("motor_angle", 1e-3),
+        ],
+        torque_disturbance=TorqueDisturbance(
+            link=[DisturbanceTerm("gauss_markov", {"std": 2.0, "time_constant": 1.0})]
+        ),
+        rate=50.0,
+        uncertainty={"stiffness": 0.2},
+    )
+    path = tmp_path_factory.mktemp("designs") / "both.design.yaml"
+    save_design(synthesise(request), path)
+    return path
 
 
 @pytest.fixture

@@ -35,11 +35,12 @@ def help_of(name: str, capsys: Any) -> str:
 
 @pytest.mark.parametrize("name", NODES)
 def test_the_help_has_every_topic_service_and_parameter(
-    name: str, ros: Any, tmp_path: Path, capsys: Any
+    name: str, ros: Any, tmp_path: Path, both_design: Path, capsys: Any
 ) -> None:
     text = help_of(name, capsys)
     BagWriter(tmp_path / "bag").close()
     parameters = {
+        "observer": {"design": str(both_design)},
         "plant_simulator": {"publish_clock": True},
         "recorder": {
             "output": str(tmp_path / "new"),
@@ -58,7 +59,7 @@ def test_the_help_has_every_topic_service_and_parameter(
     told = {
         direction: {
             node.resolve_topic_name(topic)
-            for topic in re.findall(rf"^  (\S+) \({direction}\) ", text, re.MULTILINE)
+            for topic in re.findall(rf"^  (\S+) \({direction}\)", text, re.MULTILINE)
         }
         for direction in ("in", "out")
     }

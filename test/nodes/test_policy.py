@@ -9,13 +9,19 @@ from typing import Any
 import pytest
 from rclpy.parameter import Parameter
 
+from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, RECORDED_TOPICS
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import config_path
 
 POLICY = config_path("sros2_policy.xml")
-EVERYTHING = [*RECORDED_TOPICS, *ADAPTIVE_TOPICS, "/ground_truth/torque_disturbance"]
+EVERYTHING = [
+    *RECORDED_TOPICS,
+    *ADAPTIVE_TOPICS,
+    *(f"/observer/{name}" for name in TORQUE_TOPICS),
+    "/ground_truth/torque_disturbance",
+]
 TYPES = {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "/observer/design": "std_msgs/msg/String",
@@ -55,7 +61,7 @@ def actual(node: Any) -> Rights:
 
 @pytest.fixture
 def bag(tmp_path: Path) -> Path:
-    """A bag of all topics that the demo records."""
+    """A bag of all topics of the package."""
     nothing = b"\x00\x01\x00\x00" + bytes(28)
     with BagWriter(tmp_path / "bag") as writer:
         for topic in EVERYTHING:
@@ -65,12 +71,12 @@ def bag(tmp_path: Path) -> Path:
 
 
 def test_each_node_is_allowed_what_it_has_and_nothing_else(
-    ros: Any, bag: Path, tmp_path: Path
+    ros: Any, bag: Path, tmp_path: Path, both_design: Path
 ) -> None:
     # Simulated time for all but the player, which makes it, and whatever else adds names.
     configurations: dict[Any, dict[str, Any]] = {
         plant_simulator: {"publish_clock": True, "use_sim_time": True},
-        observer: {"design": str(config_path(SHIPPED_DESIGN)), "use_sim_time": True},
+        observer: {"design": str(both_design), "use_sim_time": True},
         recorder: {
             "output": str(tmp_path / "recorded"),
             "topics": EVERYTHING,

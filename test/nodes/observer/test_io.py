@@ -17,7 +17,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from tsobs_ros.design.file import load_request
-from tsobs_ros.design.request import ArmRequest, Output, TSRequest
+from tsobs_ros.design.request import (
+    ArmRequest,
+    DisturbanceTerm,
+    Output,
+    TorqueDisturbance,
+    TSRequest,
+)
 from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning, RejectReason
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -79,6 +85,7 @@ def test_without_effort_torques_may_be_zero_but_not_where_some_are_missing() -> 
 
 BOTH_SIDES = ArmRequest(outputs=[Output("link_angle", 1e-3), Output("motor_angle", 1e-3)])
 VELOCITIES = ArmRequest(outputs=[Output("motor_velocity", 1e-3), Output("motor_angle", 1e-3)])
+WAVE = (DisturbanceTerm("gauss_markov", {"std": 1.0, "time_constant": 1.0}),)
 NAN = math.nan
 
 
@@ -231,6 +238,8 @@ def estimate(scale: float, *, bounded: bool = True) -> Estimate:
         parameter_bound=np.array([0.5, 0.5]),
         designed_disturbance=one,
         designed_bound=0.01 * one if bounded else none,
+        torque_disturbance=none,
+        torque_disturbance_bound=none,
         basis=Basis.CERTIFIED if bounded else Basis.STARTING,
         parameters_valid=bounded,
         noise_scale=1.0,
@@ -243,10 +252,18 @@ def estimate(scale: float, *, bounded: bool = True) -> Estimate:
 
 
 def test_what_is_published_is_what_rclpy_would_send(ros: Any) -> None:
+    """Of two arms, one of them without bounds, and of a T–S system among arms."""
     node = ros.node("observer")
-    publisher = EstimatePublisher(node, JOINTS, [("stiffness", "gravity")] * 2)
-    topics = ("joint_states", "error_bound", "disturbance", "disturbance_bound",
-              "parameters_estimate", "parameters_bound")  # fmt: skip
+    pushed = ArmRequest(torque_disturbance=TorqueDisturbance(link=WAVE, motor=WAVE))
+    joints = {
+        **JOINTS,
+        "arm": signals(pushed, "arm", alone=False),
+        "tank": signals(SYSTEM, "tank", alone=False),
+    }
+    publisher = EstimatePublisher(node, joints, [("stiffness", "gravity")] * 2 + [()] * 2)
+    topics = ("joint_states", "error_bound", "disturbance", "disturbance_bound", "innovation",
+              "parameters_estimate", "parameters_bound", "torque_disturbance",
+              "torque_disturbance_bound")  # fmt: skip
     taken = {
         topic: DrainedSubscription(
             node, JointState, f"observer/{topic}", QoSProfile(depth=10), raw=True
@@ -254,28 +271,58 @@ def test_what_is_published_is_what_rclpy_would_send(ros: Any) -> None:
         for topic in topics
     }
     ros.spin_until(lambda: all(each.publisher_count for each in taken.values()), what="the match")
-
-    publisher.publish(STAMP, [estimate(1.0), estimate(2.0, bounded=False)])
     came: dict[str, bytes] = {}
 
-    def all_there() -> bool:
-        came.update({topic: data for topic, each in taken.items() for data, _ in each.drain()})
-        return len(came) == len(topics)
+    def published(count: int) -> dict[str, bytes]:
+        came.clear()
 
-    ros.spin_until(all_there, what="the messages")
-    sides = ["hip_link", "hip_motor", "knee_link", "knee_motor"]
-    expected = {
-        "joint_states": (sides, [1.0, 3.0, 2.0, 6.0], [2.0, 4.0, 4.0, 8.0]),
-        "error_bound": (sides[:2], [0.1, 0.1], [0.1, 0.1]),
-        "disturbance": (["hip", "knee"], [1.0, 2.0], [0.0, 0.0]),
-        "disturbance_bound": (["hip"], [0.01], []),
-        "parameters_estimate": (["hip/stiffness", "hip/gravity"], [1.0, -1.0], []),
-        "parameters_bound": (["hip/stiffness", "hip/gravity"], [0.5, 0.5], []),
-    }
-    for topic, (names, position, velocity) in expected.items():
-        wanted = JointState(name=names, position=position, velocity=velocity)
+        def all_there() -> bool:
+            came.update({topic: data for topic, each in taken.items() for data, _ in each.drain()})
+            return len(came) == count
+
+        ros.spin_until(all_there, what="the messages")
+        return came
+
+    def expect(topic: str, names: list[str], **numbers: list[float]) -> None:
+        wanted = JointState(name=names, **numbers)
         wanted.header.stamp = to_stamp(STAMP)
-        assert deserialize_message(came[topic], JointState) == wanted
+        # NaN equals NaN in text.
+        assert str(deserialize_message(came[topic], JointState)) == str(wanted)
         # rclpy appends what it had reserved for the alignment of each empty array.
-        empty = 1 + (not velocity)
+        empty = sum(not len(each) for each in (wanted.position, wanted.velocity, wanted.effort))
         assert len(serialize_message(wanted)) - len(came[topic]) <= 4 * empty
+
+    publisher.publish(STAMP, [estimate(1.0), estimate(2.0, bounded=False), None, None])
+    published(6)
+    sides = ["hip_link", "hip_motor", "knee_link", "knee_motor"]
+    expect("joint_states", sides, position=[1.0, 3.0, 2.0, 6.0], velocity=[2.0, 4.0, 4.0, 8.0])
+    expect("error_bound", sides[:2], position=[0.1, 0.1], velocity=[0.1, 0.1])
+    expect("disturbance", ["hip", "knee"], position=[1.0, 2.0], velocity=[0.0, 0.0])
+    expect("disturbance_bound", ["hip"], position=[0.01])
+    expect("parameters_estimate", ["hip/stiffness", "hip/gravity"], position=[1.0, -1.0])
+    expect("parameters_bound", ["hip/stiffness", "hip/gravity"], position=[0.5, 0.5])
+
+    two = np.array([5.0, 6.0])
+    arm = estimate(1.0)._replace(
+        parameters_valid=False, torque_disturbance=two, torque_disturbance_bound=0.1 * two
+    )
+    tank = arm._replace(
+        state=two, state_bound=0.1 * two, disturbance=two, disturbance_rate=two,
+        disturbance_bound=0.1 * two, torque_disturbance=np.zeros(0),
+    )  # fmt: skip
+    publisher.publish(STAMP, [None, None, arm, tank])
+    innovations = np.array([[NAN, NAN, 1.0, NAN, 2.0]])
+    publisher.publish_innovations(np.array([STAMP]), innovations)
+    published(7)
+    names = ["arm_link", "arm_motor", "tank/angle", "tank/rate"]
+    expect("joint_states", names,
+           position=[1.0, 3.0, 5.0, 6.0], velocity=[2.0, 4.0, NAN, NAN])  # fmt: skip
+    expect("disturbance", ["arm", "tank/encoder", "tank/gyroscope"],
+           position=[1.0, 5.0, 6.0], velocity=[0.0, 5.0, 6.0])  # fmt: skip
+    expect("innovation", ["arm", "tank/gyroscope"], position=[1.0, 2.0])
+    expect("torque_disturbance", ["arm_motor", "arm_link"], effort=[5.0, 6.0])
+    expect("torque_disturbance_bound", ["arm_motor", "arm_link"], effort=[0.5, 0.1 * 6.0])
+
+    publisher.publish(STAMP, [None, None, None, tank])
+    published(4)
+    expect("joint_states", names[2:], position=[5.0, 6.0])

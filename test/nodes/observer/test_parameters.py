@@ -71,6 +71,8 @@ def test_senseless_or_structural_changes_are_refused_with_a_reason(
         ({"gain_mode": "certain"}, "gain_mode"),
         ({"fault.warn": 0.6}, "disturbance error level"),
         ({"coast_after": 6.0}, "coast_after"),
+        ({"joints": ["a", "b", "c"], "torque_warn": [1.0, 2.0]}, "each of the 3 joints, a single"),
+        ({"torque_warn": [-1.0]}, "torque_warn"),
     ],
 )
 def test_senseless_overrides_are_refused(
@@ -100,14 +102,13 @@ def drop_the_gain(data: dict[str, Any]) -> None:
     [
         (lambda path: path, DesignFileError, ["no such design file"]),
         (lambda path: tampered(path, drop_the_gain), DesignFileError, ["gain"]),
-        (lambda path: TS_DESIGN, DesignFileError, ["expected one for an arm, got one for a T-S"]),
         (
             lambda path: tampered(path, triple_the_gain),
             CertificateError,
             ["covariance decrease", "slopes (1, 1)", "DOES NOT HOLD"],
         ),
     ],
-    ids=["missing", "malformed", "not an arm", "certificate does not hold"],
+    ids=["missing", "malformed", "certificate does not hold"],
 )
 def test_a_wrong_design_is_refused_by_name(
     make: Callable[..., Observer],
@@ -124,6 +125,14 @@ def test_a_wrong_design_is_refused_by_name(
         assert text in str(caught.value)
     # It has left nothing behind: the next one starts.
     assert make().tracker.used == 0
+
+
+def test_a_method_that_cannot_run_a_design_is_refused_with_its_name(
+    make: Callable[..., Observer],
+) -> None:
+    reason = "method high_gain: expected a design for an arm, got one for a T-S system"
+    with pytest.raises(DesignFileError, match=f"{TS_DESIGN.name}: {reason}"):
+        make(design=str(TS_DESIGN), method="high_gain")
 
 
 def test_a_request_changes_all_joints_or_nothing(

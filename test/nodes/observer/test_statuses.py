@@ -18,6 +18,7 @@ from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis, Learnin
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
+from tsobs_ros.nodes.observer.torques import TorqueWatch
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 FIXED = str(config_path(FIXED_DESIGN))
@@ -210,6 +211,59 @@ def test_a_large_disturbance_is_reported_at_levels_that_can_be_tuned() -> None:
     joints[0].retune(replace(parameters, fault=DisturbanceLimits(warn=0.1, error=0.15, hold=0.5)))
     fault = statuses(joints, feed(joints, 120, bias=0.35, first=400))[0]["sensor fault"]
     assert fault.level == Level.ERROR
+
+
+def pushed(joint: ObservedJoint, stamp: int, motor: float, link: float, bound: float) -> Any:
+    """Return an estimate with torques."""
+    assert joint.latest is not None
+    return joint.latest._replace(
+        stamp=stamp,
+        torque_disturbance=np.array([motor, link]),
+        torque_disturbance_bound=np.array([bound, bound]),
+    )
+
+
+def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_while() -> None:
+    (joint,) = joints_of()
+    feed([joint], 2)
+    watch = TorqueWatch(["motor", "link"], level=2.0, hold=0.5)
+    assert watch.statuses()[0].message == "no estimate yet"
+    changes = []
+    for tick, (motor, link, bound) in enumerate(
+        [(9.0, 0.1, 0.5), (9.0, -2.1, 0.5), (9.0, -2.1, 0.8), (9.0, 0.2, 0.5), (0.1, 3.0, 0.5)]
+        + [(0.1, 0.3, 0.5)] * 6
+    ):
+        stamp = BEGIN + tick * 100 * MS
+        change = watch.update(pushed(joint, stamp, motor, link, bound))
+        if change is not None:
+            changes.append((tick, change.level, change.message))
+    assert changes == [
+        (1, Level.WARN, "-2.1 N m (1 sigma 0.5) at the link, beyond 2 N m: a contact, a payload?"),
+        (10, Level.OK, "0.3 N m (1 sigma 0.5) at the link"),
+    ]
+    # It is over, but since the last status it has been.
+    (status,) = watch.statuses()
+    assert (status.name, status.level) == ("torque disturbance", Level.WARN)
+    assert status.message.startswith("3 N m (1 sigma 0.5) at the link, beyond 2 N m")
+    assert status.values == {
+        "warn level [N m]": "2",
+        "motor [N m]": "0.1",
+        "motor bound [N m]": "0.5",
+        "motor, largest since the last status [N m]": "9",
+        "link [N m]": "0.3",
+        "link bound [N m]": "0.5",
+        "link, largest since the last status [N m]": "3",
+    }
+    assert watch.statuses()[0].level == Level.OK
+
+
+def test_without_a_level_or_sides_no_torque_is_a_warning() -> None:
+    (joint,) = joints_of()
+    feed([joint], 2)
+    watch = TorqueWatch(["motor", "link"], level=0.0, hold=0.5)
+    assert watch.update(pushed(joint, BEGIN, 9.0, 99.0, 0.1)) is None
+    assert watch.statuses()[0].level == Level.OK
+    assert joint.torques.statuses() == []
 
 
 def test_a_method_to_compare_with_has_no_certificate() -> None:

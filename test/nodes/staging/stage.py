@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from numpy.typing import NDArray
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -23,6 +24,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from staging.arm import Arm
+from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
+from tsobs_ros.design.signals import Place
 from tsobs_ros.estimation.records import NANOSECONDS, Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -75,7 +78,8 @@ class Published(NamedTuple):
     @property
     def bits(self) -> bytes:
         """The message's numbers."""
-        return np.array([*self.message.position, *self.message.velocity]).tobytes()
+        message = self.message
+        return np.array([*message.position, *message.velocity, *message.effort]).tobytes()
 
 
 class Watcher:
@@ -91,7 +95,7 @@ class Watcher:
             topic: DrainedSubscription(
                 node, JointState, f"{prefix}/{topic}", QoSProfile(depth=5000)
             )
-            for topic in OUTPUTS
+            for topic in (*OUTPUTS, *TORQUE_TOPICS)
         }
         self.broken: list[str] = []
         self.published: list[Published] = []
@@ -99,8 +103,8 @@ class Watcher:
 
     @property
     def matched(self) -> bool:
-        """Whether all topics have a publisher."""
-        return all(each.publisher_count for each in self._subscriptions.values())
+        """Whether all topics that every observer has have a publisher."""
+        return all(self._subscriptions[topic].publisher_count for topic in OUTPUTS)
 
     def close(self) -> None:
         """Stop reading."""
@@ -322,26 +326,45 @@ def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int
     Returns:
         The number of estimates that were compared.
     """
+    (joint,) = observer.joints
+    places = joint.signals
     waiting, tracker = list(sent), tracker_of(observer)
     bits = {(each.topic, each.stamp): each.bits for each in watcher.published}
     for stamp in watcher.stamps:
         while waiting and waiting[0].at <= stamp:
-            outcome = tracker.offer(_sample(waiting.pop(0).message), stamp)
+            message = waiting.pop(0).message
+            sample = Measurement(
+                to_nanoseconds(message.header.stamp),
+                _numbers(message, places.outputs),
+                _numbers(message, places.inputs),
+            )
+            outcome = tracker.offer(sample, stamp)
             if isinstance(outcome, Innovation):
-                assert bits["innovation", outcome.stamp] == outcome.value.tobytes()
+                known = outcome.value[~np.isnan(outcome.value)]
+                assert bits["innovation", outcome.stamp] == known.tobytes()
         estimate = tracker.estimate(stamp)
         assert estimate is not None
-        expected = (
-            estimate.state[[0, 2, 1, 3]],
-            estimate.state_bound[[0, 2, 1, 3]],
-            np.concatenate([estimate.disturbance, estimate.disturbance_rate]),
-            estimate.disturbance_bound,
-        )
-        for topic, wanted in zip(ESTIMATES, expected, strict=True):
-            assert bits[topic, stamp] == wanted.tobytes(), (topic, stamp)
+        order = sorted(range(len(places.states)), key=lambda i: places.states[i].field)
+        expected = {
+            "joint_states": estimate.state[order],
+            "error_bound": estimate.state_bound[
+                order if observer.tracker.estimator.bounded else []
+            ],
+            "disturbance": np.concatenate([estimate.disturbance, estimate.disturbance_rate]),
+            "disturbance_bound": estimate.disturbance_bound,
+        }
+        if places.torques:
+            expected["torque_disturbance"] = estimate.torque_disturbance
+            expected["torque_disturbance_bound"] = estimate.torque_disturbance_bound
+        for topic, wanted in expected.items():
+            assert bits.get((topic, stamp), b"") == wanted.tobytes(), (topic, stamp)
     return len(watcher.stamps)
 
 
-def _sample(message: JointState) -> Measurement:
-    stamp = to_nanoseconds(message.header.stamp)
-    return Measurement(stamp, np.array(message.position), np.array(message.effort))
+def _numbers(message: JointState, places: Iterable[Place]) -> NDArray[np.float64]:
+    """Return what a message has at some places, NaN where it has nothing."""
+    found = [
+        dict(zip(message.name, getattr(message, place.field), strict=False)).get(place.name)
+        for place in places
+    ]
+    return np.array([math.nan if each is None else each for each in found])

@@ -297,7 +297,8 @@ class EstimatePublisher:
 
     Args:
         node: The node.
-        joints: Places of each joint's signals, by the joint's name.
+        joints: Places of each joint's signals, by the joint's name; there are topics of torque
+            disturbances only if there are any.
         learnt: Names of the learnt parameters of each joint; there are topics of them only if
             there are any.
     """
@@ -338,6 +339,13 @@ class EstimatePublisher:
                 _Output(node, topics.PARAMETER_BOUNDS, own),
             )
         self._parameters_due = 0
+        self._torques: tuple[_Output, _Output] | None = None
+        torques = [[place.name for place in each.torques] for each in places]
+        if any(torques):
+            self._torques = (
+                _Output(node, topics.TORQUE_DISTURBANCE, torques, is_effort=True),
+                _Output(node, topics.TORQUE_DISTURBANCE_BOUND, torques, is_effort=True),
+            )
 
     def publish(self, stamp: int, estimates: Sequence[Estimate | None]) -> bool:
         """Publish the joints' estimates at a stamp [ns]; what they lack is left out.
@@ -377,6 +385,20 @@ class EstimatePublisher:
                 if each.disturbance_bound.size
             ],
         )
+        if self._torques is not None:
+            torques, bounds = self._torques
+            pushed = [(joint, each) for joint, each in known if each.torque_disturbance.size]
+            torques.publish(
+                stamp, [(joint, each.torque_disturbance.tolist(), ()) for joint, each in pushed]
+            )
+            bounds.publish(
+                stamp,
+                [
+                    (joint, each.torque_disturbance_bound.tolist(), ())
+                    for joint, each in pushed
+                    if each.torque_disturbance_bound.size
+                ],
+            )
         if self._parameters is not None and stamp >= self._parameters_due:
             valid = [(joint, each) for joint, each in known if each.parameters_valid]
             values, bounds = self._parameters

@@ -9,11 +9,17 @@ import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import DesignFile, load_design_file
-from tsobs_ros.design.signals import signals
+from tsobs_ros.design.signals import Place, signals
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import EventLog
-from tsobs_ros.estimation.faults import FaultMonitor, add_estimates, add_samples, new_watches
-from tsobs_ros.estimation.health import LastMinute, Phase, phase_of
+from tsobs_ros.estimation.faults import (
+    FaultKind,
+    FaultMonitor,
+    add_estimates,
+    add_samples,
+    new_watches,
+)
+from tsobs_ros.estimation.health import LastMinute, Phase, Status, phase_of
 from tsobs_ros.estimation.history import CORRECTING, GATED, USED, offer
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
@@ -24,6 +30,7 @@ from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.io import Stamps
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
+from tsobs_ros.nodes.observer.torques import TorqueWatch
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
 
@@ -51,6 +58,8 @@ class ObservedJoint:
         latest: The latest estimate, None before the first.
         faults: Recognise the faults of its outputs, one each.
         events: Finds changes of what its estimates are worth.
+        torques: Watches its torque disturbance.
+        torque_news: What changed of that with the latest estimate, None if nothing did.
         recent: Counts over the last minute: `received`, the reasons of rejection and the
             estimator's events, by name.
     """
@@ -69,7 +78,7 @@ class ObservedJoint:
         self.signals = signals(loaded.design.request, name, alone=len(parameters.joints) == 1)
         self.learnt = settings.learnt(loaded.design)
         self.tracker: Tracker = make_tracker(loaded.design, settings, estimator)
-        self._limits = parameters.fault
+        self._limits, self._torque_warn = parameters.fault, parameters.torque_warn_of[name]
         self._coast_after, self._stale_after = parameters.coast_after, parameters.stale_after
         self.events = EventLog(source, self._coast_after, self._stale_after)
         self.reset()
@@ -85,14 +94,23 @@ class ObservedJoint:
         stds = np.sqrt(np.diag(self.loaded.design.request.measurement_covariance)).tolist()
         self.watches, self._open = new_watches(stds), np.full(len(stds), math.inf)
         self.faults = tuple(
-            FaultMonitor(std, self._limits, self.watches[place : place + 1])
-            for place, std in enumerate(stds)
+            FaultMonitor(std, self._limits, self.watches[place : place + 1], unit)
+            for place, (std, unit) in enumerate(zip(stds, self.signals.units, strict=True))
         )
+
+        self.torques = TorqueWatch(
+            [place.name.rpartition("_")[2] for place in self.signals.torques],
+            self._torque_warn,
+            self._limits.hold,
+        )
+        self.torque_news: Status | None = None
+        self._known_missing: set[str] = set()
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
         self._coast_after = self.events.coast_after = parameters.coast_after
-        self._limits = parameters.fault
+        self._limits, self._torque_warn = parameters.fault, parameters.torque_warn_of[self.name]
+        self.torques.level, self.torques.hold = self._torque_warn, self._limits.hold
         for monitor in self.faults:
             monitor.limits = self._limits
         if self.tracker.estimator.supervised:
@@ -120,8 +138,8 @@ class ObservedJoint:
             that was not used, shape (N, p).
         """
         self.received += len(stamps)
-        tracker, outcomes = self.tracker, np.zeros(len(stamps), np.int64)
-        codes = np.zeros(y.shape, np.int64)
+        tracker, codes = self.tracker, np.zeros(len(stamps), np.int64)
+        output_codes = np.zeros(y.shape, np.int64)
         innovations, expected_std = np.empty((2, *y.shape))
         offer(
             tracker.estimator.model,
@@ -131,20 +149,38 @@ class ObservedJoint:
             y,
             u,
             now,
-            outcomes,
             codes,
+            output_codes,
             innovations,
             expected_std,
         )
         # A column of one and a row of one are the same numbers.
-        by_output = [np.ascontiguousarray(each.T) for each in (y, codes, innovations, expected_std)]
+        by_output = [
+            np.ascontiguousarray(each.T) for each in (y, output_codes, innovations, expected_std)
+        ]
         add_samples(self.watches, stamps, *by_output)
-        accepted = np.flatnonzero(np.isin(outcomes, _ACCEPTED))
-        if len(accepted):
+        outcomes: list[int] = codes.tolist()
+        accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
+        if accepted:
             self._newest = max(self._newest, int(stamps[accepted[-1]]))
-        if codes.any():
-            innovations[codes != USED] = math.nan
-        return outcomes.tolist(), innovations
+        # Of several outputs one may be missing from a sample that is used.
+        if any(outcomes) or y.shape[1] > 1:
+            innovations[output_codes != USED] = math.nan
+        return outcomes, innovations
+
+    def missing(self, since: int) -> list[tuple[str, Place]]:
+        """Return the outputs missing since a stamp [ns] or before, each only once, and places."""
+        found = []
+        for output, place, monitor in zip(
+            self.loaded.design.request.output_names, self.signals.outputs, self.faults, strict=True
+        ):
+            fault = monitor.fault
+            if fault.kind is not FaultKind.MISSING or fault.since is None:
+                self._known_missing.discard(output)
+            elif fault.since <= since and output not in self._known_missing:
+                self._known_missing.add(output)
+                found.append((output, place))
+        return found
 
     def count(self, steady: int) -> None:
         """Enter the counts there are into those of the last minute.
@@ -173,6 +209,7 @@ class ObservedJoint:
         estimate = self.tracker.estimate(now)
         if estimate is not None:
             self.latest = estimate
+            self.torque_news = self.torques.update(estimate)
             # Another hypothesis may take a fault of the sensor for something else.
             disturbance = estimate.designed_disturbance
             if disturbance.size:
@@ -188,7 +225,10 @@ class ObservedJoint:
 
     def _held(self) -> Estimate | None:
         return self.latest and self.latest._replace(
-            state_bound=_NOTHING, disturbance_bound=_NOTHING, parameters_valid=False
+            state_bound=_NOTHING,
+            disturbance_bound=_NOTHING,
+            torque_disturbance_bound=_NOTHING,
+            parameters_valid=False,
         )
 
 

@@ -46,6 +46,8 @@ _WARNING_PERIOD = 5.0
 # left of half a period is for the estimation. The rest waits in the queue.
 _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
+_PATIENCE = 3_000_000_000
+"""Time for which an output is missing before that is logged [ns]."""
 _WRONG = REASONS.index(RejectReason.WRONG_JOINT)
 
 
@@ -81,6 +83,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._last_now = 0
         self._last_output = 0
         self._health_due = 0
+        self._newest = b""
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
         self._next_warning: dict[object, float] = {}
         self._meter = statuses.TickMeter(parameters.rate)
@@ -181,6 +184,7 @@ class Observer(ManagedNode[ObserverParameters]):
             return False
         self._is_new = False
         messages = [data for data, _ in taken]
+        self._newest = messages[-1]
         batch = self._reader.read(messages)
         innovations = np.concatenate(
             [self._offer(k, batch, messages, now) for k in range(len(self._joints))], axis=1
@@ -255,21 +259,37 @@ class Observer(ManagedNode[ObserverParameters]):
             self._health_due = now + topics.SLOW_PERIOD
             self._publisher.publish_health(now, conditions)
         for joint, estimate, condition in zip(self._joints, fresh, conditions, strict=True):
+            events: Sequence[Event] = ()
             if condition is not None:
-                self._log(joint, joint.events.update(condition))
+                events = joint.events.update(condition)
             elif estimate is None:
-                self._log(joint, joint.events.silence(now))
+                events = joint.events.silence(now)
+            for event in events:
+                self._log(joint, event.level, event.text)
+            if joint.torque_news is not None:
+                self._log(joint, joint.torque_news.level, joint.torque_news.message)
+                joint.torque_news = None
 
-    def _log(self, joint: ObservedJoint, events: Sequence[Event]) -> None:
-        for event in events:
-            text = printable(f"{joint.name}: {event.text}")
-            # rclpy wants a line of code for each severity.
-            if event.level is Level.OK:
-                self.get_logger().info(text)
-            elif event.level is Level.WARN:
-                self.get_logger().warning(text)
-            else:
-                self.get_logger().error(text)
+    def _log(self, joint: ObservedJoint, level: Level, message: str) -> None:
+        text = printable(f"{joint.name}: {message}")
+        # rclpy wants a line of code for each severity.
+        if level is Level.OK:
+            self.get_logger().info(text)
+        elif level is Level.WARN:
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().error(text)
+
+    def _report_missing(self, now: int) -> None:
+        """Log the outputs that messages have lacked for some seconds, each time once."""
+        for joint in self._joints:
+            for output, place in joint.missing(now - _PATIENCE):
+                text = (
+                    f"{output} is missing for {_PATIENCE * 1e-9:g} s: expected {place.described}; "
+                    f"the newest message: {self._reader.describe(self._newest, joint.name)}; "
+                    "estimation goes on without it"
+                )
+                self._log(joint, Level.WARN, text)
 
     def _may_warn(self, subject: object) -> bool:
         """Return whether the last warning of a subject was long enough ago."""
@@ -327,6 +347,7 @@ class Observer(ManagedNode[ObserverParameters]):
         if failed and self._may_warn("failure"):
             self.get_logger().error("numerical failure: an estimate was not finite; restarted")
         now = int(self.get_clock().now().nanoseconds)
+        self._report_missing(now)
         self._diagnostics.publish(
             *statuses.of_node(
                 self._joints,

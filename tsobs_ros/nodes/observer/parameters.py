@@ -118,6 +118,14 @@ class ObserverParameters(ManagedParameters):
             0.5, "Time a level must last to be reported", unit="s", minimum=0.0, maximum=60.0
         ),
     )
+    torque_warn: tuple[float, ...] = parameter(
+        (),
+        "Torque disturbance from which on each joint's is a warning, 0 for never; a single number: "
+        "of all joints; none: never",
+        unit="N m",
+        minimum=0.0,
+        maximum=1e6,
+    )
     supervision: SupervisionOptions = parameter_group(
         SupervisionOptions,
         gate=parameter(
@@ -164,6 +172,20 @@ class ObserverParameters(ManagedParameters):
                 f"joint_designs: expected one for each of the {len(self.joints)} joints or none, "
                 f"got {len(self.joint_designs)}"
             )
+
+        if len(self.torque_warn) not in (0, 1, len(self.joints)):
+            raise ParameterError(
+                f"torque_warn: expected a number for each of the {len(self.joints)} joints, a "
+                f"single one or none, got {len(self.torque_warn)}"
+            )
+
+    @property
+    def torque_warn_of(self) -> dict[str, float]:
+        """Torque disturbance for a warning of each joint [N m], 0 for never."""
+        levels = self.torque_warn or (0.0,)
+        if len(levels) == 1:
+            levels *= len(self.joints)
+        return dict(zip(self.joints, levels, strict=True))
 
     @property
     def design_of(self) -> dict[str, str]:

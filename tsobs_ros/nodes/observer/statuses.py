@@ -120,6 +120,10 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
         "last minute: received": str(recent["received"]),
         "last minute: rejected": str(causes.total()),
     }
+    if len(joints) == 1 and len(joints[0].faults) > 1:
+        names = joints[0].loaded.design.request.output_names
+        for output, counts in zip(names, trackers[0].output_counts, strict=True):
+            values |= {f"{output}: {what}": str(count) for what, count in counts.items()}
     if not causes.total():
         return Status("measurements", Level.OK, "none rejected in the last minute", values)
     share = causes.total() / max(recent["received"], causes.total())
@@ -137,6 +141,7 @@ def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Stat
         _domain_status(request, estimate),
         _innovation_status(joint),
         *_fault_statuses(joint, now),
+        *joint.torques.statuses(),
         _certificate_status(joint, method, now),
     ]
     if estimate is None:
@@ -197,23 +202,14 @@ def _innovation_status(joint: ObservedJoint) -> Status:
 
 def _fault_statuses(joint: ObservedJoint, now: int) -> list[Status]:
     """Return the fault of each output, whose name is the status's if there are several."""
-    names, found = joint.loaded.design.request.output_names, []
-    for output, unit, monitor in zip(names, joint.signals.units, joint.faults, strict=True):
-        name, level, message, values = monitor.status(now)
-        if len(names) > 1:
-            name = f"{name} of {output}"
-        values = {_in_unit(key, unit): value for key, value in values.items()}
-        found.append(Status(name, level, message, values))
-    return found
-
-
-def _in_unit(key: str, unit: str) -> str:
-    """Return the key of a fault's value for an output that is no angle."""
-    for radians, own in (("[rad]", unit), ("rate [rad/s]", unit and f"{unit}/s")):
-        if key.endswith(radians):
-            quantity = key.rpartition(" [")[0]
-            return f"{quantity} [{own}]" if own else quantity
-    return key
+    names = joint.loaded.design.request.output_names
+    statuses = [monitor.status(now) for monitor in joint.faults]
+    if len(names) == 1:
+        return statuses
+    return [
+        status._replace(name=f"{status.name} of {output}")
+        for output, status in zip(names, statuses, strict=True)
+    ]
 
 
 def _domain_status(request: ArmRequest | TSRequest, estimate: Estimate | None) -> Status:
@@ -221,6 +217,8 @@ def _domain_status(request: ArmRequest | TSRequest, estimate: Estimate | None) -
     if isinstance(request, TSRequest):
         level = Level.OK if request.covers_estimated_premise else Level.WARN
         return Status("premise domain", level, request.claim, {})
+    if not request.arm.gravity_torque:
+        return Status("premise domain", Level.OK, "all angles: there is no gravity", {})
     values = {"x_max [rad]": f"{request.x_max:.4g}"}
     if estimate is None:
         return Status("premise domain", Level.OK, "no estimate yet", values)

@@ -1,0 +1,124 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""An observer of encoders on both sides and of the torque at the link, live."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import Log
+from sensor_msgs.msg import JointState
+from staging.stage import BEGIN, Event, Stage, replayed, values
+
+from tsobs_ros.nodes.messages import to_stamp
+from tsobs_ros.simulation.plant import (
+    Scenario,
+    SimulatedOutput,
+    TorqueDisturbance,
+    Trajectories,
+)
+from tsobs_ros.simulation.scenarios import simulate
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import BiasStep
+
+RATE = 50.0
+PERIOD = round(1e9 / RATE)
+CONTACT, CONTACT_AT = 4.0, 3.0
+BIAS = 0.05
+NAMES = ["elbow", "elbow_motor"]
+
+
+@pytest.fixture(scope="module")
+def run() -> Trajectories:
+    """Both encoders of an arm, the link's with a bias, and a contact from some time on."""
+    scenario = Scenario(
+        rate=RATE,
+        outputs=(
+            SimulatedOutput("link_angle", Sensor(1e-3), (BiasStep(BIAS, 0.0),)),
+            SimulatedOutput("motor_angle", Sensor(1e-3)),
+        ),
+        torque_disturbance=TorqueDisturbance(link=(BiasStep(CONTACT, CONTACT_AT),)),
+    )
+    return simulate(scenario, [3], 12.0)
+
+
+def events(run: Trajectories, first: int, count: int, *present: int) -> list[Event]:
+    """Return samples with the entries of some of the encoders."""
+    found = []
+    for k in range(first, first + count):
+        stamp = BEGIN + k * PERIOD
+        message = JointState(
+            name=[NAMES[output] for output in present],
+            position=[float(run.measurements[0, k, output]) for output in present],
+            effort=[float(run.torques[0, k, 0])] * len(present),
+        )
+        message.header.stamp = to_stamp(stamp)
+        found.append(Event(stamp, message))
+    return found
+
+
+def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
+    stage: Stage, both_design: Path, run: Trajectories
+) -> None:
+    logged: list[Log] = []
+    stage.node.create_subscription(Log, "/rosout", logged.append, 100)
+    observer = stage.add(rate=RATE, joints=["elbow"], design=str(both_design), torque_warn=[2.0])
+    stage.step(BEGIN - PERIOD)
+    watcher = stage.watcher
+
+    def logs(text: str) -> bool:
+        return any(line.level == Log.WARN and text in line.msg for line in logged)
+
+    before = events(run, 0, 250, 0, 1)
+    stage.play(before, period=PERIOD)
+
+    outputs = ["elbow/link_angle", "elbow/motor_angle"]
+    for topic, names in {
+        "joint_states": ["elbow_link", "elbow_motor"],
+        "error_bound": ["elbow_link", "elbow_motor"],
+        **dict.fromkeys(("disturbance", "disturbance_bound", "innovation"), outputs),
+        "torque_disturbance": ["elbow_link"],
+        "torque_disturbance_bound": ["elbow_link"],
+    }.items():
+        assert {tuple(each.message.name) for each in watcher.of(topic)} == {tuple(names)}
+    torque, bound = (
+        np.array([each.message.effort[0] for each in watcher.of(topic)])
+        for topic in ("torque_disturbance", "torque_disturbance_bound")
+    )
+    touched = round(CONTACT_AT * RATE)
+    assert (np.abs(torque[50:touched]) < 4.0 * bound[50:touched]).all()
+    assert abs(torque[-1] - CONTACT) < 4.0 * bound[-1]
+    bias = watcher.of("disturbance")[-1].message.position[0]
+    assert bias == pytest.approx(
+        BIAS, abs=4.0 * watcher.of("disturbance_bound")[-1].message.position[0]
+    )
+    stage.wait_until(lambda: logs("at the link, beyond 2 N m"), "the log of the contact")
+    found = stage.statuses()
+    status = found["observer: torque disturbance"]
+    assert status.level == DiagnosticStatus.WARN
+    assert float(values(status)["link [N m]"]) == pytest.approx(torque[-1], rel=1e-3)
+    for output in ("link_angle", "motor_angle"):
+        assert found[f"observer: sensor fault of {output}"].level < DiagnosticStatus.ERROR
+
+    narrow = watcher.of("error_bound")[-1].message.position[1]
+    after = events(run, 250, 250, 0)
+    stage.play(after, period=PERIOD)
+    assert observer.tracker.used == 500
+    assert observer.tracker.output_counts[1]["missing"] == 250
+    assert {tuple(each.message.name) for each in watcher.of("innovation")[250:]} == {
+        ("elbow/link_angle",)
+    }
+    assert watcher.of("error_bound")[-1].message.position[1] > 10.0 * narrow
+    found = stage.statuses()
+    fault = found["observer: sensor fault of motor_angle"]
+    assert (fault.level, fault.message) == (DiagnosticStatus.ERROR, "missing")
+    assert values(fault)["since"].startswith("for ")
+    assert values(found["observer: measurements"])["motor_angle: missing"] == "250"
+    assert found["observer: sensor fault of link_angle"].message != "missing"
+    stage.wait_until(
+        lambda: logs("motor_angle is missing for 3 s: expected position of elbow_motor"), "its log"
+    )
+    assert logs("position of elbow_motor missing (names ['elbow'])")
+    assert replayed(watcher, observer, [*before, *after]) >= 500
+    assert watcher.broken == []
