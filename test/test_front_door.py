@@ -15,6 +15,7 @@ import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import Output
 from tsobs_ros.report.export import export_bag
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.signals import BiasStep
@@ -117,6 +118,45 @@ def test_a_disturbance_is_named_or_passed(disturbance) -> None:
     run = ts.simulate(duration=1.0, disturbance=disturbance)
 
     assert run.disturbance.tolist() == [0.0] * 100 + [0.2] * 101
+
+
+def test_an_arm_of_several_outputs_is_pushed_and_carries_a_payload() -> None:
+    run = ts.simulate(
+        ts.ArmRequest(outputs=(Output("motor_angle", 1e-3), Output("link_velocity", 0.02))),
+        duration=1.0,
+        noise_std=[0.0, 0.0],
+        disturbance={"link_velocity": {"bias_step": {"amplitude": 0.2, "start": 0.5}}},
+        torque_disturbance={"link": {"bias_step": {"amplitude": 3.0, "start": 0.0}}},
+        payload={"mass": 0.5, "distance": 0.8, "start": 0.8},
+        friction={"motor_viscous": 0.1},
+        initial_state=[0.1, 0.0, 0.2, 0.0],
+        torque=0.0,
+    )
+
+    assert run.state[0] == pytest.approx([0.1, 0.0, 0.2, 0.0])
+    assert run.angle.shape == run.disturbance.shape == (201, 2)
+    np.testing.assert_allclose(run.angle - run.state[:, [2, 1]], run.disturbance, atol=1e-12)
+    assert run.disturbance[:, 1].tolist() == [0.0] * 100 + [0.2] * 101
+    np.testing.assert_allclose(run.torque_disturbance[:, 0], -0.1 * run.state[:, 3], atol=1e-12)
+    assert (run.torque_disturbance[:160, 1] == 3.0).all()
+    assert (run.torque_disturbance[160:, 1] != 3.0).all()
+
+
+def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
+    design = ts.load_design(config_path("paper_example_1.design.yaml"))
+    run = ts.simulate(
+        design, duration=3.0, seed=1, mismatch={"delta": 0.5}, initial_state=[0.5, 0.7, 0.5]
+    )
+
+    assert run.angle.shape == run.state.shape == (751, 3)
+    # The second signal is scheduled, and the first output as it is measured.
+    np.testing.assert_allclose(run.torque[:, 0], np.sin(run.time), atol=1e-12)
+    assert run.torque[:, 1].tobytes() == run.angle[:, 0].tobytes()
+    estimates = ts.estimate(design, run.time, run.angle, run.torque)
+    errors = np.abs(estimates.state - run.state)[250:]
+    assert (errors < 3.0 * estimates.state_bound[250:]).mean() > 0.97
+    with pytest.raises(ts.TsobsError, match="payload: expected none for a T-S system"):
+        ts.simulate(design, payload={"mass": 1.0})
 
 
 @pytest.mark.parametrize(

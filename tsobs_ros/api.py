@@ -14,7 +14,7 @@ from tsobs_ros.checks import Array, as_matrix, shown
 from tsobs_ros.design import file
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
@@ -149,7 +149,7 @@ def load_design(path: str | Path | None = None) -> Design:
 
 
 def simulate(
-    arm: ElasticJointArm | Design | None = None,
+    arm: ElasticJointArm | Design | ArmRequest | TSRequest | None = None,
     *,
     duration: float = 20.0,
     rate: float | None = None,
@@ -166,8 +166,8 @@ def simulate(
     """Simulate an arm with an elastic joint, or a T–S system, and its sensors.
 
     Args:
-        arm: The arm, or a design, whose plant, outputs, rate and noise are taken; the default arm
-            if None.
+        arm: The arm, or a design or request, whose plant, outputs, rate and noise are taken; the
+            default arm if None.
         duration: Length of the run [s].
         rate: Samples a second [Hz]; the design's, or 200.
         seed: Seed of everything random: the same seed gives the same numbers.
@@ -202,8 +202,8 @@ def simulate(
     [0.0, 3.0]
     """
     scenario: Scenario | SystemScenario
-    if isinstance(arm, Design):
-        scenario = scenario_of(arm.request, mismatch)
+    if isinstance(arm, Design | ArmRequest | TSRequest):
+        scenario = scenario_of(arm.request if isinstance(arm, Design) else arm, mismatch)
     else:
         scenario = scenario_of(ArmRequest(), mismatch)
         assert isinstance(scenario, Scenario)
