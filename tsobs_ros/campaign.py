@@ -177,7 +177,7 @@ def _runner(
         return make_runner(design, settings)
     # Nothing is late.
     limits = TrackerOptions(
-        design.arm_request.x_max, history=0.0, restart_after=settings.stale_after, max_steps=1
+        design.arm_request.max_angle, history=0.0, restart_after=settings.stale_after, max_steps=1
     )
     return Tracker(estimator, limits)
 

@@ -11,7 +11,6 @@ error exactly. Without them only the blend of the rules is proved, and `TSReques
 
 import inspect
 import math
-import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -391,7 +390,7 @@ class ArmRequest(DesignProblem):
     @property
     def max_angle(self) -> float:
         """Half width of the certificate's domain [rad]: without gravity it has all angles."""
-        return self.x_max if self.arm.gravity_torque else sys.float_info.max
+        return self.x_max if self.arm.gravity_torque else math.inf
 
     @property
     def state_names(self) -> tuple[str, ...]:
