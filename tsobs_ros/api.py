@@ -549,7 +549,7 @@ def _columns_of(
 ) -> dict[str, Any]:
     """Return the fields of `Estimates` that are in rows of `history.estimate_at`."""
     columns: dict[str, Any] = {}
-    torques = getattr(estimator.shape, "t", 0)
+    torques = estimator.shape.t
     for name, shape in (
         ("state", (estimator.shape.plant,)),
         ("state_bound", (estimator.shape.plant,)),
@@ -561,7 +561,7 @@ def _columns_of(
         ("parameter_bound", (estimator.shape.k,)),
     ):
         columns[name] = np.full((len(rows), *shape), np.nan)
-        if name not in estimator.lacking and name in estimator.row_parts:
+        if name not in estimator.lacking:
             columns[name][:] = rows[:, estimator.row_parts[name]].reshape(columns[name].shape)
     names = (*CONDITIONS, "in_domain")
     for name, column in zip(names, rows[:, -len(CONDITIONS) - EXTRA : -1].T, strict=True):

@@ -232,6 +232,17 @@ def _about(source: "Source", observers: "Sequence[Observer]") -> list[str]:
     return [f"{text} for {', '.join(names)}" if several else text for text, names in lines.items()]
 
 
+def _about_outputs(run: "Run", joints: Sequence[str]) -> list[str]:
+    """Return a line on what was not used of each output, of those of which there was any."""
+    lines = []
+    for joint, outputs in run.outputs().items():
+        whose = f"{joint}: " if len(joints) > 1 else ""
+        for name, counts in outputs.items():
+            if parts := [f"{n:,} {what}" for what, n in counts.items() if n]:
+                lines.append(f"{whose}{name}: {' and '.join(parts)}")
+    return lines
+
+
 def _result(
     source: "Source",
     runs: "list[Run]",
@@ -260,6 +271,7 @@ def _result(
             f"{run.observer.name:<{width}}  {run.estimates:,} estimates from "
             f"{run.replay.used:,} measurements; rejected: {rejected or 'none'}"
         )
+        lines += [f"{'':<{width}}  {line}" for line in _about_outputs(run, source.joints)]
         if run.observer.settings.method == "certified":
             for joint, health in run.health().items():
                 whose = f"{joint}: " if len(source.joints) > 1 else ""
@@ -284,6 +296,7 @@ def _result(
                 "estimates": run.estimates,
                 "used": run.replay.used,
                 "rejected": {r.value: n for r, n in run.replay.rejected.items()},
+                "outputs": run.outputs(),
                 "rewinds": run.replay.rewinds,
                 "failures": run.replay.failures,
                 "health": {joint: one.as_mapping() for joint, one in run.health().items()},

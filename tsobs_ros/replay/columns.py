@@ -167,6 +167,9 @@ class Columns:
 
     def joints(self, only: str) -> tuple[str, ...]:
         """Return the joints that columns name, `only` for one of columns that name none."""
+        named = (key.partition(".")[2] for key in self._wanted)
+        if joints := tuple(dict.fromkeys(joint for joint in named if joint)):
+            return joints
         remarks = list(self.remarks)
         try:
             found = self._found("angle", only) or self._found("velocity", only)
@@ -202,7 +205,7 @@ class Columns:
         return found
 
     def of_torque(self, joints: Sequence[str], only: str, *, needed: bool) -> dict[str, Column]:
-        """Return the torques by joint, none if there are none and none is needed.
+        """Return the torques by joint, of some motors too; none if none is there or needed.
 
         Args:
             joints: Those that must have one, if any has.
@@ -214,8 +217,9 @@ class Columns:
             # Of position[0] and effort, or elbow/position and effort.
             torques = dict(zip(joints, torques.values(), strict=True))
         for joint in joints:
-            if joint not in torques and f"{joint}_motor" in torques:
-                torques[joint] = torques[f"{joint}_motor"]
+            # As exported, if the motor has an entry of its own.
+            if (motor := torques.get(f"{joint}_motor")) is not None:
+                torques.setdefault(joint, motor)
         missing = [name for name in joints if name not in torques]
         if missing and (torques or needed):
             raise LogError(

@@ -268,6 +268,20 @@ class Run:
             own[there] = theirs[there]
         return at
 
+    def outputs(self) -> dict[str, dict[str, dict[str, int]]]:
+        """Return how often each output was gated and missing, of joints that have several."""
+        each = zip(self._source.joints, self.observer.designs, self.replay.outputs, strict=True)
+        return {
+            joint: {
+                name: {"gated": int(gated), "missing": int(missing)}
+                for name, (gated, missing) in zip(
+                    design.request.output_names, counts.tolist(), strict=True
+                )
+            }
+            for joint, design, counts in each
+            if len(counts) > 1
+        }
+
     def events(self) -> list[JointEvent]:
         """Return the events that the node would have logged, in order."""
         return self._events.events

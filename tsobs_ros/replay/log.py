@@ -168,6 +168,8 @@ class LogSource(Source):
         torques = columns.of_torque(self.joints, only, needed=self._torque_needed)
         if torques:
             self._add(torques[name], "torque", (True, joint, 0))
+        if (motor := torques.get(f"{name}_motor")) is not None and motor != torques[name]:
+            self._add(motor, "torque", (True, joint, 0))
         without = not any(one.unit for one in angles)
         self.without_unit.append(tuple(one.title for one in angles) if without else ())
 
@@ -246,15 +248,21 @@ class LogSource(Source):
         self._time.restart()
         times, joints = len(self._places) - len(self._cells), len(self.joints)
         p = max(len(one.outputs) for one in self.signals)
-        m = max(len(one.inputs) for one in self.signals)
+        # Inputs without a column are 0.
+        inputs = np.zeros((1, joints, max(len(one.inputs) for one in self.signals)))
+        for cell in self._cells:
+            if cell.in_inputs:
+                inputs[0, cell.joint, cell.place] = np.nan
         while block := list(islice(rows, _BLOCK)):
             stamps = self._time.read(block)
-            y, u = np.full((len(block), joints, p), np.nan), np.zeros((len(block), joints, m))
+            y, u = np.full((len(block), joints, p), np.nan), inputs.repeat(len(block), axis=0)
             for number, cell in enumerate(self._cells):
                 values = np.array(self._read(block, times + number, cell.column))
                 with np.errstate(over="ignore"):
                     values *= cell.factor
-                (u if cell.in_inputs else y)[:, cell.joint, cell.place] = values
+                own = (u if cell.in_inputs else y)[:, cell.joint, cell.place]
+                # A second column has what the first one lacks.
+                own[:] = np.where(np.isnan(own), values, own)
             yield _Block(stamps, y, u)
 
     def _read(self, rows: Sequence[Row], place: int, column: Column) -> list[float]:

@@ -24,6 +24,8 @@ from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.history import (
     CORRECTING,
     EXTRA,
+    GATED,
+    NON_FINITE,
     USED,
     copy_history,
     estimate_at,
@@ -136,8 +138,7 @@ class Results(NamedTuple):
 
     def used_innovations(self, places: NDArray[np.intp] | Codes | slice = _ALL) -> Array:
         """Return the innovations of some samples, NaN of outputs that were not used, (i, p)."""
-        used = np.isin(self.output_codes[places], CORRECTING)
-        return np.where(used, self.innovations[places], np.nan)
+        return np.where(self.output_codes[places] == USED, self.innovations[places], np.nan)
 
 
 class Pass:
@@ -434,11 +435,20 @@ class EkfPass(Pass):
         samples = (stamps[first:last], y[first:last], u[first:last])
         self._ekf.advance(ticks, samples, (outcomes, innovations, expected), newest, rows)
         results.outcomes[places] = outcomes
-        results.output_codes[places] = outcomes[:, np.newaxis]
+        results.output_codes[places] = self._output_codes(outcomes, innovations, expected)
         results.innovations[places] = innovations
         results.expected_std[places] = expected
         results.counts[:] = last
         return newest
+
+    def _output_codes(self, outcomes: Codes, innovations: Array, expected: Array) -> Codes:
+        """Return what became of each output; of a single one that of its sample."""
+        codes = np.broadcast_to(outcomes[:, np.newaxis], innovations.shape)
+        if innovations.shape[1] == 1:
+            return codes
+        near = np.abs(innovations) <= self._ekf.numbers.numbers[3] * expected
+        judged = np.where(np.isnan(innovations), NON_FINITE, np.where(near, USED, GATED))
+        return np.where(codes == USED, judged, codes)
 
 
 def new_pass(tracker: Tracker | KalmanFilter, *args: Any, **options: Any) -> Pass:

@@ -13,10 +13,10 @@ import numpy as np
 from tsobs_ros.bag.joint_series import Flags, Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.baselines import KalmanFilter
-from tsobs_ros.estimation.history import REASONS, USED
+from tsobs_ros.estimation.history import GATED, NON_FINITE, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.replay.passes import LEFT_OUT, Ticks, new_pass
+from tsobs_ros.replay.passes import LEFT_OUT, Codes, Ticks, new_pass
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Samples
 from tsobs_ros.replay.table import EstimateTable, Recorded
@@ -31,6 +31,8 @@ class Replay:
 
     Attributes:
         rejected: Number of measurements not used, by reason.
+        outputs: Of each joint, for each of its outputs, how often it was gated and how often it
+            was missing, shape (p, 2).
         taken: Number of the first samples that all joints have taken.
     """
 
@@ -44,6 +46,7 @@ class Replay:
         self._trackers = tuple(trackers)
         self._stale_after = stale_after
         self.rejected: Counter[RejectReason] = Counter()
+        self.outputs = [np.zeros((one.estimator.shape.p, 2), np.int64) for one in trackers]
         self._joints: list[_Joint] = []
         self._used, self._last, self._done, self.taken = 0, 0, 0, 0
 
@@ -69,7 +72,7 @@ class Replay:
         if self._joints:
             ahead = slice(self.taken, self._samples.count)
             for joint, each in enumerate(self._joints):
-                self.rejected += each.enter(self._table, joint, ahead)
+                self._count(joint, *each.enter(self._table, joint, ahead))
             self._used += _count_used(self._table.innovations[:dropped])
             table.take_over(self._table, dropped)
             skipped = [each.used_since(dropped) for each in self._joints]
@@ -144,7 +147,7 @@ class Replay:
         taken = slice(self.taken, min(joint.next_message for joint in self._joints))
         self.taken = taken.stop
         for joint, each in enumerate(self._joints):
-            self.rejected += each.enter(self._table, joint, taken)
+            self._count(joint, *each.enter(self._table, joint, taken))
         # What cannot be read is refused, whenever that is; what names nobody is for all.
         named, complete = self._samples.named[taken], self._samples.complete[taken]
         unread = int((named & ~complete).sum())
@@ -152,6 +155,10 @@ class Replay:
         if unread:
             self.rejected[RejectReason.WRONG_JOINT] += unread
         return taken
+
+    def _count(self, joint: int, rejected: Counter[RejectReason], outputs: Codes) -> None:
+        self.rejected += rejected
+        self.outputs[joint] += outputs
 
     def _published(self, ticks: slice) -> Flags:
         """Return the ticks at which a node would publish estimates; stamps rise to a restart."""
@@ -267,8 +274,14 @@ class _Joint:
         taken = self._pass.taken
         return int(self._messages[taken]) if taken < len(self._messages) else len(self._count) - 1
 
-    def enter(self, table: EstimateTable, joint: int, taken: slice) -> Counter[RejectReason]:
-        """Enter the outcomes of some messages, and return the counts of those rejected."""
+    def enter(
+        self, table: EstimateTable, joint: int, taken: slice
+    ) -> tuple[Counter[RejectReason], Codes]:
+        """Enter the outcomes of some messages, and return their counts.
+
+        Returns:
+            Of those rejected by reason; of each output that was gated, and that was missing.
+        """
         own = slice(self._count[taken.start], self._count[taken.stop])
         messages, places = self._messages[own], self._pass.samples.places[own]
         results = self._pass.results
@@ -285,4 +298,7 @@ class _Joint:
         )
         table.left_out[messages[outcomes == LEFT_OUT]] = True
         counts = np.bincount(outcomes[outcomes > USED], minlength=len(REASONS)).tolist()
-        return Counter({r: n for r, n in zip(REASONS, counts, strict=True) if r is not None and n})
+        rejected = {r: n for r, n in zip(REASONS, counts, strict=True) if r is not None and n}
+        codes = results.output_codes[places]
+        outputs = [(codes == code).sum(axis=0) for code in (GATED, NON_FINITE)]
+        return Counter(rejected), np.stack(outputs, axis=1)

@@ -51,8 +51,8 @@ class EstimateTable:
             return np.full((ticks, len(shapes), width), np.nan)
 
         self._shapes = shapes
-        plant, p, k = (max(getattr(shape, n) for shape in shapes) for n in ("plant", "p", "k"))
-        t = max(getattr(shape, "t", 0) for shape in shapes)
+        sizes = zip(*((shape.plant, shape.p, shape.t, shape.k) for shape in shapes), strict=True)
+        plant, p, t, k = map(max, sizes)
         self.states, self.state_bounds = nothing(plant), nothing(plant)
         self.disturbances, self.disturbance_bounds = nothing(2 * p), nothing(p)
         self.torques, self.torque_bounds = nothing(t), nothing(t)
@@ -111,7 +111,7 @@ class EstimateTable:
             ("parameters", self.parameters),
             ("parameter_bound", self.parameter_bounds),
         ):
-            numbers = rows[:, parts.get(name, slice(0))]
+            numbers = rows[:, parts[name]]
             width = numbers.shape[1]
             array[ticks, joint, :width] = np.where(there[:, np.newaxis], numbers, np.nan)
         worth = rows[:, -len(CONDITIONS) - EXTRA :]

@@ -25,7 +25,7 @@ from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.methods import EKFS, ObserverSettings
-from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
+from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
 from tsobs_ros.replay.source import BagSource, Source, Truth, passes
 from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.report.metrics import (
@@ -187,6 +187,7 @@ def compare_with_ekf(
         Observer(method, replace(settings, method=method), tuple(files.values()))
         for method in (EKFS if learns else EKFS[:1])
     ]
+    observers, _ = without_misfits(observers)
     errors = compare_observers(source, observers, options)
     own = [one for one in errors if one.joint == run.joint]
     best = min(own, key=lambda one: one.normalised_rmse)
@@ -405,18 +406,25 @@ def render_comparison(rows: Sequence[ObserverErrors]) -> str:
         own = [row for row in rows if row.joint == joint]
         title = [printable(joint)] if len(joints) > 1 else []
         ekfs = [row.observer for row in own if row.observer in _EKFS]
-        notes = [_note(own), *([about_ekfs(ekfs)] if ekfs else [])]
+        gated = own[0].quantities[:4] == QUANTITIES[:4]
+        notes = [_note(own), *([about_ekfs(ekfs, gated=gated)] if ekfs else [])]
         parts.append("\n".join([*title, *_aligned(_cells(own)), "", *notes]))
     return "\n\n".join(parts)
 
 
-def about_ekfs(methods: Sequence[str], *, better: bool = False) -> str:
-    """Return the line on what EKFs have in common with ours, and in what they differ."""
+def about_ekfs(methods: Sequence[str], *, better: bool = False, gated: bool = True) -> str:
+    """Return the line on what EKFs have in common with ours, and in what they differ.
+
+    Args:
+        methods: Their names.
+        better: Whether it is about the better one of several.
+        gated: Whether they leave outliers out, as those of arms do.
+    """
     known = ", ".join(f"{name} has {_EKFS[name]}" for name in methods)
     better_one = ", the better one of ekf and ekf_augmented" if better else ""
     return (
-        f"EKF: same disturbance model, noise and data as ours, gated at {GATE:g}σ; "
-        f"{known}{better_one}"
+        f"EKF: same disturbance model, noise and data as ours, "
+        f"{f'gated at {GATE:g}σ' if gated else 'not gated'}; {known}{better_one}"
     )
 
 
@@ -479,7 +487,8 @@ def render_metrics(
         rows[0] += ["EKF RMSE", "RMSE/EKF"]
         for row, error, ratio in zip(rows[1:], errors, ratios, strict=True):
             row += [_number(error), _quotient(ratio)]
-        below.append(about_ekfs([comparison.method], better=comparison.rivals > 1))
+        gated = quantities[:4] == QUANTITIES[:4]
+        below.append(about_ekfs([comparison.method], better=comparison.rivals > 1, gated=gated))
     above = (
         f"{metrics.measurements} measurements, {metrics.estimates} estimates in "
         f"{metrics.duration:.1f} s; errors over the {metrics.settled_time:.1f} s that count as "

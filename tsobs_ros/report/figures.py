@@ -26,7 +26,7 @@ _TALL, _FLAT = 1.72, 1.35
 _TOP, _BOTTOM = 1.0, 0.52
 _FAINT, _STRONG = 0.13, 0.32
 _JUMPS = {"jump": "fault {:+.2g} rad", "step": "torque {:+.2g} N m"}
-_LABEL_WIDTH = 18
+_LABEL_WIDTH = 20
 
 
 def draw_run(picture: Picture, path: Path) -> None:
@@ -135,8 +135,7 @@ def _legend(picture: Picture) -> list[Line2D | Patch]:
 def _draw(axes: Axes, plot: Plot, unit: str) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(5, min_n_ticks=3))
     axes.tick_params(length=0)
-    lines = [*wrap(plot.label, _LABEL_WIDTH), *([f"[{unit}]"] if unit else [])]
-    axes.set_ylabel("\n".join(lines), linespacing=1.4)
+    axes.set_ylabel(_label(plot.label, unit), linespacing=1.4)
     axes.set_ylim(plot.limits)
     if plot.dots is not None:
         # Thousands of dots as vectors would make an SVG slow and large.
@@ -167,6 +166,14 @@ def _draw(axes: Axes, plot: Plot, unit: str) -> None:
     if plot.level is not None:
         for sign in (-1.0, 1.0):
             axes.axhline(sign * plot.level[0], color=MUTED, lw=0.9, ls=(0, (5, 3)), zorder=4)
+
+
+def _label(name: str, unit: str) -> str:
+    """Return an axis label of two lines at most, for which there is room."""
+    if len(name) < _LABEL_WIDTH:
+        return f"{name}\n[{unit}]" if unit else name
+    text = f"{name} [{unit}]" if unit else name
+    return "\n".join(wrap(text, _LABEL_WIDTH, max_lines=2, placeholder=" …"))
 
 
 def _write_beside(axes: Axes, panel: Panel) -> None:
