@@ -20,6 +20,7 @@ from acceptance_demands import Demand, cost_demands, demands, rival
 from acceptance_runs import Found, Outcome, high_gain, kalman, ours, outcome
 from common import at_least, design_of, parser, show, use_one_thread
 from observer_step import step_costs
+from pages import head, row, update, verdicts
 
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm
@@ -31,7 +32,6 @@ from tsobs_ros.simulation.scenarios import PLAIN, SCENARIOS, simulate
 
 _CHUNK = 10
 _TONE = 3.0
-_BEGIN, _END = "<!-- begin: written by benchmarks/acceptance.py -->", "<!-- end -->"
 _CLOSE = 1.03
 """A ratio below this is no difference worth a word."""
 
@@ -132,15 +132,6 @@ def _mean(one: Outcome) -> str:
     return " / ".join(_number(float(one.errors[name].mean())) for name in ("settled", "full"))
 
 
-def _row(*cells: str) -> str:
-    return "| " + " | ".join(cells) + " |"
-
-
-def _head(*cells: str) -> Iterator[str]:
-    yield _row(*cells)
-    yield "|---" * len(cells) + "|"
-
-
 def _shown(demand: Demand | None, alone: float) -> str:
     """Return a number with its bar, bold if it fails; or the number that has none."""
     if demand is None:
@@ -186,7 +177,7 @@ def _fair_table(
     results: Mapping[str, Mapping[str, Outcome]], found: Sequence[Demand]
 ) -> Iterator[str]:
     by_place = {(one.scenario, one.kind): one for one in found}
-    yield from _head(
+    yield from head(
         "scenario", "ours", "worst run", "gated EKF", "gated EKF, parameters as states",
         "ours / better one", "inside", "worst run", "claimed", "of these broken",
     )  # fmt: skip
@@ -206,7 +197,7 @@ def _fair_table(
         honest = by_place.get((name, "honest"))
         if honest is not None:
             inside += f"; all or void {_shown(honest, 0.0)}"
-        yield _row(
+        yield row(
             name, _mean(mine), _number(float(mine.errors["settled"].max())),
             _mean(one["ekf_gated"]), _mean(one["ekf_gated_augmented"]), ratio_text, inside,
             f"{mine.inside.min():.3f}", f"{mine.claimed.mean():.2f}",
@@ -215,7 +206,7 @@ def _fair_table(
 
 
 def _plain_table(results: Mapping[str, Mapping[str, Outcome]]) -> Iterator[str]:
-    yield from _head(
+    yield from head(
         "scenario", "plain EKF, true arm", "plain EKF, parameters as states", "ours, Riccati gain",
         "ours without learning", "PO (θ)", "PIO (θ)",
     )  # fmt: skip
@@ -225,12 +216,12 @@ def _plain_table(results: Mapping[str, Mapping[str, Outcome]]) -> Iterator[str]:
         for who in ("po", "pio"):
             tuning = found[who].tuning if who in found else None
             cells.append(f"{_mean(found[who])} ({tuning['settled']:.1f})" if tuning else "–")
-        yield _row(name, *cells)
+        yield row(name, *cells)
 
 
 def _parameter_table(results: Mapping[str, Mapping[str, Outcome]]) -> Iterator[str]:
     who = ("certified", "riccati", "ekf_gated_augmented", "ekf_augmented")
-    yield from _head("scenario", *who, "valid θ inside")
+    yield from head("scenario", *who, "valid θ inside")
     for name, found in results.items():
         cells = []
         for each in who:
@@ -242,12 +233,12 @@ def _parameter_table(results: Mapping[str, Mapping[str, Outcome]]) -> Iterator[s
         inside = found["certified"].theta_inside
         assert inside is not None
         known = inside[np.isfinite(inside)]
-        yield _row(name, *cells, f"{known.mean():.2f}" if known.size else "never valid")
+        yield row(name, *cells, f"{known.mean():.2f}" if known.size else "never valid")
 
 
 def _settling_table(results: Mapping[str, Mapping[str, Outcome]]) -> Iterator[str]:
     who = ("certified", "riccati", "ekf_gated", "ekf_gated_augmented", "ekf_true", "ekf_augmented")
-    yield from _head("scenario", *who)
+    yield from head("scenario", *who)
     for name, found in results.items():
         if found["certified"].settled_after is None:
             continue
@@ -257,16 +248,7 @@ def _settling_table(results: Mapping[str, Mapping[str, Outcome]]) -> Iterator[st
             assert times is not None
             marks = np.quantile(times, [0.5, 0.9, 1.0], method="higher")
             cells.append(", ".join(f"{mark:.1f}" if mark < np.inf else "never" for mark in marks))
-        yield _row(name, *cells)
-
-
-def _verdicts(found: Sequence[Demand]) -> Iterator[str]:
-    yield from _head("scenario", "demand", "number", "bar", "", "median of the runs' ratios")
-    for one in found:
-        bar = f"{'≥' if one.at_least else '≤'} {one.bar:g}"
-        verdict = "pass" if one.passed else "**fail**"
-        median = "" if one.median is None else f"{one.median:.3f}"
-        yield _row(one.scenario, one.text, f"{one.value:.4g}", bar, verdict, median)
+        yield row(name, *cells)
 
 
 def _page(
@@ -287,17 +269,8 @@ def _page(
         yield "\n## Settled again after a step of the sensor [s]: median, nine in ten, slowest\n"
         yield from _settling_table(results)
     yield "\n## What is demanded besides\n"
-    yield from _verdicts([one for one in found if one.kind not in ("ratio", "inside", "broken")])
+    yield from verdicts([one for one in found if one.kind not in ("ratio", "inside", "broken")])
     yield "\nA step: " + ", ".join(f"{who} {time:.1f} µs" for who, time in cost.items()) + "."
-
-
-def _update(page: Path, text: str) -> None:
-    """Put the text between the marks of a page."""
-    before, begin, rest = page.read_text(encoding="utf-8").partition(_BEGIN)
-    _, end, after = rest.partition(_END)
-    if not (begin and end):
-        sys.exit(f"{page}: expected the marks {_BEGIN} and {_END}")
-    page.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}", encoding="utf-8")
 
 
 def main() -> None:
@@ -326,7 +299,7 @@ def main() -> None:
     )
     text = "\n".join(_page(results, found, cost, what))
     if options.update is not None:
-        _update(options.update, text)
+        update(options.update, Path(__file__).name, text)
     everything = {
         "runs": options.runs,
         "first_seed": options.first_seed,

@@ -203,3 +203,15 @@ def test_settled_again_means_to_stay(bench: ModuleType) -> None:
     errors[2, times > 29.95] = 9.0
 
     assert bench.settled_after(times, errors) == pytest.approx([2.0, 6.1, np.inf])
+
+
+def test_contact_and_bias_are_told_apart(benchmark: Callable[[str], ModuleType]) -> None:
+    pytest.importorskip("cvxpy")
+    any_joint = benchmark("any_joint")
+    name = "contact_and_bias"
+    case = any_joint.CONTACTS[name]
+    found = any_joint.contact(case, any_joint.synthesise(case.request), SEEDS)
+
+    verdicts = list(any_joint.demands({name: found}))
+    assert [one.text for one in verdicts if not one.passed] == []
+    assert any("link_angle: bias" in one.text for one in verdicts)

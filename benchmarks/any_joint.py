@@ -1,0 +1,404 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Encoders on either side and unknown torques: what is demanded of them, on simulated runs.
+
+The arm is the default one. `ours` is what the node runs; `gated EKF` has the same states, a gate
+and a reset, and `EKF` has no gate. All know the arm; nobody knows friction and contact. The
+demands on contacts are of the node's tracker and fault monitors at 200 ticks a second.
+"""
+
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from multiprocessing import Pool
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from acceptance_demands import INSIDE_BAR, Demand
+from acceptance_runs import SCALE, WINDOWS
+from common import at_least, parser, show, use_one_thread
+from pages import head, row, update, verdicts
+
+from tsobs_ros import campaign
+from tsobs_ros.checks import Array
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
+from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.estimation.baselines import GATE
+from tsobs_ros.estimation.fault_shapes import FaultKind
+from tsobs_ros.estimation.faults import FaultMonitor, add_samples, new_watches
+from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.methods import ObserverSettings, make_ekf, make_runner
+from tsobs_ros.report.metrics import SIGMAS
+from tsobs_ros.simulation import plant
+from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, Trajectories
+from tsobs_ros.simulation.scenarios import simulate
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import BiasStep
+
+_ENCODER = 0.001
+"""1σ of an encoder [rad]."""
+
+_START, _CONTACT, _TICK = 5.0, 10.0, 0.005
+"""When contacts are judged from, when they set in, and the time between ticks [s]."""
+
+_PLAIN, _PLAIN_NODE = "no torque disturbance, gain alone", "no torque disturbance, hypotheses"
+"""Observers of the design without torque disturbance: its gain, and what the node runs."""
+
+_WANDER = DisturbanceTerm("bias", {"density": 1e-6})
+_MOTOR, _LINK = Output("motor_angle", _ENCODER), Output("link_angle", _ENCODER, (_WANDER,))
+_OLD_LINK = Output("link_angle", 0.028, (_WANDER,))
+_FRICTION = (DisturbanceTerm("gauss_markov", {"std": 0.1, "time_constant": 1.0}),)
+_PUSH = (DisturbanceTerm("gauss_markov", {"std": 2.0, "time_constant": 2.0}),)
+_FREE = TorqueDisturbance()
+
+
+class Case(NamedTuple):
+    """A design, and what its observer is put to."""
+
+    request: ArmRequest
+    scenario: Scenario
+
+
+def _case(
+    outputs: Sequence[Output],
+    torque: TorqueDisturbance = _FREE,
+    *,
+    rate: float = 200.0,
+    x_max: float = 0.75,
+    bias: float = 0.0,
+    contact: float = 0.0,
+    friction: Friction | None = None,
+) -> Case:
+    request = ArmRequest(
+        outputs=outputs, torque_disturbance=torque, rate=rate, x_max=x_max, uncertainty={}
+    )
+    fault = (BiasStep(bias, _CONTACT),) if bias else ()
+    sensors = [
+        SimulatedOutput(
+            each.measures,
+            Sensor(each.measurement_std),
+            fault if each.measures == "link_angle" else (),
+        )
+        for each in outputs
+    ]
+    push = (BiasStep(contact, _CONTACT),) if contact else ()
+    scenario = Scenario(
+        rate=rate,
+        duration=20.0 if contact else 60.0,
+        outputs=tuple(sensors),
+        friction=friction or Friction(),
+        torque_disturbance=plant.TorqueDisturbance(link=push),
+    )
+    return Case(request, scenario)
+
+
+_SLIGHT = Friction(motor_viscous=0.1, motor_coulomb=0.05)
+_AT_MOTOR = TorqueDisturbance(motor=_FRICTION)
+_AT_LINK = TorqueDisturbance(link=_PUSH)
+
+ACCURACY = {
+    "motor_encoder": _case([_MOTOR]),
+    "friction": _case([_MOTOR, _LINK], _AT_MOTOR, friction=_SLIGHT),
+    "friction_motor_encoder": _case([_MOTOR], _AT_MOTOR, friction=_SLIGHT),
+    "friction_link_sensor": _case([_OLD_LINK], _AT_MOTOR, friction=_SLIGHT),
+}
+"""One minute each at 200 Hz, u = sin t; friction of the motor of 0.1 N m s/rad and 0.05 N m, by
+encoders on both sides, on the motor, and by the default design's sensor of the link."""
+
+CONTACTS = {
+    "contact": _case([_MOTOR, _LINK], _AT_LINK, rate=1000.0, x_max=0.9, contact=2.0),
+    "contact_and_bias": _case(
+        [_MOTOR, _LINK], _AT_LINK, rate=1000.0, x_max=0.9, contact=2.0, bias=0.1
+    ),
+}
+"""A torque of 2 N m on the link, 20 % of the gravity torque, from 10 s to the end at 20 s."""
+
+
+class Accuracy(NamedTuple):
+    """Errors of observers on the same runs, each run by itself.
+
+    Attributes:
+        errors: N of the settled window by observer, shape (runs,).
+        link_errors: The same of the link's angle and velocity alone.
+        inside: Share of our errors within three bounds over the full window, of the four states,
+            shape (runs, 4).
+    """
+
+    errors: dict[str, Array]
+    link_errors: dict[str, Array]
+    inside: Array
+
+
+class Contact(NamedTuple):
+    """What is found of contacts, each run by itself.
+
+    Attributes:
+        noticed: Time from the contact until its torque is beyond three bounds [s], (runs,).
+        early: Share of the time before it in which that was so, (runs,).
+        inside: Share of the errors within three bounds: torque, disturbances of the outputs in
+            the order of the request, the four states; shape (runs, 1 + p + 4).
+        reports: Shares of the time after the contact by output and kind of fault.
+        quiet: Shares of the time before it.
+    """
+
+    noticed: Array
+    early: Array
+    inside: Array
+    reports: dict[str, dict[str, float]]
+    quiet: dict[str, dict[str, float]]
+
+
+def accuracy(case: Case, design: Design, plain: Design, seeds: Sequence[int]) -> Accuracy:
+    """Return the errors of the observers; `plain` is the design without torque disturbance."""
+    runs = simulate(case.scenario, seeds)
+    ours = campaign.observe(design, runs)
+    states = {"ours": ours.states, "EKF": _ekf(design, runs, np.inf)}
+    states["gated EKF"] = _ekf(design, runs, GATE)
+    if plain is not design:
+        states[_PLAIN] = campaign.observe(plain, runs, estimator=plain.observer()).states
+        states[_PLAIN_NODE] = campaign.observe(plain, runs).states
+    full = _inside(runs.times, WINDOWS["full"])
+    kept = np.abs(ours.states - runs.physical)[:, full] <= SIGMAS * ours.state_bounds[:, full]
+    squares = {who: _squares(design, each, runs) for who, each in states.items()}
+    return Accuracy(
+        {who: np.sqrt(each.mean(axis=(1, 2))) for who, each in squares.items()},
+        {who: np.sqrt(each[..., :2].mean(axis=(1, 2))) for who, each in squares.items()},
+        kept.mean(axis=1),
+    )
+
+
+def _ekf(design: Design, runs: Trajectories, gate: float) -> Array:
+    ekf = make_ekf(design, gate=gate)
+    stamps = _stamps(runs)
+    rows = []
+    for y, u in zip(runs.measurements, runs.torques, strict=True):
+        ekf.reset()
+        rows.append(ekf.follow(stamps, y, u)[:, ekf.row_parts["state"]])
+    return np.stack(rows)
+
+
+def _squares(design: Design, states: Array, runs: Trajectories) -> Array:
+    """Return squared errors in design coordinates over the settled window, in units of `SCALE`."""
+    settled = _inside(runs.times, WINDOWS["settled"])
+    away = design.arm_request.arm.from_physical(states[:, settled]) - runs.states[:, settled]
+    return np.asarray((away / SCALE) ** 2)
+
+
+def contact(case: Case, design: Design, seeds: Sequence[int]) -> Contact:
+    """Return what the observer and its fault monitors find of contacts."""
+    runs, request = simulate(case.scenario, seeds), design.arm_request
+    stamps, every = _stamps(runs), round(_TICK * request.rate)
+    noticed, early, inside = [], [], []
+    names = request.output_names
+    counts = {when: {name: Counter[str]() for name in names} for when in ("before", "after")}
+    side = request.torque_sides.index("link")
+    for place in range(len(seeds)):
+        tracker = make_runner(design, ObserverSettings())
+        watches = new_watches([each.measurement_std for each in request.sensors])
+        monitors = [
+            FaultMonitor(each.measurement_std, watch=watches[output : output + 1])
+            for output, each in enumerate(request.sensors)
+        ]
+        beyond, kept, times = [], [], []
+        for begin in range(0, len(stamps), every):
+            part = slice(begin, begin + every)
+            y, u = runs.measurements[place, part], runs.torques[place, part]
+            found = tracker.offer_many(stamps[part], y, u, int(stamps[-1]))
+            samples = (y, found.output_codes, found.innovations, found.expected_std)
+            add_samples(watches, stamps[part], *(np.ascontiguousarray(each.T) for each in samples))
+            last = min(begin + every, len(stamps)) - 1
+            estimate = tracker.estimate(int(stamps[last]))
+            if estimate is None:
+                continue
+            when = "before" if runs.times[last] < _CONTACT else "after"
+            for output, monitor in enumerate(monitors):
+                fault = monitor.estimated(
+                    int(stamps[last]),
+                    float(estimate.designed_disturbance[output]),
+                    float(estimate.designed_bound[output]),
+                )
+                if runs.times[last] >= _START:
+                    counts[when][names[output]][fault.kind.value] += 1
+            truth = [
+                runs.torque_disturbances[place, last, 1:],
+                runs.disturbances[place, last],
+                runs.physical[place, last],
+            ]
+            guess = [estimate.torque_disturbance[side : side + 1], estimate.disturbance]
+            bound = [estimate.torque_disturbance_bound[side : side + 1], estimate.disturbance_bound]
+            away = np.concatenate([*guess, estimate.state]) - np.concatenate(truth)
+            limits = SIGMAS * np.concatenate([*bound, estimate.state_bound])
+            times.append(runs.times[last])
+            kept.append(np.abs(away) <= limits)
+            beyond.append(abs(guess[0][0]) > limits[0])
+        time, out = np.array(times), np.array(beyond)
+        after = time[out & (time >= _CONTACT)]
+        noticed.append(after[0] - _CONTACT if len(after) else np.inf)
+        early.append(out[_inside(time, (_START, _CONTACT))].mean())
+        inside.append(np.array(kept)[time >= _START].mean(axis=0))
+    before, later = (
+        {name: {kind: n / each.total() for kind, n in each.items()} for name, each in part.items()}
+        for part in counts.values()
+    )
+    return Contact(np.array(noticed), np.array(early), np.array(inside), later, before)
+
+
+def _stamps(runs: Trajectories) -> Array:
+    return NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
+
+
+def _inside(times: Array, window: tuple[float, float]) -> Array:
+    return (times >= window[0]) & (times < window[1])
+
+
+Found = Accuracy | Contact
+
+
+def demands(results: Mapping[str, Found]) -> Iterator[Demand]:
+    """Yield what is demanded of the cases that were run."""
+    for name, found in results.items():
+        if isinstance(found, Accuracy):
+            yield from _of_accuracy(name, found)
+        else:
+            yield from _of_contact(name, found)
+
+
+def _of_accuracy(name: str, found: Accuracy) -> Iterator[Demand]:
+    def ratio(text: str, mine: Array, theirs: Array, bar: float) -> Demand:
+        median = float(np.median(mine / theirs))
+        return Demand(name, text, text, float(mine.mean() / theirs.mean()), bar, median=median)
+
+    ours = found.errors["ours"]
+    if name == "motor_encoder":
+        mine, theirs = found.link_errors["ours"], found.link_errors["EKF"]
+        yield ratio("N of the link / EKF that knows the arm", mine, theirs, 1.05)
+    else:
+        yield ratio("N / gated EKF with the same states", ours, found.errors["gated EKF"], 1.1)
+    if name == "friction":
+        theirs = found.errors[_PLAIN]
+        yield ratio("N / the gain of the design without torque disturbance", ours, theirs, 0.5)
+    worst = float(found.inside.mean(axis=0).min())
+    yield Demand(name, "inside", "within three bounds", worst, INSIDE_BAR, at_least=True)
+
+
+def _of_contact(name: str, found: Contact) -> Iterator[Demand]:
+    yield Demand(name, "noticed", "contact noticed [s], slowest", float(found.noticed.max()), 0.1)
+    yield Demand(name, "early", "time with a contact before it", float(found.early.mean()), 0.01)
+    shares, p = found.inside.mean(axis=0), len(found.reports)
+    for text, share in (
+        ("torque", shares[0]),
+        ("disturbances of the encoders", shares[1 : 1 + p].min()),
+        ("states", shares[1 + p :].min()),
+    ):
+        text = f"{text} within three bounds"
+        yield Demand(name, text, text, float(share), INSIDE_BAR, at_least=True)
+    none, bias = FaultKind.NONE.value, FaultKind.BIAS.value
+    for output, kinds in found.reports.items():
+        faulty = name == "contact_and_bias" and output == "link_angle"
+        right = kinds.get(bias if faulty else none, 0.0)
+        text = f"{output}: {'bias' if faulty else 'no fault'} reported"
+        bar = 0.9 if faulty else 1.0
+        yield Demand(name, text, text, right, bar, at_least=True)
+
+
+def _work(job: tuple[str, Design, Design, tuple[int, ...]]) -> tuple[str, Found]:
+    name, design, plain, seeds = job
+    if name in ACCURACY:
+        return name, accuracy(ACCURACY[name], design, plain, seeds)
+    return name, contact(CONTACTS[name], design, seeds)
+
+
+def measure(names: Sequence[str], seeds: Sequence[int], processes: int) -> dict[str, Found]:
+    """Return what was found, by case."""
+    jobs = []
+    for name in names:
+        request = (ACCURACY | CONTACTS)[name].request
+        design = plain = synthesise(request)
+        if name in ACCURACY and request.torque_sides:
+            plain = synthesise(replace(request, torque_disturbance=_FREE))
+        jobs.append((name, design, plain, tuple(seeds)))
+    results = {}
+    with Pool(processes) as pool:
+        for done, (name, found) in enumerate(pool.imap(_work, jobs), 1):
+            print(f"{done}/{len(jobs)} {name}", file=sys.stderr, flush=True)
+            results[name] = found
+    return results
+
+
+def _accuracy_table(results: Mapping[str, Found]) -> Iterator[str]:
+    who = ("ours", "gated EKF", "EKF", _PLAIN, _PLAIN_NODE)
+    yield from head("scenario", *who, "within three bounds")
+    for name, found in results.items():
+        if isinstance(found, Accuracy):
+            cells = [
+                f"{found.errors[each].mean():.4f} / {found.link_errors[each].mean():.4f}"
+                if each in found.errors
+                else "–"
+                for each in who
+            ]
+            yield row(name, *cells, f"{found.inside.mean(axis=0).min():.3f}")
+
+
+def _contact_table(results: Mapping[str, Found]) -> Iterator[str]:
+    yield from head(
+        "scenario", "noticed after [s]: median, slowest", "torque within three bounds",
+        "encoders' disturbances", "states", "motor encoder after the contact", "link encoder",
+    )  # fmt: skip
+    for name, found in results.items():
+        if isinstance(found, Contact):
+            inside, p = found.inside.mean(axis=0), len(found.reports)
+            shares = (inside[0], inside[1 : 1 + p].min(), inside[1 + p :].min())
+            reports = [
+                ", ".join(f"{kind} {share:.3f}" for kind, share in sorted(kinds.items()))
+                for kinds in found.reports.values()
+            ]
+            yield row(
+                name, f"{np.median(found.noticed):.3f}, {found.noticed.max():.3f}",
+                *(f"{share:.3f}" for share in shares), *reports,
+            )  # fmt: skip
+
+
+def _page(results: Mapping[str, Found], found: Sequence[Demand], seeds: range) -> Iterator[str]:
+    failed = sum(not one.passed for one in found)
+    yield f"{len(seeds)} runs of each scenario, seeds {seeds[0]} to {seeds[-1]}. "
+    yield f"{failed} of {len(found)} demands are missed. Errors are N / N of the link, settled.\n"
+    yield from _accuracy_table(results)
+    yield ""
+    yield from _contact_table(results)
+    yield ""
+    yield from verdicts(found)
+
+
+def main() -> None:
+    """Measure and print."""
+    made = parser(__doc__, design=False)
+    made.add_argument(
+        "--runs", type=at_least(1, int), default=40, help="number of runs of each scenario"
+    )
+    made.add_argument("--first-seed", type=at_least(0, int), default=9000)
+    made.add_argument("--processes", type=at_least(1, int), default=2)
+    made.add_argument("--update", type=Path, metavar="PAGE", help="also write into a page")
+    made.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="default: all")
+    options = made.parse_args()
+    known = ACCURACY | CONTACTS
+    unknown = [name for name in options.scenarios if name not in known]
+    if unknown:
+        made.error(f"no scenario {unknown[0]}; there is {', '.join(known)}")
+    seeds = range(options.first_seed, options.first_seed + options.runs)
+    results = measure(options.scenarios or list(known), seeds, options.processes)
+    found = list(demands(results))
+    text = "\n".join(_page(results, found, seeds))
+    if options.update is not None:
+        update(options.update, Path(__file__).name, text)
+    plain = [{**one._asdict(), "passed": one.passed} for one in found]
+    show({"runs": options.runs, "demands": plain}, text, options.json)
+    sys.exit(0 if all(one.passed for one in found) else 1)
+
+
+if __name__ == "__main__":
+    use_one_thread()
+    main()
