@@ -85,3 +85,47 @@ def test_ts_system(tmp_path: Path) -> None:
     assert float(re.search(r"gyroscope: (\S+) rad/s", out)[1]) == pytest.approx(0.15, abs=0.01)
     for rmse, sensor in re.findall(r"RMSE (\S+) rad.*alone (\S+) rad", out):
         assert float(rmse) < 0.5 * float(sensor)
+
+
+def test_motor_encoder(tmp_path: Path) -> None:
+    pytest.importorskip("cvxpy")
+
+    out = run("motor_encoder.py", folder=tmp_path)
+
+    assert out.count(": holds") == 5
+    rows = re.findall(r"^(?:link|motor) \w+ +(\d\.\d+) +(\d\.\d+) +(\d\.\d+)$", out, re.MULTILINE)
+    assert len(rows) == 4
+    assert all(float(rmse) < float(bound) for rmse, bound, _ in rows)
+    assert all(float(inside) >= 0.97 for *_, inside in rows)
+    assert float(re.search(r"would be (\S+) rad off", out)[1]) > 10.0 * float(rows[0][0])
+    size, rmse = re.search(r"friction of (\S+) N m is estimated to (\S+) N m", out).groups()
+    assert float(rmse) < 0.5 * float(size)
+
+
+def test_contact_torque(tmp_path: Path) -> None:
+    pytest.importorskip("cvxpy")
+    pytest.importorskip("matplotlib")
+
+    out = run("contact_torque.py", folder=tmp_path)
+
+    found = re.findall(
+        r": noticed after (\S+) s, (\S+) at 14 s, true (\S+)\n.* (\d\.\d+)$", out, re.M
+    )
+    contact, bias = [[float(number) for number in each] for each in found]
+    for after, guess, true, inside in (contact, bias):
+        assert 0.0 < after <= 0.1
+        assert guess == pytest.approx(true, rel=0.35)
+        assert inside >= 0.97
+    assert (tmp_path / "contact_torque.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_ts_node(tmp_path: Path, domain_id: int) -> None:
+    pytest.importorskip("rclpy")
+    pytest.importorskip("cvxpy")
+
+    out = run("ts_node.py", folder=tmp_path, ROS_DOMAIN_ID=str(domain_id))
+
+    angle, truth = (re.search(rf"{topic}/joint_states: angle (\S+), rate", out)[1]
+                    for topic in ("observer", "ground_truth"))  # fmt: skip
+    assert float(angle) == pytest.approx(float(truth), abs=0.05)
+    assert float(re.search(r"gyroscope (\S+)", out)[1]) == pytest.approx(0.15, abs=0.05)
