@@ -83,7 +83,7 @@ class Arm(System):
         self._gamma = expm(whole * T)[:n, n]
 
     def _kick(self, x: Array, theta: Array, u: Array) -> Array:
-        signals = np.concatenate([x[:4], [np.sin(x[0])], u])
+        signals = np.concatenate([x[:4], [np.sin(x[0])], u, [0.0]])
         rates = np.tensordot(theta, self._effects, 1) @ signals
         rates[1] = rates[1] - self._gravity * np.sin(x[0])
         return np.concatenate([x[:4] + 0.5 * self.flow.period * rates, x[4:]])

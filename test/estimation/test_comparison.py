@@ -154,9 +154,9 @@ def test_an_ekf_puts_late_samples_in_their_place(learns: bool) -> None:
     design = load_design(config_path(SHIPPED_DESIGN))
     count, random = 400, np.random.default_rng(5)
     stamps = 10**9 + 5_000_000 * np.arange(count)
-    y, u = RUN.measurements[0, :count, 0].copy(), RUN.torques[0, :count, 0]
+    y, u = RUN.measurements[0, :count].copy(), RUN.torques[0, :count, 0]
     y[100] += 1.0  # is left out
-    ends = [make_ekf(design, learns=learns).follow(stamps, y[:, None], u[:, None])[-1]]
+    ends = [make_ekf(design, learns=learns).follow(stamps, y, u[:, None])[-1]]
     late = np.argsort(np.arange(count) + random.uniform(0.0, 8.0, count), kind="stable")
     ekf = make_ekf(design, learns=learns)
     known = np.array([150, 151, 300, count])
@@ -164,7 +164,7 @@ def test_an_ekf_puts_late_samples_in_their_place(learns: bool) -> None:
     outcomes, newest = np.zeros(count, np.int64), np.zeros(4, np.int64)
     ticks = (stamps[[200, 200, 320, count - 1]], np.full(4, stamps[-1]), known, np.full(4, -1))
     samples = (stamps[late], y[late], u[late])
-    ekf.advance(ticks, samples, (outcomes, *np.empty((2, count))), newest, rows)
+    ekf.advance(ticks, samples, (outcomes, *np.empty((2, count, 1))), newest, rows)
 
     assert ekf.rewinds > 50
     assert rows[-1].tolist() == ends[0].tolist()
@@ -175,7 +175,8 @@ def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
     request = ArmRequest(arm=LINEAR, disturbance=(DisturbanceTerm("bias"),))
     std = np.sqrt(np.diag(request.initial_covariance))
     flow, options = request.flow, TrackerOptions(x_max=0.75)
-    ekf = baselines.KalmanFilter(flow, request.measurement_std, std, gate=np.inf, options=options)
+    variances = np.diag(request.measurement_covariance).copy()
+    ekf = baselines.KalmanFilter(flow, variances, std, gate=np.inf, options=options)
     textbook = KalmanFilter(dim_x=5, dim_z=1, dim_u=1)
     step = flow.transition(PERIOD)
     textbook.F, textbook.B, textbook.Q = step.phi, step.gamma, step.noise

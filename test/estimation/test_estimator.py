@@ -257,7 +257,7 @@ def test_whole_runs_are_their_steps_one_by_one(estimator: Estimator) -> None:
         for run in range(3):
             if k > 0:
                 alone[run] = estimator.predict(alone[run], inputs[run, k - 1], estimator.period)
-            if np.isfinite(samples[run, k]).all():
+            if np.isfinite(samples[run, k]).any():
                 alone[run], _ = estimator.correct(alone[run], samples[run, k])
             for part, own in zip(whole, estimator.readout(alone[run]), strict=True):
                 assert part[run, k].tobytes() == np.asarray(own, part.dtype).tobytes()
@@ -284,11 +284,10 @@ def test_runs_of_other_lengths_of_step(estimator: Estimator) -> None:
 
 
 def test_numbers_that_are_not_finite_raise_nothing(estimator: Estimator) -> None:
-    supervised = estimator.supervised
     for place, state in enumerate(bad_numbers(estimator)):
         finite = bool(np.isfinite(np.concatenate(estimator.readout(state)[:5])).all())
-        if supervised and place % 2 == 0:
-            assert finite  # a sample like this is an outlier
+        if place % 2 == 0 and (place < 6 or estimator.supervised):
+            assert finite  # an output like this is missing, or an outlier
         elif place < 6:
             assert not finite
 
@@ -334,7 +333,6 @@ def test_numbers_of_another_shape_are_named() -> None:
             lambda: estimator.observe(np.zeros((1, 5, 2)), np.zeros((1, 5, 1)), -1.0),
             "period: expected a finite number of at least 0",
         ),
-        (lambda: estimator.supervise(SupervisionOptions()), "expected a system of one output"),
     ):
         with pytest.raises(ModelError, match=message):
             call()

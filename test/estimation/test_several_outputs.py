@@ -55,7 +55,7 @@ def stamps_of(count: int) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
 
 def follow(y: Array, seed: int = 0, tracker: Tracker | None = None) -> tuple[Tracker, Array]:
     tracker = tracker or make_tracker(DESIGN)
-    return tracker, tracker.follow(stamps_of(len(y)), y, run().torques[seed])
+    return tracker, tracker.follow(stamps_of(len(y)), y, run().torques[seed][: len(y)])
 
 
 def field(tracker: Tracker, rows: Array, name: str) -> Array:

@@ -181,14 +181,13 @@ def test_bounds_hold_soon_after_a_jump_of_any_size(size: float) -> None:
     )
     bounds = np.concatenate([found.state_bound, found.disturbance_bound], axis=2)
     jumped = round(12.0 / T)
-    # A jump is found after eight samples; one beyond reason after a loss of track.
-    after = jumped + (60 if abs(size) > 2.0 else 20)
+    # A jump is found after eight samples.
+    after = jumped + 20
     assert (np.abs(errors) <= 3.5 * bounds)[:, after:].all()
     bases = found.basis[:, jumped:]
     assert not (bases[:, after - jumped : after - jumped + 500] == Basis.CERTIFIED).any()
-    assert (bases[:, 20] == Basis.JUMP if abs(size) < 2.0 else bases[:, 60] == Basis.STARTING).all()
-    if abs(size) < 2.0:
-        assert (bases[:, -1] == Basis.CERTIFIED).all()
+    assert (bases[:, 20] == Basis.JUMP).all()
+    assert (bases[:, -1] == Basis.CERTIFIED).all()
 
 
 def test_outliers_do_little_harm() -> None:

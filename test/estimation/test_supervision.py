@@ -192,7 +192,7 @@ def test_one_outlier_counts_as_five_sigma_in_the_averages() -> None:
     small, _ = judge(state_of(), 5.0)
     large, _ = judge(state_of(), 400.0)
     assert small.nis == large.nis == pytest.approx(1.0 + 24.0 * PERIOD, rel=0.01)
-    assert small.recent.tolist() == large.recent.tolist() == [5.0, *[0.0] * (WINDOW - 1)]
+    assert small.recent.tolist() == large.recent.tolist() == [[5.0, *[0.0] * (WINDOW - 1)]]
 
 
 # Weights.

@@ -238,8 +238,10 @@ def weigh(model: Any, state: Any, correction: Any) -> None:
 @compiled
 def _shows(model: Any, state: Any, i: int) -> bool:
     """Return whether an output's newest sample shows what arm and sensor are."""
-    there: bool = state.y[i] == state.y[i]
-    return model.p == 1 or (there and state.sensors[i].excluded == 0)
+    sensor = state.sensors[i]
+    stuck = 0 < model.stuck_samples <= sensor.repeats
+    there: bool = state.y[i] == state.y[i] and sensor.excluded == 0 and not stuck
+    return model.p == 1 or there
 
 
 @compiled

@@ -432,7 +432,7 @@ def _judge(model: Any, state: Any, correction: Any) -> bool:
         verdict = _judge_output(model, state, i, correction)
         if verdict == _USELESS:
             continue
-        if sensor.excluded != 0:
+        if sensor.excluded != 0 and verdict != _JUMPED:
             correction.weight[i] = 0.0
             if sensor.magnitude < _BACK:
                 sensor.excluded = 0
@@ -465,7 +465,8 @@ def _judge(model: Any, state: Any, correction: Any) -> bool:
             sensor = state.sensors[i]
             if lost > 0 and sensor.excluded == 0 and _is_lost(model, sensor):
                 # The other outputs are as expected: it is not the arm that is lost.
-                _forget(sensor)
+                if model.disturbed[i] != 0:
+                    _forget(sensor)
                 sensor.jumped, sensor.excluded = 2, 1 - model.disturbed[i]
                 correction.weight[i] = 0.0
         _doubt(state, _JUMP)
@@ -486,6 +487,8 @@ def _judge_output(model: Any, state: Any, i: int, correction: Any) -> int:
     innovation = correction.innovation[i]
     count_repeats(sensor, y, innovation, variance, model.R[i, i], 0.0)
     if 0 < model.stuck_samples <= sensor.repeats:
+        if sensor.repeats == model.stuck_samples:
+            _distrust(model, state, i, correction, model.stuck_samples)
         correction.weight[i] = 0.0
         return _USELESS
     r = innovation / math.sqrt(variance) if variance >= 0.0 else math.nan
@@ -534,11 +537,29 @@ def _judge_output(model: Any, state: Any, i: int, correction: Any) -> int:
         for j in range(WINDOW - _CLOSE, WINDOW):
             least = min(least, sizes[j])
         sensor.leap, sensor.jumped = math.copysign(least, innovation), 1
+        if model.p > 1 and model.disturbed[i] == 0:
+            # It may be wrong all the same, which the other outputs decide.
+            _distrust(model, state, i, correction, _LEANING)
+            sensor.excluded, correction.weight[i] = 1, 0.0
         # The averages start over: they belong to the time before the jump.
         _forget(sensor)
+        sensor.magnitude = model.lost if sensor.excluded != 0 else 1.0
         _note_jump(model, state, sensor)
         return _JUMPED
     return _AS_USUAL
+
+
+@compiled
+def _distrust(model: Any, state: Any, i: int, correction: Any, samples: int) -> None:
+    """Add to the covariance what an output's newest samples have done, as they may be wrong."""
+    sensor, gain, total = state.sensors[i], correction.gain[:], 0.0
+    for j in range(max(sensor.watched - samples, 0), sensor.watched):
+        total += math.copysign(sensor.sizes[j], sensor.recent[j])
+    _leave_certified(model, state, _GAP)
+    covariance = state.covariance[:]
+    for a in range(model.n):
+        for b in range(model.n):
+            covariance[a, b] += total * gain[a, i] * (total * gain[b, i])
 
 
 @compiled
