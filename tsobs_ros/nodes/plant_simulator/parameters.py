@@ -184,7 +184,9 @@ class PayloadParameters:
         0.0, "What it adds to the gravity torque besides", unit="N m", minimum=0.0
     )
     start: float = fixed_parameter(0.0, "When it is put on", unit="s", minimum=0.0)
-    duration: float = fixed_parameter(0.0, "How long it is carried; 0: for ever", unit="s")
+    duration: float = fixed_parameter(
+        0.0, "How long it is carried; 0: for ever", unit="s", minimum=0.0
+    )
 
     def build(self) -> Payload:
         """Return the payload of one arm."""
