@@ -353,13 +353,22 @@ def test_a_report_has_each_output_and_torque(live, tmp_path, capsys) -> None:
         assert label in page
 
 
-def test_a_report_of_a_ts_system_has_its_names(system, write_bag, tmp_path, capsys) -> None:
+def test_a_report_and_tables_of_a_ts_system_have_its_names(
+    system, write_bag, tmp_path, capsys
+) -> None:
     estimate(write_bag(messages_of_systems(system, ("system",))), SYSTEM, tmp_path / "live")
 
     assert main(["report", str(tmp_path / "live"), "--output", str(tmp_path), "--json"]) == 0
 
     report = json.loads(capsys.readouterr().out)
     request = ts.load_design(SYSTEM).request
+    names = request.output_names[0], request.state_names[0]
+    topics = ["/joint_measurements", "/observer/joint_states"]
+    for name, one in zip(
+        names, export_bag(tmp_path / "live", tmp_path, topics=topics), strict=True
+    ):
+        # The design gives no units, and the numbers are no angles.
+        assert f",position.{name}," in one.path.read_text().partition("\n")[0]
     assert report["joint"] == "system"
     assert list(report["quantities"])[: len(request.state_names)] == list(request.state_names)
     assert report["estimates"] == len(system.time)

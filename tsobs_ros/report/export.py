@@ -13,16 +13,21 @@ import hashlib
 import json
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
-from tsobs_ros.bag.estimate_topics import CONDITIONS
+from tsobs_ros.bag.estimate_topics import CONDITIONS, DESIGN
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
-from tsobs_ros.errors import BagReadError, ExportError, MessageError
+from tsobs_ros.design.file import parse_design
+from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.signals import signals
+from tsobs_ros.errors import BagReadError, ExportError, MessageError, TsobsError
+from tsobs_ros.replay.designs import recorded_observer
 
 FORMATS = ("csv", "parquet")
 
@@ -100,8 +105,14 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
     },
 }
 
-# An observer's health is no angle.
-_HEALTH_UNITS = {**dict.fromkeys(CONDITIONS, ""), "measurement_age": "s"}
+# An observer's health is no angle, and the disturbance of a velocity is none.
+_RATE = {"position": "rad/s", "velocity": "rad/s^2"}
+_UNITS_OF_ENTRIES: Mapping[str, Mapping[str, str]] = {
+    **{name: {"position": ""} for name in CONDITIONS},
+    "measurement_age": {"position": "s"},
+    "link_velocity": _RATE,
+    "motor_velocity": _RATE,
+}
 
 
 class Cell(NamedTuple):
@@ -155,6 +166,7 @@ class Table:
     Args:
         reader: The bag.
         topic: The topic.
+        units: Units of a JointState's entries that are none of a joint's, by field.
 
     Attributes:
         topic: The topic.
@@ -167,8 +179,10 @@ class Table:
             or not in `ros2msg`, or `mcap-ros2-support` is not installed.
     """
 
-    def __init__(self, reader: BagReader, topic: str) -> None:
-        self.topic = topic
+    def __init__(
+        self, reader: BagReader, topic: str, units: Mapping[str, Mapping[str, str]] = {}
+    ) -> None:
+        self.topic, self._units = topic, units
         self.damage: BagReadError | None = None
         self.count = 0
         self._reader = reader
@@ -232,7 +246,7 @@ class Table:
                     f"{self._reader.path}: the message of {self.topic} at {raw.log_time} ns is "
                     f"not a {JOINT_STATE}: {error}"
                 ) from error
-            yield raw.log_time, raw.publish_time, _flatten_joint_state(state)
+            yield raw.log_time, raw.publish_time, _flatten_joint_state(state, self._units)
 
 
 def _flatten_message(message: Any, whole: Collection[str] = ()) -> Iterator[Cell]:
@@ -243,7 +257,35 @@ def _flatten_message(message: Any, whole: Collection[str] = ()) -> Iterator[Cell
         yield from _flatten(getattr(message, field), field, unit, whole)
 
 
-def _flatten_joint_state(message: JointState) -> Iterator[Cell]:
+def _units_of_systems(reader: BagReader) -> dict[str, dict[str, str]]:
+    """Return the units of the entries of T–S systems by field, as recorded designs have them."""
+    units: dict[str, dict[str, str]] = {}
+    for topic in reader.topics.values():
+        if not topic.name.endswith(f"/{DESIGN}"):
+            continue
+        with suppress(TsobsError):  # without the design there are no units
+            ran = recorded_observer(reader, topic.name.removesuffix(f"/{DESIGN}"))
+            for joint, (design, *_) in ran.designs.items():
+                if design.text is None:
+                    continue
+                request = parse_design(f"{design.file:.200}", design.text).request
+                if isinstance(request, ArmRequest):
+                    continue
+                own = signals(request, joint, alone=len(ran.designs) == 1)
+                for places, given in (
+                    (own.states, request.state_units),
+                    (own.inputs, request.input_units),
+                    (own.outputs, request.output_units),
+                ):
+                    for place, unit in zip(places, given, strict=True):
+                        rate = f"{unit}/s" if unit else ""
+                        units[place.name] = {"position": unit, "velocity": rate}
+    return units
+
+
+def _flatten_joint_state(
+    message: JointState, units: Mapping[str, Mapping[str, str]]
+) -> Iterator[Cell]:
     """Yield the cells of a JointState; its numbers have the names of their joints."""
     yield Cell("header.stamp", "ns", message.stamp)
     yield Cell("header.frame_id", "", message.frame_id)
@@ -253,7 +295,8 @@ def _flatten_joint_state(message: JointState) -> Iterator[Cell]:
         for place, value in enumerate(getattr(message, field)):
             name = names[place] if place < len(names) else ""
             column = f"{field}.{name}" if place < len(names) else f"{field}[{place}]"
-            yield Cell(column, _HEALTH_UNITS.get(name.rpartition("/")[2], usual), value)
+            own = units.get(name) or _UNITS_OF_ENTRIES.get(name.rpartition("/")[2], {})
+            yield Cell(column, own.get(field, usual), value)
 
 
 def _flatten(value: Any, column: str, unit: str, whole: Collection[str]) -> Iterator[Cell]:
@@ -337,7 +380,8 @@ def export_bag(
         if os.path.lexists(path):
             raise ExportError(f"{path}: exists already, files are not overwritten")
     # All topics before the first file: one that cannot be decoded leaves none behind.
-    tables = [(Table(reader, topic), path) for topic, path in paths.items()]
+    units = _units_of_systems(reader)
+    tables = [(Table(reader, topic, units), path) for topic, path in paths.items()]
     exported = []
     for table, path in tables:
         try:
