@@ -204,7 +204,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copy(ROOT / "docs" / "examples" / "arm_log.csv", tmp_path)
     for name in ("my_arm", "stiff", "soft", "arm", "elbow"):
         shutil.copy(config_path(SHIPPED_DESIGN), tmp_path / f"{name}.design.yaml")
-    shutil.copy(config_path("observer.yaml"), tmp_path)
+    for name in ("observer.yaml", "paper_example_1.design.yaml"):
+        shutil.copy(config_path(name), tmp_path)
     for bag in ("run1", "bag"):
         ts.estimate_bag("arm_log.csv", output=bag)
     return tmp_path
@@ -232,8 +233,9 @@ def test_the_commands_of_a_page_run(
                 assert "Traceback" not in err
         elif block.language == "yaml":
             Path(f"{number}.yaml").write_text(block.text, encoding="utf-8")
-            assert safe_load(block.text)
-            shell.check_node("observer", ["--ros-args", "--params-file", f"{number}.yaml"])
+            (section,) = safe_load(block.text)
+            name = section.strip("/*") or "observer"
+            shell.check_node(name, ["--ros-args", "--params-file", f"{number}.yaml"])
             assert "unknown parameters" not in capfd.readouterr().err
 
 
