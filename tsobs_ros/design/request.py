@@ -237,7 +237,8 @@ class ArmRequest(DesignProblem):
         decay_rate: Certified rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
         initial_std: 1σ of [q₁, q̇₁, q₂, q̇₂] before any measurement (rad, rad/s), shape (4,).
         uncertainty: Bound on |θ| of each uncertain parameter, by its name in
-            `model.uncertainty.ARM_DIRECTIONS`: relative, or N m s/rad for a damping.
+            `model.uncertainty.ARM_DIRECTIONS`: relative, or N m s/rad for a damping. That of
+            gravity is left out if there is none.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
         torque_limit: Largest plausible torque [N m]; 0: any is; None: see `torque_limits`.
         torque_rate_limit: Its largest plausible rate [N m/s]; likewise.
