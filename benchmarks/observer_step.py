@@ -93,7 +93,7 @@ class _FilterpyAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
         self.gamma = np.concatenate([numbers.gamma[:, 0], np.zeros(k)])
         self.x = np.zeros((n + k, 1))
         self.P, self.R = numbers.initial.copy(), design.request.measurement_covariance
-        self.H = numbers.output[np.newaxis]
+        self.H = numbers.output
         self._identity = np.eye(n + k)
 
     def predict_x(self, u: Array) -> None:  # type: ignore[override]
@@ -112,7 +112,7 @@ class _FilterpyAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
     def _kick(self, x: Array, torque: float) -> tuple[Array, Array]:
         step, n = self.flow.nominal, self.flow.state_count
         half, theta = 0.5 * step.duration, x[n:]
-        push = (self.effects @ [*x[:4], np.sin(x[LINK_ANGLE]), torque]).T
+        push = (self.effects @ [*x[:4], np.sin(x[LINK_ANGLE]), torque, 0.0]).T
         change = np.tensordot(theta, self.effects, 1)
         jacobian = self._identity.copy()
         jacobian[_ROWS, :4] += half * change[:, :4]
