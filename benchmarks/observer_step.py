@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of one estimator, by step, in a series, in batches and with late samples.
+"""Cost of one estimator, by step, in a series, in batches, with late samples and more outputs.
 
 A step is correct + predict + readout of the supervised estimator, on data of a simulated arm. The
 reference is filterpy's extended Kalman filter with the same model and states, whose step is
@@ -27,6 +27,8 @@ import tsobs_ros as ts
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
+from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.baselines import THETA_WANDER
 from tsobs_ros.estimation.estimator import Estimator, correct_each, predict_each, read_each
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
@@ -35,8 +37,9 @@ from tsobs_ros.methods import make_ekf, make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.uncertainty import SINE
 from tsobs_ros.resources import FIXED_DESIGN, config_path
-from tsobs_ros.simulation.plant import Trajectories
+from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.simulation.sensor import Sensor
 
 _TURN = 200
 _ROWS = [LINK_VELOCITY, MOTOR_VELOCITY]
@@ -238,6 +241,38 @@ def _late(design: Design, count: int, turns: int) -> dict[str, float]:
     return {name: float(np.median(each)) for name, each in times.items()}
 
 
+def _outputs(design: Design, turns: int) -> dict[str, float]:
+    """Return the median costs of a sample of one output, and of two with unknown torques [µs]."""
+    drift = DisturbanceTerm("gauss_markov", {"std": 2.0, "time_constant": 1.0})
+    outputs = (
+        Output("link_angle", 0.005, (DisturbanceTerm("bias"),)),
+        Output("motor_angle", 0.002),
+    )
+    request = ArmRequest(outputs=outputs, torque_disturbance=TorqueDisturbance((drift,), (drift,)))
+    sensors = tuple(
+        SimulatedOutput(each.measures, Sensor(noise_std=each.measurement_std)) for each in outputs
+    )
+    contenders = {}
+    for design_, scenario in (
+        (design, Scenario()),
+        (synthesise(request), Scenario(outputs=sensors)),
+    ):
+        tracker, runs = make_tracker(design_), simulate(scenario, [1], 60.0)
+        stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
+        shape = tracker.estimator.shape
+        name = (
+            f"{shape.p} outputs, {shape.n} states" if shape.p > 1 else f"1 output, {shape.n} states"
+        )
+        contenders[name] = (tracker, stamps, runs.measurements[0], runs.torques[0])
+    times: dict[str, list[float]] = {name: [] for name in contenders}
+    for _ in range(turns + 1):
+        for name, (tracker, *samples) in contenders.items():
+            tracker.reset()
+            cost = timed(lambda: tracker.follow(*samples))  # noqa: B023
+            times[name].append(1e6 * cost / len(samples[0]))
+    return {name: float(np.median(each[1:])) for name, each in times.items()}
+
+
 _START = """
 import time
 begun, cpu = time.perf_counter(), time.process_time()
@@ -307,6 +342,12 @@ def _measure(options: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
         waits = results["late_s"] = _late(adaptive, options.late, options.turns)
         lines.append(f"{options.late} samples together:")
         lines += [f"  {name:28s} {1e3 * each:7.1f} ms" for name, each in waits.items()]
+    if "outputs" in parts:
+        costs = results["sample_us"] = _outputs(adaptive, options.turns)
+        lines.append("a sample and its estimate, in a compiled series:")
+        lines += [f"  {name:28s} {cost:7.2f} µs" for name, cost in costs.items()]
+        one, two = costs.values()
+        lines.append(f"  {'ratio':28s} {two / one:7.2f}")
     if "start" in parts:
         starts = results["start_s"] = _start(options.turns)
         lines.append("from the import to a tracker's first estimate:")
@@ -328,7 +369,7 @@ def main() -> None:
     made.add_argument(
         "--turns", type=at_least(1, int), default=7, help="repetitions of what is not a step"
     )
-    choices = ("steps", "batch", "series", "late", "start")
+    choices = ("steps", "batch", "series", "late", "outputs", "start")
     made.add_argument("--parts", nargs="+", choices=choices, default=choices)
     options = made.parse_args()
     results, lines = _measure(options)
