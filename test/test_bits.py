@@ -48,7 +48,9 @@ for file in ("elastic_joint_fixed.design.yaml", "elastic_joint.design.yaml"):
     found = settled.observe([angle], [torque])
     # Where θ is learnt, its bounds are not the certificate's.
     assert found.certified.any() == (settled.shape.k == 0)
-    show("settled", np.concatenate([found.state, found.state_bound, found.disturbance], axis=2))
+    numbers = np.concatenate([found.state, found.state_bound, found.disturbance], axis=2)
+    assert np.isnan(numbers[:, 91:]).any()  # after an infinite torque, and not all of one sign
+    show("settled", np.where(np.isnan(numbers), np.nan, numbers))
     for method in METHODS if settled.shape.k else ["certified"]:
         settings = ts.ObserverSettings(
             method=method, settle_time=0.2, supervision=SupervisionOptions(jump_quiet=0.0)

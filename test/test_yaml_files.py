@@ -4,7 +4,7 @@
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tsobs_ros.yaml_files import load_yaml
@@ -17,6 +17,7 @@ PLAIN = st.recursive(
 
 
 @given(PLAIN)
+@example({"%TAG": "%TAG"})
 def test_plain_data_comes_back(data: object) -> None:
     assert load_yaml(yaml.safe_dump(data)) == data
 

@@ -24,6 +24,7 @@ MAX_BYTES = 1 << 20
 
 _MAX_NODES = 100_000
 _MAX_DEPTH = 50
+_TAGS = re.compile(r"(^|[\r\n\x85\u2028\u2029])\ufeff?%TAG")
 # PyYAML takes the square of their length for those with colons.
 _LONG_NUMBER = re.compile(r"[-+0-9_:.]{200,}")
 
@@ -169,7 +170,7 @@ class PlainDumper(yaml.SafeDumper):
 
 def _check_structure(text: str) -> None:
     """Refuse what is dangerous to build, by its events alone: the parser does not recurse."""
-    if "%TAG" in text:  # libyaml compares each with all before it
+    if _TAGS.search(text):  # libyaml compares each with all before it
         raise ValueError("abbreviations of tags are not supported")
     depth = nodes = 0
     for event in yaml.parse(text, Loader=_LOADER):

@@ -1044,67 +1044,44 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
         spread *= math.sqrt(larger(alternative.nis, 1.0))
         uncertain = bool(1)
     share = work.small[0]
-    total = 0.0
+    total, doubtful = 0.0, 0.0
     for i in range(plant):
-        bound = std[i]
-        if uncertain:
-            bound = larger(_root(covariance[i, i]), bound)
-        bound *= spread
         for a in range(k):
             share[a] = upsilon[a, i]
-        shift = dot(share, pending, k)
-        added = larger(quadratic(gamma, share, k), 0.0) + shift * shift
         if open_torque:
-            added += response[i] * response[i]
+            doubtful = response[i]
+        variance = covariance[i, i] if uncertain else 0.0
         states[i] = scale[i] * x[i]
-        bounds[i] = scale[i] * _root(bound * bound + added)
+        bound = _bound(std[i], variance, spread, gamma, share, pending, k, doubtful)
+        bounds[i] = scale[i] * bound
         total += states[i] + bounds[i]
-    omegas, rates, std = (
-        readout.disturbance[:],
-        readout.disturbance_rate[:],
-        model.disturbance_std[:],
-    )
-    bounds = readout.disturbance_bound[:]
-    for i in range(p):
-        h = model.disturbance_map[i]
-        bound = std[i]
-        if uncertain:
-            bound = larger(_root(quadratic(covariance, h, n)), bound)
-        bound *= spread
+    for i in range(p + model.t):
+        is_output = i < p
+        h = model.disturbance_map[i] if is_output else model.torque_map[i - p]
+        least = model.disturbance_std[i] if is_output else model.torque_std[i - p]
         for a in range(k):
             share[a] = dot(h, upsilon[a], n)
-        shift = dot(share, pending, k)
-        added = larger(quadratic(gamma, share, k), 0.0) + shift * shift
         if open_torque:
-            shift = dot(h, response, n)
-            added += shift * shift
-        omegas[i] = dot(h, x, n)
-        if model.gain_mode == OPEN:
-            omegas[i] += dot(model.disturbance_direct[i], y, p)
-        rates[i] = dot(model.rate_map[i], x, n)
-        bounds[i] = _root(bound * bound + added)
-        total += omegas[i] + rates[i] + bounds[i]
-        readout.designed_disturbance[i] = omegas[i]
-        readout.designed_bound[i] = bounds[i]
-        if state.hypothesis != _AS_DESIGNED:
-            readout.designed_disturbance[i] = dot(h, state.x[:], n)
-            readout.designed_bound[i] = noise * std[i]
-    for i in range(model.t):
-        h = model.torque_map[i]
-        bound = model.torque_std[i]
-        if uncertain:
-            bound = larger(_root(quadratic(covariance, h, n)), bound)
-        bound *= spread
-        for a in range(k):
-            share[a] = dot(h, upsilon[a], n)
-        shift = dot(share, pending, k)
-        added = larger(quadratic(gamma, share, k), 0.0) + shift * shift
-        if open_torque:
-            shift = dot(h, response, n)
-            added += shift * shift
-        readout.torque_disturbance[i] = dot(h, x, n)
-        readout.torque_disturbance_bound[i] = _root(bound * bound + added)
-        total += readout.torque_disturbance[i] + readout.torque_disturbance_bound[i]
+            doubtful = dot(h, response, n)
+        variance = quadratic(covariance, h, n) if uncertain else 0.0
+        value = dot(h, x, n)
+        bound = _bound(least, variance, spread, gamma, share, pending, k, doubtful)
+        if is_output:
+            if model.gain_mode == OPEN:
+                value += dot(model.disturbance_direct[i], y, p)
+            readout.disturbance[i], readout.disturbance_bound[i] = value, bound
+            rate = dot(model.rate_map[i], x, n)
+            readout.disturbance_rate[i] = rate
+            total += rate
+            if state.hypothesis == _AS_DESIGNED:
+                readout.designed_disturbance[i], readout.designed_bound[i] = value, bound
+            else:
+                readout.designed_disturbance[i] = dot(h, state.x[:], n)
+                readout.designed_bound[i] = noise * least
+        else:
+            readout.torque_disturbance[i - p] = value
+            readout.torque_disturbance_bound[i - p] = bound
+        total += value + bound
     for i in range(k):
         readout.parameters[i] = theta[i]
         # What was learnt over a distance is wrong by a share of it: regressors move with x̂.
@@ -1121,6 +1098,35 @@ def read(model: Any, state: Any, readout: Any, work: Any) -> None:
     if k > 0 and trusted and _is_excited(model, state, work):
         readout.parameters_valid = 1
     readout.finite = 1 if math.isfinite(total) else 0
+
+
+@compiled
+def _bound(
+    least: float,
+    variance: float,
+    spread: float,
+    gamma: Array,
+    share: Array,
+    pending: Array,
+    k: int,
+    doubtful: float,
+) -> float:
+    """Return the 1σ bound of a linear function of the estimate.
+
+    Args:
+        least: Of the certificate.
+        variance: Along the estimate, 0 if that does not count.
+        spread: Factor of both.
+        gamma: Covariance of the parameters.
+        share: What the function gains by each parameter.
+        pending: Changes of the parameters that are not used yet.
+        k: Number of parameters.
+        doubtful: What suspected steps of the torque have done to the function.
+    """
+    own = larger(_root(variance), least) * spread
+    shift = dot(share, pending, k)
+    added = larger(quadratic(gamma, share, k), 0.0) + shift * shift + doubtful * doubtful
+    return _root(own * own + added)
 
 
 @compiled
