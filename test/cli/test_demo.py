@@ -132,7 +132,6 @@ def test_a_node_that_fails_fails_the_demo_with_its_reason(demo: Demo, tmp_path: 
     "how",
     [
         [signal.SIGINT],
-        [signal.SIGTERM, signal.SIGINT],
         [signal.SIGHUP, signal.SIGHUP, signal.SIGTERM],
     ],
 )
