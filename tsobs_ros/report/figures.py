@@ -24,6 +24,8 @@ _WIDTH = 10.0
 _DPI = 140
 _TALL, _FLAT = 1.72, 1.35
 _TOP, _BOTTOM = 1.0, 0.52
+_LEFT, _MARGIN = 0.092, 0.01
+"""Shares of the width: left of the panels, and at least left of their labels."""
 _FAINT, _STRONG = 0.13, 0.32
 _JUMPS = {"jump": "fault {:+.2g} rad", "step": "torque {:+.2g} N m"}
 _LABEL_WIDTH = 20
@@ -61,7 +63,7 @@ def _figure(picture: Picture) -> Figure:
         2,
         width_ratios=[1.45, 1.0] if with_errors else [4.6, 1.0],
         height_ratios=heights,
-        left=0.092,
+        left=_LEFT,
         right=0.985,
         top=1.0 - _TOP / height,
         bottom=_BOTTOM / height,
@@ -78,7 +80,7 @@ def _figure(picture: Picture) -> Figure:
         else:
             right.append(figure.add_subplot(grid[row, 1], sharex=left[0]))
             _draw(right[-1], panel.error, panel.unit)
-            right[-1].set_title("  ·  ".join(panel.remark), loc="left", fontsize=8.5, pad=5)
+            right[-1].set_title("  ·  ".join(panel.remark), loc="left", fontsize=7.8, pad=5)
     for column in (left, right):
         for axes in column:
             _mark_events(axes, picture)
@@ -90,6 +92,15 @@ def _figure(picture: Picture) -> Figure:
     _label_jumps(left[0], picture)
     figure.align_ylabels(left)
     figure.align_ylabels(right)
+    # Numbers of many digits push the labels outwards.
+    figure.draw_without_rendering()
+    outermost = min(axes.yaxis.label.get_window_extent().x0 for axes in left)
+    lacking = _MARGIN - outermost / float(figure.bbox.width)
+    grid.update(left=_LEFT + max(lacking, 0.0))
+    for axes in (*left, *right):
+        place = axes.get_subplotspec()
+        if place is not None:
+            axes.set_position(place.get_position(figure))
     _head(figure, picture, height)
     return figure
 
