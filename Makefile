@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 SOURCES := setup.py setup.cfg pyproject.toml package.xml $(wildcard config/*.yaml examples/*.py)
 # Everything that the README shows; the tests need more.
-EXTRAS := design,report,export
+EXTRAS := design,report,export,campaign,watch
 # The NumPy that a ROS found was built for; another one breaks its messages.
 NUMPY = $$(test -s $(VENV)/.ros || $(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)')
 PYTEST_ARGS ?= -n 3
@@ -68,7 +68,7 @@ $(VENV)/.demo: $(SOURCES) | $(BIN)/python
 
 $(VENV)/.test: $(SOURCES) | $(BIN)/python
 	@echo "Installing tsobs_ros and its test tools into $(VENV) (once)"
-	@$(PIP) $(NUMPY) -e ".[$$(cat $(VENV)/.ros)$(EXTRAS),test]"
+	@$(PIP) $(NUMPY) -e ".[$$(cat $(VENV)/.ros)$(EXTRAS),docs,test]"
 	@touch $@ $(VENV)/.demo
 
 # A ROS counts as found only if the new environment sees it too, which it does not if $$python is

@@ -79,6 +79,9 @@ HOME: dict[str, set[str]] = {
     "plotly": {"report"},
     "pyarrow": {"report"},
     "numba": {"compiled"},
+    "distributed": {"campaign"},
+    "dask": {"campaign"},
+    "rich": {"cli"},
 }
 ROS_INTERFACES = {"rcl_interfaces", "builtin_interfaces", "std_srvs"}
 
