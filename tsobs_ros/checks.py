@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from tsobs_ros.errors import ModelError
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 
 
 _PRINTER = reprlib.Repr()

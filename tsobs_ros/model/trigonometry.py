@@ -10,7 +10,9 @@ Of an angle that is not finite they are NaN, and raise nothing.
 
 import math
 
-from tsobs_ros.compiled import compiled
+import numpy as np
+
+from tsobs_ros.compiled import compiled, inlined
 
 _QUARTERS = 2.0 / math.pi
 # π/2 in three parts; the first two have 33 bits, so that small multiples of them are exact.
@@ -44,20 +46,43 @@ def _turned(angle: float, quarters: int) -> float:
         whole = math.floor(angle * _QUARTERS + 0.5)
         angle = ((angle - whole * _PART_1) - whole * _PART_2) - whole * _PART_3
         quarters += int(whole)
-    z = angle * angle
-    if quarters & 1:
-        r = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
-        r = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * r)
-        r = 4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * r)
-        half = 0.5 * z
-        value = 1.0 - half
-        value += ((1.0 - value) - half) + z * (z * r)
-    else:
-        r = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
-        r = -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * r)
-        r = -1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * r)
-        value = angle + angle * z * r
+    value = _first_cosine(angle) if quarters & 1 else _first_sine(angle)
     return -value if quarters & 2 else value
+
+
+@inlined
+def unbranched_sine(angle: float) -> float:
+    """Return what `sine` returns up to 10⁶ rad, NaN beyond, so that loops of it are vectorised."""
+    whole = float(np.floor(angle * _QUARTERS + 0.5))
+    whole = whole if math.fabs(angle) > 0.25 * math.pi else 0.0
+    rest = ((angle - whole * _PART_1) - whole * _PART_2) - whole * _PART_3
+    halves = float(np.floor(0.5 * whole))
+    at_sine, at_cosine = _first_sine(rest), _first_cosine(rest)
+    value = at_cosine if whole != 2.0 * halves else at_sine
+    value = -value if halves != 2.0 * float(np.floor(0.5 * halves)) else value
+    return value if math.fabs(angle) <= _MAX_EXACT else math.nan
+
+
+@inlined
+def _first_sine(angle: float) -> float:
+    """Return the sine up to π/4."""
+    z = angle * angle
+    r = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+    r = -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * r)
+    r = -1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * r)
+    return angle + angle * z * r
+
+
+@inlined
+def _first_cosine(angle: float) -> float:
+    """Return the cosine up to π/4."""
+    z = angle * angle
+    r = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11
+    r = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * r)
+    r = 4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * r)
+    half = 0.5 * z
+    value = 1.0 - half
+    return value + (((1.0 - value) - half) + z * (z * r))
 
 
 @compiled

@@ -7,23 +7,42 @@ A channel is the disturbance of an output, or of a torque. The time of its compo
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Integers
 from tsobs_ros.compiled import compiled
 from tsobs_ros.simulation.signals import (
     GAUSS_MARKOV,
     ROW,
     Component,
     component_row,
+    disturbance_at,
     drifted,
+    is_stuck,
 )
 from tsobs_ros.simulation.streams import RandomStream, Source
 
-Counts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+
+class Sums(NamedTuple):
+    """The components of all channels, for compiled code.
+
+    Attributes:
+        rows: Of the components, one channel after another, shape (components, ROW).
+        ends: Number of rows up to each channel, and of all, shape (channels + 1,).
+        injected: Index of the first sample of each channel's components, shape (channels,).
+        drifts: Present values of the drifts in the order of their rows, shape (runs, drifts).
+        noise: Normal numbers of the drifts, shape (drifts, runs, block).
+        drift_ends: Number of drifts up to each channel, and of all, shape (channels + 1,).
+    """
+
+    rows: Array
+    ends: Integers
+    injected: Integers
+    drifts: Array
+    noise: Array
+    drift_ends: Integers
 
 
 class Channels:
@@ -36,11 +55,7 @@ class Channels:
         block: Samples that random numbers are drawn for at a time.
 
     Attributes:
-        rows: Of the components, one channel after another, shape (components, ROW).
-        ends: Number of rows up to the end of each channel, shape (channels,).
-        injected: Index of the first sample of each channel's components, shape (channels,).
-        drifts: Present values of the drifts in the order of their rows, shape (runs, drifts).
-        noise: Normal numbers of the drifts, shape (drifts, runs, block).
+        sums: The components' numbers.
     """
 
     def __init__(self, seeds: Sequence[int], source: Source, count: int, block: int) -> None:
@@ -48,11 +63,14 @@ class Channels:
         self._others: list[list[Component]] = [[]] * count
         self._generations = [-1] * count
         self._streams: list[list[RandomStream]] = [[]] * count
-        self.rows = np.zeros((0, ROW))
-        self.ends = np.zeros(count, np.int64)
-        self.injected = np.zeros(count, np.int64)
-        self.drifts = np.zeros((len(seeds), 0))
-        self.noise = np.zeros((0, len(seeds), block))
+        self.sums = Sums(
+            np.zeros((0, ROW)),
+            np.zeros(count + 1, np.int64),
+            np.zeros(count, np.int64),
+            np.zeros((len(seeds), 0)),
+            np.zeros((0, len(seeds), block)),
+            np.zeros(count + 1, np.int64),
+        )
 
     def exchange(
         self, channel: int, components: Sequence[Component], index: int, drawn: int
@@ -66,7 +84,6 @@ class Channels:
             drawn: Its place in the blocks of random numbers.
         """
         generation = self._generations[channel] = self._generations[channel] + 1
-        self.injected[channel] = index
         rows = [component_row(each) for each in components]
         pairs = list(zip(components, rows, strict=True))
         self._others[channel] = [each for each, row in pairs if row is None]
@@ -76,30 +93,30 @@ class Channels:
             for place, row in enumerate(rows)
             if row is not None and row[0] == GAUSS_MARKOV
         ]
-        noise = np.empty((len(streams), len(self._seeds), self._block))
+        runs = len(self._seeds)
+        noise = np.empty((len(streams), runs, self._block))
         for stream, block in zip(streams, noise, strict=True):
             stream.fill(block[:, drawn:])
-        first = int(self.ends[channel - 1]) if channel else 0
-        kept = [row for row in rows if row is not None]
-        rest = np.s_[int(self.ends[channel]) :]
-        self.rows = np.vstack([self.rows[:first], *kept, self.rows[rest]])
-        self.ends[channel:] += first + len(kept) - rest.start
-        before = sum(map(len, self._streams[:channel]))
-        after = np.s_[before + len(self._streams[channel]) :]
-        self.drifts = np.hstack(
-            [
-                self.drifts[:, :before],
-                np.zeros((len(self._seeds), len(streams))),
-                self.drifts[:, after],
-            ]
+        kept = np.array([row for row in rows if row is not None]).reshape(-1, ROW)
+        sums = self.sums
+        first, last = sums.ends[channel : channel + 2]
+        before, after = sums.drift_ends[channel : channel + 2]
+        self.sums = sums._replace(
+            rows=np.vstack([sums.rows[:first], kept, sums.rows[last:]]),
+            drifts=np.hstack(
+                [sums.drifts[:, :before], np.zeros((runs, len(streams))), sums.drifts[:, after:]]
+            ),
+            noise=np.concatenate([sums.noise[:before], noise, sums.noise[after:]]),
         )
-        self.noise = np.concatenate([self.noise[:before], noise, self.noise[after]])
+        sums.injected[channel] = index
+        sums.ends[channel + 1 :] += len(kept) - (last - first)
+        sums.drift_ends[channel + 1 :] += len(streams) - (after - before)
         self._streams[channel] = streams
 
     def draw(self) -> None:
         """Draw the next random numbers."""
         streams = [stream for each in self._streams for stream in each]
-        for stream, block in zip(streams, self.noise, strict=True):
+        for stream, block in zip(streams, self.sums.noise, strict=True):
             stream.fill(block)
 
     def add_others(self, values: Array, index: int, rate: float) -> None:
@@ -111,58 +128,50 @@ class Channels:
             rate: Samples a second [Hz].
         """
         for channel, others in enumerate(self._others):
-            first = index - int(self.injected[channel])
+            first = index - int(self.sums.injected[channel])
             for other in others:
                 places = range(first, first + values.shape[1])
                 values[..., channel] += [other.value(place / rate) for place in places]
 
 
 @compiled
+def without_drifts(sums: Sums, channel: int, index: int, rate: float) -> tuple[float, bool]:
+    """Return what a channel adds at a sample without its drifts, and whether it is stuck.
+
+    Args:
+        sums: The components of all channels.
+        channel: Its number.
+        index: Index of the sample.
+        rate: Samples a second [Hz].
+    """
+    rows = sums.rows[sums.ends[channel] : sums.ends[channel + 1]]
+    time = (index - int(sums.injected[channel])) / rate
+    return disturbance_at(rows, time), is_stuck(rows, time)
+
+
+@compiled
 def with_drifts(
-    value: float,
-    rows: Array,
-    first: int,
-    last: int,
-    since: int,
-    rate: float,
-    drifts: Array,
-    noise: Array,
-    drift: int,
-    run: int,
-    draw: int,
+    value: float, sums: Sums, channel: int, index: int, rate: float, run: int, draw: int
 ) -> float:
     """Move the drifts of a channel on to a sample and return their sum with a value.
 
     Args:
         value: What they are added to.
-        rows: Of all channels, shape (rows, ROW).
-        first: The channel's first row.
-        last: The row after its last.
-        since: Samples since its components were put in.
+        sums: The components of all channels; their drifts are moved.
+        channel: Its number.
+        index: Index of the sample.
         rate: Samples a second [Hz].
-        drifts: Of all channels, shape (runs, drifts), which are moved.
-        noise: Their normal numbers, shape (drifts, runs, block).
-        drift: Number of drifts of the channels before.
         run: The run.
         draw: Place of the sample in the block.
     """
-    for row in range(first, last):
-        if int(rows[row, 0]) == GAUSS_MARKOV:
+    drift, since = sums.drift_ends[channel], index - int(sums.injected[channel])
+    for row in range(sums.ends[channel], sums.ends[channel + 1]):
+        if int(sums.rows[row, 0]) == GAUSS_MARKOV:
             now = 0.0
-            if since > 0 and (since - 1) / rate >= float(rows[row, 3]):
-                number = float(noise[drift, run, draw])
-                now = drifted(rows[row], float(drifts[run, drift]), number, 1.0 / rate)
-            drifts[run, drift] = now
+            if since > 0 and (since - 1) / rate >= float(sums.rows[row, 3]):
+                number = float(sums.noise[drift, run, draw])
+                now = drifted(sums.rows[row], float(sums.drifts[run, drift]), number, 1.0 / rate)
+            sums.drifts[run, drift] = now
             value += now
             drift += 1
     return value
-
-
-@compiled
-def drifts_in(rows: Array, first: int, last: int) -> int:
-    """Return how many rows of a channel are drifts."""
-    count = 0
-    for row in range(first, last):
-        if int(rows[row, 0]) == GAUSS_MARKOV:
-            count += 1
-    return count

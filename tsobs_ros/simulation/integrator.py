@@ -8,6 +8,7 @@ needed.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -15,11 +16,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, check_each, non_negative, positive
-from tsobs_ros.compiled import compiled
+from tsobs_ros.compiled import compiled, inlined
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.stepping import record_type
-from tsobs_ros.model.trigonometry import sine
+from tsobs_ros.model.trigonometry import sine, unbranched_sine
 
 LONGEST_SUBSTEP = 1e-3
 """Upper limit of an integration step [s]; a sampling period is cut into equal steps below it."""
@@ -141,7 +142,7 @@ class ArmIntegrator:
         payload: What the arm carries besides.
 
     Attributes:
-        motion: One record with the numbers that `advance_arm` takes.
+        motion: One record with the numbers that `advance_arms` takes.
 
     Raises:
         ModelError: The period or the step limit is not a finite number above zero.
@@ -197,78 +198,125 @@ class ArmIntegrator:
         start = np.array(state, dtype=np.float64)
         if start.ndim not in (1, 2) or start.shape[-1] != 4:
             raise ModelError(f"state: expected shape (4,) or (runs, 4), got {start.shape}")
-        held = np.broadcast_to(np.asarray(torque, dtype=np.float64), (*start.shape[:-1], 1))
         shape = (*start.shape[:-1], self.substeps, 2)
-        noise = np.zeros(shape) if kicks is None else np.asarray(kicks, dtype=np.float64)
+        noise = np.zeros(shape) if kicks is None else np.array(kicks, dtype=np.float64)
         if noise.shape != shape:
             raise ModelError(f"kicks: expected shape {shape}, got {noise.shape}")
+        states = start.reshape(-1, 4)
+        runs = len(states)
+        torques = np.empty((runs, 1))
+        torques[...] = torque
         _advance_arms(
             self.motion,
-            start.reshape(-1, 4),
-            np.ascontiguousarray(held).reshape(-1),
-            np.ascontiguousarray(noise).reshape(-1, 2 * self.substeps),
+            states,
+            torques[:, 0].copy(),
+            np.zeros((runs, 2)),
+            noise.reshape(runs, 1, -1),
         )
         return start
 
 
 @compiled
-def advance_arm(
+def advance_arms(
     motion: Any,
-    state: Array,
-    torque: float,
-    motor_push: float,
-    link_push: float,
+    states: Array,
+    torques: Array,
+    pushes: Array,
     kicks: Array,
+    draw: int,
     link_kick: float,
     motor_kick: float,
 ) -> None:
-    """Move the physical state of one arm over a period, in place.
+    """Move the physical states of arms over a period, in place.
 
     Args:
         motion: Record of an `ArmIntegrator`.
-        state: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (4,).
-        torque: Motor torque held over the period [N m].
-        motor_push: Torque on the motor besides, held likewise [N m].
-        link_push: Torque on the link, held likewise [N m].
+        states: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, 4).
+        torques: Motor torques held over the period [N m], shape (runs,).
+        pushes: Torques on motor and link besides, held likewise [N m], shape (runs, 2).
         kicks: Velocity steps of link and motor after each integration step in turn, shape
-            (2 substeps,), or (0,) for none.
+            (runs, block, 2 substeps), or (runs, block, 0) for none.
+        draw: Which of the block.
         link_kick: What the link's are to be multiplied by [rad/s].
         motor_kick: What the motor's are to be multiplied by [rad/s].
     """
+    lanes = np.empty((6, states.shape[0]))
+    _load(motion, states, torques, pushes, lanes)
+    _integrate(motion, lanes, kicks, draw, link_kick, motor_kick, unbranched_sine)
+    for run in range(states.shape[0]):
+        if math.isnan(lanes[1, run]):  # as is that of an angle beyond 10⁶ rad
+            _load(motion, states, torques, pushes, lanes)
+            _integrate(motion, lanes, kicks, draw, link_kick, motor_kick, sine)
+            break
+    for run in range(states.shape[0]):
+        for item in range(4):
+            states[run, item] = lanes[item, run]
+
+
+@compiled
+def _load(motion: Any, states: Array, torques: Array, pushes: Array, lanes: Array) -> None:
+    """Write states, and the accelerations by torques, as lanes: one quantity of all runs a row."""
+    motor, link = float(motion.motor_inertia), float(motion.link_inertia)
+    for run in range(states.shape[0]):
+        for item in range(4):
+            lanes[item, run] = states[run, item]
+        # Subtracted, so that a push of zero changes no bit, the sign of a zero included.
+        lanes[4, run] = float(torques[run]) / motor - (0.0 - float(pushes[run, 0])) / motor
+        lanes[5, run] = (0.0 - float(pushes[run, 1])) / link
+
+
+@inlined
+def _integrate(
+    motion: Any,
+    lanes: Array,
+    kicks: Array,
+    draw: int,
+    link_kick: float,
+    motor_kick: float,
+    sin: Callable[[float], float],
+) -> None:
     # Floats, since scalars of NumPy are slow and warn of an overflow when this is interpreted.
     h, gravity = float(motion.substep), float(motion.gravity)
     link_spring, drag = float(motion.link_spring), float(motion.link_drag)
     motor_spring, motor_drag = float(motion.motor_spring), float(motion.motor_drag)
     link_rub, motor_rub = float(motion.link_rub), float(motion.motor_rub)
-    # Subtracted, so that a push of zero changes no bit, the sign of a zero included.
-    drive = torque / float(motion.motor_inertia) - (0.0 - motor_push) / float(motion.motor_inertia)
-    brake = (0.0 - link_push) / float(motion.link_inertia)
     half, sixth = 0.5 * h, h / 6.0
-    q1, v1, q2, v2 = float(state[0]), float(state[1]), float(state[2]), float(state[3])
     for step in range(motion.substeps):
         # The velocity of each stage is the slope of the angle: w of the link, s of the motor.
-        a1 = link_spring * (q2 - q1) - gravity * sine(q1) - drag * v1 - _rub(link_rub, v1) - brake
-        b1 = drive - motor_spring * (q2 - q1) - motor_drag * v2 - _rub(motor_rub, v2)
-        w2, s2 = v1 + half * a1, v2 + half * b1
-        p1, p2 = q1 + half * v1, q2 + half * v2
-        a2 = link_spring * (p2 - p1) - gravity * sine(p1) - drag * w2 - _rub(link_rub, w2) - brake
-        b2 = drive - motor_spring * (p2 - p1) - motor_drag * s2 - _rub(motor_rub, s2)
-        w3, s3 = v1 + half * a2, v2 + half * b2
-        p1, p2 = q1 + half * w2, q2 + half * s2
-        a3 = link_spring * (p2 - p1) - gravity * sine(p1) - drag * w3 - _rub(link_rub, w3) - brake
-        b3 = drive - motor_spring * (p2 - p1) - motor_drag * s3 - _rub(motor_rub, s3)
-        w4, s4 = v1 + h * a3, v2 + h * b3
-        p1, p2 = q1 + h * w3, q2 + h * s3
-        a4 = link_spring * (p2 - p1) - gravity * sine(p1) - drag * w4 - _rub(link_rub, w4) - brake
-        b4 = drive - motor_spring * (p2 - p1) - motor_drag * s4 - _rub(motor_rub, s4)
-        q1 += sixth * (v1 + 2.0 * (w2 + w3) + w4)
-        q2 += sixth * (v2 + 2.0 * (s2 + s3) + s4)
-        v1 += sixth * (a1 + 2.0 * (a2 + a3) + a4)
-        v2 += sixth * (b1 + 2.0 * (b2 + b3) + b4)
-        if kicks.shape[0]:
-            v1 += link_kick * float(kicks[2 * step])
-            v2 += motor_kick * float(kicks[2 * step + 1])
-    state[0], state[1], state[2], state[3] = q1, v1, q2, v2
+        for run in range(lanes.shape[1]):
+            q1, v1 = float(lanes[0, run]), float(lanes[1, run])
+            q2, v2 = float(lanes[2, run]), float(lanes[3, run])
+            drive, brake = float(lanes[4, run]), float(lanes[5, run])
+            a1 = (
+                link_spring * (q2 - q1) - gravity * sin(q1) - drag * v1 - _rub(link_rub, v1) - brake
+            )
+            b1 = drive - motor_spring * (q2 - q1) - motor_drag * v2 - _rub(motor_rub, v2)
+            w2, s2 = v1 + half * a1, v2 + half * b1
+            p1, p2 = q1 + half * v1, q2 + half * v2
+            a2 = (
+                link_spring * (p2 - p1) - gravity * sin(p1) - drag * w2 - _rub(link_rub, w2) - brake
+            )
+            b2 = drive - motor_spring * (p2 - p1) - motor_drag * s2 - _rub(motor_rub, s2)
+            w3, s3 = v1 + half * a2, v2 + half * b2
+            p1, p2 = q1 + half * w2, q2 + half * s2
+            a3 = (
+                link_spring * (p2 - p1) - gravity * sin(p1) - drag * w3 - _rub(link_rub, w3) - brake
+            )
+            b3 = drive - motor_spring * (p2 - p1) - motor_drag * s3 - _rub(motor_rub, s3)
+            w4, s4 = v1 + h * a3, v2 + h * b3
+            p1, p2 = q1 + h * w3, q2 + h * s3
+            a4 = (
+                link_spring * (p2 - p1) - gravity * sin(p1) - drag * w4 - _rub(link_rub, w4) - brake
+            )
+            b4 = drive - motor_spring * (p2 - p1) - motor_drag * s4 - _rub(motor_rub, s4)
+            lanes[0, run] = q1 + sixth * (v1 + 2.0 * (w2 + w3) + w4)
+            lanes[1, run] = v1 + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+            lanes[2, run] = q2 + sixth * (v2 + 2.0 * (s2 + s3) + s4)
+            lanes[3, run] = v2 + sixth * (b1 + 2.0 * (b2 + b3) + b4)
+        if kicks.shape[2]:
+            for run in range(lanes.shape[1]):
+                lanes[1, run] += link_kick * float(kicks[run, draw, 2 * step])
+                lanes[3, run] += motor_kick * float(kicks[run, draw, 2 * step + 1])
 
 
 @compiled
@@ -300,14 +348,12 @@ def missing_torques(
     return motor, link
 
 
-@compiled
+@inlined
 def _rub(level: float, speed: float) -> float:
     """Return Coulomb friction of a level, a torque [N m] or a deceleration [rad/s²]."""
     return level * min(max(speed / CREEP, -1.0), 1.0) if level > 0.0 else 0.0
 
 
 @compiled
-def _advance_arms(motion: Any, states: Array, torques: Array, kicks: Array) -> None:
-    for run in range(states.shape[0]):
-        torque = float(torques[run])
-        advance_arm(motion[0], states[run], torque, 0.0, 0.0, kicks[run], 1.0, 1.0)
+def _advance_arms(motion: Any, states: Array, torques: Array, pushes: Array, kicks: Array) -> None:
+    advance_arms(motion[0], states, torques, pushes, kicks, 0, 1.0, 1.0)

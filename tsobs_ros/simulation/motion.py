@@ -9,27 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags, Integers
 from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.stepping import record_type
-from tsobs_ros.simulation.channels import Channels, Counts, Flags, drifts_in, with_drifts
+from tsobs_ros.simulation.channels import Channels, Sums, with_drifts, without_drifts
 from tsobs_ros.simulation.integrator import (
     ArmIntegrator,
     Friction,
     Payload,
-    advance_arm,
+    advance_arms,
     missing_torques,
 )
-from tsobs_ros.simulation.signals import (
-    ROW,
-    Excitation,
-    disturbance_at,
-    excitation_row,
-    recurs,
-    torque_at,
-)
+from tsobs_ros.simulation.series import Series, Span
+from tsobs_ros.simulation.signals import ROW, Excitation, excitation_row, recurs, torque_at
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 _ARM = record_type(
@@ -114,31 +108,12 @@ class Motion(ABC):
         raise NotImplementedError
 
     @abstractmethod
-    def move(
-        self,
-        index: int,
-        drawn: int,
-        samples: int,
-        states: Array,
-        truths: Array,
-        inputs: Array,
-        given: Flags,
-        torques: Array,
-        first: int,
-    ) -> None:
+    def move(self, span: Span, series: Series) -> None:
         """Write the next samples of every run and move on.
 
         Args:
-            index: Index of the first sample.
-            drawn: Its place in the blocks of random numbers.
-            samples: Number of samples.
-            states: To write, shape (runs, all, n).
-            truths: True values of the outputs, to write, shape (runs, all, p).
-            inputs: To write unless they are given, shape (runs, all, inputs).
-            given: Which inputs are given, shape (inputs,).
-            torques: Disturbances of the torques to add to, shape (runs, all, t); what an
-                undisturbed plant would need to move so is written in their place.
-            first: Place of the first sample in these.
+            span: The samples.
+            series: With the given inputs; states, truths, other inputs and torques are written.
         """
 
 
@@ -185,41 +160,18 @@ class ArmMotion(Motion):
         kicks = 2 * bare.substeps if process_noise.link or process_noise.motor else 0
         super().__init__(seeds, states, kicks, 1, 2, block)
 
-    def move(
-        self,
-        index: int,
-        drawn: int,
-        samples: int,
-        states: Array,
-        truths: Array,
-        inputs: Array,
-        given: Flags,
-        torques: Array,
-        first: int,
-    ) -> None:
+    def move(self, span: Span, series: Series) -> None:
         """Write the next samples of every run and move on; see `Motion.move`."""
-        channels = self.torques
         _move_arms(
             self._numbers,
             self._motions,
             self._columns,
             self.excitations,
-            channels.rows,
-            channels.ends,
-            channels.injected,
-            channels.drifts,
-            channels.noise,
+            self.torques.sums,
             self.states,
             self.kicks,
-            index,
-            drawn,
-            samples,
-            states,
-            truths,
-            inputs,
-            bool(given[0]),
-            torques,
-            first,
+            span,
+            series,
         )
 
 
@@ -227,86 +179,38 @@ class ArmMotion(Motion):
 def _move_arms(
     plant: Any,
     motions: Any,
-    columns: Counts,
+    columns: Integers,
     excitations: Array,
-    rows: Array,
-    ends: Counts,
-    injected: Counts,
-    drifts: Array,
-    drift_noise: Array,
+    sums: Sums,
     present: Array,
     kicks: Array,
-    index: int,
-    drawn: int,
-    samples: int,
-    states: Array,
-    truths: Array,
-    inputs: Array,
-    is_given: bool,
-    torques: Array,
-    first: int,
+    span: Span,
+    series: Series,
 ) -> None:
     """Move every arm, sample by sample; see `Motion.move`."""
-    numbers, rate, motor_end, link_end = plant[0], float(plant[0].rate), ends[0], ends[1]
+    numbers, rate, runs = plant[0], float(plant[0].rate), present.shape[0]
     start, duration = float(numbers.payload_start), float(numbers.payload_duration)
-    motor_drifts = drifts_in(rows, 0, motor_end)
-    for step in range(samples):
-        draw, place, time = drawn + step, first + step, (index + step) / rate
+    link_kick, motor_kick = float(numbers.link_kick), float(numbers.motor_kick)
+    torques, pushes = np.empty(runs), np.empty((runs, 2))
+    for step in range(span.samples):
+        draw, place, index = span.drawn + step, span.place + step, span.start + step
+        time = index / rate
         motion = motions[1 if recurs(time - start, duration, 0.0) else 0]
-        torque = 0.0 if is_given else torque_at(excitations[0], time)
-        motor_since = index + step - injected[0]
-        link_since = index + step - injected[1]
-        motor_added = disturbance_at(rows[:motor_end], motor_since / rate)
-        link_added = disturbance_at(rows[motor_end:], link_since / rate)
-        for run in range(present.shape[0]):
+        torque = 0.0 if series.given[0] else torque_at(excitations[0], time)
+        for side in range(2):
+            added, _ = without_drifts(sums, side, index, rate)
+            for run in range(runs):
+                push = float(series.torques[run, place, side]) + added
+                pushes[run, side] = with_drifts(push, sums, side, index, rate, run, draw)
+        for run in range(runs):
             state = present[run]
             for item in range(4):
-                states[run, place, item] = state[item]
+                series.states[run, place, item] = state[item]
             for item in range(columns.shape[0]):
-                truths[run, place, item] = state[columns[item]]
-            if is_given:
-                torque = float(inputs[run, place, 0])
-            else:
-                inputs[run, place, 0] = torque
-            motor_push = float(torques[run, place, 0]) + motor_added
-            link_push = float(torques[run, place, 1]) + link_added
-            if motor_end > 0:
-                motor_push = with_drifts(
-                    motor_push,
-                    rows,
-                    0,
-                    motor_end,
-                    motor_since,
-                    rate,
-                    drifts,
-                    drift_noise,
-                    0,
-                    run,
-                    draw,
-                )
-            if link_end > motor_end:
-                link_push = with_drifts(
-                    link_push,
-                    rows,
-                    motor_end,
-                    link_end,
-                    link_since,
-                    rate,
-                    drifts,
-                    drift_noise,
-                    motor_drifts,
-                    run,
-                    draw,
-                )
-            missing = missing_torques(motion, state, motor_push, link_push)
-            torques[run, place, 0], torques[run, place, 1] = missing
-            advance_arm(
-                motion,
-                state,
-                torque,
-                motor_push,
-                link_push,
-                kicks[run, draw],
-                float(numbers.link_kick),
-                float(numbers.motor_kick),
-            )
+                series.truths[run, place, item] = state[columns[item]]
+            if not series.given[0]:
+                series.inputs[run, place, 0] = torque
+            torques[run] = series.inputs[run, place, 0]
+            missing = missing_torques(motion, state, float(pushes[run, 0]), float(pushes[run, 1]))
+            series.torques[run, place, 0], series.torques[run, place, 1] = missing
+        advance_arms(motion, present, torques, pushes, kicks, draw, link_kick, motor_kick)

@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, non_negative, positive
+from tsobs_ros.checks import Array, Flags, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.channels import Flags
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.motion import ArmMotion, Motion
 from tsobs_ros.simulation.sensor import Sensor, Sensors
+from tsobs_ros.simulation.series import Series, Span
 from tsobs_ros.simulation.signals import Component, Excitation, Sine, StuckSensor
 from tsobs_ros.simulation.streams import RandomStream, Seeds, Source, checked_seeds
 
@@ -355,10 +355,6 @@ class Plant:
         self._drawn = self._block
         self._motion = scenario.motion(self._seeds, self._block)
         outputs = scenario.measured
-        self._input_count, self._counts = (
-            scenario.input_count,
-            (len(outputs), len(scenario.torques)),
-        )
         self._sensors = Sensors(self._seeds, len(outputs), self._block, scenario.rate)
         for place, excitation in enumerate(scenario.excitations):
             self.exchange_excitation(excitation, place)
@@ -413,22 +409,22 @@ class Plant:
         Raises:
             ModelError: The torque is not finite or does not fit the plant.
         """
-        index, time, m = self._index, self.time, self._input_count
+        index, time, m = self._index, self.time, self.scenario.input_count
         if torque is not None:
             torque = self._checked_torque(torque, (len(self._seeds), m) if self._is_batch else (m,))
             torque = torque[..., np.newaxis, :] if torque.ndim else torque
         where = np.s_[:, 0] if self._is_batch else (0, 0)
-        advanced = [each[where] for each in self._advance(1, torque)]
-        physical, torques, disturbances, measurements, missing = advanced
+        series = self._advance(1, torque)
+        physical = series.states[where]
         return Sample(
             index,
             time,
             self.scenario.to_design(physical),
             physical,
-            disturbances,
-            measurements,
-            torques,
-            missing,
+            series.disturbances[where],
+            series.measurements[where],
+            series.inputs[where],
+            series.torques[where],
             self._sensors.lost,
         )
 
@@ -446,16 +442,22 @@ class Plant:
             ModelError: The torque is not finite, or of another shape.
         """
         if torque is not None:
-            m = self._input_count
+            m = self.scenario.input_count
             shapes = [(samples, m)] + [(len(self._seeds), samples, m)] * self._is_batch
             torque = self._checked_torque(torque, *shapes)
         times = np.arange(self._index, self._index + samples) / self.scenario.rate
-        signals = self._advance(samples, torque)
-        if not self._is_batch:
-            signals = tuple(signal[0] for signal in signals)
-        physical, torques, disturbances, measurements, missing = signals
-        states = self.scenario.to_design(physical)
-        return Trajectories(times, states, disturbances, measurements, torques, physical, missing)
+        series = self._advance(samples, torque)
+        where = np.s_[:] if self._is_batch else 0
+        physical = series.states[where]
+        return Trajectories(
+            times,
+            self.scenario.to_design(physical),
+            series.disturbances[where],
+            series.measurements[where],
+            series.inputs[where],
+            physical,
+            series.torques[where],
+        )
 
     def _checked_torque(self, torque: ArrayLike, *shapes: tuple[int, ...]) -> Array:
         given = np.asarray(torque, dtype=np.float64)
@@ -468,73 +470,55 @@ class Plant:
             raise ModelError(f"torque of sample {self._index + place}: expected finite numbers")
         return given
 
-    def _advance(
-        self, samples: int, torque: ArrayLike | None = None
-    ) -> tuple[Array, Array, Array, Array, Array]:
-        """Step and return physical states, torques, disturbances, measurements and missing torques.
-
-        Runs come first, then samples.
-        """
-        motion, rate, shape = self._motion, self.scenario.rate, (len(self._seeds), samples)
-        outputs, sides = self._counts
-        physical = np.empty((*shape, motion.states.shape[1]))
-        torques = np.empty((*shape, len(motion.excitations)))
-        truths, measurements = np.empty((2, *shape, outputs))
-        disturbances, missing = np.zeros((*shape, outputs)), np.zeros((*shape, sides))
-        given = np.zeros(torques.shape[2], np.bool_)
+    def _advance(self, samples: int, torque: ArrayLike | None = None) -> Series:
+        """Step and return all that was true and measured on the way."""
+        scenario, motion, shape = self.scenario, self._motion, (len(self._seeds), samples)
+        outputs, signals = len(self._measured_last), len(motion.excitations)
+        series = Series(
+            np.empty((*shape, motion.states.shape[1])),
+            np.empty((*shape, outputs)),
+            np.zeros((*shape, outputs)),
+            np.empty((*shape, outputs)),
+            np.empty((*shape, signals)),
+            np.zeros(signals, np.bool_),
+            np.zeros((*shape, len(scenario.torques))),
+        )
         if torque is not None:
-            torques[..., : self._input_count] = torque
-            given[: self._input_count] = True
-        motion.add_others(torques, given, self._index, rate)
-        motion.torques.add_others(missing, self._index, rate)
-        self._sensors.channels.add_others(disturbances, self._index, rate)
-        errors = [
-            [each.value(place / rate) for place in range(self._index, self._index + samples)]
-            for each in self.scenario.reporting_error
-        ]
+            series.inputs[..., : scenario.input_count] = torque
+            series.given[: scenario.input_count] = True
+        rate, first = scenario.rate, self._index
+        motion.add_others(series.inputs, series.given, first, rate)
+        motion.torques.add_others(series.torques, first, rate)
+        self._sensors.channels.add_others(series.disturbances, first, rate)
         done = 0
         while True:
             if self._drawn == self._block:
                 motion.draw()
                 self._sensors.draw()
                 self._drawn = 0
-            part = min(samples - done, self._block - self._drawn)
-            where = (self._index, self._drawn, part)
-            if motion.fed_back:
-                where = (self._index, self._drawn, part := min(part, 1))
-                self._feed_back(where, truths, disturbances, measurements, torques, given, done)
-            motion.move(*where, physical, truths, torques, given, missing, done)
-            self._sensors.measure(
-                *where, truths, disturbances, measurements, done, self._measured_last
-            )
+            part = min(samples - done, self._block - self._drawn, 1 if motion.fed_back else samples)
+            span = Span(self._index, self._drawn, done, part)
+            if motion.fed_back and part:
+                self._feed_back(span, series)
+            motion.move(span, series)
+            self._sensors.measure(span, series, self._measured_last)
             self._index += part
             self._drawn += part
             done += part
             if done == samples:
                 break
-        for error in errors:
-            torques[..., 0] += error
-            missing[..., 0] -= error
-        return physical, torques, disturbances, measurements, missing
+        for each in scenario.reporting_error:
+            error = [each.value(index / rate) for index in range(first, self._index)]
+            series.inputs[..., 0] += error
+            series.torques[..., 0] -= error
+        return series
 
-    def _feed_back(
-        self,
-        where: tuple[int, int, int],
-        truths: Array,
-        disturbances: Array,
-        measurements: Array,
-        inputs: Array,
-        given: Flags,
-        place: int,
-    ) -> None:
+    def _feed_back(self, span: Span, series: Series) -> None:
         """Measure what is fed back at a sample, and enter it into the inputs."""
-        if where[2] == 0:
-            return
-        truths[:, place] = self._motion.known_outputs()
-        first = ~self._measured_last
-        self._sensors.measure(*where, truths, disturbances, measurements, place, first)
+        series.truths[:, span.place] = self._motion.known_outputs()
+        self._sensors.measure(span, series, ~self._measured_last)
         for row, output in self._motion.fed_back:
-            now = measurements[:, place, output]
+            now = series.measurements[:, span.place, output]
             self._held[:, output] = np.where(np.isfinite(now), now, self._held[:, output])
-            inputs[:, place, row] = self._held[:, output]
-            given[row] = True
+            series.inputs[:, span.place, row] = self._held[:, output]
+            series.given[row] = True

@@ -5,17 +5,18 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.checks import Array, check_each, non_negative
+from tsobs_ros.checks import Array, Flags, check_each, non_negative
 from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.stepping import record_type
 from tsobs_ros.model.trigonometry import exponential
-from tsobs_ros.simulation.channels import Channels, Counts, Flags, drifts_in, with_drifts
-from tsobs_ros.simulation.signals import Component, disturbance_at, is_stuck, recurs
+from tsobs_ros.simulation.channels import Channels, Sums, with_drifts, without_drifts
+from tsobs_ros.simulation.series import Series, Span
+from tsobs_ros.simulation.signals import Component, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 _SENSOR = record_type(
@@ -39,6 +40,26 @@ _SENSOR = record_type(
     ]
 )
 _SEEN = record_type([("noise", np.float64), ("frozen", np.float64), ("stuck", np.bool_)])
+
+
+class _Numbers(NamedTuple):
+    """What compiled code takes of all sensors.
+
+    Attributes:
+        sensors: Their numbers, shape (p,).
+        seen: What they remember of each run, shape (p, runs).
+        noise: Normal numbers, shape (p, runs, block).
+        luck: Uniform numbers of the outliers, shape (p, runs, block).
+        tail: Normal numbers of Student's t; rows have room for the sensor with the most.
+        past: Last true values; rows have room for the sensor with the most.
+    """
+
+    sensors: Any
+    seen: Any
+    noise: Array
+    luck: Array
+    tail: Array
+    past: Array
 
 
 @dataclass(frozen=True)
@@ -108,24 +129,24 @@ class Sensors:
         self._seeds, self._block, self._rate = seeds, block, rate
         runs = len(seeds)
         self.channels = Channels(seeds, Source.DISTURBANCE, count, block)
-        self._sensors = np.zeros(count, _SENSOR)
-        self._seen = np.zeros((count, runs), _SEEN)
-        self._noise, self._luck = np.empty((2, count, runs, block))
-        # Rows have room for the sensor with the most numbers.
-        self._tail, self._past = np.empty((2, count, runs, 0))
+        self._numbers = numbers = _Numbers(
+            np.zeros(count, _SENSOR),
+            np.zeros((count, runs), _SEEN),
+            *np.empty((2, count, runs, block)),
+            *np.empty((2, count, runs, 0)),
+        )
         self._streams = []
         for output in range(count):
             key = () if output == 0 else (output,)
             normal = RandomStream(seeds, Source.MEASUREMENT, key)
             uniform = RandomStream(seeds, Source.OUTLIER, key, uniform=True)
-            self._streams += [(normal, self._noise[output]), (uniform, self._luck[output])]
-        self._all = np.ones(count, np.bool_)
+            self._streams += [(normal, numbers.noise[output]), (uniform, numbers.luck[output])]
         self._tails: list[RandomStream | None] = [None] * count
 
     @property
     def lost(self) -> bool:
         """Whether the last sample of every output was lost in a dropout."""
-        return bool(self._sensors["lost"].all())
+        return bool(self._numbers.sensors["lost"].all())
 
     def exchange(self, output: int, sensor: Sensor, drawn: int) -> None:
         """Measure an output by another sensor.
@@ -137,26 +158,26 @@ class Sensors:
             sensor: The other one.
             drawn: Place of the next sample in the blocks of random numbers.
         """
-        numbers = self._sensors[output]
+        record = self._numbers.sensors[output]
         degrees, places = sensor.noise_degrees, 1 + round(sensor.latency * self._rate)
-        if degrees != numbers["noise_degrees"]:
-            self._tail = _with_room(self._tail, degrees * self._block)
+        if degrees != record["noise_degrees"]:
+            tail = _with_room(self._numbers.tail, degrees * self._block)
             stream = None
             if degrees:
                 key = (degrees,) if output == 0 else (degrees, output)
                 stream = RandomStream(self._seeds, Source.TAIL, key)
-                rest = np.s_[drawn * degrees : self._block * degrees]
-                stream.fill(self._tail[output][:, rest])
-            self._tails[output] = stream
-        if places != numbers["places"]:
-            self._past = _with_room(self._past, places)
-            numbers["places"], numbers["fresh"] = places, 1
+                stream.fill(tail[output][:, drawn * degrees : self._block * degrees])
+            self._numbers, self._tails[output] = self._numbers._replace(tail=tail), stream
+        if places != record["places"]:
+            past = _with_room(self._numbers.past, places)
+            self._numbers = self._numbers._replace(past=past)
+            record["places"], record["fresh"] = places, 1
         for item in fields(sensor):
-            numbers[item.name] = getattr(sensor, item.name)
+            record[item.name] = getattr(sensor, item.name)
 
     def disturb(self, output: int, components: Sequence[Component], index: int, drawn: int) -> None:
         """Exchange the disturbance of an output; see `Channels.exchange`."""
-        self._seen["stuck"][output] = False
+        self._numbers.seen["stuck"][output] = False
         self.channels.exchange(output, components, index, drawn)
 
     def draw(self) -> None:
@@ -165,56 +186,19 @@ class Sensors:
             stream.fill(block)
         for output, tail in enumerate(self._tails):
             if tail is not None:
-                size = self._block * int(self._sensors["noise_degrees"][output])
-                tail.fill(self._tail[output][:, :size])
+                size = self._block * int(self._numbers.sensors["noise_degrees"][output])
+                tail.fill(self._numbers.tail[output][:, :size])
         self.channels.draw()
 
-    def measure(
-        self,
-        index: int,
-        drawn: int,
-        samples: int,
-        truths: Array,
-        disturbances: Array,
-        measurements: Array,
-        first: int,
-        chosen: Flags | None = None,
-    ) -> None:
+    def measure(self, span: Span, series: Series, chosen: Flags) -> None:
         """Measure outputs of every run at the next samples.
 
         Args:
-            index: Index of the first sample.
-            drawn: Its place in the blocks of random numbers.
-            samples: Number of samples.
-            truths: True values of the outputs, shape (runs, all, p).
-            disturbances: Disturbances to add to, of the same shape.
-            measurements: To write, of the same shape.
-            first: Place of the first sample in these three.
-            chosen: Which outputs, shape (p,); all by default.
+            span: The samples.
+            series: With the truths; disturbances and measurements are written.
+            chosen: Which outputs, shape (p,).
         """
-        channels = self.channels
-        _measure(
-            self._sensors,
-            channels.rows,
-            channels.ends,
-            channels.injected,
-            channels.drifts,
-            channels.noise,
-            self._seen,
-            self._noise,
-            self._tail,
-            self._luck,
-            self._past,
-            self._rate,
-            index,
-            drawn,
-            samples,
-            truths,
-            disturbances,
-            measurements,
-            first,
-            self._all if chosen is None else chosen,
-        )
+        _measure(self._numbers, self.channels.sums, self._rate, span, series, chosen)
 
 
 def _with_room(numbers: Array, size: int) -> Array:
@@ -225,74 +209,43 @@ def _with_room(numbers: Array, size: int) -> Array:
 
 @compiled_nogil
 def _measure(
-    sensors: Any,
-    rows: Array,
-    ends: Counts,
-    injected: Counts,
-    drifts: Array,
-    drift_noise: Array,
-    seen: Any,
-    noise: Array,
-    tail: Array,
-    luck: Array,
-    past: Array,
-    rate: float,
-    index: int,
-    drawn: int,
-    samples: int,
-    truths: Array,
-    disturbances: Array,
-    measurements: Array,
-    first: int,
-    chosen: Flags,
+    all_numbers: _Numbers, sums: Sums, rate: float, span: Span, series: Series, chosen: Flags
 ) -> None:
     """Measure each chosen output of every run, sample by sample; see `Sensors`."""
-    begin = drift = 0
+    sensors, seen, noise, luck, tail, past = all_numbers
+    truths, disturbances = series.truths, series.disturbances
     for output in range(sensors.shape[0]):
-        numbers, end, places = sensors[output], ends[output], int(sensors[output].places)
-        components, degrees = rows[begin:end], int(numbers.noise_degrees)
-        if numbers.fresh and samples > 0 and chosen[output]:
+        if span.samples == 0 or not chosen[output]:
+            continue
+        numbers = sensors[output]
+        places, degrees = int(numbers.places), int(numbers.noise_degrees)
+        if numbers.fresh:
             numbers.fresh = 0
             for run in range(truths.shape[0]):
-                past[output, run, :places] = truths[run, first, output]
-        for step in range(samples if chosen[output] else 0):
-            draw, place = drawn + step, first + step
-            time, since = (index + step) / rate, index + step - int(injected[output])
-            elapsed = since / rate
+                past[output, run, :places] = truths[run, span.place, output]
+        for step in range(span.samples):
+            draw, place, index = span.drawn + step, span.place + step, span.start + step
+            time = index / rate
             lost = is_within(time, numbers.dropout_interval, numbers.dropout_duration)
             loud = is_within(time, numbers.burst_interval, numbers.burst_duration)
             loudness = float(numbers.burst_factor) if loud else 1.0
-            added, stuck = disturbance_at(components, elapsed), is_stuck(components, elapsed)
+            added, stuck = without_drifts(sums, output, index, rate)
             numbers.lost = lost
             for run in range(truths.shape[0]):
                 truth = float(truths[run, place, output])
-                disturbance = with_drifts(
-                    float(disturbances[run, place, output]) + added,
-                    rows,
-                    begin,
-                    end,
-                    since,
-                    rate,
-                    drifts,
-                    drift_noise,
-                    drift,
-                    run,
-                    draw,
-                )
+                disturbance = float(disturbances[run, place, output]) + added
+                disturbance = with_drifts(disturbance, sums, output, index, rate, run, draw)
                 memory = seen[output, run]
                 number = float(noise[output, run, draw])
                 if degrees > 0:
-                    number = student(
-                        number, tail[output, run, draw * degrees : (draw + 1) * degrees]
-                    )
-                if numbers.noise_time_constant > 0.0 and index + step > 0:
-                    before = float(memory.noise)
-                    number = correlated(
-                        before, number, 1.0 / rate, float(numbers.noise_time_constant)
-                    )
+                    others = tail[output, run, draw * degrees : (draw + 1) * degrees]
+                    number = student(number, others)
+                if numbers.noise_time_constant > 0.0 and index > 0:
+                    time_constant = float(numbers.noise_time_constant)
+                    number = correlated(float(memory.noise), number, 1.0 / rate, time_constant)
                 memory.noise = number
-                past[output, run, (index + step) % places] = truth
-                old = float(past[output, run, (index + step + 1) % places])
+                past[output, run, index % places] = truth
+                old = float(past[output, run, (index + 1) % places])
                 measured = old + disturbance + float(numbers.noise_std) * loudness * number
                 if stuck:
                     if not memory.stuck:
@@ -311,9 +264,7 @@ def _measure(
                 if resolution > 0.0 and math.isfinite(measured):
                     measured = resolution * math.floor(measured / resolution + 0.5)
                 disturbances[run, place, output] = disturbance
-                measurements[run, place, output] = math.nan if lost else measured
-        drift += drifts_in(rows, begin, end)
-        begin = end
+                series.measurements[run, place, output] = math.nan if lost else measured
 
 
 @compiled

@@ -9,25 +9,45 @@ millisecond, with inputs and scheduled signals held from a sample to the next.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.checks import Array, Integers, as_matrix, non_negative, positive
 from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.memberships import Codes, rule_weights
+from tsobs_ros.model.memberships import rule_weights
 from tsobs_ros.model.stepping import record_type
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.simulation.channels import Flags
 from tsobs_ros.simulation.integrator import LONGEST_SUBSTEP
 from tsobs_ros.simulation.motion import Motion
 from tsobs_ros.simulation.plant import PlantScenario, SimulatedOutput
+from tsobs_ros.simulation.series import Series, Span
 from tsobs_ros.simulation.signals import Excitation, NoTorque, torque_at
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 _STEPS = record_type([("rate", np.float64), ("substeps", np.int64), ("substep", np.float64)])
+
+
+class Rules(NamedTuple):
+    """The rules of a system, for compiled code.
+
+    Attributes:
+        rates: [Aᵢ Bᵢ], shape (r, n, n + m).
+        outputs: Cᵢ, shape (r, p, n).
+        shapes: Codes of the memberships, shape (r, q).
+        parameters: Of the memberships, shape (r, q, 4).
+        premise: Z, shape (q, n).
+        schedule: Z_s, shape (q, s).
+    """
+
+    rates: Array
+    outputs: Array
+    shapes: Integers
+    parameters: Array
+    premise: Array
+    schedule: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +183,7 @@ class SystemMotion(Motion):
     ) -> None:
         coded = model.rule_base.coded
         # Copies, since compiled code knows arrays that may not be written as another type.
-        self._rules = (
+        self._rules = Rules(
             np.array(rates),
             np.array(model.rule_outputs),
             coded.shapes.copy(),
@@ -187,7 +207,7 @@ class SystemMotion(Motion):
 
     def known_outputs(self) -> Array:
         """Return the present true values of the outputs that are fed back, shape (runs, p)."""
-        _, C, *_ = self._rules
+        C = self._rules.outputs
         values = np.zeros((len(self.states), C.shape[1]))
         for _, output in self._fed_back:
             # Term by term: a product of matrices has other last bits for another number of runs.
@@ -195,86 +215,59 @@ class SystemMotion(Motion):
                 values[:, output] += C[0, output, place] * state
         return values
 
-    def move(
-        self,
-        index: int,
-        drawn: int,
-        samples: int,
-        states: Array,
-        truths: Array,
-        inputs: Array,
-        given: Flags,
-        torques: Array,
-        first: int,
-    ) -> None:
+    def move(self, span: Span, series: Series) -> None:
         """Write the next samples of every run and move on; see `Motion.move`."""
         _move_systems(
             self._steps,
-            *self._rules,
+            self._rules,
             self._strengths,
             self.excitations,
             self.states,
             self.kicks,
-            index,
-            drawn,
-            samples,
-            states,
-            truths,
-            inputs,
-            given,
-            first,
+            span,
+            series,
         )
 
 
 @compiled_nogil
 def _move_systems(
     steps: Any,
-    rates: Array,
-    outputs: Array,
-    shapes: Codes,
-    parameters: Array,
-    premise: Array,
-    schedule: Array,
+    rules: Rules,
     strengths: Array,
     excitations: Array,
     present: Array,
     kicks: Array,
-    index: int,
-    drawn: int,
-    samples: int,
-    states: Array,
-    truths: Array,
-    inputs: Array,
-    given: Flags,
-    first: int,
+    span: Span,
+    series: Series,
 ) -> None:
     """Move every system, sample by sample; see `Motion.move`."""
-    n, p, signals = present.shape[1], outputs.shape[1], excitations.shape[0]
+    n, p, signals = present.shape[1], rules.outputs.shape[1], excitations.shape[0]
     substeps, h = int(steps[0].substeps), float(steps[0].substep)
-    z, weights = np.empty(premise.shape[0]), np.empty(rates.shape[0])
+    z, weights = np.empty(rules.premise.shape[0]), np.empty(rules.rates.shape[0])
     start, middle, slope, total = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
     held = np.empty(signals)
-    for step in range(samples):
-        draw, place, time = drawn + step, first + step, (index + step) / float(steps[0].rate)
+    for step in range(span.samples):
+        draw, place = span.drawn + step, span.place + step
+        time = (span.start + step) / float(steps[0].rate)
         for run in range(present.shape[0]):
             state = present[run]
             for item in range(signals):
-                if not given[item]:
-                    inputs[run, place, item] = torque_at(excitations[item], time)
-                held[item] = inputs[run, place, item]
-            weigh(shapes, parameters, premise, schedule, state, held, z, weights)
+                if not series.given[item]:
+                    series.inputs[run, place, item] = torque_at(excitations[item], time)
+                held[item] = series.inputs[run, place, item]
+            weigh(rules, state, held, z, weights)
             for row in range(n):
-                states[run, place, row] = state[row]
+                series.states[run, place, row] = state[row]
             for row in range(p):
-                truths[run, place, row] = blended(outputs, weights, row, state, held)
+                series.truths[run, place, row] = blended(rules.outputs, weights, row, state, held)
             for substep in range(substeps):
                 for row in range(n):
                     start[row] = middle[row] = state[row]
                     total[row] = 0.0
                 for stage in range(4):
-                    weigh(shapes, parameters, premise, schedule, middle, held, z, weights)
+                    weigh(rules, middle, held, z, weights)
                     for row in range(n):
-                        slope[row] = blended(rates, weights, row, middle, held)
+                        slope[row] = blended(rules.rates, weights, row, middle, held)
                     for row in range(n):
                         total[row] += slope[row] if stage == 0 or stage == 3 else 2.0 * slope[row]
                         middle[row] = start[row] + (h if stage == 2 else 0.5 * h) * slope[row]
@@ -285,37 +278,25 @@ def _move_systems(
 
 
 @compiled
-def weigh(
-    shapes: Codes,
-    parameters: Array,
-    premise: Array,
-    schedule: Array,
-    state: Array,
-    held: Array,
-    z: Array,
-    weights: Array,
-) -> None:
+def weigh(rules: Rules, state: Array, held: Array, z: Array, weights: Array) -> None:
     """Write the weights of the rules at a state, and the premise variables.
 
     Args:
-        shapes: Codes of the memberships, shape (r, q).
-        parameters: Of the memberships, shape (r, q, 4).
-        premise: Z, shape (q, n).
-        schedule: Z_s, shape (q, s).
+        rules: The system's.
         state: x, shape (n,).
         held: Inputs and scheduled signals, shape (m + s,).
         z: Z x + Z_s s, written, shape (q,).
         weights: h(z), written, shape (r,).
     """
-    offset = held.shape[0] - schedule.shape[1]
+    offset = held.shape[0] - rules.schedule.shape[1]
     for row in range(z.shape[0]):
         value = 0.0
         for item in range(state.shape[0]):
-            value += premise[row, item] * state[item]
-        for item in range(schedule.shape[1]):
-            value += schedule[row, item] * held[offset + item]
+            value += rules.premise[row, item] * state[item]
+        for item in range(rules.schedule.shape[1]):
+            value += rules.schedule[row, item] * held[offset + item]
         z[row] = value
-    rule_weights(shapes, parameters, z, weights)
+    rule_weights(rules.shapes, rules.parameters, z, weights)
 
 
 @compiled
