@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tsobs_ros.model.trigonometry import cosine, exponential, logarithm, sine
+from tsobs_ros.model.trigonometry import cosine, exponential, logarithm, sine, unbranched_sine
 
 DIGEST = "a3f4288d51aed99f"
 """Of the values at ten thousand angles; independent of machine, interpreter and C library."""
@@ -25,6 +25,7 @@ def test_within_two_units_in_the_last_place(reach: float) -> None:
     for angle in [*quarters.tolist(), *drawn.tolist()]:
         for ours, system in ((sine(angle), math.sin(angle)), (cosine(angle), math.cos(angle))):
             assert abs(ours - system) <= 2.0 * math.ulp(system)
+        assert unbranched_sine(angle) == sine(angle)
 
 
 def test_the_exponential_is_within_two_units_in_the_last_place() -> None:
@@ -44,11 +45,13 @@ def test_the_logarithm_is_within_two_units_in_the_last_place() -> None:
 
 def test_of_huge_angles_as_exact_as_the_angle_and_of_infinite_ones_nan() -> None:
     for angle in (1e7, -1e9, 1e12):
+        assert math.isnan(unbranched_sine(angle))
         assert sine(angle) == pytest.approx(math.sin(angle), abs=math.ulp(angle))
         assert cosine(angle) == pytest.approx(math.cos(angle), abs=math.ulp(angle))
     assert abs(sine(1e300)) <= 1.0
     for angle in (math.inf, -math.inf, math.nan):
         assert math.isnan(sine(angle))
+        assert math.isnan(unbranched_sine(angle))
         assert math.isnan(cosine(angle))
 
 

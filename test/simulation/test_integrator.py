@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The integrator against physics, against SciPy and against the textbook's formula."""
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -94,14 +96,19 @@ def test_equals_the_textbooks_step_on_the_model_in_design_coordinates(arm: Elast
     np.testing.assert_allclose(ours, arm.to_physical(x), rtol=0.0, atol=1e-15)
 
 
-def test_a_batch_moves_as_its_single_arms() -> None:
+@pytest.mark.parametrize("turns", [0, 300_000])  # which is beyond 10⁶ rad
+def test_a_batch_moves_as_its_single_arms_and_as_those_many_turns_back(turns: int) -> None:
     random = np.random.default_rng(5)
     states, torques = random.normal(size=(7, 4)), random.normal(size=(7, 1))
     integrator = ArmIntegrator(DAMPED, 0.005)
+    turned = states.copy()
+    turned[::2, ::2] += turns * math.tau
     kicks = random.normal(size=(7, 5, 2))
-    batch = integrator.advance(states, torques, kicks)
-    single = [integrator.advance(*run) for run in zip(states, torques, kicks, strict=True)]
+    batch = integrator.advance(turned, torques, kicks)
+    single = [integrator.advance(*run) for run in zip(turned, torques, kicks, strict=True)]
     assert batch.tolist() == np.array(single).tolist()
+    back = batch - (turned - states)
+    np.testing.assert_allclose(back, integrator.advance(states, torques, kicks), atol=1e-8)
 
 
 def test_kicks_act_on_the_velocities_after_their_step() -> None:

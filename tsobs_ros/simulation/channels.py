@@ -19,8 +19,8 @@ from tsobs_ros.simulation.signals import (
     Component,
     component_row,
     disturbance_at,
-    drifted,
     is_stuck,
+    markov_step,
 )
 from tsobs_ros.simulation.streams import RandomStream, Source
 
@@ -150,28 +150,26 @@ def without_drifts(sums: Sums, channel: int, index: int, rate: float) -> tuple[f
 
 
 @compiled
-def with_drifts(
-    value: float, sums: Sums, channel: int, index: int, rate: float, run: int, draw: int
-) -> float:
-    """Move the drifts of a channel on to a sample and return their sum with a value.
+def add_drifts(values: Array, sums: Sums, channel: int, index: int, rate: float, draw: int) -> None:
+    """Move the drifts of a channel on to a sample, in every run, and add them to values.
 
     Args:
-        value: What they are added to.
+        values: To add to, shape (runs,).
         sums: The components of all channels; their drifts are moved.
         channel: Its number.
         index: Index of the sample.
         rate: Samples a second [Hz].
-        run: The run.
         draw: Place of the sample in the block.
     """
     drift, since = sums.drift_ends[channel], index - int(sums.injected[channel])
     for row in range(sums.ends[channel], sums.ends[channel + 1]):
         if int(sums.rows[row, 0]) == GAUSS_MARKOV:
-            now = 0.0
-            if since > 0 and (since - 1) / rate >= float(sums.rows[row, 3]):
-                number = float(sums.noise[drift, run, draw])
-                now = drifted(sums.rows[row], float(sums.drifts[run, drift]), number, 1.0 / rate)
-            sums.drifts[run, drift] = now
-            value += now
+            has_begun = since > 0 and (since - 1) / rate >= float(sums.rows[row, 3])
+            decay, strength = markov_step(1.0 / rate, float(sums.rows[row, 2]))
+            strength *= float(sums.rows[row, 1])
+            for run in range(values.shape[0]):
+                now, number = float(sums.drifts[run, drift]), float(sums.noise[drift, run, draw])
+                now = decay * now + strength * number if has_begun else 0.0
+                sums.drifts[run, drift] = now
+                values[run] += now
             drift += 1
-    return value

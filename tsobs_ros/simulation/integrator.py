@@ -210,7 +210,7 @@ class ArmIntegrator:
             self.motion,
             states,
             torques[:, 0].copy(),
-            np.zeros((runs, 2)),
+            np.zeros((2, runs)),
             noise.reshape(runs, 1, -1),
         )
         return start
@@ -233,7 +233,7 @@ def advance_arms(
         motion: Record of an `ArmIntegrator`.
         states: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, 4).
         torques: Motor torques held over the period [N m], shape (runs,).
-        pushes: Torques on motor and link besides, held likewise [N m], shape (runs, 2).
+        pushes: Torques on motor and link besides, held likewise [N m], shape (2, runs).
         kicks: Velocity steps of link and motor after each integration step in turn, shape
             (runs, block, 2 substeps), or (runs, block, 0) for none.
         draw: Which of the block.
@@ -261,8 +261,8 @@ def _load(motion: Any, states: Array, torques: Array, pushes: Array, lanes: Arra
         for item in range(4):
             lanes[item, run] = states[run, item]
         # Subtracted, so that a push of zero changes no bit, the sign of a zero included.
-        lanes[4, run] = float(torques[run]) / motor - (0.0 - float(pushes[run, 0])) / motor
-        lanes[5, run] = (0.0 - float(pushes[run, 1])) / link
+        lanes[4, run] = float(torques[run]) / motor - (0.0 - float(pushes[0, run])) / motor
+        lanes[5, run] = (0.0 - float(pushes[1, run])) / link
 
 
 @inlined

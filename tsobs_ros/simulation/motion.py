@@ -14,7 +14,7 @@ from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.model.stepping import record_type
-from tsobs_ros.simulation.channels import Channels, Sums, with_drifts, without_drifts
+from tsobs_ros.simulation.channels import Channels, Sums, add_drifts, without_drifts
 from tsobs_ros.simulation.integrator import (
     ArmIntegrator,
     Friction,
@@ -191,7 +191,7 @@ def _move_arms(
     numbers, rate, runs = plant[0], float(plant[0].rate), present.shape[0]
     start, duration = float(numbers.payload_start), float(numbers.payload_duration)
     link_kick, motor_kick = float(numbers.link_kick), float(numbers.motor_kick)
-    torques, pushes = np.empty(runs), np.empty((runs, 2))
+    torques, pushes = np.empty(runs), np.empty((2, runs))
     for step in range(span.samples):
         draw, place, index = span.drawn + step, span.place + step, span.start + step
         time = index / rate
@@ -200,8 +200,8 @@ def _move_arms(
         for side in range(2):
             added, _ = without_drifts(sums, side, index, rate)
             for run in range(runs):
-                push = float(series.torques[run, place, side]) + added
-                pushes[run, side] = with_drifts(push, sums, side, index, rate, run, draw)
+                pushes[side, run] = float(series.torques[run, place, side]) + added
+            add_drifts(pushes[side], sums, side, index, rate, draw)
         for run in range(runs):
             state = present[run]
             for item in range(4):
@@ -211,6 +211,6 @@ def _move_arms(
             if not series.given[0]:
                 series.inputs[run, place, 0] = torque
             torques[run] = series.inputs[run, place, 0]
-            missing = missing_torques(motion, state, float(pushes[run, 0]), float(pushes[run, 1]))
+            missing = missing_torques(motion, state, float(pushes[0, run]), float(pushes[1, run]))
             series.torques[run, place, 0], series.torques[run, place, 1] = missing
         advance_arms(motion, present, torques, pushes, kicks, draw, link_kick, motor_kick)

@@ -13,10 +13,9 @@ from tsobs_ros.checks import Array, Flags, check_each, non_negative
 from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.stepping import record_type
-from tsobs_ros.model.trigonometry import exponential
-from tsobs_ros.simulation.channels import Channels, Sums, with_drifts, without_drifts
+from tsobs_ros.simulation.channels import Channels, Sums, add_drifts, without_drifts
 from tsobs_ros.simulation.series import Series, Span
-from tsobs_ros.simulation.signals import Component, recurs
+from tsobs_ros.simulation.signals import Component, markov_step, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 _SENSOR = record_type(
@@ -214,11 +213,15 @@ def _measure(
     """Measure each chosen output of every run, sample by sample; see `Sensors`."""
     sensors, seen, noise, luck, tail, past = all_numbers
     truths, disturbances = series.truths, series.disturbances
+    present = np.empty(truths.shape[0])
     for output in range(sensors.shape[0]):
         if span.samples == 0 or not chosen[output]:
             continue
         numbers = sensors[output]
         places, degrees = int(numbers.places), int(numbers.noise_degrees)
+        is_correlated, decay, strength = numbers.noise_time_constant > 0.0, 0.0, 1.0
+        if is_correlated:
+            decay, strength = markov_step(1.0 / rate, float(numbers.noise_time_constant))
         if numbers.fresh:
             numbers.fresh = 0
             for run in range(truths.shape[0]):
@@ -232,17 +235,18 @@ def _measure(
             added, stuck = without_drifts(sums, output, index, rate)
             numbers.lost = lost
             for run in range(truths.shape[0]):
+                present[run] = disturbances[run, place, output] + added
+            add_drifts(present, sums, output, index, rate, draw)
+            for run in range(truths.shape[0]):
                 truth = float(truths[run, place, output])
-                disturbance = float(disturbances[run, place, output]) + added
-                disturbance = with_drifts(disturbance, sums, output, index, rate, run, draw)
+                disturbance = float(present[run])
                 memory = seen[output, run]
                 number = float(noise[output, run, draw])
                 if degrees > 0:
                     others = tail[output, run, draw * degrees : (draw + 1) * degrees]
                     number = student(number, others)
-                if numbers.noise_time_constant > 0.0 and index > 0:
-                    time_constant = float(numbers.noise_time_constant)
-                    number = correlated(float(memory.noise), number, 1.0 / rate, time_constant)
+                if is_correlated and index > 0:
+                    number = decay * float(memory.noise) + strength * number
                 memory.noise = number
                 past[output, run, index % places] = truth
                 old = float(past[output, run, (index + 1) % places])
@@ -290,10 +294,3 @@ def student(number: float, others: Array) -> float:
     for i in range(others.shape[0]):
         total += float(others[i]) * float(others[i])
     return number / math.sqrt(total / others.shape[0])
-
-
-@compiled
-def correlated(before: float, number: float, period: float, time_constant: float) -> float:
-    """Return a number of unit variance a period [s] after another, from an independent one."""
-    decay = exponential(-period / time_constant)
-    return decay * before + math.sqrt(1.0 - decay * decay) * number

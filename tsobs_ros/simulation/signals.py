@@ -442,14 +442,10 @@ def is_stuck(rows: Array, time: float) -> bool:
 
 
 @compiled
-def drifted(row: Array, value: float, number: float, period: float) -> float:
-    """Return a drift one period after it had a value, by the exact discretisation.
+def markov_step(period: float, time_constant: float) -> tuple[float, float]:
+    """Return what multiplies a Gauss–Markov process of unit variance, and a normal number, added.
 
-    Args:
-        row: Of a `GaussMarkov`.
-        value: Before [rad].
-        number: Normal number.
-        period: [s].
+    So it is moved on by a period [s], by the exact discretisation.
     """
-    decay = exponential(-period / float(row[2]))
-    return decay * value + float(row[1]) * math.sqrt(1.0 - decay * decay) * number
+    decay = exponential(-period / time_constant)
+    return decay, math.sqrt(1.0 - decay * decay)
