@@ -17,7 +17,7 @@ PYTEST_ARGS ?= -n 3
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint format clean
+.PHONY: help demo test lint format docs links figures clean
 .DEFAULT_GOAL := help
 
 # A version manager's shim may exist and yet fail, so every candidate is run.
@@ -56,6 +56,16 @@ lint: $(VENV)/.test ## Only lint and check types
 format: $(VENV)/.test ## Format the sources
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+docs: $(VENV)/.test ## Build the site into build/site; a warning is an error
+	$(BIN)/sphinx-build -W --keep-going -q -d build/doctrees docs build/site
+	@echo "open build/site/index.html"
+
+links: $(VENV)/.test ## Try the links to other sites
+	$(BIN)/sphinx-build -q -b linkcheck -d build/doctrees docs build/links
+
+figures: $(VENV)/.test ## Make the figures of the site again
+	$(BIN)/python docs/figures.py
 
 clean: ## Remove the virtual environment and everything built
 	rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -30,7 +30,8 @@ ts.save_design(design, path)
 print(f"wrote {path}: tsobs verify {path}; ros2 run tsobs_ros observer -p design:=…")
 
 # In place of the simulation: your log's time [s], angle [rad] and torque [N m].
-run = ts.simulate(design, duration=10.0, disturbance="ramp", torque=lambda t: 2.0 * (t % 4 < 2))
+ramp = {"ramp": {"rate": 0.02, "start": 4.0}}  # the sensor drifts away [rad/s], from 4 s on
+run = ts.simulate(design, duration=10.0, disturbance=ramp, torque=lambda t: 2.0 * (t % 4 < 2))
 estimates = ts.estimate(design, run.time, run.angle, run.torque)
 
 figure, (top, bottom) = plt.subplots(2, sharex=True, layout="constrained")
@@ -44,6 +45,6 @@ top.set_ylabel("link velocity [rad/s]")
 top.legend()
 bottom.plot(run.time, run.disturbance, "k")
 bottom.plot(run.time, estimates.disturbance)
-bottom.set(xlabel="time [s]", ylabel="sensor disturbance [rad]")
+bottom.set(xlabel="time [s]", ylabel="sensor disturbance [rad]", ylim=(-0.1, 0.2))
 figure.savefig(folder / "my_arm.png", dpi=120)
 print(f"wrote {folder / 'my_arm.png'}")

@@ -34,7 +34,7 @@ from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 SHORTER = {
     "tsobs demo --output demo": "tsobs demo --output demo --duration 3 --bias-at 1",
@@ -197,8 +197,16 @@ def split(command: str) -> list[str]:
     return shlex.split(command.replace("$(tsobs config)", folder).replace("$PWD", str(Path.cwd())))
 
 
+@pytest.fixture(scope="module")
+def estimated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bag that the shipped log becomes."""
+    bag = tmp_path_factory.mktemp("pages") / "run1"
+    ts.estimate_bag(ROOT / "docs" / "examples" / "arm_log.csv", output=bag)
+    return bag
+
+
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path: Path, estimated: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The files that pages name without making them."""
     monkeypatch.chdir(tmp_path)
     shutil.copy(ROOT / "docs" / "examples" / "arm_log.csv", tmp_path)
@@ -207,7 +215,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in ("observer.yaml", "paper_example_1.design.yaml"):
         shutil.copy(config_path(name), tmp_path)
     for bag in ("run1", "bag"):
-        ts.estimate_bag("arm_log.csv", output=bag)
+        shutil.copytree(estimated, bag)
     return tmp_path
 
 
