@@ -14,6 +14,7 @@ EXECUTABLES = {
     "observer": "tsobs_ros.executables:observer",
     "recorder": "tsobs_ros.executables:recorder",
     "player": "tsobs_ros.executables:player",
+    "visualizer": "tsobs_ros.executables:visualizer",
     "tsobs": "tsobs_ros.cli.main:main",
 }
 LAUNCHER = """#!/bin/sh

@@ -115,4 +115,5 @@ def test_an_executable_exists_and_is_documented(name: str, target: str) -> None:
     module, _, function = target.partition(":")
 
     assert callable(getattr(import_module(module), function))
-    assert re.search(rf"\b{name}\b", text("README.md")), f"README.md does not mention {name}"
+    pages = text("README.md") + text("docs/nodes.md")
+    assert re.search(rf"\b{name}\b", pages), f"README.md and docs/nodes.md do not mention {name}"

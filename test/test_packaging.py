@@ -18,7 +18,7 @@ import tsobs_ros
 from tsobs_ros.errors import LIBRARIES, missing_library
 
 ROOT = Path(__file__).resolve().parents[1]
-EXECUTABLES = ("observer", "plant_simulator", "recorder", "player", "tsobs")
+EXECUTABLES = ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs")
 STEM = f"tsobs_ros-{tsobs_ros.__version__}"
 DATA = f"{STEM}.data/data"
 

@@ -56,10 +56,11 @@ observer = partial(run, "observer")
 plant_simulator = partial(run, "plant_simulator")
 recorder = partial(run, "recorder")
 player = partial(run, "player")
+visualizer = partial(run, "visualizer")
 
 if __name__ == "__main__":
     # `python -m tsobs_ros.executables observer …` where no script has been installed.
-    nodes = ("observer", "plant_simulator", "recorder", "player")
+    nodes = ("observer", "plant_simulator", "recorder", "player", "visualizer")
     if len(sys.argv) < 2 or sys.argv[1] not in nodes:
         print(f"usage: python -m tsobs_ros.executables {'|'.join(nodes)} …", file=sys.stderr)
         sys.exit(2)

@@ -6,6 +6,9 @@ from typing import Any
 
 INK, MUTED, GRID = "#1F2933", "#52606D", "#E3E6EA"
 
+BLUE, GREEN, ORANGE, RED, PURPLE = "#0072B2", "#009E73", "#E69F00", "#D55E00", "#CC79A7"
+"""Some of Okabe and Ito's colours, which the colour-blind can tell apart."""
+
 STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,

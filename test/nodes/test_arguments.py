@@ -16,7 +16,7 @@ from tsobs_ros.nodes.arguments import check_arguments
 from tsobs_ros.resources import config_path
 
 PARAMETERS = str(config_path("observer.yaml"))
-NODES = ("observer", "plant_simulator", "recorder", "player")
+NODES = ("observer", "plant_simulator", "recorder", "player", "visualizer")
 OF_ROS = ("/rosout", "/parameter_events", "/transition_event")
 
 
@@ -65,8 +65,8 @@ def test_the_help_has_every_topic_service_and_parameter(
     }
     assert told == {"in": resolved(node.subscriptions), "out": resolved(node.publishers)}
     services = {each.srv_name for each in node.services if each.srv_name.startswith("~")}
-    _, _, served = text.partition("\nservices")
-    served, _, listed = served.partition("\nparameters:\n")
+    head, _, listed = text.partition("\nparameters:\n")
+    _, _, served = head.partition("\nservices")
     assert set(re.findall(r"^  (~/\S+) ", served, re.MULTILINE)) == services
     declared = set(node.list_parameters([], 0).names) - {
         "use_sim_time",

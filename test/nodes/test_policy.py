@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, RECORDED_TOPICS
-from tsobs_ros.nodes import observer, plant_simulator, player, recorder
+from tsobs_ros.nodes import observer, plant_simulator, player, recorder, visualizer
 from tsobs_ros.resources import config_path
 
 POLICY = config_path("sros2_policy.xml")
@@ -84,6 +84,7 @@ def test_each_node_is_allowed_what_it_has_and_nothing_else(
             "use_sim_time": True,
         },
         player: {"bag": str(bag), "clock": 40.0, "start_paused": True},
+        visualizer: {"use_sim_time": True},
     }
     nodes = [
         ros.add(

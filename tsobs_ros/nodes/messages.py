@@ -11,11 +11,15 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from tsobs_ros.bag.definitions import share_folders
 from tsobs_ros.errors import NodeError
 from tsobs_ros.estimation.health import Status
 from tsobs_ros.estimation.records import NANOSECONDS
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Of what stays valid until the next message."""
 
 _NAME = re.compile(r"([A-Za-z]\w*)/(msg|srv|action)/([A-Za-z]\w*)", flags=re.ASCII)
 # Places of the classes that a service or an action sends, within its own class.

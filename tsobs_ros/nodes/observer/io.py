@@ -29,9 +29,6 @@ from tsobs_ros.estimation.records import Estimate
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of what stays valid until the next message."""
-
 _RELIABLE = QoSProfile(depth=10)
 _RESTARTS = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _MAX_KNOWN = 256

@@ -27,10 +27,9 @@ from tsobs_ros.methods import warning
 from tsobs_ros.nodes.compiling import compile_ahead
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
-from tsobs_ros.nodes.messages import DiagnosticsPublisher
+from tsobs_ros.nodes.messages import LATCHED, DiagnosticsPublisher
 from tsobs_ros.nodes.observer import statuses
 from tsobs_ros.nodes.observer.io import (
-    LATCHED,
     MEASUREMENT_QOS,
     Batch,
     EstimatePublisher,

@@ -1,0 +1,137 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The `visualizer` node: what is known of the arms, drawn at a fixed rate."""
+
+import math
+from typing import Any
+
+from rclpy.qos import QoSProfile
+from visualization_msgs.msg import MarkerArray
+
+from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.joint_states import JointState
+from tsobs_ros.errors import printable
+from tsobs_ros.estimation.fault_shapes import FaultKind
+from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.nodes.feed import MEASUREMENTS, TRUE_STATES, ObserverFeed
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.ticker import Ticker
+from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters
+from tsobs_ros.nodes.visualizer.scene import Angles, Arm, Look, scene
+
+_WANTED = (topics.STATES, topics.STATE_BOUNDS, TRUE_STATES)
+_LINK, _MOTOR = topics.sides("")
+
+
+class Visualizer(ManagedNode[VisualizerParameters]):
+    """Draws what an observer publishes of arms, and the truth of a simulator.
+
+    Args:
+        node_kwargs: Arguments of `rclpy.node.Node`, such as `context` or `parameter_overrides`.
+
+    Raises:
+        ParameterError: A parameter has a wrong type or value.
+    """
+
+    def __init__(self, **node_kwargs: Any) -> None:
+        super().__init__("visualizer", VisualizerParameters, **node_kwargs)
+        self.start()
+
+    def configure(self) -> None:
+        """Make everything."""
+        self._feed = ObserverFeed(self, self.parameters.observer, _WANTED)
+        self._markers = self.create_publisher(MarkerArray, "~/markers", QoSProfile(depth=10))
+        self.ticker = self._ticker = Ticker(self, 1.0 / self.parameters.rate, self._draw)
+
+    def activate(self) -> None:
+        """Start to draw."""
+        self._ticker.start()
+
+    def deactivate(self) -> None:
+        """Stop drawing; what is drawn goes when its lifetime is over."""
+        self._ticker.stop()
+
+    def _draw(self) -> None:
+        self._feed.read()
+        if not self._markers.get_subscription_count():
+            return
+        given = self.parameters
+        look = Look(given.frame_id, given.link_length, given.spacing, given.opacity, given.max_age)
+        arms = self.arms()
+        if arms:
+            self._markers.publish(scene(arms, look, self.get_clock().now().to_msg()))
+
+    def arms(self) -> list[Arm]:
+        """Return what is known of each arm that the observer or the simulator has, in order."""
+        found = {
+            key: self._feed.fresh(key, self.parameters.max_age) for key in (*_WANTED, MEASUREMENTS)
+        }
+        names = [
+            name.removesuffix(_LINK)
+            for key in (topics.STATES, TRUE_STATES)
+            for name in getattr(found[key], "names", ())
+            if name.endswith(_LINK)
+        ]
+        return [
+            self._arm(name, *(found[key] for key in (*_WANTED, MEASUREMENTS)))
+            for name in dict.fromkeys(names)
+        ]
+
+    def _arm(
+        self,
+        name: str,
+        states: JointState | None,
+        bounds: JointState | None,
+        truth: JointState | None,
+        measured: JointState | None,
+    ) -> Arm:
+        statuses = self._feed.status_of(name, "sensor fault")
+        worst = max(statuses, key=lambda status: status.level, default=None)
+        half = _angles(bounds, name)
+        return Arm(
+            printable(name),
+            _angles(truth, name),
+            _angles(states, name),
+            half and Angles(*(self.parameters.sigmas * each for each in half)),
+            self._measured(name, measured),
+            worst.level if worst else Level.STALE,
+            printable(_words(worst)) if worst else "",
+        )
+
+    def _measured(self, joint: str, message: JointState | None) -> Angles | None:
+        """Return the angles that are measured, of which the observer's design has the places."""
+        if message is None or joint not in self._feed.requests:
+            return None
+        angles = {}
+        outputs = self._feed.requests[joint].output_names
+        for name, place in zip(outputs, self._feed.places(joint).outputs, strict=True):
+            positions = dict(zip(message.names, message.position, strict=False))
+            if place.field == "position" and place.name in positions:
+                angles[name] = positions[place.name]
+        return Angles(angles.get("link_angle", math.nan), angles.get("motor_angle", math.nan))
+
+
+def _angles(message: JointState | None, joint: str) -> Angles | None:
+    """Return the positions of a joint's sides; None if they are not both in the message."""
+    if message is None:
+        return None
+    positions = dict(zip(message.names, message.position, strict=False))
+    sides = [positions.get(side, math.nan) for side in topics.sides(joint)]
+    return Angles(*sides) if all(map(math.isfinite, sides)) else None
+
+
+def _words(fault: Status) -> str:
+    """Return a sensor's fault with its size, as the label shows it."""
+    if fault.message == FaultKind.NONE.value:
+        return "no fault"
+    sizes = [
+        f" {value} {key.partition(' ')[2].strip('[]')}"
+        for key, value in fault.values.items()
+        if key.startswith("magnitude")
+    ]
+    return fault.message + "".join(sizes)
+
+
+def create(**node_kwargs: Any) -> Visualizer:
+    """Return the node, for the runtime or any executor."""
+    return Visualizer(**node_kwargs)
