@@ -24,7 +24,7 @@ import numpy as np
 import tsobs_ros as ts
 from tsobs_ros.estimation.estimator import certified_estimator
 from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions
-from tsobs_ros.methods import EKFS, METHODS, make_runner
+from tsobs_ros.methods import FILTERS, METHODS, make_runner
 
 folder = Path(sys.argv[1])
 
@@ -56,12 +56,12 @@ for file in ("elastic_joint_fixed.design.yaml", "elastic_joint.design.yaml"):
             method=method, settle_time=0.2, supervision=SupervisionOptions(jump_quiet=0.0)
         )
         runner = make_runner(design, settings)
-        parts = runner.numbers if method in EKFS else [runner.estimator.model]
+        parts = runner.numbers if method in FILTERS else [runner.estimator.model]
         for number, each in enumerate(parts):
             show(f"model {method} {number}", each)
         found = ts.estimate(design, *np.load(folder / "arrays.npy"), settings=settings)
         show(f"arrays {method}", found)
-        if method in EKFS:  # the same steps, slow where they are interpreted
+        if method in FILTERS:  # the same steps, slow where they are interpreted
             continue
         (found,) = ts.estimate_bag(folder / "bag", design, settings=settings).joints.values()
         show(f"bag {method}", found)

@@ -19,7 +19,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.methods import EKFS, ObserverSettings, make_estimator, make_runner
+from tsobs_ros.methods import FILTERS, ObserverSettings, make_estimator, make_runner
 from tsobs_ros.report.metrics import SAME_JUMP, SIGMAS, MetricsOptions
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import simulate
@@ -166,7 +166,7 @@ def observe(
 
 
 def _estimator(design: Design, settings: ObserverSettings) -> Estimator | None:
-    return None if settings.method in EKFS else make_estimator(design, settings)
+    return None if settings.method in FILTERS else make_estimator(design, settings)
 
 
 def _runner(

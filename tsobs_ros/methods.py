@@ -31,8 +31,10 @@ from tsobs_ros.yaml_files import read_yaml
 
 METHODS = {
     "certified": "the design's observer: certified gain, supervised, learning what is uncertain",
-    "ekf": "gated extended Kalman filter of the same model, disturbance and noise",
+    "ekf_plain": "extended Kalman filter of an arm, of the same model, disturbance and noise",
+    "ekf": "the same with a gate for outliers",
     "ekf_augmented": "the same with the parameters that the design calls uncertain as states",
+    "ukf": "gated unscented Kalman filter of an arm, otherwise as ekf",
     "high_gain": "proportional observer of an arm: takes the disturbance for motion",
     "proportional_integral": "with an integral besides: takes the disturbance for motion",
     "paper": "the published method's observer, for T-S systems and the arm of its Example 3",
@@ -40,6 +42,9 @@ METHODS = {
 """The methods by name, each with what to know about it."""
 
 EKFS = ("ekf", "ekf_augmented")
+"""The rivals of a report: EKFs that leave outliers out."""
+
+FILTERS = ("ekf_plain", *EKFS, "ukf")
 """Those that run over recordings and arrays only."""
 
 RANGES = {
@@ -53,7 +58,7 @@ RANGES = {
 """Least and largest values of settings, with which no estimate takes for ever."""
 
 _LINK_ANGLE = ("link_angle",)
-_ARMS_ONLY = ("ekf_augmented", "high_gain", "proportional_integral")
+_ARMS_ONLY = ("ekf_plain", "ekf_augmented", "ukf", "high_gain", "proportional_integral")
 
 
 @dataclass(frozen=True)
@@ -193,7 +198,7 @@ def warning(design: Design, method: str) -> str:
     """Return what a user of a method on a design is warned of, empty if there is nothing."""
     if method == "paper":
         return PAPER_WARNING if isinstance(design.request, ArmRequest) else SYSTEM_WARNING
-    if method == "certified" or method in EKFS:
+    if method == "certified" or method in FILTERS:
         return ""
     return (
         f"method {method}: takes any disturbance of the sensor for motion of the arm; no bound is "
@@ -207,7 +212,7 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     Raises:
         ModelError: The method cannot observe this model.
     """
-    if settings.method in EKFS:
+    if settings.method in FILTERS:
         raise ModelError(f"method {settings.method}: runs over recordings and arrays only")
     request = design.request
     if not isinstance(request, ArmRequest):
@@ -295,12 +300,18 @@ def make_runner(
     The EKF of a T–S system is the design's observer with Riccati gains along the estimate, which
     leaves no sample out.
     """
-    if settings.method in EKFS:
+    if (method := settings.method) in FILTERS:
         if not isinstance(design.request, ArmRequest):
-            _require_any_model(settings.method)
+            _require_any_model(method)
             estimator = design.observer(gain_mode=GainMode.RICCATI)
             return make_tracker(design, settings, estimator)
-        return make_ekf(design, settings, learns=settings.method == "ekf_augmented")
+        return make_ekf(
+            design,
+            settings,
+            learns=method == "ekf_augmented",
+            gate=math.inf if method == "ekf_plain" else baselines.GATE,
+            unscented=method == "ukf",
+        )
     return make_tracker(design, settings, estimator)
 
 
@@ -311,8 +322,9 @@ def make_ekf(
     arm: ElasticJointArm | None = None,
     learns: bool = False,
     gate: float = baselines.GATE,
+    unscented: bool = False,
 ) -> KalmanFilter:
-    """Return the EKF of a design for an arm: with its disturbance model, its noise and its start.
+    """Return the EKF, or the UKF, of a design for an arm: with its disturbance model, its noise and its start.
 
     Args:
         design: The design.
@@ -320,6 +332,7 @@ def make_ekf(
         arm: The arm that it takes for the true one; the design's if None.
         learns: Whether the parameters that the design calls uncertain are states.
         gate: Sigmas of an innovation beyond which a sample is left out; infinite: none is.
+        unscented: Whether it is the UKF.
 
     Raises:
         ModelError: The design is not for an arm, or calls nothing uncertain that is to be a state.
@@ -333,7 +346,9 @@ def make_ekf(
     std = np.sqrt(np.diag(request.initial_covariance))
     options = _limits(design, settings or ObserverSettings())
     variances = np.diag(request.measurement_covariance).copy()
-    return KalmanFilter(request.flow, variances, std, uncertainty, gate=gate, options=options)
+    return KalmanFilter(
+        request.flow, variances, std, uncertainty, gate=gate, unscented=unscented, options=options
+    )
 
 
 def _limits(design: Design, settings: ObserverSettings) -> TrackerOptions:

@@ -12,7 +12,7 @@ from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import BagReadError, BagWriteError
 from tsobs_ros.estimation.records import Measurement, RejectReason
-from tsobs_ros.methods import EKFS, METHODS, ObserverSettings, make_tracker
+from tsobs_ros.methods import FILTERS, METHODS, ObserverSettings, make_tracker
 from tsobs_ros.replay.source import BagSource
 
 START, PERIOD, LATENCY = 1_700_000_000_000_000_000, 5_000_000, 300_000
@@ -279,7 +279,7 @@ def test_every_method_runs(arms, write_bag, estimate, tmp_path, method) -> None:
 
     assert run.table.done.all()
     counts = {name: topic.count for name, topic in BagReader(tmp_path / "new").topics.items()}
-    bounded = 50 if method in ("certified", *EKFS) else 0
+    bounded = 50 if method in ("certified", *FILTERS) else 0
     assert counts["/observer/joint_states"] == 50
     assert counts["/observer/error_bound"] == bounded
     assert counts["/joint_measurements"] == 50

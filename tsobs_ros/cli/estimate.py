@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 # Repeated here, so that the parser needs no numpy.
 _ZERO = "assume_zero_torque"
-METHODS = ("certified", "ekf", "ekf_augmented", "high_gain", "proportional_integral", "paper")
+METHODS = (
+    "certified", "ekf_plain", "ekf", "ekf_augmented", "ukf", "high_gain", "proportional_integral",
+    "paper",
+)  # fmt: skip
 
 
 def add_parser(commands: Commands) -> None:

@@ -19,8 +19,13 @@ for motion. Between two samples the last one is held, and the observer is integr
 The extended Kalman filter (EKF) has the states [x; w] of a design, its noise and its start, or
 [x; w; θ] with its uncertain parameters. It is what a careful engineer writes: an output that is
 further off than so many sigmas is left out, and if all were in most of the last half second, the
-covariance starts again. Late samples are put in their place. No observer here has a
-certificate.
+covariance starts again. Late samples are put in their place.
+
+The unscented Kalman filter (UKF) is the same but for its prediction, which moves 2n + 1 points
+x̂, x̂ ± √n columns of the Cholesky factor of P (E. A. Wan, R. van der Merwe, "The unscented Kalman
+filter for nonlinear estimation", 2000; α = 1, β = 2, κ = 0, so that no weight is negative). The
+outputs are linear in the states, so that its correction is the Kalman filter's. No observer here
+has a certificate.
 """
 
 import math
@@ -248,8 +253,8 @@ class EkfNumbers(NamedTuple):
     """The model of an EKF, as its compiled functions take it.
 
     Attributes:
-        sizes: Of [x; w] and of θ, of the window of the gate, of its ring, terms of the series, and
-            whether there are unknown torques.
+        sizes: Of [x; w] and of θ, of the window of the gate, of its ring, terms of the series,
+            whether there are unknown torques, and whether it predicts by points.
         times: Longest lateness, the clock's tolerance and the longest gap [ns].
         numbers: Nominal step [s], reach of the series [s], mgl/J₁ [1/s²], the gate, and half width
             of the certificate's domain [rad].
@@ -310,6 +315,7 @@ class KalmanFilter:
         initial_std: 1σ of [x; w] before any measurement, shape (n,).
         uncertainty: Parameters to have as states; none if None.
         gate: Sigmas, infinite for a filter that leaves nothing out.
+        unscented: Whether to predict by points, as a UKF.
         options: Limits.
 
     Attributes:
@@ -333,6 +339,7 @@ class KalmanFilter:
         uncertainty: Uncertainty | None = None,
         *,
         gate: float = GATE,
+        unscented: bool = False,
         options: TrackerOptions,
     ) -> None:
         self.flow, self.options = flow, options
@@ -350,7 +357,9 @@ class KalmanFilter:
         window = max(10, round(_WINDOW / flow.period))
         limits = (options.history, options.future_tolerance, options.restart_after)
         self.numbers = EkfNumbers(
-            np.array([n, k, window, options.max_steps, linear.terms, int(torques.any())]),
+            np.array(
+                [n, k, window, options.max_steps, linear.terms, int(torques.any()), int(unscented)]
+            ),
             np.array([round(min(each, 1e9) * NANOSECONDS) for each in limits]),
             np.array([flow.period, linear.reach, flow.arm.gravity_gain, gate, options.x_max]),
             as_matrix("variances", variances, (p,)),
@@ -414,7 +423,7 @@ class KalmanFilter:
         self,
         ticks: tuple[NDArray[np.int64], ...],
         samples: tuple[NDArray[np.int64], Array, Array],
-        results: tuple[NDArray[np.int64], Array, Array],
+        results: tuple[NDArray[np.int64], NDArray[np.int64], Array, Array],
         newest: NDArray[np.int64],
         rows: Array,
     ) -> None:
@@ -426,8 +435,8 @@ class KalmanFilter:
             samples: Stamps [ns], outputs, NaN of one that is missing, and torques [N m] in the
                 order of arrival, shapes (i,), (i, p) and (i,).
             results: Outcomes, codes of `history.REASONS`, of which those below 0 are of samples
-                that are skipped; innovations y − ŷ and 1σ expected of them, NaN of an output that
-                is missing, shape (i, p); written.
+                that are skipped, shape (i,); the codes of each output, innovations y − ŷ and 1σ
+                expected of them, NaN of an output that is missing, shape (i, p); written.
             newest: Stamp of the newest sample in use [ns], 0 without an estimate; written.
             rows: The estimates, written where there are any, shape (m, row_width + EXTRA).
         """
@@ -455,17 +464,18 @@ class KalmanFilter:
 
     def misfits(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
         """Use samples as `follow` does, and return |innovation| / 1σ of those used, shape (i,)."""
-        _, outcomes, innovations, expected = self._follow(stamps, y, u)
+        _, outcomes, _, innovations, expected = self._follow(stamps, y, u)
         used = (outcomes == USED)[:, np.newaxis] & np.isfinite(innovations)
         return np.asarray(np.abs(innovations[used]) / expected[used])
 
     def _follow(
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
-    ) -> tuple[Array, NDArray[np.int64], Array, Array]:
+    ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], Array, Array]:
         times, outputs = np.array(stamps, np.int64), np.array(y, np.float64, order="C")
         torques, count = np.array(u, np.float64)[:, 0], len(times)
         ticks = (times, times, np.arange(1, count + 1), np.full(count, -1))
-        results = (np.zeros(count, np.int64), *np.empty((2, count, self.shape.p)))
+        codes = np.zeros((count, self.shape.p), np.int64)
+        results = (np.zeros(count, np.int64), codes, *np.empty((2, count, self.shape.p)))
         newest, rows = np.zeros(count, np.int64), np.empty((count, self.row_width + EXTRA))
         self.advance(ticks, (times, outputs, torques), results, newest, rows)
         rows[newest == 0] = np.nan
@@ -488,7 +498,7 @@ def _advance_ekf(
     """Use samples and estimate; see `KalmanFilter.advance`. The last three are scratch."""
     stamps, now, ends, resets = ticks
     times, y, u = samples
-    outcomes, innovations, expected = results
+    outcomes, codes, innovations, expected = results
     n, k, x_max = model.sizes[0], model.sizes[1], model.numbers[4]
     p, q = model.output.shape[0], model.read.shape[0]
     counts, size, ring = memory.counts, n + k, model.sizes[3]
@@ -501,7 +511,7 @@ def _advance_ekf(
             if outcomes[sample] < 0:
                 continue
             outcomes[sample] = _use(
-                model, memory, times[sample], y[sample], u[sample], now[tick], innovations,
+                model, memory, times[sample], y[sample], u[sample], now[tick], codes, innovations,
                 expected, sample, vectors, matrices, gammas,
             )  # fmt: skip
         if resets[tick] >= 0 and not begin <= resets[tick] < ends[tick]:
@@ -560,6 +570,7 @@ def _use(
     y: Array,
     u: float,
     now: int,
+    codes: Any,
     innovations: Array,
     expected: Array,
     sample: int,
@@ -569,23 +580,27 @@ def _use(
 ) -> int:
     """Use a sample, in its place; return its outcome."""
     counts, ring, p = memory.counts, model.sizes[3], model.output.shape[0]
-    if not has_finite(y, p):
-        return NON_FINITE
-    if stamp <= 0:
-        return ZERO_STAMP
-    if stamp > now + model.times[1]:
-        return FROM_FUTURE
     later, length = 0, counts[1]
     newest = memory.stamps[(counts[0] + length - 1) % ring]
     while later < length and memory.stamps[(counts[0] + length - 1 - later) % ring] > stamp:
         later += 1
-    if later < length and memory.stamps[(counts[0] + length - 1 - later) % ring] == stamp:
-        return DUPLICATE
-    if later > 0:
+    refused = USED
+    if not has_finite(y, p):
+        refused = NON_FINITE
+    elif stamp <= 0:
+        refused = ZERO_STAMP
+    elif stamp > now + model.times[1]:
+        refused = FROM_FUTURE
+    elif later < length and memory.stamps[(counts[0] + length - 1 - later) % ring] == stamp:
+        refused = DUPLICATE
+    elif later > 0 and ((later == length and counts[0] != 0) or newest - stamp > model.times[0]):
         # Before a ring that has turned there were others, which it does not remember.
-        if (later == length and counts[0] != 0) or newest - stamp > model.times[0]:
-            return TOO_OLD
-        counts[2] += 1
+        refused = TOO_OLD
+    if refused != USED:
+        for j in range(p):
+            codes[sample, j] = refused
+        return refused
+    counts[2] += later > 0
     # The sample, and those after it again.
     stamps, samples = np.empty(later + 1, np.int64), np.empty((later + 1, p + 1))
     stamps[0], samples[0, p] = stamp, u
@@ -604,6 +619,7 @@ def _use(
             outcome = code
             for j in range(p):
                 innovations[sample, j], expected[sample, j] = vectors[2, j], vectors[3, j]
+                codes[sample, j] = int(vectors[4, j])
     return outcome
 
 
@@ -619,7 +635,7 @@ def _correct(
 ) -> int:
     """Predict to a sample from the newest state, correct by what is near enough, and remember.
 
-    Innovations and the 1σ expected of them are left in the vectors.
+    Innovations, the 1σ expected of them and the outputs' codes are left in the vectors.
     """
     p, size = model.output.shape
     counts, window, ring = memory.counts, model.sizes[2], model.sizes[3]
@@ -640,14 +656,14 @@ def _correct(
         _predict(model, elapsed / 1e9, torque, vectors, matrices, gammas)
     if math.isfinite(u):
         torque = u
-    are_out, near = True, vectors[4]
+    are_out, codes = True, vectors[4]
     for j in range(p):
-        vectors[2, j], vectors[3, j], near[j] = math.nan, math.nan, 0.0
+        vectors[2, j], vectors[3, j], codes[j] = math.nan, math.nan, NON_FINITE
         if math.isfinite(sample[j]):
             spread, innovation = _expected(model, x, P, cross, sample[j], j)
             vectors[2, j], vectors[3, j] = innovation, math.sqrt(spread)
-            near[j] = 0.0 if abs(innovation) > model.numbers[3] * math.sqrt(spread) else 1.0
-            are_out = are_out and near[j] == 0.0
+            codes[j] = GATED if abs(innovation) > model.numbers[3] * math.sqrt(spread) else USED
+            are_out = are_out and codes[j] != USED
     left_out[slot, seen % window] = are_out
     seen += 1
     gone = 0
@@ -660,7 +676,7 @@ def _correct(
             left_out[slot, i] = False
     elif not are_out:
         for output in range(p):
-            if near[output] == 0.0:
+            if codes[output] != USED:
                 continue
             spread, innovation = _expected(model, x, P, cross, sample[output], output)
             for i in range(size):
@@ -725,6 +741,7 @@ def _predict(
     size = n + k
     x, moved, P, jacobian, scratch = vectors[0], vectors[1], matrices[0], matrices[1], matrices[2]
     nothing = matrices[3]
+    points = np.empty((2 * size + 1 if model.sizes[6] != 0 else 0, size))
     whole, rest = cut_into_steps(duration, period)
     for step in range(whole + 1):
         length = period if step < whole else rest
@@ -738,6 +755,15 @@ def _predict(
                 n, 1, True,
             )  # fmt: skip
         half = 0.5 * length
+        if model.sizes[6] != 0:
+            _spread_points(x, P, scratch, points)
+            for point in points:
+                _kick(model, half, half * gravity, u, point, jacobian)
+                _drift(phi, gamma, u, point, moved)
+                _kick(model, half, half * gravity, u, point, jacobian)
+            _join_points(points, x, P)
+            _add_noise(noise, length, P)
+            continue
         for part in range(2):
             if part == 1:
                 # The parameters wander.
@@ -747,21 +773,79 @@ def _predict(
                         scratch[i, j] = 0.0
                         if i < n and j < n:
                             jacobian[i, j] = phi[i, j]
-                for i in range(n):
-                    moved[i] = gamma[i, 0] * u
-                    for j in range(n):
-                        moved[i] += phi[i, j] * x[j]
-                for i in range(n):
-                    x[i] = moved[i]
+                _drift(phi, gamma, u, x, moved)
                 congruence(jacobian, P, nothing, scratch, P, size, size)
-                for i in range(size):
-                    for j in range(size):
-                        if i < n and j < n:
-                            P[i, j] += noise[i, j]
-                        elif i == j:
-                            P[i, i] += THETA_WANDER * length
+                _add_noise(noise, length, P)
             _kick(model, half, half * gravity, u, x, jacobian)
             congruence(jacobian, P, nothing, scratch, P, size, size)
+
+
+@compiled
+def _drift(phi: Array, gamma: Array, u: float, x: Array, moved: Array) -> None:
+    """Move a state by the linear flow; the last is scratch."""
+    n = len(gamma)
+    for i in range(n):
+        moved[i] = gamma[i, 0] * u
+        for j in range(n):
+            moved[i] += phi[i, j] * x[j]
+    for i in range(n):
+        x[i] = moved[i]
+
+
+@compiled
+def _add_noise(noise: Array, length: float, P: Array) -> None:
+    n = len(noise)
+    for i in range(len(P)):
+        for j in range(len(P)):
+            if i < n and j < n:
+                P[i, j] += noise[i, j]
+            elif i == j:
+                P[i, i] += THETA_WANDER * length
+
+
+@compiled
+def _spread_points(x: Array, P: Array, factor: Array, points: Array) -> None:
+    """Write x and x ± √n columns of the Cholesky factor of P, which is scratch."""
+    n = len(x)
+    for j in range(n):
+        for i in range(j, n):
+            total = P[i, j]
+            for c in range(j):
+                total -= factor[i, c] * factor[j, c]
+            if i == j:
+                # Rounding may leave what is known exactly a little below zero.
+                factor[j, j] = math.sqrt(total) if total > 0.0 else 0.0
+            else:
+                factor[i, j] = total / factor[j, j] if factor[j, j] > 0.0 else 0.0
+    root = math.sqrt(n)
+    for i in range(n):
+        points[0, i] = x[i]
+        for j in range(n):
+            step = root * factor[i, j] if j <= i else 0.0
+            points[1 + j, i] = x[i] + step
+            points[1 + n + j, i] = x[i] - step
+
+
+@compiled
+def _join_points(points: Array, x: Array, P: Array) -> None:
+    """Write the mean and the covariance of moved points.
+
+    Weights of the mean are 0 and then 1/(2n), of the covariance 2 and then 1/(2n).
+    """
+    n = len(x)
+    weight = 0.5 / n
+    for i in range(n):
+        total = 0.0
+        for place in range(1, 2 * n + 1):
+            total += points[place, i]
+        x[i] = weight * total
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.0
+            for place in range(1, 2 * n + 1):
+                total += (points[place, i] - x[i]) * (points[place, j] - x[j])
+            P[i, j] = weight * total + 2.0 * (points[0, i] - x[i]) * (points[0, j] - x[j])
+            P[j, i] = P[i, j]
 
 
 @compiled

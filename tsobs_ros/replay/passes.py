@@ -24,8 +24,6 @@ from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.history import (
     CORRECTING,
     EXTRA,
-    GATED,
-    NON_FINITE,
     USED,
     copy_history,
     estimate_at,
@@ -430,25 +428,17 @@ class EkfPass(Pass):
         received = self.samples.evidence[places] != NO_EVIDENCE
         outcomes = np.where(received, USED, LEFT_OUT)
         innovations, expected = np.full((2, last - first, self._ekf.shape.p), np.nan)
+        codes = np.full(innovations.shape, LEFT_OUT)
         newest = np.zeros(len(ticks[0]), np.int64)
         stamps, y, u = self._inputs
         samples = (stamps[first:last], y[first:last], u[first:last])
-        self._ekf.advance(ticks, samples, (outcomes, innovations, expected), newest, rows)
+        self._ekf.advance(ticks, samples, (outcomes, codes, innovations, expected), newest, rows)
         results.outcomes[places] = outcomes
-        results.output_codes[places] = self._output_codes(outcomes, innovations, expected)
+        results.output_codes[places] = codes
         results.innovations[places] = innovations
         results.expected_std[places] = expected
         results.counts[:] = last
         return newest
-
-    def _output_codes(self, outcomes: Codes, innovations: Array, expected: Array) -> Codes:
-        """Return what became of each output; of a single one that of its sample."""
-        codes = np.broadcast_to(outcomes[:, np.newaxis], innovations.shape)
-        if innovations.shape[1] == 1:
-            return codes
-        near = np.abs(innovations) <= self._ekf.numbers.numbers[3] * expected
-        judged = np.where(np.isnan(innovations), NON_FINITE, np.where(near, USED, GATED))
-        return np.where(codes == USED, judged, codes)
 
 
 def new_pass(tracker: Tracker | KalmanFilter, *args: Any, **options: Any) -> Pass:
