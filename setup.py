@@ -97,6 +97,7 @@ setup(
         "watch": ["rich"],
         "docs": ["furo", "myst-parser", "sphinx"],
         "test": [
+            "bayesian-filters",
             "filterpy",
             "hypothesis",
             "mcap-ros2-support",

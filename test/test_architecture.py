@@ -43,6 +43,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         *CORE,
         "bag",
         "campaign",
+        "comparison",
         "design",
         "executables",
         "methods",
@@ -54,6 +55,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     },
     **{name: set() for name in COMMON},
     "campaign": {*CORE, "design", "methods", "report", "simulation"},
+    "comparison": {*CORE, "campaign", "design", "methods", "report", "simulation"},
     "api": {
         *CORE,
         "bag",

@@ -21,7 +21,7 @@ from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.history import CORRECTING, EXTRA, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, Basis
 from tsobs_ros.estimation.state import CONDITIONS
-from tsobs_ros.methods import METHODS, ObserverSettings, make_runner
+from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_runner
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.passes import Ticks, new_pass
@@ -396,7 +396,7 @@ def compare(
     path: str | Path,
     design: Design | str | Path | None = None,
     *,
-    methods: Sequence[str] = tuple(METHODS),
+    methods: Sequence[str] = tuple(CONTENDERS),
     joints: Sequence[str] = (),
 ) -> Comparison:
     """Compare observers on the same bag or log, as `tsobs compare`.
@@ -444,7 +444,7 @@ def _observers(
     settings = settings or source.ran.settings()
     single = len(methods) <= 1
     observers = [
-        Observer("observer" if single else method, replace(settings, method=method), files)
+        Observer("observer" if single else method, contender(settings, method), files)
         for method in methods or (settings.method,)
     ]
     if not single:

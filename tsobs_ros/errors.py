@@ -75,6 +75,10 @@ class ExportError(TsobsError, OSError):
     """A topic cannot be written to a file: it exists, or the disk is full."""
 
 
+class OutputError(TsobsError, OSError):
+    """A file to write exists already."""
+
+
 class LogError(TsobsError, ValueError):
     """An arm's own log cannot be read: a column is missing, or a cell is not what it should be."""
 

@@ -47,6 +47,13 @@ EKFS = ("ekf", "ekf_augmented")
 FILTERS = ("ekf_plain", *EKFS, "ukf")
 """Those that run over recordings and arrays only."""
 
+CONTENDERS: Mapping[str, Mapping[str, Any]] = {
+    "certified": {"method": "certified"},
+    "certified_fixed": {"method": "certified", "adapt": False},
+    **{name: {"method": name} for name in METHODS if name != "certified"},
+}
+"""What is compared, settings by name; `certified_fixed` does not learn."""
+
 RANGES = {
     "theta": (0.1, 100.0),
     "settle_time": (0.0, 600.0),
@@ -194,6 +201,17 @@ def _converted(name: str, value: Any, before: Any) -> Any:
         ) from error
 
 
+def contender(settings: ObserverSettings, name: str) -> ObserverSettings:
+    """Return settings with those of a name of `CONTENDERS`.
+
+    Raises:
+        ModelError: There is no such name.
+    """
+    if name not in CONTENDERS:
+        raise ModelError(f"method: expected one of {', '.join(CONTENDERS)}, got {name!r}")
+    return replace(settings, **CONTENDERS[name])
+
+
 def warning(design: Design, method: str) -> str:
     """Return what a user of a method on a design is warned of, empty if there is nothing."""
     if method == "paper":
@@ -324,7 +342,7 @@ def make_ekf(
     gate: float = baselines.GATE,
     unscented: bool = False,
 ) -> KalmanFilter:
-    """Return the EKF, or the UKF, of a design for an arm: with its disturbance model, its noise and its start.
+    """Return the EKF, or the UKF, of a design for an arm: with its disturbance model, noise, start.
 
     Args:
         design: The design.

@@ -216,7 +216,12 @@ def test_a_ukf_is_the_textbook_filter() -> None:
         return x
 
     textbook = UnscentedKalmanFilter(
-        n, 1, PERIOD, lambda x: flow.output_matrix @ x, moved, MerweScaledSigmaPoints(n, 1.0, 2.0, 0.0)
+        n,
+        1,
+        PERIOD,
+        lambda x: flow.output_matrix @ x,
+        moved,
+        MerweScaledSigmaPoints(n, 1.0, 2.0, 0.0),
     )
     textbook.Q, textbook.R = step.noise, request.measurement_covariance
     textbook.P = request.initial_covariance.copy()

@@ -32,6 +32,14 @@ def positive(text: str) -> float:
     return value
 
 
+def at_least_one(text: str) -> int:
+    """Return the whole number in an option's text, which must be above 0."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text}")
+    return value
+
+
 def show(mapping: dict[str, Any], text: str, as_json: bool) -> None:
     """Print a result, as JSON or as text."""
     if as_json:

@@ -1,27 +1,95 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs compare`: all observers on the same data, in one table."""
+"""`tsobs compare`: all observers on the same data, simulated or recorded, in one table."""
 
 import argparse
+import json
+import time
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_json
-from tsobs_ros.cli.estimate import METHODS, add_observer_options, estimate
+from tsobs_ros.cli.common import Commands, add_json, at_least_one, positive, progress, show
+from tsobs_ros.cli.estimate import METHODS, add_observer_options, estimate, given_parameters
+from tsobs_ros.errors import ParameterError, printable
+
+FILES = ("compare.png", "compare.json", "compare.md")
+"""What is written of a comparison on scenarios."""
+
+_OF_RECORDINGS = ("joints", "topic", "at", "rate", "columns", "units", "other_design")
+_OF_SCENARIOS = ("scenario", "seeds", "duration", "force")
 
 
 def add_parser(commands: Commands) -> None:
     """Add the command `compare`."""
     compare = commands.add_parser(
-        "compare", help="all observers on the same bag or log, in a table"
+        "compare", help="all observers on simulated scenarios, or on a bag or log, in a table"
     )
-    add_observer_options(compare, METHODS)
+    add_observer_options(compare, METHODS, bag_required=False)
     compare.add_argument(
-        "--output", type=Path, metavar="NEWBAG", help="also write a bag of all their estimates"
-    )
+        "--output", type=Path, metavar="PATH",
+        help="of a recording: new bag of all their estimates; of scenarios: folder for "
+        + ", ".join(FILES),
+    )  # fmt: skip
+    add = compare.add_argument_group("for scenarios", "without a recording").add_argument
+    add(
+        "--scenario", action="append", default=[], metavar="NAME",
+        help="a scenario of the simulator, can be repeated (default: eight of them)",
+    )  # fmt: skip
+    add("--seeds", type=at_least_one, metavar="N", help="runs of each scenario (default: 20)")
+    add("--duration", type=positive, metavar="S", help="length of a run (default: 60 s)")
+    add("--force", action="store_true", help="replace existing files")
     add_json(compare)
     compare.set_defaults(command=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run observers over a recording and compare them."""
-    return estimate(options, options.output, skip_misfits=True)
+    """Run observers over scenarios or a recording, and compare them."""
+    given, what = (_OF_SCENARIOS, "scenarios") if options.bag else (_OF_RECORDINGS, "a recording")
+    for name in given:
+        if getattr(options, name):
+            raise ParameterError(f"--{name.replace('_', '-')}: is for {what}")
+    if options.bag:
+        return estimate(options, options.output, skip_misfits=True)
+    return _on_scenarios(options)
+
+
+def _on_scenarios(options: argparse.Namespace) -> int:
+    from tsobs_ros.comparison import DEFAULT_SCENARIOS, compare_scenarios
+    from tsobs_ros.design.file import load_design
+    from tsobs_ros.files import require_new
+    from tsobs_ros.methods import ObserverSettings
+    from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+
+    begin = time.monotonic()
+    if len(options.design) > 1:
+        raise ParameterError(f"--design: expected one file, got {len(options.design)}")
+    paths = [options.output / name for name in FILES] if options.output else []
+    require_new(paths, force=options.force)
+    settings = ObserverSettings().with_parameters(given_parameters(options))
+    design = load_design(options.design[0] if options.design else config_path(SHIPPED_DESIGN))
+    scenarios = options.scenario or DEFAULT_SCENARIOS
+    methods = options.method or METHODS
+    seeds = options.seeds or 20
+    total = len(scenarios) * len(methods) * seeds
+    with progress(total, " runs", quiet=options.json) as advance:
+        found = compare_scenarios(
+            design,
+            scenarios,
+            seeds,
+            methods,
+            settings=settings,
+            duration=options.duration,
+            advance=advance,
+        )
+    text, mapping = str(found), found.as_mapping()
+    if paths:
+        from tsobs_ros.report.scenario_figure import draw_comparison
+
+        figure, data, page = paths
+        options.output.mkdir(parents=True, exist_ok=True)
+        draw_comparison(found, figure)
+        data.write_text(json.dumps(mapping, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        page.write_text(found.markdown(figure.name), encoding="utf-8")
+        text += f"\n\nwrote {', '.join(printable(str(path)) for path in paths)}"
+    seconds = time.monotonic() - begin
+    show(mapping, f"{text}\n{len(scenarios) * seeds} runs in {seconds:.0f} s", options.json)
+    return 0

@@ -5,7 +5,6 @@
 import argparse
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +21,8 @@ if TYPE_CHECKING:
 # Repeated here, so that the parser needs no numpy.
 _ZERO = "assume_zero_torque"
 METHODS = (
-    "certified", "ekf_plain", "ekf", "ekf_augmented", "ukf", "high_gain", "proportional_integral",
-    "paper",
+    "certified", "certified_fixed", "ekf_plain", "ekf", "ekf_augmented", "ukf", "high_gain",
+    "proportional_integral", "paper",
 )  # fmt: skip
 
 
@@ -43,15 +42,21 @@ def add_parser(commands: Commands) -> None:
     command.set_defaults(command=run)
 
 
-def add_observer_options(command: argparse.ArgumentParser, methods: Sequence[str]) -> None:
+def add_observer_options(
+    command: argparse.ArgumentParser, methods: Sequence[str], *, bag_required: bool = True
+) -> None:
     """Let a command run observers over a bag or a log.
 
     Args:
         command: The command.
         methods: Default of `--method`; empty for the one of the parameters.
+        bag_required: Whether there has to be one.
     """
     add = command.add_argument
-    add("bag", type=Path, metavar="BAG", help="bag folder, MCAP file or CSV log")
+    add(
+        "bag", type=Path, metavar="BAG", nargs=None if bag_required else "?",
+        help="bag folder, MCAP file or CSV log",
+    )  # fmt: skip
     add(
         "--design", nargs="+", default=[], metavar="FILE",
         help="design files, each run; JOINT=FILE for a joint with its own design (default: what "
@@ -128,7 +133,7 @@ def estimate(
     from tsobs_ros.report.comparison import RunScores
 
     begin = time.monotonic()
-    parameters = _parameters(options)
+    parameters = given_parameters(options)
     given = ObserverSettings().with_parameters(parameters)
     source = open_source(
         options.bag,
@@ -172,7 +177,7 @@ def estimate(
     return 0 if source.damage is None else 1
 
 
-def _parameters(options: argparse.Namespace) -> dict[str, Any]:
+def given_parameters(options: argparse.Namespace) -> dict[str, Any]:
     """Return the parameters that are given, those of the command line before those of the file.
 
     Joints and designs of the file are entered into the options that are empty.
@@ -199,6 +204,7 @@ def _observers(
     options: argparse.Namespace, settings: "ObserverSettings", source: "Source"
 ) -> "list[Observer]":
     """Return the observers that the options name, one for each design and method."""
+    from tsobs_ros.methods import contender
     from tsobs_ros.replay.designs import choose_designs
     from tsobs_ros.replay.estimate import Observer
 
@@ -220,7 +226,7 @@ def _observers(
         for method in methods:
             parts = [stem] * (len(designs) > 1) + [method] * (len(methods) > 1)
             name = "_".join(parts) or "observer"
-            observers.append(Observer(name, replace(settings, method=method), own))
+            observers.append(Observer(name, contender(settings, method), own))
     return observers
 
 

@@ -8,7 +8,7 @@ of what they cost one by one.
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, repeat
 from operator import itemgetter
 from pathlib import Path
@@ -75,17 +75,27 @@ def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list
     Raises:
         ModelError: None of them can.
     """
-    fitting, remarks = [], []
+    fitting: list[Observer] = []
+    remarks = []
     for one in observers:
         try:
             for design in one.designs:
                 make_runner(design, one.settings)
+            if twin := next((other for other in fitting if _are_same(one, other)), None):
+                raise ModelError(f"its design calls no parameter uncertain, so it is {twin.name}")
             fitting.append(one)
         except ModelError as error:
             remarks.append(f"{one.name} is left out: {error}")
     if not fitting:
         raise ModelError("; ".join(remarks))
     return fitting, remarks
+
+
+def _are_same(one: Observer, other: Observer) -> bool:
+    """Return whether observers differ at most in that one would learn what no design has."""
+    learnt = any(each.settings.learnt(design) for each in (one, other) for design in each.designs)
+    alike = replace(one.settings, adapt=other.settings.adapt) == other.settings
+    return one.files == other.files and alike and not learnt
 
 
 class Run:

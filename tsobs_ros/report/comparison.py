@@ -408,7 +408,7 @@ def render_comparison(rows: Sequence[ObserverErrors]) -> str:
         ekfs = [row.observer for row in own if row.observer in _EKFS]
         gated = own[0].quantities[:4] == QUANTITIES[:4]
         notes = [_note(own), *([about_ekfs(ekfs, gated=gated)] if ekfs else [])]
-        parts.append("\n".join([*title, *_aligned(_cells(own)), "", *notes]))
+        parts.append("\n".join([*title, *aligned(_cells(own)), "", *notes]))
     return "\n\n".join(parts)
 
 
@@ -433,7 +433,7 @@ def _cells(rows: Sequence[ObserverErrors]) -> list[list[str]]:
 
     def add(name: str, unit: str, value: Callable[[RunMetrics], float | None]) -> None:
         measured = [None if row.metrics is None else value(row.metrics) for row in rows]
-        cells.append([name, unit, *map(_number, measured)])
+        cells.append([name, unit, *map(number_text, measured)])
 
     def rmse(metrics: RunMetrics, key: str) -> float | None:
         return metrics[key].rmse if key in metrics else None
@@ -444,7 +444,7 @@ def _cells(rows: Sequence[ObserverErrors]) -> list[list[str]]:
         add("all states, normalised", "", lambda metrics: metrics.normalised_rmse)
     for place, (output, unit) in enumerate(rows[0].outputs):
         name = "innovation" if len(rows[0].outputs) == 1 else f"innovation of {output}"
-        cells.append([name, unit, *(_number(row.innovation_rms[place]) for row in rows)])
+        cells.append([name, unit, *(number_text(row.innovation_rms[place]) for row in rows)])
     add("innovation² / expected", "", lambda metrics: metrics.nis)
     return cells
 
@@ -476,9 +476,9 @@ def render_metrics(
     for quantity in quantities:
         one = metrics[quantity.key]
         inside = _NOTHING if one.inside is None else f"{100.0 * one.inside:.1f} %"
-        numbers = [_number(one.rmse), _number(one.bound), _quotient(one.ratio), inside]
+        numbers = [number_text(one.rmse), number_text(one.bound), _quotient(one.ratio), inside]
         rows.append([quantity.name, quantity.unit, *numbers])
-    rows.append(["all states, normalised", "", _number(metrics.normalised_rmse), "", "", ""])
+    rows.append(["all states, normalised", "", number_text(metrics.normalised_rmse), "", "", ""])
     below = _events(metrics)
     if comparison is not None:
         theirs = {one.key: one.rmse for one in comparison.ekf.quantities}
@@ -486,7 +486,7 @@ def render_metrics(
         ratios = [*(comparison.ratios[one.key] for one in quantities), comparison.normalised_ratio]
         rows[0] += ["EKF RMSE", "RMSE/EKF"]
         for row, error, ratio in zip(rows[1:], errors, ratios, strict=True):
-            row += [_number(error), _quotient(ratio)]
+            row += [number_text(error), _quotient(ratio)]
         gated = quantities[:4] == QUANTITIES[:4]
         below.append(about_ekfs([comparison.method], better=comparison.rivals > 1, gated=gated))
     above = (
@@ -494,7 +494,7 @@ def render_metrics(
         f"{metrics.duration:.1f} s; errors over the {metrics.settled_time:.1f} s that count as "
         "settled"
     )
-    return "\n".join([above, "", *_aligned(rows), "", *below])
+    return "\n".join([above, "", *aligned(rows), "", *below])
 
 
 def _events(metrics: RunMetrics) -> list[str]:
@@ -512,18 +512,21 @@ def _events(metrics: RunMetrics) -> list[str]:
     return lines
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table: a head with a rule below it, two columns of text, numbers."""
+def aligned(rows: Sequence[Sequence[str]], text_columns: int = 2) -> list[str]:
+    """Return the lines of a table: a head with a rule below it, columns of text, then numbers."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = []
     for row in rows:
-        cells = [cell.ljust(width) for cell, width in zip(row[:2], widths[:2], strict=True)]
-        cells += [cell.rjust(width) for cell, width in zip(row[2:], widths[2:], strict=True)]
+        cells = [
+            cell.ljust(width) if place < text_columns else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
         lines.append("  ".join(cells).rstrip())
     return [lines[0], "─" * max(map(len, lines)), *lines[1:]]
 
 
-def _number(value: float | None) -> str:
+def number_text(value: float | None) -> str:
+    """Return an error with three digits, or a word if there is none or it is huge."""
     if value is None:
         return _NOTHING
     return "diverged" if value > DIVERGED else f"{value:#.3g}"

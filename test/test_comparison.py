@@ -1,0 +1,147 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Observers on the same scenarios, and the bound that none of them may beat."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tsobs_ros.cli.main import main
+from tsobs_ros.comparison import compare_scenarios, fitted, why_unbounded
+from tsobs_ros.design.file import load_design
+from tsobs_ros.design.record import Design
+from tsobs_ros.errors import ModelError
+from tsobs_ros.methods import CONTENDERS
+from tsobs_ros.report.scenario_table import BOUNDS, ScenarioComparison
+from tsobs_ros.resources import config_path
+from tsobs_ros.simulation.scenarios import SCENARIOS
+
+SEEDS = 12
+
+
+@pytest.fixture(scope="module")
+def comparison(design: Design) -> ScenarioComparison:
+    names = ("noise", "stiff", "student", "friction")
+    return compare_scenarios(design, names, SEEDS, duration=25.0)
+
+
+@pytest.mark.parametrize(
+    ("bound", "observers", "scenarios"),
+    [
+        ("pcrb", ("certified_fixed", "ekf_plain", "ekf", "ukf"), ("noise", "student")),
+        ("pcrb_augmented", ("certified", "ekf_augmented"), ("noise", "stiff", "student")),
+    ],
+)
+def test_no_unbiased_observer_has_smaller_errors_than_the_bound(
+    bound: str, observers: tuple[str, ...], scenarios: tuple[str, ...], comparison
+) -> None:
+    for row in comparison.rows:
+        if row.scenario not in scenarios:
+            continue
+        least = row.bounds[bound].rmse[0] ** 2
+        for name in observers:
+            squares = row.cells[name].rmse ** 2
+            chance = 3.0 * squares.std(axis=0, ddof=1) / math.sqrt(SEEDS)
+            assert (squares.mean(axis=0) + chance > least).all(), (row.scenario, name)
+            # Nor is it so small that it says nothing.
+            assert row.cells[name].typical < 2.5 * row.bounds[bound].typical
+
+
+def test_the_bound_with_unknown_parameters_is_the_larger_one(comparison) -> None:
+    for row in comparison.rows[:3]:
+        known, augmented = (row.bounds[name].rmse for name in BOUNDS)
+        assert (known < augmented).all()
+
+
+def test_who_learns_wins_if_the_arm_is_another_one(comparison) -> None:
+    typical = {name: cell.typical for name, cell in comparison.rows[1].cells.items()}
+    for name in ("certified", "ekf_augmented"):
+        for other in ("certified_fixed", "ekf_plain", "ekf", "ukf", "paper"):
+            assert typical[name] < 0.3 * typical[other]
+
+
+def test_what_has_no_bound_is_named_with_the_reason(comparison) -> None:
+    text = str(comparison)
+
+    assert comparison.rows[3].bounds == {}
+    assert "no bound for friction: it has friction, which no method has a model of" in text
+    table = {line.split()[0]: line.split()[1:] for line in text.splitlines()[2:13]}
+    assert table["pcrb"][-1] == table["pcrb_augmented"][-1] == "–"
+    assert all(math.isfinite(float(cell)) for cell in table["certified"])
+    assert "high_gain, proportional_integral: no estimate of the sensor's disturbance" in text
+    unbounded = {name for name, scenario in SCENARIOS.items() if why_unbounded(scenario)}
+    assert unbounded == {
+        "stiff_bursts", "coarse", "stiff_coarse", "wrong_effort_10", "wrong_effort_50",
+        "wrong_effort_200", "wrong_effort_1000", "slight_friction", "friction", "link_friction",
+        "stiff_friction", "correlated_0.8", "correlated_0.9", "correlated_0.97",
+        "stiff_correlated_0.9", "late_10ms", "late_20ms",
+    }  # fmt: skip
+
+
+def test_another_arm_is_compared_by_the_observers_that_fit_it() -> None:
+    design = load_design(config_path("elastic_joint_fixed.design.yaml"))
+    request = replace(design.arm_request, arm=replace(design.arm_request.arm, link_damping=0.1))
+    other = Design(request, design.P, design.K, design.solver)
+
+    found = compare_scenarios(other, ["noise"], 2, duration=8.0)
+
+    assert fitted(SCENARIOS["noise"], other).arm == request.arm
+    assert set(found.names) == {*CONTENDERS, "pcrb"} - {
+        "certified_fixed", "ekf_augmented", "paper"
+    }  # fmt: skip
+    assert "certified_fixed is left out: the design calls no parameter uncertain" in str(found)
+    assert found.rows[0].cells["certified"].typical < 0.1
+
+
+def test_numbers_do_not_depend_on_the_other_scenarios(design: Design, comparison) -> None:
+    (row,) = compare_scenarios(design, ["stiff"], SEEDS, ["ukf"], duration=25.0).rows
+
+    np.testing.assert_array_equal(row.cells["ukf"].rmse, comparison.rows[1].cells["ukf"].rmse)
+
+
+def test_files_are_written_and_not_replaced(tmp_path: Path, capsys) -> None:
+    command = ["compare", "--scenario", "noise", "--scenario", "friction", "--seeds", "2"]
+    command += ["--duration", "7", "--method", "certified", "paper", "--output", str(tmp_path)]
+
+    assert main([*command, "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert json.loads((tmp_path / "compare.json").read_text(encoding="utf-8")) == printed
+    assert list(printed["scenarios"]) == ["noise", "friction"]
+    assert printed["scenarios"]["friction"]["unbounded"].startswith("friction")
+    assert set(printed["observers"]) == {"certified", "paper", *BOUNDS}
+    assert (tmp_path / "compare.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    assert "| certified | 0.0" in (tmp_path / "compare.md").read_text(encoding="utf-8")
+
+    assert main(command) == 1
+    assert "compare.png: exists already; --force replaces it" in capsys.readouterr().err
+    (tmp_path / "compare.png").unlink()
+    assert main(command) == 1
+    assert main([*command, "--force"]) == 0
+    assert (tmp_path / "compare.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--scenario", "storm"], "scenario: expected one of noise, .*, got 'storm'"),
+        (["--joints", "elbow"], "--joints: is for a recording"),
+        (["log.csv", "--seeds", "3"], "--seeds: is for scenarios"),
+        (["--design", "a", "b"], "--design: expected one file, got 2"),
+    ],
+)
+def test_what_does_not_fit_is_refused(options: list[str], message: str, capsys) -> None:
+    assert main(["compare", *options]) == 1
+    error = capsys.readouterr().err
+    assert message.split(".*")[0] in error
+
+
+def test_only_arms_with_an_encoder_on_the_link_are_compared() -> None:
+    system = load_design(config_path("paper_example_1.design.yaml"))
+    with pytest.raises(ModelError, match="arm"):
+        compare_scenarios(system)
+    with pytest.raises(ModelError, match="seeds: expected at least 1, got 0"):
+        compare_scenarios(system, seeds=0)

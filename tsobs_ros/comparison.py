@@ -1,0 +1,254 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Observers on the same simulated scenarios, and the least errors that there can be."""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tsobs_ros.campaign import Observed, observe, score
+from tsobs_ros.checks import Array
+from tsobs_ros.design.record import Design
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.baselines import THETA_STD
+from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
+from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_runner
+from tsobs_ros.model import disturbance
+from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
+from tsobs_ros.report.comparison import HIGH_GAIN, THETAS
+from tsobs_ros.report.metrics import MetricsOptions
+from tsobs_ros.report.scenario_table import BOUNDS, Cell, ScenarioComparison, ScenarioRow
+from tsobs_ros.simulation.integrator import Friction, Payload
+from tsobs_ros.simulation.plant import Scenario, TorqueDisturbance, Trajectories
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import GaussMarkov, StuckSensor
+
+DEFAULT_SCENARIOS = (
+    "noise",
+    "bias_step",
+    "sinusoid",
+    "drift",
+    "dropouts",
+    "stiff_bias_step",
+    "stiff_many_outliers",
+    "friction",
+)
+"""What `tsobs compare` simulates: as designed, each kind of fault of the sensor, wrong parameters,
+and a force that the model lacks."""
+
+_TUNED_ON = 1
+"""Runs of a scenario on which the best θ is looked for."""
+
+
+class _Job(NamedTuple):
+    """What all scenarios have in common.
+
+    Attributes:
+        design: The design.
+        contenders: Settings of each observer by name.
+        seeds: One a run.
+        duration: Length of a run [s]; None for the scenario's.
+        options: Options of the measures.
+    """
+
+    design: Design
+    contenders: dict[str, ObserverSettings]
+    seeds: range
+    duration: float | None
+    options: MetricsOptions
+
+
+def compare_scenarios(
+    design: Design,
+    scenarios: Sequence[str] = DEFAULT_SCENARIOS,
+    seeds: int = 20,
+    methods: Sequence[str] = tuple(CONTENDERS),
+    *,
+    settings: ObserverSettings | None = None,
+    duration: float | None = None,
+    advance: Callable[[int], None] = lambda _: None,
+) -> ScenarioComparison:
+    """Run observers on simulated scenarios, on all cores.
+
+    The scenarios' arm, rate and noise are the design's.
+
+    Args:
+        design: Of an arm with the link angle as its only output.
+        scenarios: Names of `simulation.scenarios.SCENARIOS`.
+        seeds: Number of runs of each; their seeds are 0, 1, …
+        methods: Names of `methods.CONTENDERS`. Those that cannot observe the arm are left out.
+        settings: Gates and timeouts; the node's defaults if None.
+        duration: Length of a run [s]; the scenario's if None.
+        advance: Called with the number of runs that have been observed since.
+
+    Raises:
+        ModelError: A name is unknown, there are no seeds, or the design is not of such an arm.
+    """
+    if seeds < 1:
+        raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
+    for name in scenarios:
+        if name not in SCENARIOS:
+            raise ModelError(f"scenario: expected one of {', '.join(SCENARIOS)}, got {name!r}")
+    request = design.arm_request
+    if request.output_names != ("link_angle",) or any(request.torque_disturbance.by_side):
+        raise ModelError(
+            "scenarios: expected a design with the link angle as its only output and without "
+            f"torque disturbance, got {', '.join(request.output_names)}"
+        )
+    contenders, remarks = {}, []
+    for name in methods:
+        chosen = contender(settings or ObserverSettings(), name)
+        try:
+            make_runner(design, chosen)
+        except ModelError as error:
+            remarks.append(f"{name} is left out: {error}")
+            continue
+        if name == "certified_fixed" and not request.uncertainty_model.count:
+            remarks.append(f"{name} is left out: the design calls no parameter uncertain")
+            continue
+        contenders[name] = chosen
+    job = _Job(design, contenders, range(seeds), duration, MetricsOptions())
+
+    def compared(name: str) -> ScenarioRow:
+        return _compare(job, name, fitted(SCENARIOS[name], design), advance)
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
+        rows = tuple(pool.map(compared, scenarios))
+    return ScenarioComparison(rows, tuple(contenders), seeds, tuple(remarks))
+
+
+def fitted(scenario: Scenario, design: Design) -> Scenario:
+    """Return a scenario with the arm, the rate and the noise of a design."""
+    request, before = design.arm_request, Sensor().noise_std
+    noise = scenario.sensor.noise_std * request.measurement_std / before
+    return replace(
+        scenario,
+        arm=request.arm,
+        rate=request.rate,
+        process_noise=request.process_noise,
+        sensor=replace(scenario.sensor, noise_std=noise),
+    )
+
+
+def _compare(
+    job: _Job, name: str, scenario: Scenario, advance: Callable[[int], None]
+) -> ScenarioRow:
+    runs = simulate(scenario, job.seeds, job.duration)
+    cells, thetas = {}, {}
+    for method, settings in job.contenders.items():
+        if method in HIGH_GAIN:
+            settings = _tuned(job, settings, runs)
+            thetas[method] = settings.theta
+        scores = score(runs, observe(job.design, runs, settings), job.options)
+        cells[method] = Cell(scores.rmse, scores.inside, scores.normalised_rmse)
+        advance(len(job.seeds))
+    reason = why_unbounded(scenario)
+    bounds = {} if reason else _bounds(job, scenario, runs)
+    return ScenarioRow(name, cells, bounds, reason, thetas)
+
+
+def _tuned(job: _Job, settings: ObserverSettings, runs: Trajectories) -> ObserverSettings:
+    """Return settings with the best θ."""
+    some = Trajectories(runs.times, *(each[:_TUNED_ON] for each in runs[1:]))
+    choices = [replace(settings, theta=theta) for theta in THETAS]
+
+    def error(choice: ObserverSettings) -> float:
+        found = score(some, observe(job.design, some, choice), job.options).normalised_rmse.mean()
+        return float(found) if math.isfinite(found) else math.inf
+
+    return min(choices, key=error)
+
+
+def why_unbounded(scenario: Scenario) -> str:
+    """Return why a scenario has no Cramér–Rao bound, empty if it has one."""
+    sensor = scenario.sensor
+    friction = replace(scenario.friction) != Friction()
+    for there, why in (
+        (friction, "friction, which no method has a model of"),
+        (scenario.payload != Payload(), "a payload, which no method has a model of"),
+        (scenario.torque_disturbance != TorqueDisturbance(), "torques that no method knows"),
+        (bool(scenario.torque_error), "a wrong torque, which no method has a model of"),
+        (sensor.noise_time_constant > 0.0, "noise that is not white"),
+        (sensor.burst_interval > 0.0, "noise in bursts"),
+        (sensor.latency > 0.0, "a latency, which no method has a model of"),
+        (sensor.resolution > 0.0, "an encoder's steps, which are no white noise"),
+        (sensor.noise_std == 0.0, "no noise"),
+        (any(isinstance(each, StuckSensor) for each in scenario.disturbance), "a stuck sensor"),
+    ):
+        if there:
+            return why
+    return ""
+
+
+def _bounds(job: _Job, scenario: Scenario, runs: Trajectories) -> dict[str, Cell]:
+    """Return the Cramér–Rao bounds with known parameters, and with those as states."""
+    request, arm = job.design.arm_request, scenario.true_arm
+    drifts = [each for each in scenario.disturbance if isinstance(each, GaussMarkov)]
+    model = disturbance.clean()
+    if drifts:
+        model = disturbance.gauss_markov(drifts[0].std, drifts[0].time_constant)
+    flow = ArmFlow(arm, model, scenario.process_noise, 1.0 / scenario.rate)
+    to_arm = arm.from_physical(scenario.arm.to_physical(np.ones(4)))
+    # A drift leaves zero at its start.
+    start = np.concatenate([np.array(scenario.initial_spread) * to_arm, [1e-9] * len(drifts)])
+    steps = np.abs(np.diff(runs.disturbances[0, :, 0]))
+    jumps = (1 + np.flatnonzero(steps > job.options.jump_threshold)).tolist()
+    # An estimator that knew which samples are outliers would use all others.
+    sensor = scenario.sensor
+    share = np.isfinite(runs.measurements[..., 0]).mean(axis=0) * (1.0 - sensor.outlier_probability)
+    information = share * white_information(sensor.noise_std, sensor.noise_degrees)
+    uncertain = arm_uncertainty(arm, request.uncertainty_model.bounds)
+    found = {}
+    for name, unknown in zip(BOUNDS, (None, uncertain), strict=True):
+        if unknown is not None and not unknown.count:
+            continue
+        std = _std(flow, arm.from_physical(runs.physical), runs, information, start, jumps, unknown)
+        # As errors of one run, so that they are averaged over the same samples.
+        one = Trajectories(runs.times, *(each[:1] for each in runs[1:]))
+        nothing = np.full((1, len(std), 0), np.nan)
+        errors = Observed(
+            one.physical + std[np.newaxis, :, :4],
+            np.full_like(one.physical, np.nan),
+            one.disturbances + std[np.newaxis, :, 4:5],
+            np.full_like(one.disturbances, np.nan),
+            nothing,
+            nothing,
+            {},
+            (),
+        )
+        scores = score(one, errors, job.options)
+        found[name] = Cell(scores.rmse, scores.inside, scores.normalised_rmse)
+    return found
+
+
+def _std(
+    flow: ArmFlow,
+    states: Array,
+    runs: Trajectories,
+    information: Array,
+    start: Array,
+    jumps: list[int],
+    unknown: Uncertainty | None,
+) -> Array:
+    return cramer_rao_std(
+        flow,
+        states,
+        runs.torques[..., 0],
+        information,
+        initial_std=start,
+        offset_std=_OFFSET_STD,
+        jumps=jumps,
+        uncertainty=unknown,
+        theta_std=THETA_STD,
+    )
+
+
+_OFFSET_STD = 0.3
+"""1σ of the sensor's offset beforehand [rad], as of the default disturbance model."""

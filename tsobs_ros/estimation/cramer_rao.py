@@ -1,0 +1,148 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The posterior Cramér–Rao bound of an arm's states, by the recursion of Tichavský et al.
+
+P. Tichavský, C. H. Muravchik, A. Nehorai, "Posterior Cramér–Rao bounds for discrete-time nonlinear
+filtering", IEEE Transactions on Signal Processing 46 (1998). With x' = f(x, c) + v, v of covariance
+Q, constants c and F = ∂f/∂(c, x), the information J of (c, x) becomes that of (c, x') when x is
+eliminated from
+
+    [ J + E FᵀQ⁻¹F   −E FᵀQ⁻¹ ]
+    [    −E Q⁻¹F         Q⁻¹  ]
+
+and each sample adds its Fisher information. E is the mean over true runs. By the matrix inversion
+lemma this is a Kalman filter's covariance along the mean derivative F̄, but for what the runs'
+derivatives differ:
+
+    P' = F̄ (P⁻¹ + V)⁻¹ F̄ᵀ + Q ,     V = E (F − F̄)ᵀQ⁻¹(F − F̄)
+
+which is how it is computed, as Q is too small beside P for the former.
+
+What it bounds: the mean square error, over runs whose start x(0) is drawn from the given
+distribution, of every estimator that is unbiased in the constants: their true values are fixed, and
+what is known of them beforehand only lowers the bound (the hybrid bound of Y. Rockah and P. M.
+Schultheiss, IEEE Transactions on Acoustics, Speech, and Signal Processing 35, 1987). An estimator
+that takes a constant for known is biased in it. It may have smaller errors if the truth is what it
+takes it for.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.model.arm import LINK_VELOCITY
+from tsobs_ros.model.flow import ArmFlow
+from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
+
+_CHUNK = 1000
+"""Samples whose derivatives are in memory at once."""
+
+
+def cramer_rao_std(
+    flow: ArmFlow,
+    states: Array,
+    torques: Array,
+    information: Array,
+    *,
+    initial_std: Array,
+    offset_std: float,
+    jumps: Sequence[int] = (),
+    uncertainty: Uncertainty | None = None,
+    theta_std: float = 1.0,
+) -> Array:
+    """Return the least 1σ of errors after each sample, from the samples up to it.
+
+    The constants are an offset of the output, which is another one after each jump, and θ.
+
+    Args:
+        flow: Of the true arm, the first of whose outputs is measured, with what of the disturbance
+            is random.
+        states: True states in that arm's design coordinates, shape (runs, samples, 4).
+        torques: Applied from each sample on [N m], shape (runs, samples).
+        information: Of each sample about its output [1/unit²], 0 if it is lost, shape (samples,).
+        initial_std: 1σ of the flow's states at the first sample, shape (n,).
+        offset_std: 1σ of the offset beforehand.
+        jumps: Samples from which on the offset is another one.
+        uncertainty: Parameters that are not known; None if all are.
+        theta_std: 1σ of each beforehand.
+
+    Returns:
+        1σ of the physical states (rad, rad/s), of the disturbance and of θ, shape
+        (samples, 4 + 1 + k).
+    """
+    n, count = flow.state_count, states.shape[1]
+    directions = np.zeros((0, 4, EXTERNAL + 1))
+    if uncertainty is not None:
+        directions = uncertainty.directions[:, 0]
+    m = 1 + len(directions)
+    size = m + n
+    noise, unit = np.zeros((size, size)), np.eye(size)
+    noise[m:, m:] = flow.nominal.noise
+    C = np.concatenate([[1.0], np.zeros(m - 1), flow.output_matrix[0]])
+    P = np.diag(np.concatenate([[offset_std], [theta_std] * (m - 1), initial_std]) ** 2.0)
+    found, again = np.empty((count, size, size)), set(jumps)
+    for begin in range(0, count, _CHUNK):
+        part = slice(begin, min(begin + _CHUNK, count))
+        moved, spread = _derivatives(flow, states, torques, directions, part)
+        for place in range(part.start, part.stop):
+            if place > 0:
+                F = moved[place - begin]
+                P = F @ np.linalg.solve(unit + P @ spread[place - begin], P) @ F.T + noise
+                P = 0.5 * (P + P.T)
+            if place in again:
+                P[0], P[:, 0] = 0.0, 0.0
+                P[0, 0] = offset_std**2.0
+            if information[place] > 0.0:
+                cross = P @ C
+                P = P - np.outer(cross, cross) / (C @ cross + 1.0 / information[place])
+            found[place] = P
+    read = np.zeros((4 + m, size))
+    read[:4, m : m + 4] = np.diag(flow.arm.to_physical(np.ones(4)))
+    read[4, 0], read[4, m:] = 1.0, flow.disturbance_map[0]
+    read[5:, 1:m] = np.eye(m - 1)
+    return np.asarray(np.sqrt(np.einsum("ai,tij,aj->ta", read, found, read)))
+
+
+def _derivatives(
+    flow: ArmFlow, states: Array, torques: Array, directions: Array, part: slice
+) -> tuple[Array, Array]:
+    """Return F̄ of the steps to some samples, and V."""
+    n, step, runs = flow.state_count, flow.nominal, len(states)
+    after = np.arange(part.start, part.stop)
+    before = np.maximum(after - 1, 0)
+    one, two = states[:, before], states[:, after]
+    slopes = [step.half_kick * np.cos(each[..., 0]) for each in (one, two)]
+    # Half a kick by gravity, the linear flow, half a kick.
+    A = np.broadcast_to(step.phi, (runs, len(after), n, n)).copy()
+    A[..., 0] -= slopes[0][..., np.newaxis] * step.phi[:, LINK_VELOCITY]
+    A[..., LINK_VELOCITY, :] -= slopes[1][..., np.newaxis] * A[..., 0, :]
+    pushes = []
+    for each in (one, two):
+        signals = np.zeros((*each.shape[:2], EXTERNAL + 1))
+        signals[..., :4], signals[..., SINE] = each, np.sin(each[..., 0])
+        signals[..., TORQUE] = torques[:, before]
+        pushed = np.zeros((*each.shape[:2], n, len(directions)))
+        pushed[..., :4, :] = 0.5 * step.duration * np.einsum("kic,rtc->rtik", directions, signals)
+        pushes.append(pushed)
+    B = np.zeros((runs, len(after), n, 1 + len(directions)))
+    B[..., 1:] = step.phi @ pushes[0] + pushes[1]
+    moved = np.concatenate([B, A], axis=-1)
+    mean = moved.mean(axis=0)
+    root = np.linalg.inv(np.linalg.cholesky(step.noise))
+    white = np.moveaxis(root @ (moved - mean), 0, 1).reshape(len(after), runs * n, -1)
+    constant = np.zeros((len(after), B.shape[-1], moved.shape[-1]))
+    constant[:, :, : B.shape[-1]] = np.eye(B.shape[-1])
+    return np.concatenate([constant, mean], axis=1), np.swapaxes(white, 1, 2) @ white / runs
+
+
+def white_information(std: float, degrees: int = 0) -> float:
+    """Return the Fisher information of a sample about its mean [1/unit²].
+
+    Args:
+        std: σ, which multiplies the noise.
+        degrees: ν of Student's t, whose information is (ν + 1)/(ν + 3)/σ²; 0 for normal noise.
+    """
+    share = (degrees + 1.0) / (degrees + 3.0) if degrees else 1.0
+    return share / math.pow(std, 2.0)

@@ -1,0 +1,107 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of observers on simulated scenarios as one picture, a row of points for each scenario."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from tsobs_ros.report.comparison import DIVERGED
+from tsobs_ros.report.scenario_table import BOUNDS, Cell, ScenarioComparison
+from tsobs_ros.style import INK, MUTED, STYLE
+
+_MARKERS = {
+    "certified": ("o", "#00798C"),
+    "certified_fixed": ("o", "#8CC7D0"),
+    "ekf_plain": ("^", "#F2C572"),
+    "ekf": ("^", "#C98A12"),
+    "ekf_augmented": ("v", "#8A5A00"),
+    "ukf": ("D", "#7A5195"),
+    "high_gain": ("s", "#9AA5B1"),
+    "proportional_integral": ("s", "#52606D"),
+    "paper": ("X", "#D1495B"),
+}
+"""Shape and colour of each observer; families differ in shape, so that no reader needs colours."""
+
+_WIDTH, _ROW, _FRAME, _DPI = 10.0, 0.9, 1.75, 140
+_FEWEST, _MOST = 10.0, 90.0
+
+
+def draw_comparison(comparison: ScenarioComparison, path: Path) -> None:
+    """Draw the normalised RMSE of all observers on all scenarios, 1400 pixels wide as PNG.
+
+    Args:
+        comparison: The errors.
+        path: The file; it is replaced.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    count = len(comparison.rows)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(_WIDTH, _FRAME + _ROW * count), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots()
+        for number, row in enumerate(comparison.rows):
+            for place, name in enumerate(comparison.observers):
+                height = number + 0.72 * ((place + 0.5) / len(comparison.observers) - 0.5)
+                _draw_observer(axes, name, row.cells[name], height, labelled=number == 0)
+            for name, style in zip(BOUNDS, (":", "-"), strict=True):
+                if (bound := row.bounds.get(name)) is not None and bound.typical is not None:
+                    label = name if row is _first_bounded(comparison) else None
+                    axes.plot(
+                        [bound.typical] * 2, [number - 0.42, number + 0.42],
+                        color=INK, linestyle=style, linewidth=1.6, label=label,
+                    )  # fmt: skip
+        axes.set_yticks(range(count), [row.scenario for row in comparison.rows])
+        axes.set_ylim(count - 0.5, -0.5)
+        axes.set_yticks(np.arange(0.5, count - 1), minor=True)
+        axes.grid(visible=False, axis="y", which="major")
+        axes.grid(visible=True, axis="y", which="minor", color="#C4C9D0")
+        axes.tick_params(axis="y", length=0, which="both", labelcolor=INK, labelsize=10)
+        axes.set_xscale("log")
+        low, high = axes.get_xlim()
+        # One that diverged must not squeeze the others into a corner.
+        axes.set_xlim(low, min(high, 3.0))
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.set_xlabel(
+            f"normalised RMSE of all states: root mean square over {comparison.seeds} runs, "
+            f"{_FEWEST:g} to {_MOST:g} % of the runs"
+        )
+        figure.suptitle(
+            "Errors of all observers; none that is unbiased can be left of the lines",
+            fontsize=12.0, fontweight="bold", x=0.01, ha="left",
+        )  # fmt: skip
+        figure.legend(loc="outside lower left", ncols=6, fontsize=9)
+        figure.savefig(path, dpi=_DPI, metadata={"Software": None})
+
+
+def _first_bounded(comparison: ScenarioComparison) -> object:
+    return next((row for row in comparison.rows if row.bounds), None)
+
+
+def _draw_observer(axes: Axes, name: str, cell: Cell, height: float, *, labelled: bool) -> None:
+    marker, colour = _MARKERS[name]
+    label = name if labelled else None
+    typical = cell.typical
+    right = axes.get_yaxis_transform()
+    if typical is None or not typical <= DIVERGED:
+        text = "no estimate" if typical is None else "diverged"
+        axes.text(0.995, height, f"{name}: {text}", transform=right, ha="right", va="center",
+                  fontsize=7.5, color=MUTED)  # fmt: skip
+        axes.plot([], [], marker, color=colour, label=label)
+        return
+    reach = np.percentile(cell.normalised, (_FEWEST, _MOST))
+    axes.plot(reach, [height, height], color=colour, linewidth=1.4, solid_capstyle="butt")
+    axes.plot([typical], [height], marker, color=colour, markersize=6.5, label=label,
+              markeredgecolor="white", markeredgewidth=0.6)  # fmt: skip
+    if typical > 3.0:
+        axes.text(0.995, height, f"{name}: {typical:.3g} →", transform=right, ha="right",
+                  va="center", fontsize=7.5, color=MUTED)  # fmt: skip

@@ -1,0 +1,220 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of observers on simulated scenarios, as a table for terminals, Markdown and JSON."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tsobs_ros.checks import Array
+from tsobs_ros.estimation.baselines import GATE
+from tsobs_ros.report.comparison import aligned, number_text
+from tsobs_ros.report.metrics import SIGMAS
+from tsobs_ros.report.quantities import QUANTITIES
+
+BOUNDS = ("pcrb", "pcrb_augmented")
+"""Names of the posterior Cramér–Rao bound with known parameters, and with those as states."""
+
+ABOUT = {
+    "certified": "ours, which learns what the design calls uncertain",
+    "certified_fixed": "ours without learning",
+    "ekf_plain": "extended Kalman filter with the design's model, disturbance, noise and start",
+    "ekf": f"the same, gated at {GATE:g}σ",
+    "ekf_augmented": "gated, with the uncertain parameters as states",
+    "ukf": "unscented Kalman filter, otherwise as ekf",
+    "high_gain": "proportional observer (PO), with the best θ of the scenario's first run",
+    "proportional_integral": "with an integral besides (PIO), θ likewise",
+    "paper": "the published method's observer, with the printed gains",
+    "pcrb": "least error of an estimator that is not biased by the sensor's offset, if it knows "
+    "the arm, the rest of the disturbance and when it jumps (posterior Cramér–Rao bound)",
+    "pcrb_augmented": "the same if it does not know the uncertain parameters",
+}
+"""What each column of the table is."""
+
+_WITHOUT_DISTURBANCE = ("high_gain", "proportional_integral")
+_OFFSET = "takes an offset of the sensor for motion, so that no bound holds for it"
+_KNOWN = "takes the parameters for known, so that pcrb holds for it if they are right"
+_BIASED = {
+    "certified_fixed": _KNOWN,
+    "ekf_plain": _KNOWN,
+    "ekf": _KNOWN,
+    "ukf": _KNOWN,
+    "high_gain": _OFFSET,
+    "proportional_integral": _OFFSET,
+    "paper": "uses no measurement of the arm, see docs/method.md",
+}
+
+
+class Cell(NamedTuple):
+    """Errors over the settled parts of a scenario's runs; NaN if there are none.
+
+    Attributes:
+        rmse: Of `QUANTITIES`, shape (runs, 5).
+        inside: Shares of the errors inside `SIGMAS` times the bound, shape (runs, 5).
+        normalised: Root mean square over the states of RMSE / scale, shape (runs,).
+    """
+
+    rmse: Array
+    inside: Array
+    normalised: Array
+
+    @property
+    def typical(self) -> float | None:
+        """Root mean square of the normalised RMSE over the runs; None without errors."""
+        return _root_mean(self.normalised)
+
+    def typical_of(self, quantity: int) -> float | None:
+        """Return the root mean square error of a quantity over the runs; None without errors."""
+        return _root_mean(self.rmse[:, quantity])
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return everything as plain data."""
+        inside = {
+            quantity.key: float(shares.mean())
+            for quantity, shares in zip(QUANTITIES, self.inside.T, strict=True)
+            if np.isfinite(shares).all()
+        }
+        return {
+            "normalised_rmse": self.typical,
+            "rmse": {one.key: self.typical_of(place) for place, one in enumerate(QUANTITIES)},
+            "normalised_rmse_of_runs": self.normalised.tolist(),
+            **({f"inside_{SIGMAS:g}_sigma": inside} if inside else {}),
+        }
+
+
+@dataclass(frozen=True)
+class ScenarioRow:
+    """A scenario.
+
+    Attributes:
+        scenario: Its name.
+        cells: Errors by observer.
+        bounds: Least errors, by the names of `BOUNDS`, of a single run.
+        unbounded: Why there are no bounds; empty if there are.
+        thetas: θ of the observers of high gain [rad/s].
+    """
+
+    scenario: str
+    cells: Mapping[str, Cell]
+    bounds: Mapping[str, Cell]
+    unbounded: str
+    thetas: Mapping[str, float]
+
+    def __getitem__(self, name: str) -> Cell | None:
+        """Return the errors of an observer, or a bound; None if there are none."""
+        return self.cells.get(name) or self.bounds.get(name)
+
+
+@dataclass(frozen=True)
+class ScenarioComparison:
+    """Observers on scenarios.
+
+    Attributes:
+        rows: The scenarios.
+        observers: Names of the observers.
+        seeds: Number of runs of each scenario.
+        remarks: Notes, such as why an observer was left out.
+    """
+
+    rows: tuple[ScenarioRow, ...]
+    observers: tuple[str, ...]
+    seeds: int
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The observers, and the bounds that any scenario has."""
+        return (
+            *self.observers,
+            *(name for name in BOUNDS if any(name in row.bounds for row in self.rows)),
+        )
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return everything as plain data that JSON can hold."""
+        return {
+            "seeds": self.seeds,
+            "observers": {name: ABOUT[name] for name in self.names},
+            "scenarios": {
+                row.scenario: {
+                    **{
+                        name: cell.as_mapping()
+                        for name in self.names
+                        if (cell := row[name]) is not None
+                    },
+                    "theta": dict(row.thetas),
+                    "unbounded": row.unbounded or None,
+                }
+                for row in self.rows
+            },
+            "notes": self.notes(),
+        }
+
+    def notes(self) -> list[str]:
+        """Return what a reader has to know: the measure, and why cells are empty."""
+        lines = [
+            f"normalised RMSE of the four states over what counts as settled; root mean square "
+            f"over {self.seeds} runs"
+        ]
+        lines += [
+            f"no bound for {row.scenario}: it has {row.unbounded}"
+            for row in self.rows
+            if row.unbounded
+        ]
+        if "pcrb" in self.names:
+            for reason in dict.fromkeys(_BIASED.values()):
+                names = [name for name in self.observers if _BIASED.get(name) == reason]
+                lines += [f"{', '.join(names)}: {reason}"] if names else []
+        lacking = [name for name in self.observers if name in _WITHOUT_DISTURBANCE]
+        if lacking:
+            lines.append(f"{', '.join(lacking)}: no estimate of the sensor's disturbance")
+        return [*lines, *self.remarks]
+
+    def table(self, value: Callable[[Cell], float | None]) -> list[list[str]]:
+        """Return a table of the observers over the scenarios, with a head."""
+        rows = [["", *(row.scenario for row in self.rows)]]
+        for name in self.names:
+            cells = [row[name] for row in self.rows]
+            known = (None if cell is None else value(cell) for cell in cells)
+            rows.append([name, *map(number_text, known)])
+        return rows
+
+    def __str__(self) -> str:
+        width = max(map(len, self.names))
+        about = [f"{name:<{width}}  {ABOUT[name]}" for name in self.names]
+        table = aligned(self.table(lambda cell: cell.typical), text_columns=1)
+        return "\n".join([*table, "", *about, "", *self.notes()])
+
+    def markdown(self, figure: str = "") -> str:
+        """Return the page: the table, what is in it, and a table of each quantity.
+
+        Args:
+            figure: File name of the figure; empty for none.
+        """
+        parts = ["# Observers on the same scenarios", self.notes()[0].capitalize() + "."]
+        parts += [f"![Errors of all observers]({figure})"] if figure else []
+        parts.append(_markdown_table(self.table(lambda cell: cell.typical)))
+        parts.append("\n".join(f"- `{name}`: {ABOUT[name]}" for name in self.names))
+        if notes := self.notes()[1:]:
+            parts += ["## Notes", "\n".join(f"- {note}" for note in notes)]
+        for place, quantity in enumerate(QUANTITIES):
+            parts.append(f"## RMSE of the {quantity.name} [{quantity.unit}]")
+            parts.append(_markdown_table(self.table(partial(Cell.typical_of, quantity=place))))
+        return "\n\n".join(parts) + "\n"
+
+
+def _markdown_table(rows: Sequence[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join([lines[0], "|---" * len(rows[0]) + "|", *lines[1:]])
+
+
+def _root_mean(values: Array) -> float | None:
+    """Return the root mean square; infinite if a run diverged, None if no run has a value."""
+    if np.isnan(values).all():
+        return None
+    with np.errstate(over="ignore"):
+        mean = float(np.mean(np.square(values)))
+    return math.sqrt(mean) if math.isfinite(mean) else math.inf
