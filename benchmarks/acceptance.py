@@ -12,15 +12,14 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from multiprocessing import Pool
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from acceptance_demands import Demand, cost_demands, demands, rival
 from acceptance_runs import Found, Outcome, high_gain, kalman, ours, outcome
-from common import at_least, design_of, parser, show, use_one_thread
+from common import design_of, parser, use_one_thread
 from observer_step import step_costs
-from pages import head, row, update, verdicts
+from pages import end, head, options_of, row, verdicts
 
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import DisturbanceTerm
@@ -275,46 +274,25 @@ def _page(
 
 def main() -> None:
     """Measure and print."""
-    made = parser(__doc__)
-    made.add_argument(
-        "--runs", type=at_least(1, int), default=40, help="number of runs of each scenario"
-    )
-    made.add_argument("--first-seed", type=at_least(0, int), default=9000)
-    made.add_argument("--processes", type=at_least(1, int), default=2)
-    made.add_argument("--update", type=Path, metavar="PAGE", help="also write into a page")
-    made.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="default: all")
-    options = made.parse_args()
-    unknown = [name for name in options.scenarios if name not in SCENARIOS]
-    if unknown:
-        made.error(f"no scenario {unknown[0]}; there is {', '.join(SCENARIOS)}")
+    options = options_of(parser(__doc__), SCENARIOS)
     design = design_of(options)
     # Before the other processes start, which would be in its way.
     cost = step_costs("adaptive", design, 30.0)
-    seeds = range(options.first_seed, options.first_seed + options.runs)
-    results = measure(design, options.scenarios or list(SCENARIOS), seeds, options.processes)
+    results = measure(design, options.scenarios, options.seeds, options.processes)
     found = [*demands(results), *cost_demands(cost)]
+    seeds = options.seeds
     what = (
         f"{options.runs} runs of each scenario, seeds {seeds[0]} to {seeds[-1]}. Errors are "
         "settled / full."
     )
-    text = "\n".join(_page(results, found, cost, what))
-    if options.update is not None:
-        update(options.update, Path(__file__).name, text)
     everything = {
-        "runs": options.runs,
         "first_seed": options.first_seed,
         "scenarios": {
             name: {who: _plain(one) for who, one in each.items()} for name, each in results.items()
         },
-        "demands": [
-            {**one._asdict(), "value": one.value if np.isfinite(one.value) else None}
-            | {"passed": one.passed}
-            for one in found
-        ],
         "step_us": cost,
     }
-    show(everything, text, options.json)
-    sys.exit(0 if all(one.passed for one in found) else 1)
+    end(options, __file__, "\n".join(_page(results, found, cost, what)), everything, found)
 
 
 if __name__ == "__main__":

@@ -12,14 +12,13 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from multiprocessing import Pool
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from acceptance_demands import INSIDE_BAR, Demand
 from acceptance_runs import SCALE, WINDOWS
-from common import at_least, parser, show, use_one_thread
-from pages import head, row, update, verdicts
+from common import parser, use_one_thread
+from pages import end, head, options_of, row, verdicts
 
 from tsobs_ros import campaign
 from tsobs_ros.checks import Array
@@ -375,28 +374,10 @@ def _page(results: Mapping[str, Found], found: Sequence[Demand], seeds: range) -
 
 def main() -> None:
     """Measure and print."""
-    made = parser(__doc__, design=False)
-    made.add_argument(
-        "--runs", type=at_least(1, int), default=40, help="number of runs of each scenario"
-    )
-    made.add_argument("--first-seed", type=at_least(0, int), default=9000)
-    made.add_argument("--processes", type=at_least(1, int), default=2)
-    made.add_argument("--update", type=Path, metavar="PAGE", help="also write into a page")
-    made.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="default: all")
-    options = made.parse_args()
-    known = ACCURACY | CONTACTS
-    unknown = [name for name in options.scenarios if name not in known]
-    if unknown:
-        made.error(f"no scenario {unknown[0]}; there is {', '.join(known)}")
-    seeds = range(options.first_seed, options.first_seed + options.runs)
-    results = measure(options.scenarios or list(known), seeds, options.processes)
+    options = options_of(parser(__doc__, design=False), ACCURACY | CONTACTS)
+    results = measure(options.scenarios, options.seeds, options.processes)
     found = list(demands(results))
-    text = "\n".join(_page(results, found, seeds))
-    if options.update is not None:
-        update(options.update, Path(__file__).name, text)
-    plain = [{**one._asdict(), "passed": one.passed} for one in found]
-    show({"runs": options.runs, "demands": plain}, text, options.json)
-    sys.exit(0 if all(one.passed for one in found) else 1)
+    end(options, __file__, "\n".join(_page(results, found, options.seeds)), {}, found)
 
 
 if __name__ == "__main__":

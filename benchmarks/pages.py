@@ -1,12 +1,16 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables in Markdown, and the part of a page that a benchmark writes."""
+"""Benchmarks of scenarios: their options, tables in Markdown, and the page they write into."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from argparse import ArgumentParser, Namespace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from math import isfinite
 from pathlib import Path
+from typing import Any, NoReturn
 
 from acceptance_demands import Demand
+from common import at_least, show
 
 _END = "<!-- end -->"
 
@@ -30,6 +34,39 @@ def verdicts(found: Sequence[Demand]) -> Iterator[str]:
         verdict = "pass" if one.passed else "**fail**"
         median = "" if one.median is None else f"{one.median:.3f}"
         yield row(one.scenario, one.text, f"{one.value:.4g}", bar, verdict, median)
+
+
+def options_of(made: ArgumentParser, known: Collection[str]) -> Namespace:
+    """Return the options of a benchmark of some known scenarios, with the seeds of its runs."""
+    made.add_argument(
+        "--runs", type=at_least(1, int), default=40, help="number of runs of each scenario"
+    )
+    made.add_argument("--first-seed", type=at_least(0, int), default=9000)
+    made.add_argument("--processes", type=at_least(1, int), default=2)
+    made.add_argument("--update", type=Path, metavar="PAGE", help="also write into a page")
+    made.add_argument("scenarios", nargs="*", metavar="SCENARIO", help="default: all")
+    options = made.parse_args()
+    for name in options.scenarios:
+        if name not in known:
+            made.error(f"no scenario {name}; there is {', '.join(known)}")
+    options.scenarios = options.scenarios or list(known)
+    options.seeds = range(options.first_seed, options.first_seed + options.runs)
+    return options
+
+
+def end(
+    options: Namespace, script: str, text: str, results: Mapping[str, Any], found: Sequence[Demand]
+) -> NoReturn:
+    """Show what was found, also in the page of the options; fail if a demand is missed."""
+    if options.update is not None:
+        update(options.update, Path(script).name, text)
+    listed = [
+        {**one._asdict(), "value": one.value if isfinite(one.value) else None}
+        | {"passed": one.passed}
+        for one in found
+    ]
+    show({"runs": options.runs, **results, "demands": listed}, text, options.json)
+    sys.exit(0 if all(one.passed for one in found) else 1)
 
 
 def update(page: Path, script: str, text: str) -> None:

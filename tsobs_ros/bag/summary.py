@@ -231,7 +231,7 @@ class _Gap:
         if end > 1:
             self.largest = max(self.largest or 0, int(np.diff(self._open[:end]).max()))
         self._open = self._open[end - 1 :]
-        # Sorting anew only what has doubled takes n log n, however the chunks overlap.
+        # Sorting only what has doubled takes n log n, however the chunks overlap.
         self._added, self._room = [], max(_FEW_TIMES, self._open.size)
 
 

@@ -224,8 +224,8 @@ def load_request(path: FilePath) -> Request:
     if found:
         raise DesignFileError(
             f"{path}: {found[0]}: expected a request, got a finished design; a node runs it with "
-            f"`-p design:={path}`, `tsobs verify` checks it; to design anew give a request, which "
-            "has none of format, version, gain, certificate and solver"
+            f"`-p design:={path}`, `tsobs verify` checks it; to design another one, "
+            "give a request, which has none of format, version, gain, certificate and solver"
         )
     with naming(path):
         request: Request
