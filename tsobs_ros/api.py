@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tsobs_ros.checks import Array, as_matrix, shown
+from tsobs_ros.checks import Array, as_matrix, check_names, shown
 from tsobs_ros.design import file
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
@@ -218,7 +218,7 @@ def simulate(
         changes["excitation"] = excited or scenario.excitation
         changes["friction"] = _changed("friction", Friction(), friction or {})
         sides = torque_disturbance or {}
-        _check_names("torque_disturbance", sides, SIDES)
+        check_names("torque_disturbance", sides, SIDES)
         changes["torque_disturbance"] = TorqueDisturbance(
             **{side: _components(terms) for side, terms in sides.items()}
         )
@@ -492,7 +492,7 @@ def _outputs(
     given: Mapping[str, Any] = {names[0]: disturbance}
     if isinstance(disturbance, Mapping) and any(name in names for name in disturbance):
         given = disturbance
-        _check_names("disturbance", given, names)
+        check_names("disturbance", given, names)
     stds: Any = [output.sensor.noise_std for output in outputs]
     if noise_std is not None:
         given_std = [noise_std] * len(stds) if np.ndim(noise_std) == 0 else noise_std
@@ -510,9 +510,9 @@ def _outputs(
 def _payload(numbers: Mapping[str, float]) -> Payload:
     known = [item.name for item in fields(Payload)]
     if "mass" in numbers or "distance" in numbers:
-        _check_names("payload", numbers, ["mass", "distance", "start", "duration"])
+        check_names("payload", numbers, ["mass", "distance", "start", "duration"])
         return Payload.point(**{"mass": 0.0, "distance": 0.0, **numbers})
-    _check_names("payload", numbers, known)
+    check_names("payload", numbers, known)
     return Payload(**numbers)
 
 
@@ -527,14 +527,8 @@ def _components(disturbance: Disturbance) -> tuple[Component, ...]:
 
 def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
     """Return a dataclass record with some of its numbers changed."""
-    _check_names(name, values, [item.name for item in fields(record)])
+    check_names(name, values, [item.name for item in fields(record)])
     return replace(record, **values)
-
-
-def _check_names(name: str, values: Iterable[str], known: Sequence[str]) -> None:
-    for key in values:
-        if key not in known:
-            raise ModelError(f"{name}: expected some of {', '.join(known)}, got {key!r}")
 
 
 def _torques(torque: Any, times: Array, inputs: int) -> Array:

@@ -4,7 +4,7 @@
 
 import math
 import reprlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,3 +87,11 @@ def _number(value: float) -> float:
         return float(value)
     except (TypeError, ValueError, OverflowError):
         return math.nan
+
+
+def check_names(entry: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Raise `ModelError` for a name in an entry that is not among the known ones."""
+    for name in names:
+        if name not in known:
+            expected = ", ".join(known) or "none"
+            raise ModelError(f"{entry}: expected some of {expected}, got {shown(name)}")

@@ -2,15 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenarios of what a request describes, so that nobody types an arm or a system twice."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 
 import numpy as np
 
-from tsobs_ros.checks import finite
+from tsobs_ros.checks import check_names, finite
 from tsobs_ros.design.file import FilePath, load_request, parse_design
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.errors import ModelError
 from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import NoTorque, Sine
@@ -55,7 +54,7 @@ def scenario_of(
 
 
 def _of_arm(request: ArmRequest, mismatch: Mapping[str, float]) -> Scenario:
-    _check_names(mismatch, [item.name for item in fields(Mismatch)])
+    check_names("mismatch", mismatch, [item.name for item in fields(Mismatch)])
     return Scenario(
         arm=request.arm,
         mismatch=Mismatch(**mismatch),
@@ -70,7 +69,7 @@ def _of_arm(request: ArmRequest, mismatch: Mapping[str, float]) -> Scenario:
 
 def _of_system(request: TSRequest, mismatch: Mapping[str, float]) -> SystemScenario:
     model, uncertain = request.model, request.uncertainty_model
-    _check_names(mismatch, uncertain.names)
+    check_names("mismatch", mismatch, uncertain.names)
     change = np.zeros(model.rates.shape)
     for name, theta in mismatch.items():
         direction = uncertain.directions[uncertain.names.index(name)]
@@ -92,11 +91,3 @@ def _of_system(request: TSRequest, mismatch: Mapping[str, float]) -> SystemScena
         ),
         change=change,
     )
-
-
-def _check_names(mismatch: Mapping[str, float], known: Sequence[str]) -> None:
-    for name in mismatch:
-        if name not in known:
-            raise ModelError(
-                f"mismatch: expected some of {', '.join(known) or 'none'}, got {name!r}"
-            )

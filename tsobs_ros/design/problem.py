@@ -86,6 +86,11 @@ class DesignProblem(ABC):
 
     @property
     @abstractmethod
+    def output_units(self) -> tuple[str, ...]:
+        """The units of the p outputs, empty texts if they are not known."""
+
+    @property
+    @abstractmethod
     def input_names(self) -> tuple[str, ...]:
         """The names of the inputs and then of the scheduled signals, alone."""
 

@@ -329,6 +329,11 @@ class ArmRequest(DesignProblem):
         return tuple(output.measures for output in self.sensors)
 
     @property
+    def output_units(self) -> tuple[str, ...]:
+        """Those of an angle or a velocity."""
+        return tuple("rad" if name.endswith("_angle") else "rad/s" for name in self.output_names)
+
+    @property
     def input_names(self) -> tuple[str, ...]:
         """The motor's torque alone."""
         return ("torque",)

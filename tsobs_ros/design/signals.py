@@ -7,6 +7,7 @@ the joint's name; only with encoders on both sides the motor has an entry of its
 has an entry a signal, whose value is its `position`.
 """
 
+from collections.abc import Iterable
 from typing import Literal, NamedTuple, TypeAlias
 
 from tsobs_ros.design.request import ArmRequest, TSRequest
@@ -77,9 +78,9 @@ def signals(request: ArmRequest | TSRequest, joint: str, alone: bool) -> Signals
         for names in (request.output_names, request.input_names, request.state_names)
     )
     return Signals(
-        _positions(outputs),
-        _positions(inputs),
-        _positions(states),
+        positions(outputs),
+        positions(inputs),
+        positions(states),
         outputs,
         (),
         (),
@@ -108,9 +109,10 @@ def _of_arm(request: ArmRequest, joint: str) -> Signals:
         (joint,) if len(names) == 1 else tuple(f"{joint}/{name}" for name in names),
         tuple(Place(motor if side == "motor" else link, "effort") for side in request.torque_sides),
         (Place(motor, "effort"),) if both else (),
-        tuple("rad" if place.field == "position" else "rad/s" for place in outputs),
+        request.output_units,
     )
 
 
-def _positions(names: tuple[str, ...]) -> tuple[Place, ...]:
+def positions(names: Iterable[str]) -> tuple[Place, ...]:
+    """Return the places of numbers that are the `position` of entries."""
     return tuple(Place(name, "position") for name in names)

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.checks import Array, as_matrix, check_names, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.model.ts_model import TSModel
@@ -85,11 +85,7 @@ def arm_uncertainty(arm: ElasticJointArm, bounds: Mapping[str, float]) -> Uncert
     >>> arm_uncertainty(ElasticJointArm(), {"stiffness": 0.2}).names
     ('stiffness',)
     """
-    for name in bounds:
-        if name not in ARM_DIRECTIONS:
-            raise ModelError(
-                f"uncertainty: expected some of {', '.join(ARM_DIRECTIONS)}, got {name!r}"
-            )
+    check_names("uncertainty", bounds, ARM_DIRECTIONS)
     directions = np.zeros((len(bounds), 1, 4, EXTERNAL + 1))
     for name, direction in zip(bounds, directions, strict=True):
         ARM_DIRECTIONS[name](arm, direction[0])

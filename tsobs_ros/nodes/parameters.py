@@ -172,6 +172,28 @@ def describe(schema: type) -> list[str]:
     return lines
 
 
+def design_paths(joints: Sequence[str], own: Sequence[str], common: str) -> dict[str, str]:
+    """Return the path of each joint's design file, empty if there is none.
+
+    Args:
+        joints: Names of the joints.
+        own: The parameter `joint_designs`: a path for each of them, empty for `common`, or none.
+        common: The parameter `design`.
+
+    Raises:
+        ParameterError: A name is empty or comes twice, or there is another number of paths.
+    """
+    if not joints or "" in joints or len(set(joints)) < len(joints):
+        raise ParameterError(f"joints: expected names, each once, got {list(joints)}")
+    if own and len(own) != len(joints):
+        raise ParameterError(
+            f"joint_designs: expected one for each of the {len(joints)} joints or none, "
+            f"got {len(own)}"
+        )
+    paths = own or ("",) * len(joints)
+    return {joint: path or common for joint, path in zip(joints, paths, strict=True)}
+
+
 def check_pattern(name: str, pattern: str) -> None:
     """Refuse a parameter that must be a regular expression and is none; for a `__post_init__`.
 

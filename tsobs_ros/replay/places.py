@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The places of joints' numbers in the topics of an observer and of a simulator."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.checks import Array
-from tsobs_ros.design.signals import Field, Place, Signals
+from tsobs_ros.design.signals import Field, Place, Signals, positions
 
 TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
 TRUE_TORQUE = "ground_truth/torque_disturbance"
@@ -34,9 +34,9 @@ def places_of(
         learnt: Names of the parameters that are learnt.
         rated: Whether disturbances have rates.
     """
-    channels = _positions(signals.disturbances)
+    channels = positions(signals.disturbances)
     rates = (Place(name, "velocity") for name in signals.disturbances if rated)
-    parameters = _positions(topics.parameter_names(joint, learnt, alone=alone))
+    parameters = positions(topics.parameter_names(joint, learnt, alone=alone))
     return {
         **dict.fromkeys((topics.STATES, topics.STATE_BOUNDS, TRUE_STATES), signals.states),
         topics.DISTURBANCE: (*channels, *rates),
@@ -45,14 +45,10 @@ def places_of(
             (topics.TORQUE_DISTURBANCE, topics.TORQUE_DISTURBANCE_BOUND, TRUE_TORQUE),
             signals.torques,
         ),
-        topics.RESTARTS: _positions([joint]),
-        topics.HEALTH: _positions(topics.parameter_names(joint, topics.CONDITIONS, alone=alone)),
+        topics.RESTARTS: positions([joint]),
+        topics.HEALTH: positions(topics.parameter_names(joint, topics.CONDITIONS, alone=alone)),
         **dict.fromkeys(topics.PARAMETER_TOPICS, parameters),
     }
-
-
-def _positions(names: Iterable[str]) -> tuple[Place, ...]:
-    return tuple(Place(name, "position") for name in names)
 
 
 _FIELDS: tuple[Field, ...] = ("position", "velocity", "effort")

@@ -68,21 +68,20 @@ def quantities_of(request: ArmRequest | TSRequest) -> tuple[Quantity, ...]:
                 if _is_disturbed(request, place)
             ),
         )
-    names = request.output_names
+    names, units = request.output_names, request.output_units
     if len(names) == 1:
-        unit = _unit_of_output(names[0])
-        disturbances = [QUANTITIES[4]._replace(unit=unit)]
+        disturbances = [QUANTITIES[4]._replace(unit=units[0])]
     else:
         disturbances = [
             Quantity(
                 f"disturbance_{name}",
                 f"disturbance of {_words(name)}",
-                _unit_of_output(name),
+                unit,
                 "disturbance",
                 place,
                 None if name.endswith("_angle") else math.inf,
             )
-            for place, name in enumerate(names)
+            for place, (name, unit) in enumerate(zip(names, units, strict=True))
             if _is_disturbed(request, place)
         ]
     return (*_ARM, *disturbances, *_torques(request))
@@ -90,9 +89,9 @@ def quantities_of(request: ArmRequest | TSRequest) -> tuple[Quantity, ...]:
 
 def outputs_of(request: ArmRequest | TSRequest) -> list[tuple[str, str]]:
     """Return the names of the outputs, for people, with their units."""
-    if isinstance(request, TSRequest):
-        return list(zip(request.output_names, request.output_units, strict=True))
-    return [(_words(name), _unit_of_output(name)) for name in request.output_names]
+    is_arm = isinstance(request, ArmRequest)
+    names = (_words(name) if is_arm else name for name in request.output_names)
+    return list(zip(names, request.output_units, strict=True))
 
 
 def measured_states(request: ArmRequest | TSRequest) -> dict[str, int]:
@@ -125,10 +124,6 @@ def _torques(request: ArmRequest) -> list[Quantity]:
 
 def _is_disturbed(request: ArmRequest | TSRequest, channel: int) -> bool:
     return bool(request.disturbance_model.H[channel].any())
-
-
-def _unit_of_output(name: str) -> str:
-    return "rad" if name.endswith("_angle") else "rad/s"
 
 
 def _words(name: str) -> str:

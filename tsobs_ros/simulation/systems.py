@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Integers, as_matrix, non_negative, positive
+from tsobs_ros.checks import Array, Integers, as_matrix, check_names, non_negative, positive
 from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.memberships import rule_weights
@@ -111,10 +111,9 @@ class SystemScenario(PlantScenario):
         change = np.zeros(shape) if self.change is None else self.change
         object.__setattr__(self, "_true", model.rates + as_matrix("change", change, shape))
         _ = model.rule_base.coded
+        names = [output.measures for output in self.outputs]
+        check_names("fed_back", filter(None, self.fed_back), names)
         for name in filter(None, self.fed_back):
-            names = [output.measures for output in self.outputs]
-            if name not in names:
-                raise ModelError(f"fed_back: expected some of {', '.join(names)}, got {name!r}")
             rows = model.rule_outputs[:, names.index(name)]
             if (rows != rows[0]).any():
                 raise ModelError(

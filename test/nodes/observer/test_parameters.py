@@ -66,7 +66,7 @@ def test_senseless_or_structural_changes_are_refused_with_a_reason(
         ({"rate": 0.0}, "rate"),
         ({"joints": [""]}, "joints: expected names"),
         ({"joints": []}, "joints: expected names"),
-        ({"joints": ["hip", "knee", "hip"]}, "joints: expected each name once"),
+        ({"joints": ["hip", "knee", "hip"]}, "joints: expected names, each once"),
         ({"joints": ["hip", "knee"], "joint_designs": [""]}, "one for each of the 2 joints"),
         ({"gain_mode": "certain"}, "gain_mode"),
         ({"fault.warn": 0.6}, "disturbance error level"),

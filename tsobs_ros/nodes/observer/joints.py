@@ -9,6 +9,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import Place, signals
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import EventLog
@@ -91,15 +92,15 @@ class ObservedJoint:
         self.recent = LastMinute()
         self._newest = 0
         self.latest: Estimate | None = None
-        stds = np.sqrt(np.diag(self.loaded.design.request.measurement_covariance)).tolist()
+        request = self.loaded.design.request
+        stds = np.sqrt(np.diag(request.measurement_covariance)).tolist()
         self.watches, self._open = new_watches(stds), np.full(len(stds), math.inf)
         self.faults = tuple(
             FaultMonitor(std, self._limits, self.watches[place : place + 1], unit)
             for place, (std, unit) in enumerate(zip(stds, self.signals.units, strict=True))
         )
-
         self.torques = TorqueWatch(
-            [place.name.rpartition("_")[2] for place in self.signals.torques],
+            request.torque_sides if isinstance(request, ArmRequest) else (),
             self._torque_warn,
             self._limits.hold,
         )

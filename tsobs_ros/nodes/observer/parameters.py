@@ -16,7 +16,7 @@ from tsobs_ros.estimation.options import (
 )
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import fixed_parameter, parameter, parameter_group
+from tsobs_ros.nodes.parameters import design_paths, fixed_parameter, parameter, parameter_group
 
 
 @dataclass(frozen=True)
@@ -163,16 +163,7 @@ class ObserverParameters(ManagedParameters):
                 f"coast_after: expected at most stale_after = {self.stale_after}, "
                 f"got {self.coast_after}"
             )
-        if not self.joints or "" in self.joints:
-            raise ParameterError(f"joints: expected names, got {list(self.joints)}")
-        if len(set(self.joints)) < len(self.joints):
-            raise ParameterError(f"joints: expected each name once, got {list(self.joints)}")
-        if self.joint_designs and len(self.joint_designs) != len(self.joints):
-            raise ParameterError(
-                f"joint_designs: expected one for each of the {len(self.joints)} joints or none, "
-                f"got {len(self.joint_designs)}"
-            )
-
+        _ = self.design_of
         if len(self.torque_warn) not in (0, 1, len(self.joints)):
             raise ParameterError(
                 f"torque_warn: expected a number for each of the {len(self.joints)} joints, a "
@@ -190,8 +181,7 @@ class ObserverParameters(ManagedParameters):
     @property
     def design_of(self) -> dict[str, str]:
         """Path of each joint's design file, empty for the one that is shipped."""
-        own = self.joint_designs or ("",) * len(self.joints)
-        return {joint: path or self.design for joint, path in zip(self.joints, own, strict=True)}
+        return design_paths(self.joints, self.joint_designs, self.design)
 
     @property
     def settings(self) -> ObserverSettings:

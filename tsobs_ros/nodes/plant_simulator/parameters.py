@@ -16,7 +16,7 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ParameterError, TsobsError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import fixed_parameter, parameter, parameter_group
+from tsobs_ros.nodes.parameters import design_paths, fixed_parameter, parameter, parameter_group
 from tsobs_ros.nodes.plant_simulator.scenarios import scenarios_of
 from tsobs_ros.plants import request_in
 from tsobs_ros.simulation.integrator import Friction, Payload
@@ -353,41 +353,22 @@ class PlantSimulatorParameters(ManagedParameters):
     def __post_init__(self) -> None:
         if not self.joint:
             raise ParameterError("parameter 'joint' must not be empty")
-        names = self.joint_names
-        if "" in names or len(set(names)) < len(names):
-            raise ParameterError(f"joints: expected names, each once, got {list(names)}")
-        if self.joint_designs and len(self.joint_designs) != len(self.joints):
-            raise ParameterError(
-                f"joint_designs: expected one for each of the {len(self.joints)} joints or none, "
-                f"got {len(self.joint_designs)}"
-            )
         for joint in self.payload.joints:
             if not isinstance(self.requests.get(joint), ArmRequest):
                 raise ParameterError(f"payload.joints: expected arms of the node, got '{joint}'")
         self.scenarios()
 
     @property
-    def joint_names(self) -> tuple[str, ...]:
-        """The joints."""
-        return self.joints or (self.joint,)
+    def design_of(self) -> dict[str, str]:
+        """Path of each joint's design file, empty for the arm of the parameters."""
+        return design_paths(self.joints or (self.joint,), self.joint_designs, self.design)
 
     @cached_property
     def requests(self) -> dict[str, ArmRequest | TSRequest]:
         """What describes each joint's signals; of one without a file the default request."""
-        own = self.joint_designs or ("",) * len(self.joint_names)
-        paths = [path or self.design for path in own]
         return {
             joint: _request(path) if path else ArmRequest()
-            for joint, path in zip(self.joint_names, paths, strict=True)
-        }
-
-    @property
-    def designed(self) -> dict[str, bool]:
-        """Whether each joint has a design file."""
-        own = self.joint_designs or ("",) * len(self.joint_names)
-        return {
-            joint: bool(path or self.design)
-            for joint, path in zip(self.joint_names, own, strict=True)
+            for joint, path in self.design_of.items()
         }
 
     def sensor(self, noise_std: float) -> Sensor:

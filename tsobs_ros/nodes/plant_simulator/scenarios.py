@@ -22,7 +22,6 @@ from tsobs_ros.plants import scenario_of
 from tsobs_ros.simulation.integrator import Payload
 from tsobs_ros.simulation.plant import (
     Mismatch,
-    PlantScenario,
     Scenario,
     SimulatedOutput,
     TorqueDisturbance,
@@ -62,18 +61,17 @@ def scenarios_of(parameters: "PlantSimulatorParameters") -> dict[str, Scenario |
             return tuple(item.name for item in fields(Mismatch))
         return request.uncertainty_model.names
 
-    joints = parameters.joint_names
-    given = _by_joint("signals", parameters.signals, joints, signals)
-    changed = _by_joint("joint_mismatch", parameters.joint_mismatch, joints, changes)
+    given = _by_joint("signals", parameters.signals, requests, signals)
+    changed = _by_joint("joint_mismatch", parameters.joint_mismatch, requests, changes)
     chosen = [f"{name}: true" for name in parameters.affected]
-    affected = _by_joint("affected", chosen, joints, outputs)
+    affected = _by_joint("affected", chosen, requests, outputs)
     starts = _states("initial_state", parameters)
     spreads = _states("initial_spread", parameters)
     found = {}
-    for joint, designed in parameters.designed.items():
+    for joint, path in parameters.design_of.items():
         mismatch = {name: number(each[-1]) for name, each in changed[joint].items()}
-        base: PlantScenario
-        if designed:
+        base: Scenario | SystemScenario
+        if path:
             request = requests[joint]
             if isinstance(request, ArmRequest):
                 mismatch = {
@@ -82,14 +80,25 @@ def scenarios_of(parameters: "PlantSimulatorParameters") -> dict[str, Scenario |
             base = scenario_of(request, mismatch)
         else:
             base = _own_arm(parameters, mismatch)
-        measured = tuple(
-            _output(parameters, each, given[joint], not chosen or each.measures in affected[joint])
-            for each in base.measured
-        )
-        make = _system if isinstance(base, SystemScenario) else _arm
-        found[joint] = make(
-            parameters, joint, base, measured, given[joint], starts[joint], spreads[joint]
-        )
+        own: dict[str, Any] = {
+            "rate": parameters.rate,
+            "duration": parameters.duration,
+            "outputs": tuple(
+                _output(
+                    parameters, each, given[joint], not chosen or each.measures in affected[joint]
+                )
+                for each in base.measured
+            ),
+            "initial_state": starts[joint],
+            "initial_spread": spreads[joint],
+        }
+        if isinstance(base, SystemScenario):
+            own |= _of_system(parameters, joint, base, given[joint])
+        else:
+            own |= _of_arm(parameters, joint, base, given[joint])
+            for name in ("initial_state", "initial_spread"):
+                own[name] = tuple(base.arm.from_physical(own[name]).tolist())
+        found[joint] = replace(base, **own)
     return found
 
 
@@ -123,15 +132,10 @@ def _output(
     )
 
 
-def _arm(
-    parameters: "PlantSimulatorParameters",
-    joint: str,
-    base: Any,
-    outputs: tuple[SimulatedOutput, ...],
-    signals: Named,
-    start: tuple[float, ...],
-    spread: tuple[float, ...],
-) -> Scenario:
+def _of_arm(
+    parameters: "PlantSimulatorParameters", joint: str, base: Scenario, signals: Named
+) -> dict[str, Any]:
+    """Return what only the scenario of an arm has."""
     excited = parameters.excitation.build()
     for name in parameters.requests[joint].input_names:
         if name in signals:
@@ -141,56 +145,39 @@ def _arm(
     }
     payload = parameters.payload
     noise, factor = base.process_noise, parameters.process_noise.factor
-    made: Scenario = replace(
-        base,
-        process_noise=ProcessNoise(noise.link * factor, noise.motor * factor),
-        rate=parameters.rate,
-        duration=parameters.duration,
-        friction=parameters.friction,
-        payload=payload.build() if joint in (payload.joints or (joint,)) else Payload(),
-        initial_state=tuple(base.arm.from_physical(start).tolist()),
-        initial_spread=tuple(base.arm.from_physical(spread).tolist()),
-        excitation=excited,
-        torque_disturbance=TorqueDisturbance(**torques),
-        torque_error=(parameters.effort_error,) if parameters.effort_error.amplitude else (),
-        sensor=Sensor(),
-        outputs=outputs,
+    return {
+        "process_noise": ProcessNoise(noise.link * factor, noise.motor * factor),
+        "friction": parameters.friction,
+        "payload": payload.build() if joint in (payload.joints or (joint,)) else Payload(),
+        "excitation": excited,
+        "torque_disturbance": TorqueDisturbance(**torques),
+        "torque_error": (parameters.effort_error,) if parameters.effort_error.amplitude else (),
+        "sensor": Sensor(),
+    }
+
+
+def _of_system(
+    parameters: "PlantSimulatorParameters", joint: str, base: SystemScenario, signals: Named
+) -> dict[str, Any]:
+    """Return what only the scenario of a T–S system has."""
+    names, measured = (
+        parameters.requests[joint].input_names,
+        [each.measures for each in base.outputs],
     )
-    return made
-
-
-def _system(
-    parameters: "PlantSimulatorParameters",
-    joint: str,
-    base: Any,
-    outputs: tuple[SimulatedOutput, ...],
-    signals: Named,
-    start: tuple[float, ...],
-    spread: tuple[float, ...],
-) -> SystemScenario:
-    excited = parameters.excitation.build()
-    names, measured = parameters.requests[joint].input_names, [each.measures for each in outputs]
-    free = (excited,) * base.input_count + base.inputs[base.input_count :]
-    made: SystemScenario = replace(
-        base,
-        process_noise=base.process_noise * parameters.process_noise.factor,
-        rate=parameters.rate,
-        duration=parameters.duration,
-        initial_state=start,
-        initial_spread=spread,
-        outputs=outputs,
-        inputs=tuple(
+    free = (parameters.excitation.build(),) * base.input_count + base.inputs[base.input_count :]
+    return {
+        "process_noise": np.asarray(base.process_noise) * parameters.process_noise.factor,
+        "inputs": tuple(
             excitation(signals[name][-1]) if name in signals and name not in measured else own
             for name, own in zip(names, free, strict=True)
         ),
-    )
-    return made
+    }
 
 
 def _states(name: str, parameters: "PlantSimulatorParameters") -> dict[str, tuple[float, ...]]:
     """Return the numbers of a parameter that each joint's states get."""
     values: tuple[float, ...] = getattr(parameters, name)
-    designed = parameters.designed
+    designed = {joint: bool(path) for joint, path in parameters.design_of.items()}
     sizes = [len(request.state_names) for request in parameters.requests.values()]
     if values == getattr(type(parameters), name) and any(designed.values()):
         own = [
