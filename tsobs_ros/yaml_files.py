@@ -146,20 +146,6 @@ def load_yaml(text: str) -> object:
         raise ValueError(str(error).splitlines()[0]) from error
 
 
-def whole_number(values: Mapping[str, Any], key: str) -> int:
-    """Return a value of a map that was loaded.
-
-    Raises:
-        KeyError: There is no such key.
-        TypeError: There is no map.
-        ValueError: The value is not a whole number, or negative.
-    """
-    value = values[key]
-    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise ValueError(f"{key} is {value!r}, but must be a whole number >= 0")
-    return value
-
-
 class PlainDumper(yaml.SafeDumper):
     """Writes what `load_yaml` reads: a value that occurs twice is written twice."""
 

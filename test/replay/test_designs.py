@@ -15,7 +15,7 @@ import tsobs_ros as ts
 from tsobs_ros.bag import BagReader
 from tsobs_ros.bag.cdr import encode_text
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.file import load_arm_design, save_design
+from tsobs_ros.design.file import load_design_file, save_design
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
@@ -54,7 +54,7 @@ def estimate(bag: object, *options: str) -> int:
 
 
 def record(*designs: str, joints: tuple[str, ...] = ("elbow",), **parameters: Any) -> bytes:
-    files = [load_arm_design(each) for each in designs]
+    files = [load_design_file(each) for each in designs]
     known = ObserverSettings().as_parameters() | parameters
     return encode_text(record_text("/joint_measurements", joints, files, known))
 
@@ -102,10 +102,10 @@ def test_another_design_is_refused_with_both_names_unless_it_is_meant(
 
     (line,) = capsys.readouterr().err.splitlines()
     for file in (SHIPPED, FIXED) if command != "estimate" else (SHIPPED,):
-        assert f"{file} (SHA-256 {load_arm_design(file).identity})" in line
+        assert f"{file} (SHA-256 {load_design_file(file).identity})" in line
     assert "add --other-design" in line
     assert main([command, live, *options, "--other-design"]) == 0
-    assert f"design {SHIPPED} ({load_arm_design(SHIPPED).identity})" in capsys.readouterr().out
+    assert f"design {SHIPPED} ({load_design_file(SHIPPED).identity})" in capsys.readouterr().out
 
 
 def test_a_report_is_of_one_joint_and_names_those_there_are(
@@ -121,7 +121,7 @@ def test_a_report_is_of_one_joint_and_names_those_there_are(
         assert main([*command, "--joint", joint, "--json"]) == 0
         report = json.loads(capsys.readouterr().out)
         assert report["joint"] == joint
-        known = load_arm_design(file)
+        known = load_design_file(file)
         assert report["design"] == {"file": known.name, "sha256": known.sha256}
 
 
@@ -130,7 +130,7 @@ def test_a_bag_without_records_falls_back_on_diagnostics(
 ) -> None:
     """Bags of earlier versions have the checksums alone."""
     for name, file in (("shipped", FIXED), ("unknown", soft)):
-        known = load_arm_design(file)
+        known = load_design_file(file)
         data = diagnostics("observer", "/robot/my.yaml", known.identity, "elbow")
         messages = [*arms.messages(50), ("/diagnostics", data, START), ("/diagnostics", b"", START)]
         bag = write_bag(messages, name)
@@ -191,7 +191,7 @@ def test_measurements_of_any_topic_are_found_by_the_record(
     arms: Any, write_bag: Callable[..., Path], capsys: Any
 ) -> None:
     """Of a robot's /joint_states, with more joints than are observed."""
-    file = load_arm_design(FIXED)
+    file = load_design_file(FIXED)
     text = record_text("/joint_states", ["wrist"], [file], ObserverSettings().as_parameters())
     moved = [("/joint_states", data, time) for _, data, time in arms.messages(50, joints=2)]
     bag = write_bag([("/arm/observer/design", encode_text(text), START), *moved])
@@ -207,7 +207,7 @@ def changed(data: str, **entries: Any) -> bytes:
 
 def hostile(file: str) -> dict[str, tuple[bytes, str]]:
     """Return messages that are no records, each with what is said of it."""
-    known = load_arm_design(file)
+    known = load_design_file(file)
     good = record_text("/joint_measurements", ["elbow"], [known], {})
     nested = "[" * 100_000
 

@@ -21,9 +21,6 @@ positions the number of restarts before it, stays there for those who come later
 that of an observer without a past.
 """
 
-OF_JOINTS = (DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS)
-"""Those whose names are those of the joints."""
-
 PARAMETER_TOPICS = (PARAMETERS, PARAMETER_BOUNDS)
 """What it publishes besides if it learns parameters."""
 

@@ -157,19 +157,6 @@ def load_design_file(path: FilePath, text: str | None = None) -> DesignFile:
     return DesignFile(str(path), text, design)
 
 
-def load_arm_design(path: FilePath, text: str | None = None) -> DesignFile:
-    """Read the design file of an arm; see `load_design_file`.
-
-    Raises:
-        DesignFileError: As for `load_design`, or the design is for a T–S system.
-        CertificateError: As for `load_design`.
-    """
-    file = load_design_file(path, text)
-    with naming(path):
-        _ = file.design.arm_request
-    return file
-
-
 def parse_design(path: FilePath, text: str | None = None) -> Design:
     """Read a design file without judging its certificate (for `tsobs verify`).
 

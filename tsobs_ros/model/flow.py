@@ -48,9 +48,6 @@ from tsobs_ros.model.vertices import (
     linear_directions,
 )
 
-UNKNOWN_TORQUE = 2
-"""Number of states that a `GapFlow` has behind the others: δ [N m] and its rate [N m/s]."""
-
 GAP_MEMORY = 1.0
 """Correlation time of the torque's rate in a gap [s]: that of motions that take some seconds."""
 

@@ -438,13 +438,6 @@ class _Quantity:
         )
 
 
-def root_mean_square(values: Array) -> float | None:
-    """Return the root mean square of the finite values, None if there is none."""
-    squares = SquareSum()
-    squares.add(values)
-    return squares.root_mean()
-
-
 def _normalised(rmse: list[float | None], scale: tuple[float, ...]) -> float | None:
     relative = [e / s for e, s in zip(rmse, scale, strict=True) if e is not None]
     if len(relative) < len(scale):
