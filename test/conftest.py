@@ -347,6 +347,12 @@ def executable(name: str) -> list[str]:
 
 
 @pytest.fixture(scope="session")
+def tsobs() -> list[str]:
+    """The command, for a process of the test's own."""
+    return executable("tsobs")
+
+
+@pytest.fixture(scope="session")
 def compiled() -> None:
     """Compile what nodes need, so that none of them takes a minute to start in its test."""
     from tsobs_ros.nodes.observer.joints import observed_joints, rehearse

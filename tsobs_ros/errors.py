@@ -23,6 +23,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("cvxpy", "clarabel"), _DESIGN),
     **dict.fromkeys(("matplotlib", "plotly", "tqdm", "mcap_ros2"), _REPORT),
     "pyarrow": ("pyarrow", "mcap-ros2-support"),
+    "rich": ("rich",),
 }
 """Modules that may be missing, each with what to install then."""
 

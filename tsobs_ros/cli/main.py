@@ -24,12 +24,13 @@ from tsobs_ros.cli import (
     paper,
     report,
     verify,
+    watch,
 )
 from tsobs_ros.cli.common import complain
 from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.stop import interrupt
 
-_COMMANDS = (demo, design, verify, estimate, compare, export, report, bag, paper, config)
+_COMMANDS = (demo, design, verify, estimate, compare, export, report, watch, bag, paper, config)
 """In the order in which the help lists them."""
 
 

@@ -1,0 +1,318 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""`tsobs watch`: an observer's estimates, bounds, faults, rates and rejects, live in a terminal."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from tsobs_ros.cli.common import Commands, add_json, positive, show
+from tsobs_ros.errors import NodeError, printable
+from tsobs_ros.stop import signal_came
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.table import Table
+    from rich.text import Text
+
+    from tsobs_ros.estimation.health import Status
+    from tsobs_ros.nodes.watcher import Quantity, Snapshot
+
+_ENOUGH = 1.0
+"""Time of estimates that a single snapshot counts rates over [s]."""
+_SILENT = 1.0
+"""Age of the last estimate from which on it is shown [s]."""
+_TOO_FAR = 3.0
+"""Bounds beyond which an error is marked."""
+_STYLES = ("green", "bold dark_orange", "bold red", "dim")
+_RATES = {
+    "measurements": "measurements",
+    "joint_states": "estimates",
+    "innovation": "innovations",
+    "health": "health",
+    "ground_truth/joint_states": "truth",
+}
+"""Names of the topics whose rates are shown."""
+_ALWAYS = ("certificate", "parameters", "measurements", "timing")
+"""Concerns of diagnostics that are shown even if all is well."""
+_LEVELS = ("OK", "WARN", "ERROR", "STALE")
+
+
+def add_parser(commands: Commands) -> None:
+    """Add the command `watch`."""
+    watch = commands.add_parser("watch", help="an observer's estimates and health, live")
+    add = watch.add_argument
+    add("--observer", default="/observer", metavar="NAME", help="the observer's full name")
+    add("--period", type=positive, default=0.25, metavar="S", help="time between two pictures")
+    add("--once", action="store_true", help="print one picture and end, as without a terminal")
+    add(
+        "--timeout", type=positive, default=10.0, metavar="S",
+        help="time to wait for the observer with --once",
+    )  # fmt: skip
+    add_json(watch)
+    watch.set_defaults(command=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Show an observer until Ctrl-C, or once."""
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console(highlight=False)
+    if options.once or options.json or not sys.stdout.isatty():
+        taken, failed = _once(options)
+        if taken is None or failed:
+            return 1
+        if signal_came():
+            raise KeyboardInterrupt
+        if not taken.is_known:
+            raise NodeError(
+                f"no observer {taken.observer} within {options.timeout:g} s; is it running, in the "
+                "same ROS_DOMAIN_ID, and called so?"
+            )
+        if options.json:
+            show(as_mapping(taken), "", as_json=True)
+        else:
+            console.print(picture(taken))
+        return 0
+    with ExitStack() as stack:
+        screens: list[Live] = []
+
+        def draw(snapshot: Snapshot) -> bool:
+            # Not before there is something to show: an error would go with the screen.
+            if not screens:
+                live = Live(console=console, screen=True, auto_refresh=False)
+                screens.append(stack.enter_context(live))
+            screens[0].update(picture(snapshot), refresh=True)
+            return True
+
+        return _watch(options, draw)
+
+
+def _once(options: argparse.Namespace) -> tuple[Snapshot | None, int]:
+    """Return a snapshot with all that an observer publishes, or what there is, and an exit code."""
+    taken: list[Snapshot] = []
+    deadline = time.monotonic() + options.timeout
+    first = math.inf
+
+    def keep(snapshot: Snapshot) -> bool:
+        nonlocal first
+        now = time.monotonic()
+        taken[:] = [snapshot]
+        if snapshot.positions:
+            first = min(first, now)
+        state = snapshot.statuses.get("state")
+        is_silent = state is not None and not state.message.startswith(("TRACKING", "COASTING"))
+        is_whole = state is not None and now > first + _ENOUGH
+        return not (is_silent or is_whole or now > deadline)
+
+    failed = _watch(options, keep)
+    return (taken[0] if taken else None), failed
+
+
+def _watch(options: argparse.Namespace, take: Callable[[Snapshot], bool]) -> int:
+    from tsobs_ros.nodes import runtime
+    from tsobs_ros.nodes.watcher import Watcher
+
+    return runtime.run(lambda: Watcher(options.observer, options.period, take), args=[])
+
+
+def as_mapping(snapshot: Snapshot) -> dict[str, Any]:
+    """Return a snapshot as plain data."""
+    plain = snapshot._asdict()
+    for key, value in plain.items():
+        if isinstance(value, dict):
+            plain[key] = {
+                name: each._asdict() if hasattr(each, "_asdict") else each
+                for name, each in value.items()
+            }
+    return plain
+
+
+def picture(snapshot: Snapshot) -> RenderableType:
+    """Return a snapshot as tables."""
+    from rich.console import Group
+
+    parts: list[RenderableType] = [_heading(snapshot)]
+    if snapshot.positions:
+        parts += ["", _estimates(snapshot)]
+    if snapshot.disturbances:
+        parts += ["", _sensors(snapshot)]
+    further = _further(snapshot)
+    if further.row_count:
+        parts += ["", further]
+    return Group(*parts, "", _statuses(snapshot))
+
+
+def _heading(snapshot: Snapshot) -> Text:
+    from rich.text import Text
+
+    text = Text(printable(snapshot.observer), style="bold")
+    state = snapshot.statuses.get("state")
+    if state is not None:
+        text.append("  ").append(printable(state.message), _STYLES[state.level])
+    elif not snapshot.positions:
+        text.append("  waiting for an observer of this name", "dim")
+    if snapshot.age > _SILENT:
+        text.append(f"  no estimate for {snapshot.age:.0f} s", _STYLES[2])
+    if snapshot.problem:
+        text.append(f"\n{printable(snapshot.problem)}", _STYLES[1])
+    rates = [
+        f"{name} {snapshot.rates[key]:.1f}" for key, name in _RATES.items() if key in snapshot.rates
+    ]
+    return text.append(f"\nmessages a second: {', '.join(rates)}" if rates else "", "dim")
+
+
+def _estimates(snapshot: Snapshot) -> Table:
+    unit = (" [rad]", " [rad/s]") if snapshot.in_radians else ("", "")
+    kinds = [(f"position{unit[0]}", snapshot.positions)]
+    if snapshot.velocities:
+        kinds.append((f"velocity{unit[1]}", snapshot.velocities))
+    is_known = any(not math.isnan(each.truth) for each in snapshot.positions.values())
+    titles = [title for name, _ in kinds for title in (name, "±1σ", *["error"] * is_known)]
+    table = _table("estimate", *titles)
+    for name in snapshot.positions:
+        cells: list[Text] = []
+        for _, quantities in kinds:
+            each = quantities.get(name)
+            cells += [_number(each and each.value), _number(each and each.bound, sign=False)]
+            cells += [_error(each)] * is_known
+        table.add_row(_text(name), *cells)
+    return table
+
+
+def _sensors(snapshot: Snapshot) -> Table:
+    unit = " [rad]" if snapshot.in_radians else ""
+    is_known = any(not math.isnan(each.truth) for each in snapshot.disturbances.values())
+    table = _table("sensor", f"disturbance{unit}", "±1σ", *["error"] * is_known, "innovation")
+    table.add_column("fault")
+    for name, each in snapshot.disturbances.items():
+        cells = [_number(each.value), _number(each.bound, sign=False), *[_error(each)] * is_known]
+        cells += [_number(snapshot.innovations.get(name)), _fault(_fault_of(snapshot, name))]
+        table.add_row(_text(name), *cells)
+    return table
+
+
+def _further(snapshot: Snapshot) -> Table:
+    """Return torques, learnt parameters and health, which are not there with every design."""
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    for title, quantities in (
+        ("torque [N m]", snapshot.torques),
+        ("learnt change", snapshot.parameters),
+    ):
+        for name, each in quantities.items():
+            bound = _number(each.bound, sign=False).plain
+            truth = "" if math.isnan(each.truth) else f"  true {_number(each.truth).plain}"
+            value = f"{_number(each.value).plain} ± {bound}{truth}"
+            table.add_row(_text(title, "dim"), _text(name), value)
+    numbers = {name: value for name, value in snapshot.health.items() if _is_noise(name)}
+    if numbers:
+        words = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
+        table.add_row(_text("noise", "dim"), _text(words.replace("_", " ")), "")
+    return table
+
+
+def _is_noise(name: str) -> bool:
+    return name.rpartition("/")[2] in ("noise_scale", "coloured_power")
+
+
+def _statuses(snapshot: Snapshot) -> RenderableType:
+    """Return what is not well, and what is rejected and measured besides."""
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    for name, status in snapshot.statuses.items():
+        concern = name.rpartition(": ")[2]
+        shown_above = name == "state" or (snapshot.disturbances and "sensor fault" in concern)
+        if not shown_above and (status.level or concern in _ALWAYS):
+            words = [status.message, *_details(status, concern)]
+            table.add_row(
+                _text(_LEVELS[status.level], _STYLES[status.level]),
+                _text(name),
+                _text("; ".join(filter(None, words))),
+            )
+    return table
+
+
+def _details(status: Status, concern: str) -> list[str]:
+    """Return the values of a status that people watch."""
+    values = status.values
+    if concern == "measurements":
+        totals = f"{values.get('used', '?')} of {values.get('received', '?')} used"
+        rejected = [
+            f"{key.removeprefix('rejected: ')} {count}"
+            for key, count in values.items()
+            if key.startswith("rejected: ") and count != "0"
+        ]
+        return [totals + (f", rejected: {', '.join(rejected)}" if rejected else "")]
+    if concern == "timing":
+        wanted = ("achieved rate [Hz]", "tick time p99 [ms]", "latency p99 [ms]")
+        return [f"{key} {values[key]}" for key in wanted if key in values]
+    return []
+
+
+def _fault_of(snapshot: Snapshot, entry: str) -> Status | None:
+    """Return the status of a sensor's fault, whose name depends on how many there are."""
+    joint, _, output = entry.partition("/")
+    for name in (
+        f"{joint}: sensor fault of {output}",
+        f"{joint}: sensor fault",
+        f"sensor fault of {output or entry}",
+        "sensor fault",
+    ):
+        if name in snapshot.statuses:
+            return snapshot.statuses[name]
+    return None
+
+
+def _fault(status: Status | None) -> Text:
+    if status is None:
+        return _text("?", "dim")
+    sizes = [value for key, value in status.values.items() if key.startswith("magnitude")]
+    words = [_LEVELS[status.level], status.message]
+    if status.message != "none":
+        words += [*sizes, status.values.get("since", "")]
+    return _text(" ".join(filter(None, words)), _STYLES[status.level])
+
+
+def _table(first: str, *titles: str) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="dim")
+    table.add_column(first, overflow="fold")
+    for title in titles:
+        table.add_column(title, justify="right", no_wrap=True)
+    return table
+
+
+def _text(text: str, style: str = "") -> Text:
+    from rich.text import Text
+
+    return Text(printable(text), style=style)
+
+
+def _number(value: float | None, *, sign: bool = True) -> Text:
+    if value is None or math.isnan(value):
+        return _text("–", "dim")
+    plus = "+" if sign else ""
+    return _text(f"{value:{plus}.4f}" if abs(value) < 1e4 else f"{value:{plus}.3e}")
+
+
+def _error(each: Quantity | None) -> Text:
+    """Return an error, marked if it is far beyond its bound."""
+    if each is None:
+        return _number(None)
+    error = each.value - each.truth
+    text = _number(error)
+    if abs(error) > _TOO_FAR * each.bound:
+        text.append("!")
+        text.stylize(_STYLES[2])
+    return text
