@@ -3,9 +3,12 @@
 """Parameters behave as users and parameter clients expect, and never half-way."""
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any
 
 import pytest
+import yaml
 from rcl_interfaces.msg import ParameterType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -13,7 +16,8 @@ from rclpy.parameter_client import AsyncParameterClient
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.managed import ManagedNode, ManagedParameters
-from tsobs_ros.nodes.parameters import parameter, parameter_group
+from tsobs_ros.nodes.parameters import ParameterBinding, describe, parameter, parameter_group
+from tsobs_ros.resources import config_path
 
 TYPE = Parameter.Type
 
@@ -69,6 +73,32 @@ def make(ros):
 def set_one(node: Node, name: str, value, type_=None):
     (result,) = node.set_parameters([Parameter(name, type_, value)])
     return result
+
+
+def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the values of a tree by their full names."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        one = f"{prefix}{name}"
+        found |= flat(value, f"{one}.") if isinstance(value, dict) else {one: value}
+    return found
+
+
+@pytest.mark.parametrize("name", ["observer", "plant_simulator", "player", "recorder"])
+def test_the_shipped_file_has_every_parameter_at_its_default(name: str, ros: Any) -> None:
+    content = yaml.safe_load(config_path(f"{name}.yaml").read_text(encoding="utf-8"))
+    shipped = flat(content["/**"]["ros__parameters"])
+    schema = import_module(f"tsobs_ros.nodes.{name}").Parameters
+    assert shipped.keys() == {line.split()[0] for line in describe(schema)[::2]}
+    node = ros.node(
+        "shipped",
+        parameter_overrides=[Parameter(k, value=v) for k, v in shipped.items() if v != []],
+        automatically_declare_parameters_from_overrides=True,
+    )
+    value = ParameterBinding(node, schema).value
+    if name == "recorder":  # which records nothing by default
+        value = replace(value, topics=(), regex="")
+    assert value == schema()
 
 
 def test_defaults_and_overrides_are_declared_and_bound(make) -> None:

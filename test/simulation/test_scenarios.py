@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.plant import Plant
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 
@@ -47,32 +46,9 @@ def test_outliers_are_one_in_a_hundred_of_either_sign() -> None:
     assert residual[residual > 0.5].mean() == pytest.approx(1.0, abs=0.01)
 
 
-def test_drift_grows_to_its_variance_and_runs_differ() -> None:
-    runs = simulate(SCENARIOS["drift"], range(400), 4.0)
-    expected = 0.1 * np.sqrt(1.0 - np.exp(-2.0 * 4.0 / 20.0))
-    assert runs.disturbances[:, -1, 0].std() == pytest.approx(expected, rel=0.14)
-
-
-def test_dropouts_last_half_a_second_every_ten() -> None:
-    runs = simulate(SCENARIOS["dropouts"], [0], 25.0)
-    lost = runs.times[np.isnan(runs.measurements[0, :, 0])]
-    expected = np.concatenate([np.arange(2000, 2100), np.arange(4000, 4100)]) / 200.0
-    assert lost.tolist() == expected.tolist()
-
-
 def test_an_arm_is_held_where_it_is() -> None:
     runs = simulate(replace(SCENARIOS["held"], process_noise=ProcessNoise(0.0, 0.0)), [0], 10.0)
     assert runs.physical[0, -1] == pytest.approx([0.5, 0.0, 0.5 + np.sin(0.5), 0.0], abs=1e-9)
-
-
-def test_arrays_are_the_samples_of_a_plant() -> None:
-    scenario = SCENARIOS["stiff_sinusoid"]
-    runs, plant = simulate(scenario, [5, 6], 3.0), Plant(scenario, [5, 6])
-    for k in range(601):
-        sample = plant.step()
-        assert (runs.states[:, k] == sample.state).all()
-        assert (runs.measurements[:, k] == sample.measurement).all()
-        assert (runs.disturbances[:, k] == sample.disturbance).all()
 
 
 def test_the_motion_stays_in_the_regime_the_scenarios_are_for() -> None:

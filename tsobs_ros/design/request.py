@@ -755,18 +755,6 @@ class TSRequest(DesignProblem):
         _, names = self.vertex_matrices()
         return f"the hull of {', '.join(names)}"
 
-    @property
-    def remedies(self) -> list[str]:
-        """What would help if no common matrix is found."""
-        smaller = ["smaller bounds of uncertainty"] if self.certify_uncertainty else []
-        return [
-            *smaller,
-            "a smaller domain, whose rules or slope vertices lie closer together",
-            "a smaller decay_rate",
-            "a disturbance model that decays",
-            "another output",
-        ]
-
     def _with_uncertainty(self, matrices: Array, names: list[str]) -> tuple[Array, list[str]]:
         """Return every matrix at every corner of the box of θ."""
         uncertain = self.uncertainty_model

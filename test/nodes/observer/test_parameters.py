@@ -16,7 +16,6 @@ from tsobs_ros.design.published import read_record
 from tsobs_ros.errors import CertificateError, DesignFileError, ParameterError, TsobsError
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes.observer import Observer, create
-from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 SHIPPED, FIXED = config_path(SHIPPED_DESIGN), str(config_path(FIXED_DESIGN))
@@ -156,22 +155,6 @@ def test_a_request_changes_all_joints_or_nothing(
     for joint in node.joints:
         assert joint.faults[0].limits.hold == 1.0
         assert joint.tracker.estimator.model["gate"].tolist() == [4.0]
-
-
-def test_the_shipped_parameter_file_is_the_defaults(make: Callable[..., Observer]) -> None:
-    def flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for name, value in values.items():
-            found |= flat(value, f"{prefix}{name}.") if isinstance(value, dict) else {}
-            found |= {} if isinstance(value, dict) else {prefix + name: value}
-        return found
-
-    content = yaml.safe_load(config_path("observer.yaml").read_text(encoding="utf-8"))
-    shipped = flat(content["/**"]["ros__parameters"])
-    node = make(**{name: value for name, value in shipped.items() if value != []})
-    assert node.parameters == ObserverParameters()
-    declared = set(node.list_parameters([], 0).names)
-    assert declared - shipped.keys() == {"use_sim_time", "start_type_description_service"}
 
 
 def test_what_runs_is_published_for_those_who_come_later(

@@ -2,12 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters describe a plant or are refused, and inject faults while it runs."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from rclpy.parameter import Parameter
 
 from tsobs_ros.errors import ParameterError
@@ -20,16 +18,6 @@ from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import Constant, Pulses
 
 CONFIG = Path(__file__).parents[3] / "config" / "plant_simulator.yaml"
-
-
-def flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    return {
-        name: value
-        for key, branch in tree.items()
-        for name, value in (
-            flat(branch, f"{prefix}{key}.") if isinstance(branch, dict) else {prefix + key: branch}
-        ).items()
-    }
 
 
 def test_faults_are_injected_by_parameters_while_running(listener: Any) -> None:
@@ -149,13 +137,6 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(ro
     assert scenario.excitation == Constant(4.5)
     assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
     assert PlantSimulatorParameters().scenario().torque_error == ()
-
-
-def test_the_shipped_parameter_file_is_the_defaults() -> None:
-    shipped = flat(yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"])
-    defaults = flat(asdict(PlantSimulatorParameters()))
-    assert {k: tuple(v) if isinstance(v, list) else v for k, v in shipped.items()} == defaults
-    assert list(shipped) == list(defaults)
 
 
 def test_the_executable_ends_by_itself_after_its_duration(ros_process: Any) -> None:

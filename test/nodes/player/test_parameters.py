@@ -1,29 +1,17 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""What cannot be played is refused with a reason, and the shipped file has every parameter."""
+"""What cannot be played is refused with a reason."""
 
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from player.bags import Entry, regular, write_bag
 
 from tsobs_ros.errors import BagReadError, ParameterError
-from tsobs_ros.nodes.player.parameters import PlayerParameters
 
-CONFIG = Path(__file__).parents[3] / "config" / "player.yaml"
 Play = Callable[..., Any]
-
-
-def test_the_shipped_file_has_every_parameter_at_its_default() -> None:
-    shipped = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
-
-    defaults = asdict(PlayerParameters())
-    assert {k: tuple(v) if isinstance(v, list) else v for k, v in shipped.items()} == defaults
-    assert list(shipped) == list(defaults)
 
 
 @pytest.mark.parametrize(
