@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tsobs_ros.checks import Array, as_matrix, check_names, shown
+from tsobs_ros.checks import Array, Flags, as_matrix, check_names, shown
 from tsobs_ros.design import file
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 # So many estimates take some 20 ms, after which a signal is noticed.
 _BLOCK = 10_000
 
-Flags = NDArray[np.bool_]
 Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Component]
 
 

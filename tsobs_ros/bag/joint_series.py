@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder, JointStates
 from tsobs_ros.bag.reader import BagMessage, BagReader
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import BagReadError
 
 _STEP = 8192
 _DATA, _LOG_TIME, _PUBLISH_TIME = map(itemgetter, (2, 3, 4))
 
 Times = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
 Place = tuple[str, str]

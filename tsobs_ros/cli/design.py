@@ -7,7 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tsobs_ros.cli.common import Commands, add_json, show
-from tsobs_ros.errors import DesignFileError, printable
+from tsobs_ros.errors import printable
+from tsobs_ros.files import require_new
 
 
 def add_parser(commands: Commands) -> None:
@@ -40,8 +41,7 @@ def run(options: argparse.Namespace) -> int:
     from tsobs_ros.design.request import ArmRequest
     from tsobs_ros.design.synthesis import synthesise
 
-    if options.output.exists() and not options.force:
-        raise DesignFileError(f"{options.output}: exists already; --force replaces it")
+    require_new([options.output], force=options.force)
     if options.method == "paper":
         return _design_by_the_paper(options)
     design = synthesise(load_request(options.request) if options.request else ArmRequest())

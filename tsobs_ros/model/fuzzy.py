@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, finite, positive
+from tsobs_ros.checks import Array, Integers, finite, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.memberships import (
     ALWAYS,
@@ -27,7 +27,6 @@ from tsobs_ros.model.memberships import (
     SQUARE,
     SQUARE_REST,
     TRAPEZOID,
-    Codes,
     grades_and_slopes,
     normalise_each,
     weights_and_slopes_of_each,
@@ -46,7 +45,7 @@ class CodedRules(NamedTuple):
         parameters: Shape (r, q, 4).
     """
 
-    shapes: Codes
+    shapes: Integers
     parameters: Array
 
 

@@ -8,14 +8,9 @@ parameters, (r, q, 4); `tsobs_ros.model.fuzzy.RuleBase.coded` makes them. No fun
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Integers
 from tsobs_ros.compiled import compiled
 from tsobs_ros.model.trigonometry import cosine, exponential, sine
-
-Codes = NDArray[np.int64]
 
 ALWAYS, LINEAR, TRAPEZOID, GAUSSIAN, SINE_UPPER, SINE_LOWER, SQUARE, SQUARE_REST = range(8)
 """Codes of the shapes. Their parameters, in this order; the rest of the four is not read:
@@ -87,11 +82,11 @@ def _share_of_sine(z: float, half_width: float, bottom: float) -> tuple[float, f
 
 
 @compiled
-def rule_weights(shapes: Codes, parameters: Array, z: Array, weights: Array) -> None:
+def rule_weights(shapes: Integers, parameters: Array, z: Array, weights: Array) -> None:
     """Write the normalised weights h(z) of the rules; all are NaN if no rule fires.
 
     Args:
-        shapes: Codes, shape (r, q).
+        shapes: Integers, shape (r, q).
         parameters: Shape (r, q, 4).
         z: Premise variables, shape (q,).
         weights: Written, shape (r,).
@@ -106,12 +101,12 @@ def rule_weights(shapes: Codes, parameters: Array, z: Array, weights: Array) -> 
 
 @compiled
 def rule_weights_and_slopes(
-    shapes: Codes, parameters: Array, z: Array, weights: Array, slopes: Array
+    shapes: Integers, parameters: Array, z: Array, weights: Array, slopes: Array
 ) -> None:
     """Write the weights h(z), and ∂hᵢ/∂zⱼ; all are NaN if no rule fires.
 
     Args:
-        shapes: Codes, shape (r, q).
+        shapes: Integers, shape (r, q).
         parameters: Shape (r, q, 4).
         z: Premise variables, shape (q,).
         weights: Written, shape (r,); the same numbers as those of `rule_weights`.
@@ -185,7 +180,7 @@ def grades_and_slopes(
 
 @compiled
 def weights_and_slopes_of_each(
-    shapes: Codes, parameters: Array, z: Array, weights: Array, slopes: Array
+    shapes: Integers, parameters: Array, z: Array, weights: Array, slopes: Array
 ) -> None:
     """Do `rule_weights_and_slopes` for z (samples, q): (samples, r) and (samples, r, q)."""
     for k in range(z.shape[0]):

@@ -21,11 +21,11 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import encode_text
 from tsobs_ros.bag.container import MAGIC
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
-from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
+from tsobs_ros.bag.joint_series import JointSeries, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, Message
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design

@@ -10,8 +10,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from tsobs_ros.bag.joint_series import Flags, Times
-from tsobs_ros.checks import Array
+from tsobs_ros.bag.joint_series import Times
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.history import GATED, NON_FINITE, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import (
-    Flags,
     JointSeries,
     Times,
     Wanted,
@@ -28,7 +27,7 @@ from tsobs_ros.bag.joint_series import (
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.metadata import TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagMessage, BagReader
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError, ModelError

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_series import Flags, JointSeries, Times
-from tsobs_ros.checks import Array
+from tsobs_ros.bag.joint_series import JointSeries, Times
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.estimation.events import Condition
 from tsobs_ros.estimation.history import EXTRA
 from tsobs_ros.estimation.state import CONDITIONS, Shape

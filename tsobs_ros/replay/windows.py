@@ -14,7 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.bag.joint_series import Flags, JointSeries
+from tsobs_ros.bag.joint_series import JointSeries
+from tsobs_ros.checks import Flags
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.replay import Replay
 from tsobs_ros.replay.schedule import Past, Schedule, as_recorded, at_rate, at_samples

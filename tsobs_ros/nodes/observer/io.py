@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.signals import Place, Signals
 from tsobs_ros.errors import MessageError
 from tsobs_ros.estimation.events import Condition
@@ -38,7 +38,6 @@ _NOTHING, _ZERO = -2, -1
 """The places of the constants."""
 
 Stamps: TypeAlias = NDArray[np.int64]
-Flags: TypeAlias = NDArray[np.bool_]
 _Numbers: TypeAlias = Sequence[float]
 _Pick: TypeAlias = Callable[[_Numbers], _Numbers]
 _Row: TypeAlias = tuple[int, _Numbers, list[bool], list[bool]]
