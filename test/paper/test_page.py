@@ -166,17 +166,64 @@ def test_files_are_complete(report: dict[str, Any], output: Path) -> None:
     markdown = (output / "paper.md").read_text(encoding="utf-8")
     page = Path(report["page"]).read_text(encoding="utf-8")
     figures = [Path(each) for each in report["figures"]]
-    assert len(figures) == 17
+    assert len(figures) == 19
     for figure in figures:
         assert figure.read_bytes().startswith(PNG)
+        assert figure.with_stem(f"{figure.stem}_narrow").read_bytes().startswith(PNG)
         assert f"({figure.name})" in markdown
-    assert page.count("data:image/png;base64,") == 17
+    assert page.count("data:image/png;base64,") == 2 * 19
+    labels = Counter(re.findall("<figcaption><b>(.+?)</b>", page))
+    assert labels == {
+        "Figure of Example 1 in the paper.": 4,
+        "Figure of Example 2 in the paper.": 4,
+        "Figure of Example 3 in the paper.": 4,
+        "Not in the paper.": 7,
+    }
     assert not re.findall(r'(?:src|href)="(?!data:)', page)
     assert all(claim["claim"] in markdown for claim in report["claims"])
     assert "NOT DETECTABLE" in page
     printed = (output.parents[1] / "paper.txt").read_text(encoding="utf-8")
     assert printed.count("DOES NOT HOLD") == markdown.count("| does not hold")
-    assert f"17 figures in {output}, page {report['page']}" in printed
+    assert f"19 figures in {output}, page {report['page']}" in printed
+
+
+def test_page_begins_with_what_it_comes_to(report: dict[str, Any], output: Path) -> None:
+    page = (output / "paper.html").read_text(encoding="utf-8")
+    counts = Counter(claim["verdict"] for claim in report["claims"])
+    short = page[page.index("<h1>") : page.index("<h2>")]
+    assert f"{counts['holds']} hold, {counts['holds only if']} hold under a condition" in short
+    assert f"{counts['does not hold']} do not hold" in short
+    assert short.count("<p>") == 6  # every sentence follows from a verdict, and is there
+    assert re.search(r"its error of x₃ is \d\d times that of the better one", short)
+    for symbol in ("λ", "θ [1/s]", "Ξ\u0302", "PO, PIO"):
+        assert f"<dt>{symbol}</dt>" in page
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_page_is_readable_on_a_phone_and_on_a_desk(output: Path, browser: Any, width: int) -> None:
+    page, messages = browser.new_page(viewport={"width": width, "height": 800}), []
+    page.on("console", lambda message: messages.append(message.text))
+    page.on("pageerror", lambda error: messages.append(str(error)))
+    page.goto((output / "paper.html").as_uri())
+    page.wait_for_function("[...document.images].every(image => image.complete)")
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    images = page.evaluate("[...document.images].map(i => [i.naturalWidth, i.width])")
+    # The narrow figures have 9 points at 180 dots an inch, which are 10 pixels here.
+    assert len(images) == 19
+    assert all((natural < 800) == (width == 390) and shown <= width for natural, shown in images)
+    hidden = page.evaluate(
+        "[...document.querySelectorAll('td, p, dd, pre')].filter(e => e.scrollWidth > e.clientWidth"
+        " + 1 && e.clientWidth > 0).map(e => e.textContent)"
+    )
+    assert (hidden, messages) == ([], [])
+    page.close()
+
+
+def test_existing_files_are_not_replaced(tmp_path: Path, capsys: Any) -> None:
+    (tmp_path / "example_1_states.png").write_bytes(b"mine")
+    assert main(["paper", "--output", str(tmp_path), "--seeds", "1"]) == 1
+    assert "example_1_states.png: exists already; --force replaces it" in capsys.readouterr().err
+    assert [each.name for each in tmp_path.iterdir()] == ["example_1_states.png"]
 
 
 def test_no_runs_is_refused(tmp_path: Path) -> None:

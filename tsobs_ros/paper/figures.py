@@ -1,7 +1,12 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of the method's three examples, laid out as in the paper, and some it lacks."""
+"""The figures of the method's three examples, laid out as in the paper, and some it lacks.
 
+Each is drawn twice: for a wide page and, with all panels below each other, for a narrow one.
+The text that was available gives no numbers of the paper's figures, so a label names the example.
+"""
+
+import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -25,7 +30,7 @@ Panels = Sequence[Sequence[Axes]]
 LABELS = {
     "PO": "PO",
     "PIO": "PIO",
-    "paper": "paper's observer",
+    "paper": "method's observer",
     "ours": "certified T–S observer",
     "EKF": "EKF",
     "EKF clean": "EKF without\nbias state",
@@ -37,6 +42,8 @@ _LIGHT, _GREY = "#8CC7D0", "#9AA5B1"
 _COLOURS = dict(zip(LABELS, (_THIRD, _FOURTH, _ESTIMATE, _SECOND, MUTED, _GREY), strict=True))
 _DPI = 130
 _WIDTH = 9.6
+_NARROW, _NARROW_DPI = 4.3, 180
+_COMPARED = ("PO", "PIO", "paper", "ours")
 _FLOOR = 1e-17
 _CASES = ("λ = 0: no uncertainty", "λ = 1: with the printed ΔA")
 _HAT = "\N{COMBINING CIRCUMFLEX ACCENT}"
@@ -46,18 +53,36 @@ _ARM_SHOWN = 20.0
 _UNITS = ("x₁ [rad]", "x₂ [rad/s]", "x₃ [rad/s²]", "x₄ [rad/s³]")
 
 
+class Drawn(NamedTuple):
+    """A figure.
+
+    Attributes:
+        path: PNG for a wide page.
+        narrow: PNG for a narrow page.
+        label: Whether the paper has it, and where.
+        caption: What there is to see.
+    """
+
+    path: Path
+    narrow: Path
+    label: str
+    caption: str
+
+
 class _Figure(NamedTuple):
     key: str
     heading: str
+    caption: str
     fill: Callable[[Panels], None]
     rows: int
     columns: int
     row_height: float
     share_x: bool = True
+    in_paper: bool = True
 
 
-def draw_example(run: ExampleRun, folder: Path) -> list[Path]:
-    """Draw all figures of Example 1 or 2 into a folder and return their paths.
+def draw_example(run: ExampleRun, folder: Path) -> list[Drawn]:
+    """Draw all figures of Example 1 or 2 into a folder and return them.
 
     Raises:
         OSError: A file cannot be written.
@@ -75,22 +100,64 @@ def draw_example(run: ExampleRun, folder: Path) -> list[Path]:
         (1.0, "the premise variable", "y₁"),
         (run.plant.times, run.plant.weights[:, 0], "the run, λ = 0"),
     )
-    independence = "the innovation does not depend on the plant (not in the paper)"
-    noise = "the output replaced by white noise (not in the paper), λ = 0"
     return _draw(
         run.example.name,
         folder,
-        _Figure("states", "states and their estimates", states, 3, 2, 1.7),
-        _Figure(key, f"{what} and their estimates", disturbances, 3, 2, 1.7),
-        _Figure("errors", "estimation errors", partial(_errors, run, letter), 2, 2, 2.3),
-        _Figure("memberships", "membership functions", weights, 1, 2, 2.3, share_x=False),
-        _Figure("innovation", independence, partial(_innovation, run), 1, 2, 2.7),
-        _Figure("noise_fed", noise, partial(_noise_fed, run), 3, 1, 1.7),
-    )
+        _Figure(
+            "states",
+            "states and their estimates",
+            "Without uncertainty (λ = 0) the estimates run into the states; with it (λ = 1) a "
+            "small error stays.",
+            states, 3, 2, 1.7,
+        ),
+        _Figure(
+            key,
+            f"{what} and their estimates",
+            f"What the sensors add to the outputs, and its estimate: {letter}{_HAT} is what is "
+            "left of the measurement after the estimated output.",
+            disturbances, 3, 2, 1.7,
+        ),
+        _Figure(
+            "errors",
+            "estimation errors",
+            "Without uncertainty all errors vanish, with it they stay at about a hundredth.",
+            partial(_errors, run, letter), 2, 2, 2.3,
+        ),
+        _Figure(
+            "memberships",
+            "membership functions",
+            "The weights of the two rules, over the measured output that they depend on and "
+            "along the run.",
+            weights, 1, 2, 2.3, share_x=False,
+        ),
+        _Figure(
+            "adaptation",
+            "the learnt uncertainty Ξ̂",
+            "Size of what the adaptive law has learnt, ‖Ξ̂‖ of the larger rule. It is the same "
+            "with and without uncertainty, so it says nothing about ΔA; and it stays at zero if "
+            "the observer starts with an estimate that fits the first measurement.",
+            partial(_adaptation, run), 1, 2, 2.7, in_paper=False,
+        ),
+        _Figure(
+            "innovation",
+            "the innovation does not depend on the plant",
+            "y − ŷ dies out alike for the right plant, for one with ΔA and for noise in place of "
+            "the measurement; and the state estimates hardly change if the measurement is replaced "
+            "or left out.",
+            partial(_innovation, run), 1, 2, 2.7, in_paper=False,
+        ),
+        _Figure(
+            "noise_fed",
+            "the output replaced by white noise, λ = 0",
+            "Fed with noise, the observer gives the same estimates as fed with the measurement: "
+            "it runs the model and looks at the measurement only for the rules' weights.",
+            partial(_noise_fed, run), 3, 1, 1.7, in_paper=False,
+        ),
+    )  # fmt: skip
 
 
-def draw_arm(comparison: ArmComparison, folder: Path) -> list[Path]:
-    """Draw all figures of Example 3 into a folder and return their paths.
+def draw_arm(comparison: ArmComparison, folder: Path) -> list[Drawn]:
+    """Draw all figures of Example 3 into a folder and return them.
 
     Raises:
         OSError: A file cannot be written.
@@ -104,42 +171,76 @@ def draw_arm(comparison: ArmComparison, folder: Path) -> list[Path]:
         (runs.times[shown], rule_base.weights(runs.states[0][shown, :1]), "the first run"),
     )
     states, x3 = partial(_arm_states, comparison), partial(_third_state, comparison)
-    printed = "states and the paper's observer with its printed gains"
-    rmse = "RMSE of x₃ and of all states, every run"
     return _draw(
         "example_3",
         folder,
-        _Figure("states", printed, states, 2, 2, 2.2),
+        _Figure(
+            "states",
+            "states and the method's observer with the printed gains",
+            "The estimates oscillate beside the states: nothing draws them to the arm's motion.",
+            states, 2, 2, 2.2,
+        ),
         _Figure(
             "disturbance",
             "disturbance and its estimates",
-            partial(_arm_disturbance, comparison),
-            2,
-            1,
-            2.0,
+            "The disturbance of this example is the sensor's noise. Above the method's estimate "
+            "of it, below that of the certified observer of this package.",
+            partial(_arm_disturbance, comparison), 2, 1, 2.0,
         ),
-        _Figure("memberships", "membership functions", weights, 1, 2, 2.3, share_x=False),
-        _Figure("x3", "x₃ by PO, PIO, the paper's observer and ours", x3, 2, 1, 2.3),
-        _Figure("rmse", rmse, partial(_rmse, comparison), 1, 2, 2.6, share_x=False),
-    )
+        _Figure(
+            "memberships",
+            "membership functions",
+            "The weights of the two rules, over the link's angle and along the first run.",
+            weights, 1, 2, 2.3, share_x=False,
+        ),
+        _Figure(
+            "x3",
+            "x₃ by PO, PIO, the method's observer and ours",
+            "x₃ is the motor's angle, times k/J₁. Each observer has a panel of its own: its "
+            "estimate beside the truth, and the error. PO and PIO have the speed θ that is best "
+            "for them.",
+            x3, len(_COMPARED), 2, 1.7,
+        ),
+        _Figure(
+            "rmse",
+            "RMSE of x₃ and of all states, every run",
+            "Each point is a run; lines and numbers are means.",
+            partial(_rmse, comparison), 1, 2, 2.6, share_x=False, in_paper=False,
+        ),
+    )  # fmt: skip
 
 
-def _draw(name: str, folder: Path, *figures: _Figure) -> list[Path]:
-    paths = []
+def _draw(name: str, folder: Path, *figures: _Figure) -> list[Drawn]:
+    drawn = []
     for one in figures:
-        with matplotlib.rc_context(STYLE):
-            size = (_WIDTH, 0.95 + one.rows * one.row_height)
-            figure = Figure(figsize=size, layout="constrained")
-            FigureCanvasAgg(figure)
-            heading = f"Example {name[-1]}: {one.heading}"
-            figure.suptitle(heading, fontsize=11.0, fontweight="bold", x=0.01, ha="left")
-            axes = figure.subplots(
-                one.rows, one.columns, sharex="col" if one.share_x else "none", squeeze=False
-            )
-            one.fill(axes.tolist())
-            paths.append(folder / f"{name}_{one.key}.png")
-            figure.savefig(paths[-1], dpi=_DPI, metadata={"Software": None})
-    return paths
+        example = f"Example {name[-1]}"
+        label = f"Figure of {example} in the paper" if one.in_paper else "Not in the paper"
+        wide, narrow = (folder / f"{name}_{one.key}{suffix}.png" for suffix in ("", "_narrow"))
+        for path in (wide, narrow):
+            _draw_one(one, f"{example}: {one.heading}", path, narrow=path is narrow)
+        drawn.append(Drawn(wide, narrow, label, one.caption))
+    return drawn
+
+
+def _draw_one(one: _Figure, heading: str, path: Path, *, narrow: bool) -> None:
+    """Draw a figure; a narrow one has the columns of panels below each other."""
+    rows, columns = (one.rows * one.columns, 1) if narrow else (one.rows, one.columns)
+    width, dpi = (_NARROW, _NARROW_DPI) if narrow else (_WIDTH, _DPI)
+    lines = textwrap.wrap(heading, 42 if narrow else 110)
+    with matplotlib.rc_context(STYLE):
+        height = 0.75 + 0.2 * len(lines) + rows * one.row_height
+        figure = Figure(figsize=(width, height), layout="constrained")
+        FigureCanvasAgg(figure)
+        figure.suptitle("\n".join(lines), fontsize=11.0, fontweight="bold", x=0.01, ha="left")
+        axes = figure.subplots(rows, columns, squeeze=False)
+        panels = axes.T.reshape(one.columns, one.rows).T if narrow else axes
+        if one.share_x:
+            for column in panels.T:
+                for panel in column[:-1]:
+                    panel.sharex(column[-1])
+                    panel.tick_params(labelbottom=False)
+        one.fill(panels.tolist())
+        figure.savefig(path, dpi=dpi, metadata={"Software": None})
 
 
 def _label_time(axes: Panels) -> None:
@@ -251,6 +352,27 @@ def _innovation(run: ExampleRun, axes: Panels) -> None:
     _label_time(axes)
 
 
+def _adaptation(run: ExampleRun, axes: Panels) -> None:
+    times, (left, right) = run.plant.times, axes[0]
+    largest = float(run.estimates["adaptive"].adaptation.max())
+    for panel, variant, title in (
+        (left, "adaptive", "from x̂(0) = 0, ω̂(0) = 0, as in the paper"),
+        (right, "consistent", "from ω̂(0) = y(0) − C x̂(0), which fits"),
+    ):
+        sizes = run.estimates[variant].adaptation
+        for case, colour, style, width in ((0, _SECOND, "-", 3.2), (1, _ESTIMATE, "--", 1.5)):
+            panel.plot(
+                times, sizes[:, case], color=colour, linestyle=style, linewidth=width,
+                label=_CASES[case],
+            )  # fmt: skip
+        panel.set_title(title, loc="left")
+        panel.set_ylabel("largest ‖Ξ̂‖")
+        panel.set_xlim(times[0], times[-1])
+        panel.set_ylim(-0.05 * largest, 1.05 * largest)
+        _legend(panel, columns=1)
+    _label_time(axes)
+
+
 def _noise_fed(run: ExampleRun, axes: Panels) -> None:
     times, plant = run.plant.times, run.plant
     fixed, fed = run.estimates["fixed"], run.estimates["noise_fed"]
@@ -314,20 +436,23 @@ def _third_state(comparison: ArmComparison, axes: Panels) -> None:
     runs = comparison.trajectories
     shown = runs.times <= _ARM_SHOWN
     times, truth = runs.times[shown], runs.states[0, shown, 2]
-    (above,), (below,) = axes
-    above.plot(times, truth, color=_TRUTH, label="true", linewidth=1.8)
-    for name in ("PO", "PIO", "paper", "ours"):
-        estimate = comparison[name].example[shown, 2]
-        style, colour = "--" if name == "paper" else "-", _COLOURS[name]
-        above.plot(times, estimate, color=colour, linestyle=style, label=LABELS[name])
-        below.plot(times, estimate - truth, color=colour, linestyle=style)
-    above.set_ylabel(_UNITS[2])
-    below.set_ylabel("error of x₃")
-    above.set_ylim(1.6 * float(truth.min()), 1.6 * float(truth.max()))
-    below.set_ylim(-3.0, 3.0)
-    for panel in (above, below):
-        panel.set_xlim(0.0, _ARM_SHOWN)
-    _legend(above, columns=5)
+    for name, (left, right) in zip(_COMPARED, axes, strict=True):
+        observer, colour = comparison[name], _COLOURS[name]
+        estimate = observer.example[shown, 2]
+        theta = "" if np.isnan(observer.theta) else f", θ = {observer.theta:.3g}/s"
+        left.plot(times, truth, color=_TRUTH, label="true", linewidth=1.8)
+        left.plot(times, estimate, color=colour, linestyle="--", label="estimate")
+        left.set_title(f"{LABELS[name]}{theta}", loc="left")
+        left.set_ylabel(_UNITS[2])
+        left.set_ylim(1.6 * float(truth.min()), 1.6 * float(truth.max()))
+        right.plot(times, estimate - truth, color=colour)
+        mean = float(observer.motor_angle.mean())
+        right.set_title(f"{LABELS[name]}: RMSE {mean:.3g}", loc="left")
+        right.set_ylabel("error of x₃")
+        right.set_ylim(-3.0, 3.0)
+        for panel in (left, right):
+            panel.set_xlim(0.0, _ARM_SHOWN)
+    _legend(axes[0][0])
     _label_time(axes)
 
 

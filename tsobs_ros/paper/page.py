@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """`tsobs paper`: the method's examples run again, its figures, and the verdicts on its claims.
 
-Files written: `example_*.png`, `paper.md`, `paper.html` (needs no other file) and `paper.json`.
+Files written: `example_*.png`, those for narrow pages `example_*_narrow.png`, `paper.md`,
+`paper.html` (needs no other file) and `paper.json`.
 """
 
 import base64
 import html
 import json
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,10 +22,11 @@ from tqdm import tqdm
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
+from tsobs_ros.files import require_new
 from tsobs_ros.paper.analysis import analyse, check_stability
 from tsobs_ros.paper.claims import Claim, Verdict, check_printed, claims_text, judge
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
-from tsobs_ros.paper.figures import LABELS, draw_arm, draw_example
+from tsobs_ros.paper.figures import LABELS, Drawn, draw_arm, draw_example
 from tsobs_ros.paper.runs import (
     WINDOW_START,
     ArmComparison,
@@ -47,7 +50,8 @@ _STYLE = f"""
 body {{ font: 16px/1.55 system-ui, sans-serif; color: {INK}; background: #fff;
        max-width: 68rem; margin: 2rem auto; padding: 0 1.25rem; }}
 h1 {{ font-size: 1.6rem; line-height: 1.25; }} h2 {{ font-size: 1.2rem; margin-top: 2.5rem; }}
-.wide {{ overflow-x: auto; }}
+.short {{ border: 1px solid #c4c9d0; border-left: 4px solid #00798c; padding: .2rem 1rem; }}
+dt {{ font-weight: 600; margin-top: .6rem; }} dd {{ margin: 0 0 0 1.2rem; }}
 table {{ border-collapse: collapse; width: 100%; font-size: .86rem; line-height: 1.4; }}
 th {{ text-align: left; border-bottom: 2px solid #c4c9d0; padding: .4rem .6rem; }}
 td {{ vertical-align: top; border-bottom: 1px solid {GRID}; padding: .45rem .6rem; }}
@@ -55,10 +59,47 @@ td {{ vertical-align: top; border-bottom: 1px solid {GRID}; padding: .45rem .6re
 .holds {{ border-left-color: #00798c; }} .holds_only_if {{ border-left-color: #edae49; }}
 .does_not_hold {{ border-left-color: #d1495b; }}
 .test {{ font: .72rem/1.4 ui-monospace, monospace; overflow-wrap: anywhere; color: {MUTED}; }}
+figcaption {{ color: {MUTED}; font-size: .9rem; }} figcaption b {{ color: {INK}; }}
 figure {{ margin: 1.5rem 0; }} img {{ max-width: 100%; height: auto; }}
 pre {{ background: #f5f7fa; padding: .8rem; white-space: pre-wrap; font-size: .8rem;
-      line-height: 1.45; }}
+      line-height: 1.45; overflow-wrap: anywhere; }}
+@media (max-width: 44rem) {{
+  body {{ margin: 1rem auto; padding: 0 .9rem; }} h1 {{ font-size: 1.35rem; }}
+  thead {{ position: absolute; left: -100rem; }}
+  table, tbody, tr, td {{ display: block; }} table {{ font-size: .95rem; }}
+  tr {{ border-bottom: 2px solid #c4c9d0; padding: .5rem 0; }}
+  td {{ border-bottom: 0; padding: .15rem .6rem; }} td:empty {{ display: none; }}
+  td[data-head]::before {{ content: attr(data-head) ": "; color: {MUTED}; }}
+  .test {{ font-size: .8rem; }}
+}}
+@media print {{ body {{ max-width: none; margin: 0; }} figure, tr {{ break-inside: avoid; }} }}
 """
+
+
+_SYMBOLS = (
+    ("x, x̂", "the states and their estimates; y is measured, u is known"),
+    ("ω (f in Example 2)", "what disturbs the outputs, and may be anything; in Example 3 noise"),
+    ("ΔA", "the uncertainty: how the true system differs from the model"),
+    (
+        "λ",
+        "how much of the printed ΔA the simulated system has: 0 for none, so that the model is "
+        "right, 1 for all of it",
+    ),
+    (
+        "Ξ̂",
+        "what the adaptive law learns, meant to stand for ΔA; without adaptation it is zero",
+    ),
+    (
+        "PO, PIO",
+        "two older observers to compare with: proportional, and proportional with an integral; "
+        "both take noise and disturbance for motion",
+    ),
+    (
+        "θ [1/s]",
+        "the speed of PO and PIO, whose poles are at −θ(1, 1.1, …): a larger θ follows the motion "
+        "faster and lets more noise through; the one with the smallest error of x₃ is taken",
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -69,14 +110,14 @@ class PaperReport:
         output: The folder.
         claims: The table of claims.
         numbers: What was measured, by example, as plain data.
-        figures: The figures.
+        figures: The figures; each has a narrow twin.
         seconds: Computing time [s].
     """
 
     output: Path
     claims: tuple[Claim, ...]
     numbers: dict[str, Any]
-    figures: tuple[Path, ...]
+    figures: tuple[Drawn, ...]
     seconds: float
 
     @property
@@ -90,7 +131,7 @@ class PaperReport:
             "claims": [claim.as_mapping() for claim in self.claims],
             "numbers": self.numbers,
             "page": str(self.page),
-            "figures": [str(figure) for figure in self.figures],
+            "figures": [str(figure.path) for figure in self.figures],
         }
 
     def __str__(self) -> str:
@@ -98,20 +139,26 @@ class PaperReport:
         return f"{claims_text(self.claims)}\n\n{done} ({self.seconds:.0f} s)"
 
 
-def make_paper_report(output: Path, *, progress: bool = True, seeds: int = 20) -> PaperReport:
+def make_paper_report(
+    output: Path, *, progress: bool = True, seeds: int = 20, force: bool = False
+) -> PaperReport:
     """Run the three examples, judge the claims, draw the figures and write the page.
 
     Args:
-        output: Folder to write to; made if missing, files of the same names are replaced.
+        output: Folder to write to; made if missing.
         progress: Whether to show a progress bar on stderr.
         seeds: Noisy runs of Example 3, at least 1.
+        force: Whether to replace existing files.
 
     Raises:
+        OutputError: The folder has such files already.
         ModelError: `seeds` is below 1.
         OSError: The folder or a file cannot be written.
     """
     if seeds < 1:
         raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
+    page, table, data = (output / f"paper.{kind}" for kind in ("html", "md", "json"))
+    require_new([page, table, data, *output.glob("example_*.png")], force=force)
     started = time.perf_counter()
     output.mkdir(parents=True, exist_ok=True)
     examples = first, second, arm = example_1(), example_2(), example_3()
@@ -127,28 +174,37 @@ def make_paper_report(output: Path, *, progress: bool = True, seeds: int = 20) -
         figures = {name: draw_example(run, output) for name, run in runs.items()}
         figures[arm.name] = draw_arm(comparison, output)
     parts = _parts(claims, runs, comparison, "\n\n".join(map(_analysis, examples)), figures)
-    paths = tuple(path for drawn in figures.values() for path in drawn)
+    drawn = tuple(each for own in figures.values() for each in own)
     seconds = time.perf_counter() - started
-    report = PaperReport(output, claims, _numbers(runs, comparison), paths, seconds)
-    report.page.write_text(html_page(parts), encoding="utf-8")
-    (output / "paper.md").write_text(markdown(parts), encoding="utf-8")
+    report = PaperReport(output, claims, _numbers(runs, comparison), drawn, seconds)
+    page.write_text(html_page(parts), encoding="utf-8")
+    table.write_text(markdown(parts), encoding="utf-8")
     text = json.dumps(report.as_mapping(), indent=2, ensure_ascii=False)
-    (output / "paper.json").write_text(text + "\n", encoding="utf-8")
+    data.write_text(text + "\n", encoding="utf-8")
     return report
 
 
 def _parts(
-    claims: Iterable[Claim],
+    claims: Sequence[Claim],
     runs: Mapping[str, ExampleRun],
     comparison: ArmComparison,
     analysis: str,
-    figures: Mapping[str, Iterable[Path]],
+    figures: Mapping[str, Iterable[Drawn]],
 ) -> list[tuple[str, Any]]:
     """Return the page as (kind, content) pairs, for `markdown` and `html_page`."""
     rows = [(each.claim, each.judgement, each.number, each.test) for each in claims]
     parts: list[tuple[str, Any]] = [
         ("title", _TITLE),
+        ("short", conclusion(claims, comparison)),
         ("text", _INTRODUCTION),
+        ("heading", "Symbols"),
+        ("terms", _SYMBOLS),
+    ]
+    for name, drawn in figures.items():
+        parts.append(("heading", f"Example {name[-1]}"))
+        parts += [("figure", each) for each in drawn]
+    return [
+        *parts,
         ("heading", "Claims"),
         ("table", (("claim", "verdict", "number", "test"), rows)),
         *_errors(runs),
@@ -156,10 +212,49 @@ def _parts(
         ("heading", "Analysis"),
         ("code", analysis),
     ]
-    for name, paths in figures.items():
-        parts.append(("heading", f"Example {name[-1]}"))
-        parts += [("figure", path) for path in paths]
-    return parts
+
+
+def conclusion(claims: Sequence[Claim], comparison: ArmComparison) -> list[str]:
+    """Return what the claims' verdicts come to, in plain words; each follows from its claim."""
+    counts = Counter(claim.verdict for claim in claims)
+    verdicts = {claim.claim: claim.verdict for claim in claims}
+    error = {each.name: float(each.motor_angle.mean()) for each in comparison.observers}
+    lines = [
+        f"Of the {len(claims)} claims below, {counts[Verdict.HOLDS]} hold, "
+        f"{counts[Verdict.HOLDS_ONLY_IF]} hold under a condition that is named, and "
+        f"{counts[Verdict.DOES_NOT_HOLD]} do not hold."
+    ]
+    for claim, verdict, text in (
+        (
+            "The output error y − ŷ corrects the state estimate.",
+            Verdict.DOES_NOT_HOLD,
+            "The observer does not correct its states by what it measures: as any disturbance is "
+            "allowed in every output, a measurement says nothing about the states. The estimate "
+            "is the model, run without feedback.",
+        ),
+        (
+            "Without uncertainty, state and disturbance errors vanish.",
+            Verdict.HOLDS_ONLY_IF,
+            "So it is right in the end if the model is right and forgets its start, as in "
+            "Examples 1 and 2 without uncertainty.",
+        ),
+        (
+            "The adaptive law estimates the uncertainty.",
+            Verdict.DOES_NOT_HOLD,
+            "The adaptation learns nothing about the uncertainty, and with an uncertainty an error "
+            "stays.",
+        ),
+        (
+            "Example 3: the method's x₃ is better than that of PO and PIO.",
+            Verdict.DOES_NOT_HOLD,
+            f"On the arm of Example 3, which does not forget its start, its error of x₃ is "
+            f"{error['paper'] / min(error['PO'], error['PIO']):.0f} times that of the better one "
+            f"of two simple observers, and {error['paper'] / error['ours']:.0f} times that of this "
+            "package's, which has a model of the disturbance.",
+        ),
+    ):
+        lines += [text] if verdicts[claim] is verdict else []
+    return lines
 
 
 def markdown(parts: Iterable[tuple[str, Any]]) -> str:
@@ -175,7 +270,13 @@ def markdown(parts: Iterable[tuple[str, Any]]) -> str:
                     lines.append("| " + " | ".join(cells) + " |")
                 texts.append("\n".join(lines))
             case "figure":
-                texts.append(f"![{content.stem}]({content.name})")
+                name = content.path.name
+                texts.append(f"![{content.path.stem}]({name})")
+                texts.append(f"**{content.label}.** {content.caption}")
+            case "short":
+                texts.append("\n".join(f"> {line}" for line in content))
+            case "terms":
+                texts.append("\n".join(f"- **{term}**: {meaning}" for term, meaning in content))
             case "code":
                 texts.append(f"```\n{content}\n```")
             case _:
@@ -189,12 +290,16 @@ def html_page(parts: Iterable[tuple[str, Any]]) -> str:
     for kind, content in parts:
         match kind:
             case "table":
-                body.append(f'<div class="wide">{_html_table(*content)}</div>')
+                body.append(_html_table(*content))
             case "figure":
-                data = base64.b64encode(content.read_bytes()).decode("ascii")
-                name = html.escape(content.stem.replace("_", " "))
-                image = f'<img alt="{name}" src="data:image/png;base64,{data}">'
-                body.append(f"<figure>{image}</figure>")
+                body.append(_html_figure(content))
+            case "short":
+                lines = "\n".join(f"<p>{html.escape(line)}</p>" for line in content)
+                body.append(f'<section class="short" aria-label="In short">\n{lines}\n</section>')
+            case "terms":
+                terms = (map(html.escape, pair) for pair in content)
+                lines = "\n".join(f"<dt>{term}</dt><dd>{text}</dd>" for term, text in terms)
+                body.append(f"<dl>\n{lines}\n</dl>")
             case _:
                 tag = tags.get(kind, "p")
                 body.append(f"<{tag}>{html.escape(content)}</{tag}>")
@@ -207,13 +312,36 @@ def html_page(parts: Iterable[tuple[str, Any]]) -> str:
     )
 
 
+def _html_figure(drawn: Drawn) -> str:
+    """Return a figure, with its narrow twin on narrow pages."""
+    wide, narrow = (
+        f"data:image/png;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+        for path in (drawn.path, drawn.narrow)
+    )
+    name = html.escape(drawn.path.stem.replace("_", " "))
+    label, caption = html.escape(drawn.label), html.escape(drawn.caption)
+    return (
+        f'<figure>\n<picture><source media="(max-width: 44rem)" srcset="{narrow}">'
+        f'<img alt="{name}" src="{wide}"></picture>\n'
+        f"<figcaption><b>{label}.</b> {caption}</figcaption>\n</figure>"
+    )
+
+
 def _html_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     cells = "".join(f"<th>{html.escape(each)}</th>" for each in head)
     lines = ["<table>", f"<thead><tr>{cells}</tr></thead>", "<tbody>"]
     for row in rows:
-        cells = "".join(f"<td{_class(each)}>{html.escape(each)}</td>" for each in row)
+        cells = "".join(
+            f"<td{_class(each)}{_head(name)}>{html.escape(each)}</td>"
+            for name, each in zip(head, row, strict=True)
+        )
         lines.append(f"<tr>{cells}</tr>")
     return "\n".join([*lines, "</tbody>", "</table>"])
+
+
+def _head(name: str) -> str:
+    """Return the attribute that names a cell on narrow pages, which have no head."""
+    return f' data-head="{html.escape(name)}"' if name not in ("", "claim", "verdict") else ""
 
 
 def _class(cell: str) -> str:

@@ -194,11 +194,12 @@ class ScenarioComparison:
         Args:
             figure: File name of the figure; empty for none.
         """
-        parts = ["# Observers on the same scenarios", self.notes()[0].capitalize() + "."]
+        measure, *notes = self.notes()
+        parts = ["# Observers on the same scenarios", f"{measure[0].upper()}{measure[1:]}."]
         parts += [f"![Errors of all observers]({figure})"] if figure else []
         parts.append(_markdown_table(self.table(lambda cell: cell.typical)))
         parts.append("\n".join(f"- `{name}`: {ABOUT[name]}" for name in self.names))
-        if notes := self.notes()[1:]:
+        if notes:
             parts += ["## Notes", "\n".join(f"- {note}" for note in notes)]
         for place, quantity in enumerate(QUANTITIES):
             parts.append(f"## RMSE of the {quantity.name} [{quantity.unit}]")
