@@ -5,6 +5,7 @@
 Diagrams in SVG are drawn by hand and not made here.
 """
 
+import re
 import shutil
 import subprocess
 import sys
@@ -67,6 +68,46 @@ def example(path: Path) -> None:
         shutil.copy(made, path)
 
 
+def rivals(path: Path) -> None:
+    """The table of docs/acceptance.md as a figure: our error over the better Kalman filter's."""
+    page = (ROOT / "docs" / "acceptance.md").read_text(encoding="utf-8")
+    table = page.partition("## Ours and its rivals")[2].partition("\n## ")[0]
+    rows = re.findall(r"^\| ([\w.]+) \|(?:[^|]*\|){4} (\d+\.\d+)[^|]*\|", table, re.MULTILINE)
+    names, ratios = zip(*sorted(rows, key=lambda row: -float(row[1])), strict=True)
+    values = np.array(ratios, float)
+    figure, axis = plt.subplots(layout="constrained", figsize=(7, 10))
+    for better, colour in ((True, BLUE), (False, ORANGE)):
+        chosen = np.flatnonzero((values <= 1.0) == better)
+        label = "more accurate" if better else "less accurate"
+        axis.barh(chosen, values[chosen] - 1.0, left=1.0, color=colour, label=label)
+    axis.set(
+        xscale="log", yticks=range(len(names)), xlabel="error / error of the better gated EKF",
+        ylim=(-0.8, len(names) - 0.2),
+    )  # fmt: skip
+    axis.set_xticks([0.03, 0.1, 0.3, 1.0, 2.0], labels=["1/30", "1/10", "1/3", "1", "2"])
+    axis.set_yticklabels([name.replace("_", " ") for name in names], fontsize=8)
+    axis.minorticks_off()
+    axis.grid(axis="x", alpha=0.3)
+    axis.legend(loc="lower left")
+    save(figure, path)
+
+
+def learning(path: Path) -> None:
+    """An arm that is stiffer and heavier than designed: what is learnt, and when it is used."""
+    design = ts.load_design()
+    changes = {"stiffness": 0.2, "gravity_torque": 0.1}
+    run = ts.simulate(design, duration=25.0, mismatch=changes, seed=1)
+    found = ts.estimate(design, run.time, run.angle, run.torque)
+    figure, axes = plt.subplots(2, sharex=True, layout="constrained", figsize=(8, 5))
+    for place, (axis, name) in enumerate(zip(axes, ("stiffness", "gravity"), strict=True)):
+        truth = np.full_like(run.time, tuple(changes.values())[place])
+        bands(axis, run.time, found.parameters[:, place], found.parameter_bound[:, place], truth)
+        axis.set(ylabel=f"change of {name}", ylim=(-0.15, 0.45))
+    axes[0].legend(loc="lower right")
+    axes[1].set(xlabel="time [s]")
+    save(figure, path)
+
+
 def tsobs(*arguments: str) -> None:
     """Run a command of `tsobs`."""
     subprocess.run([sys.executable, "-m", "tsobs_ros.cli.main", *arguments], check=True)
@@ -82,7 +123,9 @@ FIGURES: dict[str, Callable[[Path], None]] = {
     "bias_step": bias_step,
     "contact_torque": example,
     "demo": demo,
+    "learning": learning,
     "own_arm": example,
+    "rivals": rivals,
 }
 """What makes each figure of docs/images."""
 

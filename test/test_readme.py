@@ -3,9 +3,9 @@
 """What README and docs show runs: every command and every piece of Python, page by page.
 
 A page's blocks run in their order in one temporary folder. `tsobs` runs as it is, or as `SHORTER`
-says. A node gets its arguments and parameters, and is not configured; those of the README run for
-real. A benchmark runs as `BENCHMARKS` says, else only its options are checked. What cannot run here
-is in `NOT_RUN`, with the reason.
+says; an error is the one that the page shows. A node gets its arguments and parameters, and is not
+configured; those of the README and of the tutorial run for real. A benchmark runs as `BENCHMARKS`
+says, else only its options are checked. What cannot run here is in `NOT_RUN`, with the reason.
 """
 
 import re
@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pytest
@@ -52,6 +52,8 @@ BENCHMARKS = {
 NOT_RUN = {
     "source /opt/ros/jazzy/setup.bash": "Ubuntu's ROS",
     "mkdir -p ~/ws/src && cd ~/ws && git clone ": "the network",
+    "git clone ": "the network",
+    "mkdir -p ~/my_arm ": "the user's folder",
     "rosdep install ": "Ubuntu's ROS",
     "python3 -m venv ": "the workspace; test_packaging.py compares what it installs",
     ".venv/bin/python -m pip ": "the network",
@@ -63,8 +65,15 @@ NOT_RUN = {
     "ros2 security ": "Ubuntu's ROS; test_policy.py compares the policy with the nodes",
     "export ROS_SECURITY_": "Fast DDS of the wheels has no security",
     "tsobs demo --duration 60 ": "minutes; demo runs on another page",
+    "python3 -m pip ": "the network",
+    "python3 -m build": "the network; test_packaging.py builds both",
+    "python3 -m twine ": "no requirement",
+    "/tmp/release/bin/python ": "the network",
+    "cd /tmp && /tmp/release": "made by the line before; demo runs on another page",
+    "colcon build ": "colcon, no requirement",
 }
 
+NODES = ("observer", "recorder", "player", "plant_simulator")
 COMMANDS = (
     r"tsobs|ros2|python3?|make|source|mkdir|cp|rosdep|colcon|pip|apt|sudo|export|git|chrt|[A-Z_]+(?==)"
     r"|\.venv/bin/\S+"
@@ -79,8 +88,11 @@ class Block(NamedTuple):
     text: str
 
     @property
-    def commands(self) -> Iterator[tuple[str, bool]]:
-        """Yield the commands, each with whether the block shows an error as its answer."""
+    def commands(self) -> Iterator[tuple[str, str]]:
+        """Yield the commands, each with the error that the block shows as its answer, if any."""
+        if self.text.startswith("cat > "):
+            yield self.text, ""
+            return
         lines = self.text.replace("\\\n", " ").splitlines()
         prompts = any(line.startswith("$ ") for line in lines)
         places = [
@@ -89,9 +101,9 @@ class Block(NamedTuple):
             if line.strip() and line.startswith("$ ") == prompts
         ]
         for place, after in zip(places, [*places[1:], len(lines)], strict=True):
-            answer = lines[place + 1 : after]
+            answer = "\n".join(["", *lines[place + 1 : after]])
             command = re.sub(r" +# .*", "", lines[place].removeprefix("$ "))
-            yield command, any(line.startswith("error: ") for line in answer)
+            yield command, "".join(answer.partition("\nerror: ")[1:])
 
 
 def blocks(page: Path) -> list[Block]:
@@ -127,7 +139,12 @@ def language(text: str) -> str:
     return "usage" if re.search(r"\S {2,}[^ #]", first) else "sh"
 
 
-COMMAND_PAGES = [page for page in PAGES if any(b.language in ("sh", "yaml") for b in blocks(page))]
+TUTORIAL = ROOT / "docs" / "tutorial.md"
+COMMAND_PAGES = [
+    page
+    for page in PAGES
+    if page != TUTORIAL and any(b.language in ("sh", "yaml") for b in blocks(page))
+]
 PYTHON_PAGES = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
 
 
@@ -143,8 +160,12 @@ class Shell:
     ) -> None:
         self._ros, self._benchmark, self._patch, self._capfd = ros, benchmark, patch, capfd
 
-    def run(self, command: str, fails: bool) -> None:
+    def run(self, command: str, error: str) -> None:
         if any(command.startswith(start) for start in NOT_RUN):
+            return
+        if command.startswith("cat > "):
+            target, text, _ = re.split(r" << 'END'\n|END\n", command.removeprefix("cat > "))
+            Path(target).write_text(text, encoding="utf-8")
             return
         words = split(SHORTER.get(command, command))
         if words[:3] == ["ros2", "run", "tsobs_ros"]:
@@ -153,13 +174,13 @@ class Shell:
             case ["tsobs", *arguments]:
                 if arguments[0] == "demo":
                     arguments += ["--domain-id", str(self._ros.domain_id)]
-                assert main(arguments) == (1 if fails else 0), command
-            case ["observer" | "recorder" | "player" | "plant_simulator" as name, *arguments]:
+                assert main(arguments) == (1 if error else 0), command
+            case [name, *arguments] if name in NODES:
                 self.check_node(name, arguments)
             case ["python", script, *arguments] if script.startswith("benchmarks/"):
                 self.benchmark(Path(script).stem, arguments)
-            case ["make", target]:
-                make = ["make", "--dry-run", "-C", str(ROOT), target]
+            case ["make", *targets]:
+                make = ["make", "--dry-run", "-C", str(ROOT), *targets]
                 subprocess.run(make, check=True, capture_output=True)
             case ["cp", source, target]:
                 shutil.copy(source, target)
@@ -197,6 +218,12 @@ def split(command: str) -> list[str]:
     return shlex.split(command.replace("$(tsobs config)", folder).replace("$PWD", str(Path.cwd())))
 
 
+def without_folders(text: str) -> list[str]:
+    """Return the words of an error from where it begins, paths without their folders."""
+    begin = text.find("error: ")
+    return [word.rpartition("/")[2] for word in text[begin:].split()] if begin >= 0 else []
+
+
 @pytest.fixture(scope="module")
 def estimated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bag that the shipped log becomes."""
@@ -230,15 +257,19 @@ def test_the_commands_of_a_page_run(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     Path("my_arm.design.yaml").unlink()
-    shell = Shell(ros, benchmark, monkeypatch, capfd)
+    run_page(page, Shell(ros, benchmark, monkeypatch, capfd), capfd)
+
+
+def run_page(page: Path, shell: Shell, capfd: pytest.CaptureFixture[str]) -> None:
     for number, block in enumerate(blocks(page)):
         if block.language == "sh":
-            for command, fails in block.commands:
+            for command, error in block.commands:
                 capfd.readouterr()
-                shell.run(command, fails)
+                shell.run(command, error)
                 _, err = capfd.readouterr()
                 assert "unknown parameters" not in err, err
                 assert "Traceback" not in err
+                assert not error or without_folders(error) == without_folders(err)
         elif block.language == "yaml":
             Path(f"{number}.yaml").write_text(block.text, encoding="utf-8")
             (section,) = safe_load(block.text)
@@ -335,6 +366,57 @@ def test_the_nodes_of_the_readme_run(
     watching.wait_for_line("TRACKING")
     assert playing.finish().exit_code == 0
     end(watching)
+
+
+class LiveShell(Shell):
+    """Runs the nodes of a page too; what reads their recording ends them first."""
+
+    READY: ClassVar = {
+        "observer": "certificate holds",
+        "plant_simulator": "started",
+        "recorder": "recording /observer/joint_states ",
+    }
+
+    def __init__(self, start: Callable[..., Any], *tools: Any) -> None:
+        super().__init__(*tools)
+        self._start, self._running = start, dict[str, Any]()
+
+    def check_node(self, name: str, arguments: Sequence[str]) -> None:
+        self._running[name] = self._start(name, arguments=arguments)
+        self._running[name].wait_for_line(self.READY[name])
+        if name == "recorder":
+            self._running["observer"].wait_for_line("TRACKING")
+            self._ros.spin_for(3.0)
+
+    def run(self, command: str, error: str) -> None:
+        if command.startswith("tsobs report"):
+            self.end()
+        super().run(command, error)
+
+    def end(self) -> None:
+        while self._running:
+            _, process = self._running.popitem()
+            process.signal(signal.SIGINT)
+            assert process.finish().exit_code == 0
+
+
+def test_the_tutorial_runs(
+    folder: Path,
+    ros_process: Callable[..., Any],
+    ros: Any,
+    benchmark: Callable[[str], ModuleType],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """All ten steps, with nodes that run, until the observer waits for a robot."""
+    Path("my_arm.design.yaml").unlink()
+    shell = LiveShell(ros_process, ros, benchmark, monkeypatch, capfd)
+
+    run_page(TUTORIAL, shell, capfd)
+
+    shell.end()
+    assert BagReader("first_run").topics["/observer/joint_states"].count > 100
+    assert {path.name for path in Path().glob("report.*")} >= {"report.html", "report.png"}
 
 
 @pytest.mark.parametrize("target", sorted(set(re.findall(r"\]\(([^)#:]+)\)", README))))

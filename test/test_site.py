@@ -78,3 +78,32 @@ def test_every_figure_is_shown_and_made_by_a_command() -> None:
     for path in (DOCS / "images").iterdir():
         assert f"images/{path.name}" in shown
         assert path.suffix == ".svg" or f'    "{path.stem}": ' in made
+
+
+def test_messages_of_the_troubleshooting_page_are_those_of_the_package() -> None:
+    """Each piece of two words and more, between what varies, stands in the sources."""
+    page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
+    sources = [ROOT / "Makefile", *(ROOT / "tsobs_ros").rglob("*.py")]
+    text = " ".join(path.read_text(encoding="utf-8") for path in sources)
+    text = re.sub(r'"\s*f?"', "", text)
+    shown = re.findall(r"`([^`]+)`", re.sub(r"```.*?```", "", page, flags=re.DOTALL))
+    commands = re.compile(r"tsobs |make |-[pr] |torque_disturbance|certify_uncertainty")
+    pieces = [
+        piece.strip(" :;-")
+        for message in shown
+        if not commands.match(message)
+        for piece in re.split(r"…|[\d.]+ ", " ".join(message.split()))
+    ]
+    pieces = [piece for piece in pieces if " " in piece]
+    assert len(pieces) > 12
+    assert [piece for piece in pieces if piece not in text] == []
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    for name, form in (
+        ("package.xml", "<version>{}</version>"),
+        ("CITATION.cff", "version: {}\n"),
+        ("CHANGELOG.rst", "\n{} ("),
+    ):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        assert form.format(ts.__version__) in text, name
