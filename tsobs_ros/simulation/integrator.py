@@ -50,6 +50,9 @@ _MOTION = record_type(
 STANDARD_GRAVITY = 9.80665
 """[m/s²]."""
 
+_FEW = 4
+"""Arms from which on they are integrated side by side."""
+
 CREEP = 0.01
 """Speed below which Coulomb friction is proportional to the speed [rad/s]."""
 
@@ -241,13 +244,16 @@ def advance_arms(
         motor_kick: What the motor's are to be multiplied by [rad/s].
     """
     lanes = np.empty((6, states.shape[0]))
-    _load(motion, states, torques, pushes, lanes)
-    _integrate(motion, lanes, kicks, draw, link_kick, motor_kick, unbranched_sine)
-    for run in range(states.shape[0]):
-        if math.isnan(lanes[1, run]):  # as is that of an angle beyond 10⁶ rad
-            _load(motion, states, torques, pushes, lanes)
-            _integrate(motion, lanes, kicks, draw, link_kick, motor_kick, sine)
-            break
+    # Of few arms a sine with branches is faster; of an angle beyond 10⁶ rad the other one is NaN.
+    is_done = states.shape[0] >= _FEW
+    if is_done:
+        _load(motion, states, torques, pushes, lanes)
+        _integrate(motion, lanes, kicks, draw, link_kick, motor_kick, unbranched_sine)
+        for run in range(states.shape[0]):
+            is_done = is_done and not math.isnan(lanes[1, run])
+    if not is_done:
+        _load(motion, states, torques, pushes, lanes)
+        _integrate(motion, lanes, kicks, draw, link_kick, motor_kick, sine)
     for run in range(states.shape[0]):
         for item in range(4):
             states[run, item] = lanes[item, run]
