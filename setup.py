@@ -54,6 +54,10 @@ def data_files() -> list[tuple[str, list[str]]]:
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(map(str, Path("config").glob("*.*ml")))),
         (f"share/{NAME}/examples", sorted(map(str, Path("examples").glob("*.py")))),
+        *(
+            (f"share/{NAME}/{folder}", sorted(map(str, Path(folder).glob("*"))))
+            for folder in ("launch", "urdf", "views")
+        ),
     ]
     # pip installs the console scripts to bin, colcon to lib/tsobs_ros.
     if {"bdist_wheel", "editable_wheel"} & set(sys.argv):

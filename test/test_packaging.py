@@ -18,6 +18,7 @@ import tsobs_ros
 from tsobs_ros.errors import LIBRARIES, missing_library
 
 ROOT = Path(__file__).resolve().parents[1]
+VIEWS = ("launch", "urdf", "views")
 EXECUTABLES = ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs")
 STEM = f"tsobs_ros-{tsobs_ros.__version__}"
 DATA = f"{STEM}.data/data"
@@ -28,7 +29,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy what a build needs, since it writes next to the sources."""
     copy = tmp_path_factory.mktemp("sources")
     ignored = shutil.ignore_patterns("__pycache__")
-    for name in ("tsobs_ros", "config", "examples", "resource"):
+    for name in ("tsobs_ros", "config", "examples", "resource", *VIEWS):
         shutil.copytree(ROOT / name, copy / name, ignore=ignored)
     for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE"):
         shutil.copy(ROOT / name, copy)
@@ -62,7 +63,9 @@ def test_a_wheel_carries_what_ros_looks_for(kind: str, request: pytest.FixtureRe
 
     assert f"{DATA}/share/ament_index/resource_index/packages/tsobs_ros" in names
     assert f"{DATA}/share/tsobs_ros/package.xml" in names
-    for path in (*(ROOT / "config").glob("*.yaml"), *(ROOT / "examples").glob("*.py")):
+    views = [path for name in VIEWS for path in (ROOT / name).iterdir()]
+    assert len(views) == 5
+    for path in (*(ROOT / "config").glob("*.yaml"), *(ROOT / "examples").glob("*.py"), *views):
         assert f"{DATA}/share/tsobs_ros/{path.parent.name}/{path.name}" in names
     for name in EXECUTABLES:
         assert f"{DATA}/lib/tsobs_ros/{name}" in names

@@ -1,20 +1,22 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs demo` from end to end: three processes, a bag, a table and figures, and no litter."""
+"""`tsobs demo` from end to end: its processes, a bag, a table and figures, and no litter."""
 
 import json
 import os
+import re
 import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from tsobs_ros.bag import BagReader
-from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, RECORDED_TOPICS
+from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, MARKERS, RECORDED_TOPICS
 from tsobs_ros.cli.main import main
 from tsobs_ros.design.file import load_design_file
 from tsobs_ros.replay.designs import recorded_observer
@@ -81,6 +83,7 @@ def test_a_demo_leaves_a_bag_a_table_and_figures(demo: Demo, tmp_path: Path) -> 
     reader = BagReader(output / "bag")
     assert set(reader.topics) == {*RECORDED_TOPICS, *ADAPTIVE_TOPICS}
     check_disturbance(reader)
+    check_layouts(reader)
     ran, shipped = recorded_observer(reader, "/observer"), load_design_file(SHIPPED)
     assert ran.designs["elastic_joint"][0].text == shipped.text
     assert report["design"] == {"file": shipped.name, "sha256": shipped.sha256}
@@ -90,7 +93,7 @@ def check_disturbance(reader: BagReader) -> None:
     """What was asked for on the command line is what the simulated sensor suffered."""
     recorded: dict[str, list[JointState]] = {topic: [] for topic in reader.topics}
     for item in reader.messages():
-        if item.topic not in ("/diagnostics", "/observer/design"):
+        if item.topic not in ("/diagnostics", "/observer/design", MARKERS):
             recorded[item.topic].append(deserialize_message(item.data, JointState))
     biases = [message.position[0] for message in recorded["/ground_truth/disturbance"]]
     # Samples 0 to 600; the recorder may have come too late for the truth of the first few.
@@ -98,6 +101,53 @@ def check_disturbance(reader: BagReader) -> None:
     assert len(biases) > 500
     assert len(recorded["/joint_measurements"]) > 500
     assert len(recorded["/observer/joint_states"]) > 100
+
+
+def check_layouts(reader: BagReader) -> None:
+    """Each series that the shipped layouts plot is in the bag."""
+    newest = {
+        item.topic: deserialize_message(item.data, JointState)
+        for item in reader.messages()
+        if reader.topics[item.topic].type == "sensor_msgs/msg/JointState"
+    }
+    foxglove = (ROOT / "views" / "foxglove_layout.json").read_text(encoding="utf-8")
+    (script,) = json.loads(foxglove)["userNodes"].values()
+    made = set(re.findall(r"^  (\w+): number\[\];$", script["sourceCode"], re.MULTILINE))
+    (output,) = re.findall(r'output = "(.*)";', script["sourceCode"])
+    paths = re.findall(r'"value": "(/[\w/]+)\.(\w+)\[(\d+)\]"', foxglove)
+    assert len(paths) == foxglove.count('"value": ') > 25
+    for topic, field, place in paths:
+        if topic == output:
+            assert field in made
+        else:
+            assert topic in reader.topics
+            # Nothing is learnt in so short a time.
+            assert topic not in newest or int(place) < len(getattr(newest[topic], field)), topic
+    assert set(re.findall(r'^  "(/.*)",$', script["sourceCode"], re.MULTILINE)) <= set(newest)
+    assert {MARKERS, "/diagnostics"} <= set(re.findall(r'"(/[\w/]+)"', foxglove))
+
+    series = {
+        f"{topic}/{name}/{field}"
+        for topic, message in newest.items()
+        for field in ("position", "velocity", "effort")
+        for name, _ in zip(message.name, getattr(message, field), strict=False)
+    }
+    layout = ElementTree.parse(ROOT / "views" / "plotjuggler_layout.xml").getroot()
+    snippets = list(layout.iter("snippet"))
+    for snippet in snippets:
+        sources = {snippet.findtext("linked_source")}
+        sources |= {each.text for each in snippet.findall("additional_sources/*")}
+        assert sources <= series
+    series |= {snippet.attrib["name"] for snippet in snippets}
+    series |= {f"{topic}/{name}/position" for topic in ADAPTIVE_TOPICS for name in ran_parameters()}
+    curves = {curve.attrib["name"] for curve in layout.iter("curve")}
+    assert len(curves) > 25
+    assert curves <= series
+
+
+def ran_parameters() -> tuple[str, ...]:
+    """Return the parameters that the shipped design learns."""
+    return tuple(load_design_file(SHIPPED).design.request.uncertainty)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +191,7 @@ def test_signals_end_the_nodes_and_close_the_bag(
     output = tmp_path / "demo"
     process = demo("--duration", "300", "--output", str(output))
     process.wait_for_line(r"[1-9]\d*\.\d/300\.0 s", TIMEOUT)
-    assert len(running(output)) == 3
+    assert len(running(output)) == 4
     for number in how:
         process.signal(number)
     finished = process.finish(TIMEOUT)

@@ -138,6 +138,7 @@ def test_a_terminal_shows_an_observer_until_it_is_interrupted(
     lines = [line.rstrip() for line in picture.split("\r\n")]
     assert lines[0] == "/observer  TRACKING"
     assert re.fullmatch(r"messages a second: measurements \d.*, estimates \d.*", lines[1])
+    assert "position [rad]" in picture
     row = r"{} +([+-]\d+\.\d{{4}}) (\d\.\d{{4}}) ([+-]\d\.\d{{4}}) .*"
     for name in ("elastic_joint_link", "elastic_joint_motor"):
         assert any(re.fullmatch(row.format(name), line) for line in lines), picture

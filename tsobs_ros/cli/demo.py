@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs demo`: plant, observer and recorder as processes over DDS, then a report on their bag."""
+"""`tsobs demo`: plant, observer, visualizer and recorder over DDS, then a report on their bag."""
 
 import argparse
 import os
@@ -21,11 +21,13 @@ from tsobs_ros.errors import NodeError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.stop import StopFlag, signal_came
 
+MARKERS = "/visualizer/markers"
 RECORDED_TOPICS = (
     "/joint_measurements",
     "/ground_truth/joint_states",
     "/ground_truth/disturbance",
     *(f"/observer/{name}" for name in (*TOPICS, DESIGN)),
+    MARKERS,
     "/diagnostics",
 )
 ADAPTIVE_TOPICS = tuple(f"/observer/{name}" for name in PARAMETER_TOPICS)
@@ -40,7 +42,7 @@ _POLL = 0.05
 
 def add_parser(commands: Commands) -> None:
     """Add the command `demo`."""
-    demo = commands.add_parser("demo", help="simulate, observe, record and report, over ROS")
+    demo = commands.add_parser("demo", help="simulate, observe, draw, record and report, over ROS")
     add = demo.add_argument
     add("--output", type=Path, help="folder to make (default: demo/<date and time>)")
     add("--duration", type=positive, default=20.0, metavar="S")
@@ -60,7 +62,7 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run plant, observer and recorder, then report on their bag."""
+    """Run the nodes, then report on their bag."""
     from tqdm import tqdm
 
     from tsobs_ros.report import figures  # noqa: F401  # nothing is run for a report that fails
@@ -71,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
         options.domain_id = 1 + os.getpid() % 101
     options.design = options.design or config_path(SHIPPED_DESIGN)
     print(
-        f"plant, observer and recorder on ROS_DOMAIN_ID={options.domain_id} for "
+        f"plant, observer, visualizer and recorder on ROS_DOMAIN_ID={options.domain_id} for "
         f"{options.duration:g} s",
         file=sys.stderr,
     )
@@ -92,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
 def _record(
     output: Path, options: argparse.Namespace, show_progress: Callable[[float], object]
 ) -> Path:
-    """Run the three nodes for the demo's duration and return the closed bag.
+    """Run the nodes for the demo's duration and return the closed bag.
 
     Args:
         output: Folder for the bag and the logs; made here, must not exist.
@@ -129,8 +131,13 @@ def _record(
         topics = "[" + ", ".join(RECORDED_TOPICS + ADAPTIVE_TOPICS) + "]"
         observer = start("observer", {"design": options.design.resolve()})
         recorder = start("recorder", {"output": bag.resolve(), "topics": topics})
-        own = [re.escape(topic) + r" \[" for topic in RECORDED_TOPICS if "/observer/" in topic]
-        others = [observer, recorder]
+        drawn = start("visualizer", {})
+        own = [
+            re.escape(topic) + r" \["
+            for topic in RECORDED_TOPICS
+            if "/observer/" in topic or topic == MARKERS
+        ]
+        others = [observer, recorder, drawn]
         said: list[float] = []
 
         def say_once(elapsed: float) -> None:
@@ -149,7 +156,7 @@ def _record(
             {
                 "seed": options.seed,
                 "duration": options.duration,
-                "wait_for_subscribers": 2,
+                "wait_for_subscribers": 3,
                 "disturbance.kind": "bias_step" if options.bias else "none",
                 "disturbance.bias_step.amplitude": options.bias,
                 "disturbance.bias_step.start": options.bias_at,
@@ -168,7 +175,7 @@ def _record(
         plant.require_success()
         show_progress(options.duration)
         # The recorder first, so that it still takes what the others have sent.
-        for process in (recorder, observer, plant):
+        for process in (recorder, observer, drawn, plant):
             process.stop()
             process.require_success()
         _leave_if_signalled()

@@ -153,7 +153,7 @@ def picture(snapshot: Snapshot) -> RenderableType:
 def _heading(snapshot: Snapshot) -> Text:
     from rich.text import Text
 
-    text = Text(printable(snapshot.observer), style="bold")
+    text = Text().append(printable(snapshot.observer), "bold")
     state = snapshot.statuses.get("state")
     if state is not None:
         text.append("  ").append(printable(state.message), _STYLES[state.level])
@@ -213,15 +213,10 @@ def _further(snapshot: Snapshot) -> Table:
             truth = "" if math.isnan(each.truth) else f"  true {_number(each.truth).plain}"
             value = f"{_number(each.value).plain} ± {bound}{truth}"
             table.add_row(_text(title, "dim"), _text(name), value)
-    numbers = {name: value for name, value in snapshot.health.items() if _is_noise(name)}
-    if numbers:
-        words = ", ".join(f"{name} {value:.2f}" for name, value in numbers.items())
-        table.add_row(_text("noise", "dim"), _text(words.replace("_", " ")), "")
+    for name, number in snapshot.health.items():
+        if name.rpartition("/")[2] in ("noise_scale", "coloured_power"):
+            table.add_row(_text("noise", "dim"), _text(name.replace("_", " ")), f"{number:+.2f}")
     return table
-
-
-def _is_noise(name: str) -> bool:
-    return name.rpartition("/")[2] in ("noise_scale", "coloured_power")
 
 
 def _statuses(snapshot: Snapshot) -> RenderableType:
@@ -285,11 +280,12 @@ def _fault(status: Status | None) -> Text:
 
 def _table(first: str, *titles: str) -> Table:
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0), header_style="dim")
     table.add_column(first, overflow="fold")
     for title in titles:
-        table.add_column(title, justify="right", no_wrap=True)
+        table.add_column(Text(title), justify="right", no_wrap=True)
     return table
 
 

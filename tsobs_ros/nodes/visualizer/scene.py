@@ -20,7 +20,7 @@ from tsobs_ros.estimation.health import Level
 from tsobs_ros.style import BLUE, GREEN, GRID, MUTED, ORANGE, PURPLE, RED
 
 _COLOUR_OF = {Level.OK: BLUE, Level.WARN: ORANGE, Level.ERROR: RED, Level.STALE: MUTED}
-_TRUTH, _MEASURED, _SPRING, _STRAINED = MUTED, PURPLE, GREEN, RED
+_TRUTH, _MEASURED, _SPRING, _STRAINED = "#9AA5B1", PURPLE, GREEN, RED
 
 # All lengths are shares of the link's.
 _MOTOR_RADIUS, _SHAFT_RADIUS = 0.24, 0.05

@@ -1,0 +1,132 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What is shipped for RViz and `ros2 launch` names what there is; test_demo.py has the layouts."""
+
+import json
+import math
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+from builtin_interfaces.msg import Time
+
+from tsobs_ros.bag.estimate_topics import sides
+from tsobs_ros.cli.demo import MARKERS
+from tsobs_ros.nodes.managed import ManagedNode
+from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters
+from tsobs_ros.nodes.visualizer.scene import Angles, Arm, Look, scene
+
+ROOT = Path(__file__).resolve().parents[1]
+LAUNCH = ElementTree.parse(ROOT / "launch" / "demo.launch.xml").getroot()
+URDF = ElementTree.parse(ROOT / "urdf" / "elastic_joint.urdf").getroot()
+RVIZ = yaml.safe_load((ROOT / "views" / "demo.rviz").read_text(encoding="utf-8"))
+DEFAULTS = VisualizerParameters()
+
+
+def markers(angles: Angles) -> dict[tuple[str, int], Any]:
+    """Return all markers that there are of an arm, by namespace and number."""
+    look = Look("world", DEFAULTS.link_length, 0.0, 1.0, 1.0)
+    arm = Arm("elastic_joint", angles, angles, Angles(0.1, 0.1), angles)
+    return {(each.ns, each.id): each for each in scene([arm], look, Time()).markers}
+
+
+def test_the_launch_file_starts_nodes_with_parameters_they_have(ros: Any) -> None:
+    declared = {arg.attrib["name"] for arg in LAUNCH.iter("arg")}
+    declared |= {let.attrib["name"] for let in LAUNCH.iter("let")}
+    text = ElementTree.tostring(LAUNCH, encoding="unicode")
+    assert set(re.findall(r"\$\(var (\w+)\)", text)) == declared
+    for path in re.findall(r"\$\(find-pkg-share tsobs_ros\)/([\w./]+)", text):
+        assert (ROOT / path).is_file()
+
+    started = [node for node in LAUNCH.iter("node") if node.attrib["pkg"] == "tsobs_ros"]
+    assert len(started) == 4
+    for node in started:
+        name = node.attrib["exec"]
+        made = ManagedNode(
+            name, import_module(f"tsobs_ros.nodes.{name}").Parameters, context=ros.context
+        )
+        parameters = {each.attrib["name"] for each in node.iter("param") if "name" in each.attrib}
+        assert all(made.has_parameter(each) for each in parameters), parameters
+        made.destroy_node()
+
+
+def test_the_rviz_setup_shows_the_markers_in_their_frame() -> None:
+    manager = RVIZ["Visualization Manager"]
+    arm, *models = manager["Displays"]
+
+    assert manager["Global Options"]["Fixed Frame"] == DEFAULTS.frame_id
+    assert arm["Topic"]["Value"] == MARKERS
+    assert set(arm["Namespaces"]) == {namespace for namespace, _ in markers(Angles(0.0, 0.0))}
+    # As the launch file publishes them, each under a prefix and at a place of its own.
+    published = [
+        node for node in LAUNCH.iter("node") if node.attrib["pkg"] == "robot_state_publisher"
+    ]
+    topics = [f"/{node.attrib['namespace']}/robot_description" for node in published]
+    assert [model["Description Topic"]["Value"] for model in models] == topics
+    for model, node in zip(models, published, strict=True):
+        (prefix,) = [
+            each.attrib["value"]
+            for each in node.iter("param")
+            if each.attrib["name"] == "frame_prefix"
+        ]
+        assert prefix == f"{model['TF Prefix']}/"
+        assert f"--frame-id world --child-frame-id {prefix}base" in {
+            each.get("args") for each in LAUNCH.iter("node")
+        }
+    # The camera is at -y, from where a positive angle is to the right.
+    yaw = manager["Views"]["Current"]["Yaw"]
+    assert (math.cos(yaw), math.sin(yaw)) == (pytest.approx(0, abs=1e-6), pytest.approx(-1))
+
+
+def test_the_robot_model_moves_as_the_markers_do() -> None:
+    joints = {joint.attrib["name"]: joint for joint in URDF.iter("joint")}
+    links = {link.attrib["name"]: link for link in URDF.iter("link")}
+    assert set(joints) == set(sides("elastic_joint"))
+
+    drawn = markers(Angles(0.0, 0.0))
+    for name, numbers in (("elastic_joint_link", (0, 1)), ("elastic_joint_motor", (2,))):
+        joint = joints[name]
+        assert joint.attrib["type"] == "continuous"
+        assert joint.find("origin") is None
+        assert joint.find("axis").attrib["xyz"] == "0 -1 0"
+        child = links[joint.find("child").attrib["link"]]
+        for visual, number in zip(child.iter("visual"), numbers, strict=True):
+            check_same(visual, drawn["truth", number])
+    check_same(next(links["base"].iter("visual")), drawn["motor", 0])
+
+
+def check_same(visual: ElementTree.Element, marker: Any) -> None:
+    """A visual of a link has a marker's place and size at angle 0."""
+    at, scale = marker.pose.position, marker.scale
+    place = list(map(float, visual.find("origin").attrib["xyz"].split()))
+    assert place == pytest.approx([at.x, at.y, at.z])
+    (shape,) = visual.find("geometry")
+    sizes = {
+        "box": lambda: list(map(float, shape.attrib["size"].split())),
+        "sphere": lambda: [2 * float(shape.attrib["radius"])] * 3,
+        "cylinder": lambda: [
+            *[2 * float(shape.attrib["radius"])] * 2,
+            float(shape.attrib["length"]),
+        ],
+    }
+    assert sizes[shape.tag]() == pytest.approx([scale.x, scale.y, scale.z])
+
+
+def test_the_foxglove_layout_has_a_place_for_each_panel() -> None:
+    layout = json.loads((ROOT / "views" / "foxglove_layout.json").read_text(encoding="utf-8"))
+
+    def panels(tree: Any) -> list[str]:
+        if isinstance(tree, str):
+            tabs = layout["configById"][tree].get("tabs", [])
+            return [tree] + [each for tab in tabs for each in panels(tab["layout"])]
+        return panels(tree["first"]) + panels(tree["second"])
+
+    placed = panels(layout["layout"])
+    assert sorted(placed) == sorted(layout["configById"])
+    assert {each.partition("!")[0] for each in placed} == {
+        "3D", "DiagnosticSummary", "Plot", "StateTransitions", "Tab",
+    }  # fmt: skip
