@@ -6,7 +6,7 @@ A node states what it acquires, and nothing of how that is released::
 
     @dataclass(frozen=True)
     class EchoParameters(ManagedParameters):
-        depth: int = parameter(10, "Queue of the echo", minimum=1, read_only=True)
+        depth: int = fixed_parameter(10, "Queue of the echo", minimum=1)
 
     class Echo(ManagedNode[EchoParameters]):
         def __init__(self, **node_kwargs):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import check_pattern, parameter
+from tsobs_ros.nodes.parameters import check_pattern, fixed_parameter, parameter
 
 CLOCK = "/clock"
 
@@ -17,18 +17,14 @@ CLOCK = "/clock"
 class PlayerParameters(ManagedParameters):
     """The node's parameters; `config/player.yaml` shows them with their reasons."""
 
-    bag: str = parameter("", "Bag folder or .mcap file to play", read_only=True)
+    bag: str = fixed_parameter("", "Bag folder or .mcap file to play")
     rate: float = parameter(1.0, "Seconds of the bag per second", minimum=0.01, maximum=100.0)
     loop: bool = parameter(False, "Start again at the end")
-    start_offset: float = parameter(
-        0.0, "Start of each pass, from the bag's start", unit="s", minimum=0.0, read_only=True
+    start_offset: float = fixed_parameter(
+        0.0, "Start of each pass, from the bag's start", unit="s", minimum=0.0
     )
-    duration: float = parameter(
-        0.0,
-        "How much of the bag a pass plays; 0: all that is left",
-        unit="s",
-        minimum=0.0,
-        read_only=True,
+    duration: float = fixed_parameter(
+        0.0, "How much of the bag a pass plays; 0: all that is left", unit="s", minimum=0.0
     )
     position: float = parameter(
         0.0,
@@ -36,33 +32,33 @@ class PlayerParameters(ManagedParameters):
         unit="s",
         minimum=0.0,
     )
-    start_paused: bool = parameter(False, "Start in a pause", read_only=True)
-    topics: tuple[str, ...] = parameter((), "Topics to play; empty for all", read_only=True)
-    regex: str = parameter("", "Play the topics in which this is found, too", read_only=True)
-    exclude_topics: tuple[str, ...] = parameter((), "Topics not to play", read_only=True)
-    exclude_regex: str = parameter("", "Do not play topics in which this is found", read_only=True)
-    clock: float = parameter(
+    start_paused: bool = fixed_parameter(False, "Start in a pause")
+    topics: tuple[str, ...] = fixed_parameter((), "Topics to play; empty for all")
+    regex: str = fixed_parameter("", "Play the topics in which this is found, too")
+    exclude_topics: tuple[str, ...] = fixed_parameter((), "Topics not to play")
+    exclude_regex: str = fixed_parameter("", "Do not play topics in which this is found")
+    clock: float = fixed_parameter(
         0.0,
         "How often to publish the bag's time on /clock, in place of the bag's own; 0: never",
         unit="Hz",
         minimum=0.0,
         maximum=10_000.0,
-        read_only=True,
     )
-    wait_for_subscribers: int = parameter(
-        1, "Subscriptions to wait for before playing starts", minimum=0, read_only=True
+    wait_for_subscribers: int = fixed_parameter(
+        1, "Subscriptions to wait for before playing starts", minimum=0
     )
-    wait_timeout: float = parameter(
-        5.0, "Longest wait for them; 0: no limit", unit="s", minimum=0.0, read_only=True
+    wait_timeout: float = fixed_parameter(
+        5.0, "Longest wait for them; 0: no limit", unit="s", minimum=0.0
     )
-    queue_depth: int = parameter(
-        1000, "Messages of a topic that slow subscribers may leave waiting", minimum=1,
-        maximum=1_000_000, read_only=True,
-    )  # fmt: skip
-    read_ahead: float = parameter(
-        8.0, "How much of the bag is read ahead", unit="MiB", minimum=0.0, maximum=4096.0,
-        read_only=True,
-    )  # fmt: skip
+    queue_depth: int = fixed_parameter(
+        1000,
+        "Messages of a topic that slow subscribers may leave waiting",
+        minimum=1,
+        maximum=1_000_000,
+    )
+    read_ahead: float = fixed_parameter(
+        8.0, "How much of the bag is read ahead", unit="MiB", minimum=0.0, maximum=4096.0
+    )
 
     def __post_init__(self) -> None:
         """Check the patterns.

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tsobs_ros.bag.recording import Recording, SnapshotBuffer
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import check_pattern, parameter
+from tsobs_ros.nodes.parameters import check_pattern, fixed_parameter, parameter
 
 _MIB = 2**20
 _SERVICE_EVENT = "/_service_event"
@@ -19,85 +19,59 @@ _SERVICE_EVENT = "/_service_event"
 class RecorderParameters(ManagedParameters):
     """The node's parameters; `config/recorder.yaml` shows them with their reasons."""
 
-    topics: tuple[str, ...] = parameter(
-        (), "Topics to record, also hidden ones; '*' for all that are not", read_only=True
+    topics: tuple[str, ...] = fixed_parameter(
+        (), "Topics to record, also hidden ones; '*' for all that are not"
     )
-    services: tuple[str, ...] = parameter(
-        (), "Services to record the events of; '*' for all", read_only=True
+    services: tuple[str, ...] = fixed_parameter((), "Services to record the events of; '*' for all")
+    all: bool = fixed_parameter(False, "Record all topics and services, as without any selection")
+    all_services: bool = fixed_parameter(False, "Record all services")
+    regex: str = fixed_parameter("", "Record topics and services that contain this")
+    exclude_topics: tuple[str, ...] = fixed_parameter((), "Topics not to record")
+    exclude_services: tuple[str, ...] = fixed_parameter((), "Services not to record")
+    exclude_regex: str = fixed_parameter("", "Do not record topics and services that contain this")
+    include_hidden: bool = fixed_parameter(False, "Let 'all' and 'regex' find hidden topics too")
+    include_unpublished: bool = fixed_parameter(
+        False, "Subscribe to topics that others only subscribe to as well"
     )
-    all: bool = parameter(
-        False, "Record all topics and services, as without any selection", read_only=True
+    output: str = fixed_parameter(
+        "", "Folder of the bag, which must not exist; empty for a dated name"
     )
-    all_services: bool = parameter(False, "Record all services", read_only=True)
-    regex: str = parameter("", "Record topics and services that contain this", read_only=True)
-    exclude_topics: tuple[str, ...] = parameter((), "Topics not to record", read_only=True)
-    exclude_services: tuple[str, ...] = parameter((), "Services not to record", read_only=True)
-    exclude_regex: str = parameter(
-        "", "Do not record topics and services that contain this", read_only=True
+    compression: str = fixed_parameter(
+        "zstd", "Compression of the chunks", choices=("none", "lz4", "zstd")
     )
-    include_hidden: bool = parameter(
-        False, "Let 'all' and 'regex' find hidden topics too", read_only=True
+    max_bag_size: int = fixed_parameter(
+        0, "Size at which a file is followed by another; 0: never", unit="bytes", minimum=0
     )
-    include_unpublished: bool = parameter(
-        False, "Subscribe to topics that others only subscribe to as well", read_only=True
+    max_bag_duration: float = fixed_parameter(
+        0.0, "Time after which a file is followed by another; 0: never", unit="s", minimum=0
     )
-    output: str = parameter(
-        "", "Folder of the bag, which must not exist; empty for a dated name", read_only=True
-    )
-    compression: str = parameter(
-        "zstd", "Compression of the chunks", choices=("none", "lz4", "zstd"), read_only=True
-    )
-    max_bag_size: int = parameter(
-        0,
-        "Size at which a file is followed by another; 0: never",
-        unit="bytes",
-        minimum=0,
-        read_only=True,
-    )
-    max_bag_duration: float = parameter(
-        0.0,
-        "Time after which a file is followed by another; 0: never",
-        unit="s",
-        minimum=0,
-        read_only=True,
-    )
-    repeat_latched: int = parameter(
+    repeat_latched: int = fixed_parameter(
         1,
         "Messages of each latched publisher to repeat at the start of a file; 0: none",
         minimum=0,
         maximum=1000,
-        read_only=True,
     )
-    start_paused: bool = parameter(False, "Wait for the service ~/resume", read_only=True)
-    snapshot_mode: bool = parameter(
-        False, "Write only the last seconds, when the service ~/snapshot is called", read_only=True
+    start_paused: bool = fixed_parameter(False, "Wait for the service ~/resume")
+    snapshot_mode: bool = fixed_parameter(
+        False, "Write only the last seconds, when the service ~/snapshot is called"
     )
-    snapshot_duration: float = parameter(
-        30.0, "Time that a snapshot goes back", unit="s", minimum=0.001, read_only=True
+    snapshot_duration: float = fixed_parameter(
+        30.0, "Time that a snapshot goes back", unit="s", minimum=0.001
     )
-    snapshot_size: int = parameter(
-        100, "Memory that a snapshot may take", unit="MiB", minimum=1, read_only=True
+    snapshot_size: int = fixed_parameter(
+        100, "Memory that a snapshot may take", unit="MiB", minimum=1
     )
-    flush_period: float = parameter(
-        0.5,
-        "Age from which messages survive a kill",
-        unit="s",
-        minimum=0.01,
-        maximum=10,
-        read_only=True,
+    flush_period: float = fixed_parameter(
+        0.5, "Age from which messages survive a kill", unit="s", minimum=0.01, maximum=10
     )
-    sync_period: float = parameter(
-        5.0, "Age from which they survive a power cut", unit="s", minimum=0.1, read_only=True
+    sync_period: float = fixed_parameter(
+        5.0, "Age from which they survive a power cut", unit="s", minimum=0.1
     )
-    drain_period: float = parameter(
-        0.01, "How often queues are emptied", unit="s", minimum=0.001, maximum=1, read_only=True
+    drain_period: float = fixed_parameter(
+        0.01, "How often queues are emptied", unit="s", minimum=0.001, maximum=1
     )
-    queue_depth: int = parameter(
-        5000,
-        "Messages of a topic that may wait to be drained",
-        minimum=1,
-        maximum=5000,
-        read_only=True,
+    queue_depth: int = fixed_parameter(
+        5000, "Messages of a topic that may wait to be drained", minimum=1, maximum=5000
     )
     minimum_free_disk: int = parameter(
         256, "Free disk space at which recording ends", unit="MiB", minimum=0
