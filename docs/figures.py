@@ -60,6 +60,13 @@ def demo(path: Path) -> None:
         shutil.copy(report / "report.png", path)
 
 
+def comparison(path: Path) -> None:
+    """All observers on simulated scenarios; takes a minute."""
+    with tempfile.TemporaryDirectory() as folder:
+        tsobs("compare", "--output", folder)
+        shutil.copy(Path(folder, "compare.png"), path)
+
+
 def example(path: Path) -> None:
     """The figure of the example of the same name."""
     with tempfile.TemporaryDirectory() as folder:
@@ -121,6 +128,7 @@ def save(figure: Any, path: Path) -> None:
 
 FIGURES: dict[str, Callable[[Path], None]] = {
     "bias_step": bias_step,
+    "comparison": comparison,
     "contact_torque": example,
     "demo": demo,
     "learning": learning,

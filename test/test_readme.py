@@ -38,12 +38,16 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 
 SHORTER = {
     "tsobs demo --output demo": "tsobs demo --output demo --duration 3 --bias-at 1",
+    "tsobs compare --output comparison": (
+        "tsobs compare --output comparison --scenario noise --seeds 1 --duration 8"
+    ),
 }
 """What runs in place of a command that takes long."""
 
 BENCHMARKS = {
     "observer_step.py --parts steps --seconds 20": "--parts steps --seconds 1",
     "joints.py --seconds 15": "--seconds 1",
+    "unscented.py": "--seconds 2",
     "bags.py": "--messages 100 --repeats 1",
     "offline.py --seconds 60 --repeats 3": "--seconds 1 --repeats 1",
 }

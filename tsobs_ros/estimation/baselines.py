@@ -758,9 +758,9 @@ def _predict(
         if model.sizes[6] != 0:
             _spread_points(x, P, scratch, points)
             for point in points:
-                _kick(model, half, half * gravity, u, point, jacobian)
+                _kick(model, half, half * gravity, u, point, jacobian[:0])
                 _drift(phi, gamma, u, point, moved)
-                _kick(model, half, half * gravity, u, point, jacobian)
+                _kick(model, half, half * gravity, u, point, jacobian[:0])
             _join_points(points, x, P)
             _add_noise(noise, length, P)
             continue
@@ -852,14 +852,16 @@ def _join_points(points: Array, x: Array, P: Array) -> None:
 def _kick(
     model: EkfNumbers, half: float, half_kick: float, u: float, x: Array, jacobian: Array
 ) -> None:
-    """Give half a kick by gravity and by the parameters; write its Jacobian."""
+    """Give half a kick by gravity and by the parameters; write its Jacobian if there is room."""
     effects, torques = model.effects, model.torques
-    size, k = x.shape[0], effects.shape[0]
-    angle, slope = sine(x[0]), cosine(x[0])
-    for i in range(size):
-        for j in range(size):
-            jacobian[i, j] = 1.0 if i == j else 0.0
-    jacobian[1, 0] -= half_kick * slope
+    size, k, linear = x.shape[0], effects.shape[0], jacobian.shape[0] > 0
+    angle = sine(x[0])
+    slope = cosine(x[0]) if linear else 0.0
+    if linear:
+        for i in range(size):
+            for j in range(size):
+                jacobian[i, j] = 1.0 if i == j else 0.0
+        jacobian[1, 0] -= half_kick * slope
     link, motor = -half_kick * angle, 0.0
     drive, external = u, 0.0
     if model.sizes[5] != 0:
@@ -873,13 +875,15 @@ def _kick(
             push = effect[SINE] * angle + effect[TORQUE] * drive + effect[EXTERNAL] * external
             for j in range(4):
                 push += effect[j] * x[j]
-                jacobian[place, j] += half * theta * effect[j]
-            jacobian[place, 0] += half * theta * effect[SINE] * slope
-            if model.sizes[5] != 0:
-                for j in range(4, size - k):
-                    share = effect[TORQUE] * torques[0, j] + effect[EXTERNAL] * torques[1, j]
-                    jacobian[place, j] += half * theta * share
-            jacobian[place, size - k + i] = half * push
+            if linear:
+                for j in range(4):
+                    jacobian[place, j] += half * theta * effect[j]
+                jacobian[place, 0] += half * theta * effect[SINE] * slope
+                if model.sizes[5] != 0:
+                    for j in range(4, size - k):
+                        share = effect[TORQUE] * torques[0, j] + effect[EXTERNAL] * torques[1, j]
+                        jacobian[place, j] += half * theta * share
+                jacobian[place, size - k + i] = half * push
             if row == 0:
                 link += half * theta * push
             else:
