@@ -196,7 +196,7 @@ class Ros:
         """Spin for a time, in turns enough to take what waits even if the machine stood still."""
         end, turns = time.monotonic() + seconds, 0
         while time.monotonic() < end or turns < 50 * seconds:
-            # Not what remains: after another timeout the executor begins its round anew.
+            # Not what remains: after another timeout the executor starts its round again.
             self.executor.spin_once(timeout_sec=0.02)
             turns += 1
 

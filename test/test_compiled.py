@@ -160,7 +160,7 @@ def make_folder(path: Path) -> None:
     path.mkdir()
 
 
-def test_a_damaged_cache_is_made_anew(program: Program) -> None:
+def test_a_damaged_cache_is_replaced(program: Program) -> None:
     program.run()
     files = sorted(program.beside.rglob("*.nb[ic]"))
     assert len(files) == 6

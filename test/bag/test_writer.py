@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags hold what was written, in rosbag2's layout, whoever reads them."""
+"""Bags hold what was written, in rosbag2's layout, for every reader."""
 
 import resource
 from collections.abc import Iterator

@@ -213,7 +213,7 @@ def test_levels_follow_the_limits_and_their_changes() -> None:
     assert {fault.kind for fault in faults} == {FaultKind.BIAS}
 
 
-def test_after_a_gap_the_history_begins_anew() -> None:
+def test_after_a_gap_the_history_is_empty_again() -> None:
     def tone(time: float) -> float:
         return 0.2 * math.sin(3.0 * time)
 

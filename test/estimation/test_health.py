@@ -62,7 +62,7 @@ OK, WARN, ERROR = Level.OK, Level.WARN, Level.ERROR
         # The limits themselves count.
         ([0.2] * 6, [OK] * 5 + [WARN]),
         ([0.5] * 6, [OK] * 5 + [ERROR]),
-        # A blip on the way starts the count anew.
+        # A blip on the way restarts the count.
         ([0.3] * 4 + [0.0] + [0.3] * 6, [OK] * 10 + [WARN]),
         # From one level to the next one, without OK in between.
         ([0.3] * 6 + [0.6] * 6, [OK] * 5 + [WARN] * 6 + [ERROR]),

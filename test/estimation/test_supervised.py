@@ -88,7 +88,7 @@ def test_without_anything_to_notice_it_is_the_observer_bit_for_bit() -> None:
         assert (getattr(watched, field) == getattr(plain, field)).all()
 
 
-def test_a_loss_starts_afresh_with_the_sensor_in_doubt() -> None:
+def test_a_loss_is_a_restart_with_the_sensor_in_doubt() -> None:
     observer, plain = supervised(disturbance_limit=2.0), DESIGN.observer()
     bound = DESIGN.covariance_bound
     state = observer.initial().changed(covariance=bound, settling=0.0, certified=1)

@@ -437,7 +437,7 @@ def test_the_domain_is_left_where_the_angle_is_too_large() -> None:
 
 
 @pytest.mark.parametrize(("nanoseconds", "restarts"), [(0, 0), (1, 1), (SECOND, 1)])
-def test_a_gap_longer_than_allowed_starts_afresh(nanoseconds: int, restarts: int) -> None:
+def test_a_gap_longer_than_allowed_is_a_restart(nanoseconds: int, restarts: int) -> None:
     gap = tracker(restart_after=2.0)
     offer_all(gap, map(sample, range(50)))
     again = BEGIN + 49 * PERIOD + 2 * SECOND + nanoseconds

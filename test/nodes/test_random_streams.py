@@ -33,7 +33,7 @@ def playing(stage: Stage) -> Stage:
 
 
 def events(mix: Mix, begin: int, count: int) -> list[Event]:
-    """Return a stream as messages; those without a sample are of somebody else's joints."""
+    """Return a stream as messages; those without a sample are of other joints."""
     arm = Arm(begin)
     sent = []
     for at, sample in arrivals(mix, arm, begin, count):

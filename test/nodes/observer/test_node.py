@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The observer node: the tracker's numbers bit for bit, whatever arrives and whoever drives it."""
+"""The observer node: the tracker's numbers bit for bit, whatever arrives and drives it."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator publishes its core's numbers bit for bit, whoever commands or resets it."""
+"""The simulator publishes its core's numbers bit for bit, with commands and resets."""
 
 import math
 from typing import Any
