@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros import campaign
+from tsobs_ros.campaign.batches import observe
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE
@@ -60,7 +60,7 @@ class Found(NamedTuple):
         bounds: 1σ of them.
         thetas: Relative changes of stiffness and gravity, shape (runs, samples, k).
         theta_bounds: 1σ of them.
-        conditions: What ours says about its estimates; see `campaign.Observed`.
+        conditions: What ours says about its estimates; see `campaign.batches.Observed`.
         events: What the supervision counted in each run.
     """
 
@@ -115,7 +115,7 @@ def ours(
 ) -> Found:
     """Return what the node would estimate."""
     settings = ObserverSettings(gain_mode=mode, adapt=adapt)
-    found = campaign.observe(design, runs, settings)
+    found = observe(design, runs, settings)
     to_design = design.arm_request.arm.from_physical
     learns = found.parameters.shape[2] > 0
     return Found(

@@ -20,7 +20,7 @@ from acceptance_runs import SCALE, WINDOWS
 from common import parser, use_one_thread
 from pages import end, head, options_of, row, verdicts
 
-from tsobs_ros import campaign
+from tsobs_ros.campaign.batches import observe
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
@@ -154,12 +154,12 @@ class Contact(NamedTuple):
 def accuracy(case: Case, design: Design, plain: Design, seeds: Sequence[int]) -> Accuracy:
     """Return the errors of the observers; `plain` is the design without torque disturbance."""
     runs = simulate(case.scenario, seeds)
-    ours = campaign.observe(design, runs)
+    ours = observe(design, runs)
     states = {"ours": ours.states, "EKF": _ekf(design, runs, np.inf)}
     states["gated EKF"] = _ekf(design, runs, GATE)
     if plain is not design:
-        states[_PLAIN] = campaign.observe(plain, runs, estimator=plain.observer()).states
-        states[_PLAIN_NODE] = campaign.observe(plain, runs).states
+        states[_PLAIN] = observe(plain, runs, estimator=plain.observer()).states
+        states[_PLAIN_NODE] = observe(plain, runs).states
     full = _inside(runs.times, WINDOWS["full"])
     kept = np.abs(ours.states - runs.physical)[:, full] <= SIGMAS * ours.state_bounds[:, full]
     squares = {who: _squares(design, each, runs) for who, each in states.items()}

@@ -1,103 +1,116 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Cost of a Monte Carlo campaign: simulate, observe and score, by part and on all cores.
+"""Cost of a campaign: draw, simulate, observe and score, by part and on all cores.
 
 The observer is the one the node runs. The parts are CPU time on one thread; next to them stands
 what NumPy's generators take for the random numbers alone, as a measure of the machine. The whole
-is elapsed time, on one thread and on all cores, also scaled to ten thousand runs of 30 s.
+is `tsobs campaign` as a process of its own, on one thread and on all cores: elapsed time from its
+start to the tables, also without what a campaign of no length takes, and its largest memory.
 """
 
 import os
-import resource
+import subprocess
+import sys
 import time
-from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from common import at_least, parser, show, use_one_thread
 
-from tsobs_ros.campaign import observe, run_all, score
-from tsobs_ros.design.file import load_design
-from tsobs_ros.design.record import Design
-from tsobs_ros.methods import ObserverSettings, make_estimator
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.simulation.plant import Scenario
-from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.campaign.batches import BatchObserver, score
+from tsobs_ros.campaign.definition import Campaign, load_campaign
+from tsobs_ros.campaign.drawing import draw
+from tsobs_ros.campaign.runs import PART
+from tsobs_ros.resources import config_path
+from tsobs_ros.simulation.plant import Plant
 
-_RUNS, _DURATION = 10_000, 30.0
-_BLOCK = 8
-_TURNS = 5
+_RUNS = 10_000
+_TURNS = 60
+_MEMORY = """
+import resource, subprocess, sys
+code = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0)
+sys.exit(code)
+"""
 
 
-def _parts(design: Design, scenario: Scenario) -> dict[str, float]:
+def _parts(campaign: Campaign) -> dict[str, float]:
     """Return the median CPU time of each part [ns a sample]."""
-    estimator = make_estimator(design, ObserverSettings())
+    observer = BatchObserver(campaign.file.design, campaign.settings, campaign.estimator)
     generator, normal = np.random.Generator(np.random.Philox(0)), np.empty(12 * 256)
-    samples = _BLOCK * scenario.sample_count
-    times: dict[str, list[int]] = {}
-    for _ in range(_TURNS + 1):
+    times: dict[str, list[float]] = {}
+    for run in range(_TURNS):
         marks = [time.thread_time_ns()]
-        runs = simulate(scenario, range(_BLOCK))
+        drawn = draw(campaign, run)
         marks.append(time.thread_time_ns())
-        observed = observe(design, runs, estimator=estimator)
+        samples = drawn.scenario.sample_count
+        runs = Plant(drawn.scenario, [drawn.seed]).run(samples)
+        marks.append(time.thread_time_ns())
+        observed = observer(runs)
         marks.append(time.thread_time_ns())
         score(runs, observed)
         marks.append(time.thread_time_ns())
         for _ in range(samples // 256):
             generator.standard_normal(out=normal)
         marks.append(time.thread_time_ns())
-        names = ("simulate", "observe", "score", "random numbers alone")
+        names = ("draw", "simulate", "observe", "score", "random numbers alone")
         for name, spent in zip(names, np.diff(marks).tolist(), strict=True):
-            times.setdefault(name, []).append(spent)
+            times.setdefault(name, []).append(spent / samples)
     # The first turn compiles.
-    return {name: float(np.median(each[1:])) / samples for name, each in times.items()}
+    return {name: float(np.median(each[1:])) for name, each in times.items()}
 
 
-def _whole(design: Design, scenario: Scenario, runs: int, threads: int) -> dict[str, float]:
-    cases = [
-        (scenario, range(begin, min(begin + _BLOCK, runs))) for begin in range(0, runs, _BLOCK)
-    ]
-    started = time.perf_counter()
-    scores = list(run_all(design, cases, threads=threads))
-    elapsed = time.perf_counter() - started
-    simulated = runs * scenario.duration
-    return {
-        "threads": threads,
-        "elapsed_s": elapsed,
-        "scaled_s": elapsed * _RUNS * _DURATION / simulated,
-        "times_real_time": simulated / elapsed,
-        "normalised_rmse": float(np.mean(np.concatenate([s.normalised_rmse for s in scores]))),
-    }
+def _whole(file: Path, runs: int, threads: int) -> tuple[float, float]:
+    """Return the elapsed time [s] and the largest memory [MiB] of a campaign."""
+    with TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "tsobs_ros.cli.main", "campaign", str(file)]
+        command += ["--runs", str(runs), "--workers", str(threads), "--output", f"{folder}/runs"]
+        started = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-c", _MEMORY, *command], check=True, capture_output=True, text=True
+        )
+        return time.perf_counter() - started, float(done.stdout)
 
 
 def main() -> None:
     """Measure and print."""
-    made = parser(__doc__)
-    made.add_argument("--runs", type=at_least(1, int), default=400)
-    made.add_argument("--scenario", choices=list(SCENARIOS), default="stiff_bias_step")
+    made = parser(__doc__, design=False)
+    made.add_argument("--runs", type=at_least(PART, int), default=10 * PART)
+    made.add_argument("--campaign", type=Path, default=config_path("campaign.yaml"))
     options = made.parse_args()
-    design = load_design(options.design or config_path(SHIPPED_DESIGN))
-    scenario = replace(SCENARIOS[options.scenario], duration=_DURATION, rate=design.request.rate)
-    parts = _parts(design, scenario)
-    cores = os.cpu_count() or 1
-    wholes = [_whole(design, scenario, options.runs, n) for n in sorted({1, cores})]
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    campaign = load_campaign(options.campaign)
+    parts = _parts(campaign)
+    wholes = []
+    for threads in sorted({1, os.cpu_count() or 1}):
+        first, _ = _whole(options.campaign, 1, threads)
+        elapsed, memory = _whole(options.campaign, options.runs, threads)
+        wholes.append(
+            {
+                "threads": threads,
+                "elapsed_s": elapsed,
+                "of_one_run_s": first,
+                "scaled_s": first + (elapsed - first) * _RUNS / options.runs,
+                "peak_memory_mib": memory,
+            }
+        )
+    duration = campaign.entries.duration
     lines = [
-        f"{options.scenario}, {options.runs} runs of {_DURATION:g} s at {scenario.rate:g} Hz\n",
+        f"{options.runs} runs of {duration:g} s\n",
         *(f"{name:24s}{spent:8.0f} ns a sample" for name, spent in parts.items()),
         *(
-            f"{one['threads']:g} threads: {one['elapsed_s']:.2f} s, {one['times_real_time']:.0f} "
-            f"times real time; {_RUNS} runs would take {one['scaled_s']:.0f} s"
+            f"{one['threads']:g} threads: {one['elapsed_s']:.1f} s, of one run "
+            f"{one['of_one_run_s']:.1f} s; {_RUNS} runs would take {one['scaled_s']:.0f} s; "
+            f"peak memory {one['peak_memory_mib']:.0f} MiB"
             for one in wholes
         ),
-        f"peak memory {memory:.0f} MiB, mean normalised RMSE {wholes[0]['normalised_rmse']:.4f}",
     ]
     everything: dict[str, Any] = {
-        "scenario": options.scenario,
         "runs": options.runs,
+        "duration_s": duration,
         "parts_ns": parts,
         "campaigns": wholes,
-        "peak_memory_mib": memory,
     }
     show(everything, "\n".join(lines), options.json)
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.campaign import Observed, observe, score
+from tsobs_ros.campaign.batches import Observed, observe, score
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
@@ -212,16 +212,8 @@ def _bounds(job: _Job, scenario: Scenario, runs: Trajectories) -> dict[str, Cell
         std = _std(flow, arm.from_physical(runs.physical), runs, information, start, jumps, unknown)
         # As errors of one run, so that they are averaged over the same samples.
         one = Trajectories(runs.times, *(each[:1] for each in runs[1:]))
-        nothing = np.full((1, len(std), 0), np.nan)
-        errors = Observed(
-            one.physical + std[np.newaxis, :, :4],
-            np.full_like(one.physical, np.nan),
-            one.disturbances + std[np.newaxis, :, 4:5],
-            np.full_like(one.disturbances, np.nan),
-            nothing,
-            nothing,
-            {},
-            (),
+        errors = Observed.of(
+            one.physical + std[np.newaxis, :, :4], one.disturbances + std[np.newaxis, :, 4:5]
         )
         scores = score(one, errors, job.options)
         found[name] = Cell(scores.rmse, scores.inside, scores.normalised_rmse)

@@ -24,6 +24,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(("matplotlib", "plotly", "tqdm", "mcap_ros2"), _REPORT),
     "pyarrow": ("pyarrow", "mcap-ros2-support"),
     "rich": ("rich",),
+    "distributed": ("distributed", "pyarrow"),
 }
 """Modules that may be missing, each with what to install then."""
 

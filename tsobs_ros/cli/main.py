@@ -15,6 +15,7 @@ from contextlib import suppress
 from tsobs_ros import __version__
 from tsobs_ros.cli import (
     bag,
+    campaign,
     compare,
     config,
     demo,
@@ -30,7 +31,20 @@ from tsobs_ros.cli.common import complain
 from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.stop import interrupt
 
-_COMMANDS = (demo, design, verify, estimate, compare, export, report, watch, bag, paper, config)
+_COMMANDS = (
+    demo,
+    design,
+    verify,
+    estimate,
+    compare,
+    campaign,
+    export,
+    report,
+    watch,
+    bag,
+    paper,
+    config,
+)
 """In the order in which the help lists them."""
 
 

@@ -13,6 +13,7 @@ numbers. Others are evaluated by their own methods.
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
@@ -152,6 +153,17 @@ class Chirp(_CompiledExcitation):
     def __post_init__(self) -> None:
         _check_signal("chirp", self.amplitude, self.lowest)
         check_each(positive, self, "highest", "sweep", prefix="chirp ")
+
+
+EXCITATIONS: Mapping[str, type[Excitation]] = {
+    "none": NoTorque,
+    "constant": Constant,
+    "sine": Sine,
+    "multisine": Multisine,
+    "square": Square,
+    "chirp": Chirp,
+}
+"""Every kind of signal of an input under its name."""
 
 
 def _check_signal(kind: str, amplitude: float, frequency: float) -> None:

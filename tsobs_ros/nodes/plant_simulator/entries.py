@@ -12,28 +12,8 @@ from typing import Any, NamedTuple
 from tsobs_ros.checks import finite, shown
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.schema import decode
-from tsobs_ros.simulation.signals import (
-    KINDS,
-    Chirp,
-    Component,
-    Constant,
-    Excitation,
-    Multisine,
-    NoTorque,
-    Sine,
-    Square,
-)
+from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Component, Excitation
 from tsobs_ros.yaml_files import load_yaml
-
-EXCITATIONS: Mapping[str, type[Excitation]] = {
-    "none": NoTorque,
-    "constant": Constant,
-    "sine": Sine,
-    "multisine": Multisine,
-    "square": Square,
-    "chirp": Chirp,
-}
-"""Every kind of signal of an input under its name."""
 
 
 class Entry(NamedTuple):

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tsobs_ros.campaign import Observed, observe, run_all, score
-from tsobs_ros.checks import Array
+from tsobs_ros.campaign.batches import Observed, observe, score
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
@@ -58,17 +57,16 @@ def test_scores_are_those_of_a_report() -> None:
     estimates = truth + random.normal(0.0, 0.01, truth.shape)
     estimates[0, 2000:2100], bounds[1, 3000:3100] = np.nan, np.inf
     estimates[2, :, 3] = np.nan
-    nothing = np.zeros((*shape, 0))
-    observed = Observed(
-        estimates[..., :4],
-        bounds[..., :4],
-        estimates[..., 4:],
-        bounds[..., 4:],
-        nothing,
-        nothing,
-        {},
-        ({},) * 3,
-    )
+    # Behind the numbers are the conditions, of which the first is the basis.
+    basis = random.integers(0, 9, (*shape, 1)).astype(float)
+    rows = np.concatenate([estimates, bounds, basis, np.zeros((*shape, 7))], axis=2)
+    parts = {
+        "state": slice(0, 4),
+        "disturbance": slice(4, 5),
+        "state_bound": slice(5, 9),
+        "disturbance_bound": slice(9, 10),
+    }
+    observed = Observed(rows, parts, ({},) * 3)
     options = MetricsOptions(start_settle_time=3.0, jump_settle_time=1.0)
     scores = score(runs, observed, options)
     for run in range(3):
@@ -120,19 +118,6 @@ def test_what_is_observed_is_what_a_tracker_estimates(method: str) -> None:
                     assert found[run, sample].tolist() == expected.tolist()
         assert observed.events[run] == tracker.events
     assert np.isnan(observed.states).any()
-
-
-def test_scores_depend_neither_on_threads_nor_on_what_is_one_case(design: Design) -> None:
-    def scores(seeds: list[list[int]], threads: int) -> list[Array]:
-        cases = [(SCENARIO, each) for each in seeds]
-        parts = list(run_all(design, cases, threads=threads))
-        return [np.concatenate(each) for each in zip(*parts, strict=True)]
-
-    alone = scores([[place] for place in range(7)], 1)
-    together = scores([[0, 1, 2], [3], [4, 5, 6]], 3)
-    assert [one.tolist() for one in alone] == [one.tolist() for one in together]
-    assert alone[0].shape == (7, 5)
-    assert (alone[2] > 0.99).all()
 
 
 def test_samples_that_are_followed_ascend(design: Design) -> None:

@@ -1,0 +1,208 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What runs of a campaign go through, and which premises of the bound that keeps."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from tsobs_ros.campaign.definition import Campaign, CampaignEntries, load_campaign
+from tsobs_ros.campaign.drawing import check, draw, scenario_like
+from tsobs_ros.campaign.premises import violated
+from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.design.record import Design, SolverReport
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
+from tsobs_ros.errors import TsobsError
+from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.simulation.scenarios import SCENARIOS
+
+
+def campaign_of(scenario: dict[str, Any], design: Path | None = None, **entries: Any) -> Campaign:
+    file = load_design_file(design or config_path(SHIPPED_DESIGN))
+    return Campaign(CampaignEntries(scenarios={"only": scenario}, **entries), file)
+
+
+def test_a_run_is_drawn_by_its_number_alone(short: Campaign) -> None:
+    forwards = [draw(short, run) for run in range(20)]
+    backwards = [draw(short.with_runs(20), run) for run in reversed(range(20))]
+    assert forwards == backwards[::-1]
+    assert len({one.seed for one in forwards}) == 20
+    names = Counter(one.name for one in forwards)
+    assert names == {"as_designed": 8, "bias": 4, "dropouts": 4, "contact": 4}
+    other = msgspec.structs.replace(short.entries, seed=4)
+    assert draw(Campaign(other, short.file), 0) != forwards[0]
+
+
+def test_numbers_fill_their_ranges_and_the_designs_bounds(short: Campaign) -> None:
+    drawn = [draw(short, run) for run in range(500)]
+    theta = np.array([[one.theta["stiffness"], one.theta["gravity"]] for one in drawn])
+    assert (np.abs(theta) <= 0.4).all()
+    assert (theta.max(axis=0) > 0.39).all()
+    assert (theta.min(axis=0) < -0.39).all()
+    for one in drawn:
+        true = one.scenario.true_arm
+        assert true.stiffness == pytest.approx(10.0 * (1.0 + one.theta["stiffness"]))
+        assert true.gravity_torque == pytest.approx(10.0 * (1.0 + one.theta["gravity"]))
+    starts = np.array([one.scenario.initial_state for one in drawn])
+    assert (np.abs(starts[:, 0]) <= 0.3).all()
+    assert np.abs(starts[:, 0]).max() > 0.29
+    steps = [one.numbers["disturbance[0].start"] for one in drawn if one.name == "bias"]
+    assert 0.2 <= min(steps) < 0.22
+    assert 0.78 < max(steps) <= 0.8
+    biases = [one.scenario.outputs[0].disturbance[0] for one in drawn if one.name == "as_designed"]
+    assert np.std([one.amplitude for one in biases]) == pytest.approx(0.3, rel=0.15)
+
+
+def test_damping_and_inertia_are_those_that_a_design_calls_uncertain() -> None:
+    request = ArmRequest(
+        arm=ElasticJointArm(link_damping=0.2),
+        uncertainty={"link_damping": 0.5, "motor_damping": 0.5, "link_inverse_inertia": 0.5},
+    )
+    file = load_design_file(config_path(SHIPPED_DESIGN))
+    asked = Campaign(CampaignEntries(), file._replace(design=replace(file.design, request=request)))
+    for run in range(30):
+        one = draw(asked, run)
+        arm, friction = one.scenario.true_arm, one.scenario.friction
+        assert arm.link_damping + friction.link_viscous == pytest.approx(
+            0.2 + one.theta["link_damping"]
+        )
+        assert friction.motor_viscous == pytest.approx(one.theta["motor_damping"])
+        assert 1.0 / arm.link_inertia == pytest.approx(1.0 + one.theta["link_inverse_inertia"])
+        assert one.theta["motor_damping"] >= 0.0
+        assert violated(one.scenario, request) == ()
+
+
+def test_two_encoders_and_a_contact_have_what_their_design_says(both_encoders: Path) -> None:
+    scenario = {
+        "as_designed": True,
+        "noise": 2.0,
+        "outputs": {"motor_angle": {"sensor": {"latency": 0.01}}},
+    }
+    one = draw(campaign_of(scenario, both_encoders), 0)
+    link, motor = one.scenario.outputs
+    assert (link.measures, link.sensor.noise_std, link.sensor.latency) == ("link_angle", 0.01, 0.0)
+    assert (motor.measures, motor.sensor.noise_std) == ("motor_angle", 0.004)
+    assert motor.sensor.latency == 0.01
+    assert [each.kind for each in link.disturbance] == ["bias_step", "gauss_markov"]
+    assert motor.disturbance == ()
+    (contact,) = one.scenario.torque_disturbance.link
+    assert (contact.kind, contact.std, contact.time_constant) == ("gauss_markov", 2.0, 1.0)
+    request = load_design_file(both_encoders).design.arm_request
+    assert violated(one.scenario, request) == ("latency", "noise")
+
+
+@pytest.mark.parametrize(
+    ("scenario", "expected"),
+    [
+        ({"as_designed": True}, ""),
+        ({"noise": 0.5, "process_noise": 0.5}, ""),
+        ({"sensor": {"dropout_interval": 3.0}}, ""),
+        ({"noise": 1.1}, "noise"),
+        ({"process_noise": 1.1}, "process noise"),
+        ({"disturbance": [{"kind": "bias_step"}]}, ""),
+        ({"disturbance": [{"kind": "bias_step", "start": 1.0}]}, "disturbance"),
+        ({"disturbance": [{"kind": "sinusoid"}]}, "disturbance"),
+        ({"disturbance": [{"kind": "gauss_markov"}]}, "disturbance"),
+        ({"disturbance": [{"kind": "stuck"}]}, "disturbance"),
+        ({"sensor": {"outlier_probability": 0.1}}, "outliers"),
+        ({"sensor": {"noise_time_constant": 0.1}}, "coloured noise"),
+        ({"sensor": {"noise_degrees": 3}}, "heavy tails"),
+        ({"friction": {"motor_coulomb": 0.1}}, "friction"),
+        ({"friction": {"link_viscous": 0.1}}, "friction"),
+        ({"payload": {"mass": 1.0, "distance": 0.1}}, "payload"),
+        ({"torque_error": [{"kind": "pulses"}]}, "torque error"),
+        ({"motor_torque": [{"kind": "ramp"}]}, "torque disturbance"),
+        ({"mismatch": {"link_inertia": 0.1}}, "parameters"),
+        ({"mismatch": {"stiffness": 0.3}, "uncertainty": 0.0}, ""),
+        ({"mismatch": {"stiffness": 0.41}, "uncertainty": 0.0}, "parameters"),
+        ({"like": "stiff_dropouts", "uncertainty": 0.0}, ""),
+        ({"like": "stiff_student", "uncertainty": 0.0}, "heavy tails"),
+    ],
+)
+def test_premises_of_the_bound(scenario: dict[str, Any], expected: str) -> None:
+    asked = campaign_of(scenario)
+    drawn = draw(asked, 0)
+    assert ", ".join(violated(drawn.scenario, asked.file.design.arm_request)) == expected
+
+
+def test_disturbances_with_a_model_in_the_design_are_foreseen() -> None:
+    request = ArmRequest(
+        disturbance=[
+            DisturbanceTerm("ramp"),
+            DisturbanceTerm("sinusoid", {"frequency": 3.0}),
+            DisturbanceTerm("gauss_markov", {"std": 0.1, "time_constant": 5.0}),
+        ]
+    )
+    n = request.flow.state_count
+    file = DesignFile("none", "", Design(request, np.eye(n), np.zeros((n, 1)), SolverReport()))
+    for scenario, expected in (
+        ({"as_designed": True}, ()),
+        ({"as_designed": True, "disturbance": [{"kind": "sinusoid", "frequency": 3.0}]}, ()),
+        ({"disturbance": [{"kind": "sinusoid", "frequency": 3.1}]}, ("disturbance",)),
+        (
+            {"as_designed": True, "disturbance": [{"kind": "gauss_markov", "time_constant": 5.0}]},
+            ("disturbance",),
+        ),
+        ({"disturbance": [{"kind": "ramp"}]}, ()),
+    ):
+        asked = Campaign(CampaignEntries(scenarios={"only": scenario}), file)
+        assert violated(draw(asked, 0).scenario, request) == expected
+
+
+def test_scenarios_of_the_simulator_befall_the_arm_of_a_design(both_encoders: Path) -> None:
+    request = load_design_file(both_encoders).design.arm_request
+    for name, known in SCENARIOS.items():
+        scenario = scenario_like(request, name)
+        first, second = scenario.outputs
+        assert first.disturbance == known.disturbance
+        louder = known.sensor.noise_std / 0.028
+        assert first.sensor == replace(known.sensor, noise_std=louder * 0.005)
+        assert second.sensor.noise_std == 0.002
+        assert (scenario.mismatch, scenario.friction) == (known.mismatch, known.friction)
+    with pytest.raises(TsobsError, match="like: held holds the default arm"):
+        scenario_like(ArmRequest(arm=ElasticJointArm(stiffness=20.0)), "held")
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({"run": 3}, r"campaign: unknown entry 'run', expected some of design, observer, runs"),
+        ({"runs": 0}, "runs: expected at least 1, got 0"),
+        ({"seed": -1}, "seed: expected at least 0, got -1"),
+        ({"duration": 0.3}, "duration: expected more than settle_time = 0.3 s"),
+        ({"scenarios": {}}, "scenarios: expected at least one"),
+        ({"design": "nothing.yaml"}, "no config file 'nothing.yaml'"),
+        ({"design": "paper_example_1.design.yaml"}, "expected one for an arm"),
+        ({"observer": {"gate": 3.0}}, "parameter 'gate' decides no estimate"),
+        ({"scenarios": {"a": {"like": "b"}}}, "scenarios.a.like: expected one of noise, bias_step"),
+        ({"scenarios": {"a": {"weight": 0}}}, "scenarios.a.weight: expected a whole number"),
+        ({"scenarios": {"a": {"friction": {"link": 1}}}}, r"scenarios.a.friction: unknown entry"),
+        (
+            {"scenarios": {"a": {"disturbance": [{"kind": "step"}]}}},
+            r"scenarios.a.disturbance\[0\].kind: expected one of bias_step",
+        ),
+        (
+            {"scenarios": {"a": {"disturbance": [{"kind": "ramp", "slope": 1}]}}},
+            r"scenarios.a.disturbance\[0\].* unknown entry 'slope'",
+        ),
+        ({"scenarios": {"a": {"noise": [1, -1]}}}, r"scenarios.a.*noise: expected a range"),
+        ({"scenarios": {"a": {"noise": [-1, 1]}}}, r"scenarios.a.*noise_std: expected"),
+        ({"scenarios": {"a": {"noise": [2, 1]}}}, r"scenarios.a.noise: expected a range"),
+        ({"scenarios": {"a": {"sensor": {"nois": 1}}}}, "scenarios.a.sensor.* got 'nois'"),
+        ({"scenarios": {"a": {"outputs": {"x": {}}}}}, "outputs: expected some of link_angle"),
+        ({"initial_state": [0.0]}, "initial_state: expected four numbers"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_before_anything_runs(
+    write: Callable[..., Path], entries: dict[str, Any], message: str
+) -> None:
+    path = write(**entries)
+    with pytest.raises(TsobsError, match=message):
+        check(load_campaign(path))

@@ -1,0 +1,234 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Campaigns as a whole: the numbers depend on nothing but the campaign."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
+from tsobs_ros.campaign.execution import run_campaign
+from tsobs_ros.campaign.folder import CampaignFolder
+from tsobs_ros.campaign.rerun import rerun
+from tsobs_ros.campaign.runs import PART, compute
+from tsobs_ros.campaign.summary import summarise
+from tsobs_ros.cli.main import main
+from tsobs_ros.report.metrics import MetricsOptions, measure
+from tsobs_ros.report.run import read_run
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN
+
+
+def files_of(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((folder / "runs").iterdir())}
+
+
+@pytest.fixture(scope="module")
+def done(short_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a campaign that one thread ran through."""
+    folder = tmp_path_factory.mktemp("done") / "campaign"
+    assert main(["campaign", str(short_file), "--output", str(folder), "--workers", "1"]) == 0
+    return folder
+
+
+class StopError(Exception):
+    """What ends a campaign in a test."""
+
+
+def stop_after(count: int) -> Callable[[int], None]:
+    left = [count]
+
+    def progress(runs: int) -> None:
+        left[0] -= runs
+        if left[0] <= 0:
+            raise StopError
+
+    return progress
+
+
+def test_rows_depend_on_their_numbers_alone(short: Campaign, done: Path) -> None:
+    together = CampaignFolder.open(done).read()
+    assert together["run"].tolist() == list(range(250))
+    for run in (249, 7, 8, 130):
+        alone = compute(short, run, run + 1)
+        for name, column in alone.items():
+            assert column.tobytes() == together[name][run : run + 1].astype(column.dtype).tobytes()
+
+
+def test_neither_threads_nor_interruptions_change_a_bit(
+    short: Campaign, done: Path, tmp_path: Path
+) -> None:
+    folder, expected = tmp_path / "campaign", files_of(done)
+    assert list(expected) == [f"{begin:08d}.parquet" for begin in (0, PART, 2 * PART)]
+    # Fewer runs first, whose last part is not whole; then stopped in the middle.
+    run_campaign(short.with_runs(30), folder, threads=1)
+    with pytest.raises(StopError):
+        run_campaign(short, folder, threads=2, progress=stop_after(PART))
+    assert files_of(folder).keys() < expected.keys()
+    damaged = folder / "runs" / "00000000.parquet"
+    damaged.write_bytes(damaged.read_bytes()[:-100])
+    run_campaign(short, folder, threads=3)
+    assert files_of(folder) == expected
+    # What is there is not computed again.
+    times = {path: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
+    run_campaign(short, folder)
+    assert times == {path: path.stat().st_mtime_ns for path in (folder / "runs").iterdir()}
+    with pytest.raises(CampaignError, match="has 250 runs already, expected at least as many"):
+        run_campaign(short.with_runs(100), folder)
+
+
+class Cluster:
+    """A Dask scheduler and workers, each a process."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = folder / "scheduler.json"
+        self._processes = [
+            self._start("scheduler", "--port", "0", "--host", "127.0.0.1", "--no-dashboard")
+        ]
+        self.workers = [
+            self._start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard")
+            for _ in range(2)
+        ]
+        self._processes += self.workers
+
+    def _start(self, what: str, *options: str) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", f"distributed.cli.dask_{what}"]
+        return subprocess.Popen(
+            [*command, "--scheduler-file", str(self._file), *options],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            cwd=self._file.parent,
+        )
+
+    @property
+    def address(self) -> str:
+        """The scheduler's address, once both workers are there."""
+        import distributed
+
+        dask: Any = distributed
+        with dask.Client(scheduler_file=str(self._file), set_as_default=False) as client:
+            client.wait_for_workers(2)
+            return str(client.scheduler.address)
+
+    def stop(self) -> None:
+        """End all processes."""
+        for process in self._processes:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    """A scheduler with two workers."""
+    made = Cluster(tmp_path)
+    yield made
+    made.stop()
+
+
+def test_a_cluster_whose_worker_is_killed_gives_the_same_bits(
+    short: Campaign, done: Path, tmp_path: Path, cluster: Cluster
+) -> None:
+    folder = tmp_path / "campaign"
+    seen: list[int] = []
+
+    def progress(runs: int) -> None:
+        if runs and not sum(seen):
+            # Both workers have parts that are not done.
+            cluster.workers[0].send_signal(signal.SIGKILL)
+        seen.append(runs)
+
+    run_campaign(short, folder, scheduler=cluster.address, progress=progress)
+    assert cluster.workers[0].wait(20.0) == -signal.SIGKILL
+    assert sum(seen) == 250
+    assert files_of(folder) == files_of(done)
+
+
+def test_a_scheduler_that_is_not_there(short: Campaign, tmp_path: Path) -> None:
+    with pytest.raises(CampaignError, match="scheduler tcp//nowhere: cannot be reached"):
+        run_campaign(short, tmp_path / "campaign", scheduler="tcp//nowhere")
+
+
+def test_the_certified_bound_holds_if_its_premises_do(write: Callable[..., Path]) -> None:
+    path = write(
+        design=FIXED_DESIGN,
+        runs=60,
+        duration=15.0,
+        settle_time=5.0,
+        initial_state=[[-0.1, 0.1], 0.0, [-0.1, 0.1], 0.0],
+        scenarios={
+            "as_designed": {"as_designed": True},
+            "stiff": {"mismatch": {"stiffness": 0.3}},
+        },
+    )
+    asked = load_campaign(path)
+    summary = summarise(asked, compute(asked, 0, 60))
+    held, others = summary.bounds["premises hold"], summary.bounds["they do not"]
+    assert summary.scenarios["as_designed"]["premises_hold"] == 1.0
+    assert summary.violated["parameters"] == 30
+    assert held["certified"]["samples"] > 0.5
+    for one in held["certified"]["quantities"].values():
+        assert one["inside"] > 0.997
+        assert one["rms"] < 1.05
+        assert one["worst"] < 4.5
+    wrong = [one["rms"] for claim in others.values() for one in claim["quantities"].values()]
+    assert max(wrong) > 2.0
+
+
+@pytest.mark.parametrize("outputs", ["one", "two"])
+def test_a_run_is_made_again_as_a_bag_with_the_same_errors(
+    outputs: str, both_encoders: Path, write: Callable[..., Path], tmp_path: Path
+) -> None:
+    design = {"one": SHIPPED_DESIGN, "two": str(both_encoders)}[outputs]
+    scenarios = {"only": {"as_designed": True}}
+    asked = load_campaign(write(design=design, runs=3, duration=8.0, scenarios=scenarios))
+    row = compute(asked, 2, 3)
+    bag = rerun(asked, 2, tmp_path / "again")
+    run = read_run(bag)
+    settled = MetricsOptions(start_settle_time=0.3, jump_settle_time=0.3)
+    measured = measure(run, settled)
+    assert measured.normalised_rmse == pytest.approx(row["normalised_rmse"][0], rel=1e-9)
+    for one in measured.quantities:
+        for name in ("rmse", "bound", "inside"):
+            assert getattr(one, name) == pytest.approx(row[f"{one.key}_{name}"][0], rel=1e-9)
+    with pytest.raises(CampaignError, match="run 3: expected a number from 0 to 2"):
+        rerun(asked, 3, tmp_path / "never")
+
+
+def test_the_command_shows_refuses_and_replaces(
+    short_file: Path,
+    done: Path,
+    write: Callable[..., Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["campaign", "--show", str(done)]) == 0
+    text = capsys.readouterr().out
+    assert text == (done / "summary.txt").read_text(encoding="utf-8")
+    assert "250 runs of 1 s" in text
+    assert main(["campaign", "--show", str(done), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["scenarios"]["as_designed"]["runs"] == 100
+    worst = found["worst"]["normalised RMSE"]
+    assert [one["value"] for one in worst] == sorted((one["value"] for one in worst), reverse=True)
+    columns = CampaignFolder.open(done).read()
+    assert worst[0]["run"] == int(np.argmax(columns["normalised_rmse"]))
+
+    other = write(seed=4, runs=2)
+    folder = tmp_path / "folder"
+    output = ["--output", str(folder)]
+    assert main(["campaign", str(other), *output]) == 0
+    assert main(["campaign", str(short_file), "--runs", "3", *output]) == 1
+    assert "another campaign, with another entry seed; --force" in capsys.readouterr().err
+    assert main(["campaign", str(short_file), "--runs", "3", "--force", *output]) == 0
+    assert CampaignFolder.open(folder).read()["run"].tolist() == [0, 1, 2]
+    assert main(["campaign", str(other), "--output", str(done.parent)]) == 1
+    assert "other files than a campaign's" in capsys.readouterr().err
+    for wrong in ([], [str(other), "--show", str(done)], [str(other)]):
+        with pytest.raises(SystemExit, match="2"):
+            main(["campaign", *wrong])

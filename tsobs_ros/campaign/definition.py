@@ -1,0 +1,292 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Campaign files: a design, what its arm goes through, and the ranges that runs are drawn from.
+
+Wherever a scenario has a number, it may have a range [least, most], of which each run draws one.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from tsobs_ros import __version__
+from tsobs_ros.design.file import DesignFile, load_design_file
+from tsobs_ros.errors import DesignFileError, ModelError, TsobsError
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.methods import FILTERS, ObserverSettings, make_estimator
+from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.schema import decode, encode, naming
+from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.plant import Mismatch
+from tsobs_ros.simulation.scenarios import SCENARIOS
+from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Component, Excitation
+from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
+
+FORMAT, VERSION = "tsobs_ros campaign", 1
+
+_HEADER = "# What this folder has the runs of, written by `tsobs campaign`.\n"
+
+
+class ComponentEntry:
+    """A component of a disturbance, given by its kind and its numbers; a start left out is 0."""
+
+    def __init__(self, signal: Component) -> None:
+        self.signal = signal
+
+    @classmethod
+    def from_mapping(cls, entries: Mapping[str, Any]) -> "ComponentEntry":
+        """Return the component that a file gives."""
+        kind, numbers = _kind(entries, KINDS)
+        known = type(KINDS[kind])
+        return cls(decode({"start": 0.0, **numbers}, known))
+
+
+class ExcitationEntry:
+    """The signal of the torque, given by its kind and its numbers."""
+
+    def __init__(self, signal: Excitation) -> None:
+        self.signal = signal
+
+    @classmethod
+    def from_mapping(cls, entries: Mapping[str, Any]) -> "ExcitationEntry":
+        """Return the signal that a file gives."""
+        kind, numbers = _kind(entries, EXCITATIONS)
+        return cls(decode(numbers, EXCITATIONS[kind]))
+
+
+def _kind(entries: Mapping[str, Any], kinds: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    numbers = dict(entries)
+    kind = numbers.pop("kind", None)
+    if kind not in kinds:
+        raise ModelError(f"kind: expected one of {', '.join(kinds)}, got {kind!r}")
+    return str(kind), numbers
+
+
+class PayloadEntry(msgspec.Struct, kw_only=True, frozen=True):
+    """What the link carries for a time; a duration of 0 is for ever."""
+
+    mass: float = 0.0
+    distance: float = 0.0
+    link_inertia: float = 0.0
+    gravity_torque: float = 0.0
+    start: float = 0.0
+    duration: float = 0.0
+
+
+class OutputEntries(msgspec.Struct, kw_only=True):
+    """One output: numbers of its sensor besides the design's noise, and its disturbance."""
+
+    sensor: dict[str, float | bool] = {}
+    disturbance: list[ComponentEntry] = []
+
+
+class ScenarioEntries(msgspec.Struct, kw_only=True):
+    """A scenario, drawn.
+
+    Attributes:
+        weight: How many of the runs it gets, relative to the other scenarios.
+        like: A scenario of the simulator that the other entries change; empty for the plant as it
+            is designed.
+        as_designed: Whether to draw disturbances of outputs and torques from the design's model.
+        noise: What multiplies the 1σ of the design's measurement noise, of all outputs.
+        process_noise: What multiplies the 1σ of the design's process noise.
+        sensor: Of the first output; see `OutputEntries`.
+        disturbance: Of the first output.
+        outputs: The same of the outputs by their names.
+        motor_torque: Components of the torque on the motor [N m].
+        link_torque: Components of the torque on the link, such as that of a contact [N m].
+        torque_error: What the reported torque has beyond the applied one [N m].
+        friction: Of the true arm.
+        payload: What the link carries.
+        mismatch: Relative changes of the true arm besides those drawn by `uncertainty`.
+        uncertainty: Share of the design's bounds on its uncertain parameters that these are drawn
+            from; the campaign's if left out, as the next two.
+        initial_state: True [q₁, q̇₁, q₂, q̇₂] at the start (rad, rad/s).
+        excitation: Of the motor.
+    """
+
+    weight: int = 1
+    like: str = ""
+    as_designed: bool = False
+    noise: float = 1.0
+    process_noise: float = 1.0
+    sensor: dict[str, float | bool] = {}
+    disturbance: list[ComponentEntry] = []
+    outputs: dict[str, OutputEntries] = {}
+    motor_torque: list[ComponentEntry] = []
+    link_torque: list[ComponentEntry] = []
+    torque_error: list[ComponentEntry] = []
+    friction: Friction = Friction()
+    payload: PayloadEntry = PayloadEntry()
+    mismatch: Mismatch = Mismatch()
+    uncertainty: float
+    initial_state: list[float]
+    excitation: ExcitationEntry
+
+
+class CampaignEntries(msgspec.Struct, kw_only=True):
+    """The entries of a campaign file; what is drawn is plain data here.
+
+    Attributes:
+        design: Path of a design file of an arm, from the campaign file's folder; or the name of
+            one that the package ships.
+        observer: Parameters of the observer that decide estimates, by their names in the node.
+        runs: How many.
+        seed: Of everything that is drawn.
+        duration: Of a run [s].
+        settle_time: Time after the start, and after each jump of a disturbance, that does not
+            count for the errors [s]; for the bounds it does.
+        uncertainty: See `ScenarioEntries`.
+        initial_state: See `ScenarioEntries`.
+        excitation: See `ScenarioEntries`.
+        scenarios: By their names.
+    """
+
+    design: str = SHIPPED_DESIGN
+    observer: dict[str, bool | int | float | str] = {}
+    runs: int = 1000
+    seed: int = 0
+    duration: float = 30.0
+    settle_time: float = 5.0
+    uncertainty: float | list[float] = 1.0
+    initial_state: list[float | list[float]] = msgspec.field(
+        default_factory=lambda: [[-0.3, 0.3], 0.0, [-0.3, 0.3], 0.0]
+    )
+    excitation: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "sine"})
+    scenarios: dict[str, dict[str, Any]] = msgspec.field(
+        default_factory=lambda: {"as_designed": {"as_designed": True}}
+    )
+
+
+class _File(msgspec.Struct):
+    campaign: CampaignEntries
+    format: str = FORMAT
+    version: int = VERSION
+
+
+@dataclass(frozen=True, eq=False)
+class Campaign:
+    """A campaign: its entries and its design.
+
+    A run is a function of its number, of these and of nothing else.
+
+    Raises:
+        TsobsError: An entry is out of range, unknown, or does not fit the design.
+    """
+
+    entries: CampaignEntries
+    file: DesignFile
+
+    def __post_init__(self) -> None:
+        entries = self.entries
+        for name, least in (("runs", 1), ("seed", 0)):
+            if getattr(entries, name) < least:
+                raise ModelError(f"{name}: expected at least {least}, got {getattr(entries, name)}")
+        if not 0.0 <= entries.settle_time < entries.duration:
+            raise ModelError(
+                f"duration: expected more than settle_time = {entries.settle_time!r} s, which is "
+                f"at least 0 s, got {entries.duration!r}"
+            )
+        if not entries.scenarios:
+            raise ModelError("scenarios: expected at least one")
+        _ = self.file.design.arm_request
+        _ = self.settings
+        for name, given in entries.scenarios.items():
+            # `drawing.check` looks at the rest.
+            weight, like = given.get("weight", 1), given.get("like", "")
+            if not isinstance(weight, int) or weight < 1:
+                raise ModelError(
+                    f"scenarios.{name}.weight: expected a whole number of at least 1, "
+                    f"got {weight!r}"
+                )
+            if like and like not in SCENARIOS:
+                raise ModelError(
+                    f"scenarios.{name}.like: expected one of {', '.join(SCENARIOS)}, got {like!r}"
+                )
+
+    @cached_property
+    def settings(self) -> ObserverSettings:
+        """How the design is run."""
+        with naming("observer"):
+            return ObserverSettings().with_parameters(self.entries.observer)
+
+    @cached_property
+    def estimator(self) -> Estimator | None:
+        """What observes the runs, None of a Kalman filter."""
+        if self.settings.method in FILTERS:
+            return None
+        return make_estimator(self.file.design, self.settings)
+
+    @cached_property
+    def turns(self) -> Sequence[str]:
+        """The scenarios that runs go through in turn."""
+        given = self.entries.scenarios
+        rounds = max(entries.get("weight", 1) for entries in given.values())
+        # One after the other, not in blocks, so that a few runs already have most of them.
+        return [
+            name
+            for turn in range(rounds)
+            for name, entries in given.items()
+            if entries.get("weight", 1) > turn
+        ]
+
+    @cached_property
+    def identity(self) -> str:
+        """Checksum of all that decides the numbers of a run."""
+        data = encode(self.entries)
+        for name in ("runs", "design"):
+            del data[name]
+        text = json.dumps([__version__, self.file.sha256, data])
+        return sha256(text.encode()).hexdigest()
+
+    def text(self, design: str) -> str:
+        """Return the campaign as a file.
+
+        Args:
+            design: The entry of that name.
+        """
+        entries = {**encode(self.entries), "design": design}
+        return yaml_text(_HEADER, {"format": FORMAT, "version": VERSION, "campaign": entries})
+
+    def with_runs(self, runs: int) -> "Campaign":
+        """Return the same campaign of another number of runs."""
+        return Campaign(msgspec.structs.replace(self.entries, runs=runs), self.file)
+
+
+def load_campaign(path: str | PathLike[str]) -> Campaign:
+    """Read a campaign file and its design.
+
+    Raises:
+        DesignFileError: A file is missing or malformed; the text names the entry.
+        TsobsError: An entry does not fit the design.
+    """
+    path = Path(path)
+    entries = parse_campaign(read_text(path, "campaign file"), str(path))
+    beside = path.parent / entries.design
+    design = beside if beside.is_file() else config_path(entries.design)
+    with naming(path):
+        return Campaign(entries, load_design_file(design))
+
+
+def parse_campaign(text: str, name: str) -> CampaignEntries:
+    """Return the entries of a campaign file's text; `name` is the file, for errors."""
+    data = yaml_mapping(text, name, "campaign file")
+    with naming(name):
+        file = decode(data, _File)
+    if (file.format, file.version) != (FORMAT, VERSION):
+        raise DesignFileError(
+            f"{name}: expected format {FORMAT!r} of version {VERSION}, got {file.format!r} of "
+            f"version {file.version!r}"
+        )
+    return file.campaign
+
+
+class CampaignError(TsobsError, RuntimeError):
+    """A campaign cannot run, go on or be shown."""

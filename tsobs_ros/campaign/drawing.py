@@ -1,0 +1,288 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The runs of a campaign: what each goes through, drawn by its number."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tsobs_ros.campaign.definition import Campaign, PayloadEntry, ScenarioEntries
+from tsobs_ros.checks import non_negative
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
+from tsobs_ros.errors import ModelError
+from tsobs_ros.model.arm import SIDES, ElasticJointArm
+from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.plants import scenario_of
+from tsobs_ros.schema import decode, within
+from tsobs_ros.simulation.integrator import Friction, Payload
+from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, TorqueDisturbance
+from tsobs_ros.simulation.scenarios import SCENARIOS
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import BiasStep, Component, GaussMarkov, Ramp, Sinusoid
+
+Choose = Callable[[float, float], float]
+"""Chooses a number from a range."""
+
+WALK = 1e6
+"""Time constant of a drift that is a random walk for the length of a run [s]."""
+
+_SEEDS = 2**53
+"""Seeds of runs are below it, so that every program can read them."""
+
+_INVERSE = {"link_inverse_inertia": "link_inertia", "motor_inverse_inertia": "motor_inertia"}
+_RELATIVE = {"stiffness": "stiffness", "gravity": "gravity_torque"}
+
+
+class Drawn(NamedTuple):
+    """A run before it is simulated.
+
+    Attributes:
+        run: Its number.
+        name: Of its scenario in the campaign.
+        seed: Of its simulation.
+        scenario: What it goes through.
+        theta: True changes of the design's uncertain parameters, by name.
+        numbers: What was drawn from ranges, by the paths of the entries.
+    """
+
+    run: int
+    name: str
+    seed: int
+    scenario: Scenario
+    theta: dict[str, float]
+    numbers: dict[str, float]
+
+
+def draw(campaign: Campaign, run: int) -> Drawn:
+    """Return a run of a campaign.
+
+    Raises:
+        TsobsError: An entry of its scenario is unknown, out of range or does not fit the design.
+    """
+    sequence = np.random.SeedSequence(campaign.entries.seed, spawn_key=(run,))
+    random = np.random.Generator(np.random.Philox(sequence))
+    seed = int(random.integers(_SEEDS))
+    name = campaign.turns[run % len(campaign.turns)]
+    scenario, theta, numbers = _drawn(campaign, name, random, random.uniform)
+    return Drawn(run, name, seed, scenario, theta, numbers)
+
+
+def check(campaign: Campaign) -> None:
+    """Refuse a campaign with a scenario that cannot be drawn, at either end of its ranges.
+
+    Raises:
+        TsobsError: An entry is unknown, out of range or does not fit the design.
+    """
+    random = np.random.default_rng(0)
+    for name in campaign.entries.scenarios:
+        for end in (min, max):
+            _drawn(campaign, name, random, end)
+
+
+def _drawn(
+    campaign: Campaign, name: str, random: np.random.Generator, choose: Choose
+) -> tuple[Scenario, dict[str, float], dict[str, float]]:
+    entries, request = campaign.entries, campaign.file.design.arm_request
+    data = {
+        "uncertainty": entries.uncertainty,
+        "initial_state": entries.initial_state,
+        "excitation": entries.excitation,
+        **entries.scenarios[name],
+    }
+    numbers: dict[str, float] = {}
+    with within(f"scenarios.{name}"):
+        given = decode(_filled(data, "", choose, numbers), ScenarioEntries)
+        share = non_negative("uncertainty", given.uncertainty)
+        theta = {
+            parameter: _within_physics(request.arm, parameter, share * bound * choose(-1.0, 1.0))
+            for parameter, bound in request.uncertainty.items()
+        }
+        scenario = _scenario(request, given, theta, entries.duration, random)
+    return scenario, theta, numbers
+
+
+def _filled(data: Any, path: str, choose: Choose, numbers: dict[str, float]) -> Any:
+    """Return plain data with a number drawn in the place of each range."""
+    if isinstance(data, dict):
+        return {
+            name: _filled(value, f"{path}.{name}".removeprefix("."), choose, numbers)
+            for name, value in data.items()
+        }
+    if not isinstance(data, list):
+        return data
+    if len(data) == 2 and all(isinstance(each, int | float) for each in data):
+        least, most = map(float, data)
+        if not (math.isfinite(most - least) and least <= most):
+            raise ModelError(f"{path}: expected a range [least, most], got {data}")
+        numbers[path] = choose(least, most)
+        return numbers[path]
+    return [_filled(value, f"{path}[{place}]", choose, numbers) for place, value in enumerate(data)]
+
+
+def _scenario(
+    request: ArmRequest,
+    given: ScenarioEntries,
+    theta: Mapping[str, float],
+    duration: float,
+    random: np.random.Generator,
+) -> Scenario:
+    base = scenario_of(request)
+    assert isinstance(base, Scenario)
+    known = scenario_like(request, given.like) if given.like else base
+    mismatch, damping = _true_arm(request.arm, theta)
+    if len(given.initial_state) != 4:
+        raise ModelError(f"initial_state: expected four numbers, got {given.initial_state}")
+    noise = request.process_noise
+    factor = given.process_noise * given.process_noise
+    designed = request.torque_disturbance
+    torques = {
+        side: (
+            *getattr(known.torque_disturbance, side),
+            *(_designed(getattr(designed, side), random) if given.as_designed else ()),
+            *(entry.signal for entry in getattr(given, f"{side}_torque")),
+        )
+        for side in SIDES
+    }
+    return replace(
+        base,
+        mismatch=_together(known.mismatch, given.mismatch, mismatch),
+        friction=_sum(known.friction, given.friction, damping),
+        duration=duration,
+        initial_state=tuple(request.arm.from_physical(given.initial_state).tolist()),
+        initial_spread=(0.0,) * 4,
+        process_noise=ProcessNoise(noise.link * factor, noise.motor * factor),
+        excitation=given.excitation.signal,
+        torque_error=(*known.torque_error, *(entry.signal for entry in given.torque_error)),
+        outputs=_outputs(request, given, known, random),
+        torque_disturbance=TorqueDisturbance(**torques),
+        payload=_payload(given.payload) or known.payload,
+    )
+
+
+def scenario_like(request: ArmRequest, name: str) -> Scenario:
+    """Return a scenario of the simulator with the arm and the sensors of a request.
+
+    What befalls the sensor befalls the request's first output; the noise's 1σ is in the same
+    proportion to the designed one.
+
+    Raises:
+        ModelError: There is no such scenario, or it moves the default arm in a way of its own.
+    """
+    if name not in SCENARIOS:
+        raise ModelError(f"like: expected one of {', '.join(SCENARIOS)}, got {name!r}")
+    known, base, plain = SCENARIOS[name], scenario_of(request), Scenario()
+    assert isinstance(base, Scenario)
+    moved = known.excitation != plain.excitation or known.initial_state != plain.initial_state
+    if moved and request.arm != plain.arm:
+        raise ModelError(f"like: {name} holds the default arm, expected another for this arm")
+    first, *others = base.outputs
+    louder = known.sensor.noise_std / plain.sensor.noise_std
+    sensor = replace(known.sensor, noise_std=louder * first.sensor.noise_std)
+    return replace(
+        known,
+        arm=request.arm,
+        rate=request.rate,
+        process_noise=request.process_noise,
+        sensor=Sensor(),
+        disturbance=(),
+        outputs=(SimulatedOutput(first.measures, sensor, known.disturbance), *others),
+    )
+
+
+def _outputs(
+    request: ArmRequest, given: ScenarioEntries, known: Scenario, random: np.random.Generator
+) -> tuple[SimulatedOutput, ...]:
+    for name in given.outputs:
+        if name not in request.output_names:
+            raise ModelError(
+                f"outputs: expected some of {', '.join(request.output_names)}, got {name!r}"
+            )
+    found = []
+    for place, (asked, output) in enumerate(zip(request.sensors, known.outputs, strict=True)):
+        numbers: dict[str, Any] = dict(given.sensor) if place == 0 else {}
+        components = [*output.disturbance]
+        components += _designed(asked.disturbance, random) if given.as_designed else ()
+        components += [entry.signal for entry in given.disturbance] if place == 0 else ()
+        if own := given.outputs.get(asked.measures):
+            numbers |= own.sensor
+            components += [entry.signal for entry in own.disturbance]
+        with within("sensor"):
+            unknown = numbers.keys() - {item.name for item in fields(Sensor)}
+            if unknown:
+                known_names = ", ".join(item.name for item in fields(Sensor))
+                raise ModelError(f"expected some of {known_names}, got {min(unknown)!r}")
+            std = numbers.pop("noise_std", given.noise * output.sensor.noise_std)
+            sensor = replace(output.sensor, noise_std=std, **numbers)
+        found.append(SimulatedOutput(asked.measures, sensor, tuple(components)))
+    return tuple(found)
+
+
+def _designed(
+    terms: "tuple[DisturbanceTerm, ...] | Any", random: np.random.Generator
+) -> tuple[Component, ...]:
+    """Return a disturbance as terms of a design say that it is, with the start that they say."""
+    found: list[Component] = []
+    for term in terms:
+        if term.kind in ("bias", "ramp"):
+            found.append(BiasStep(term["initial_std"] * random.standard_normal(), 0.0))
+            found.append(GaussMarkov(math.sqrt(0.5 * term["density"] * WALK), WALK, 0.0))
+        if term.kind == "ramp":
+            found.append(Ramp(term["initial_rate_std"] * random.standard_normal(), 0.0))
+        if term.kind == "gauss_markov":
+            found.append(GaussMarkov(term["std"], term["time_constant"], 0.0))
+        if term.kind == "sinusoid":
+            sine, cosine = (term["initial_std"] * random.standard_normal(2)).tolist()
+            found.append(
+                Sinusoid(math.hypot(sine, cosine), term["frequency"], 0.0, math.atan2(sine, cosine))
+            )
+    return tuple(found)
+
+
+def _within_physics(arm: ElasticJointArm, parameter: str, theta: float) -> float:
+    """Return the change itself, or the smallest that leaves a damping that is not negative."""
+    return max(theta, -getattr(arm, parameter)) if parameter.endswith("damping") else theta
+
+
+def _true_arm(arm: ElasticJointArm, theta: Mapping[str, float]) -> tuple[Mismatch, Friction]:
+    """Return what makes the arm one whose uncertain parameters have changed by θ."""
+    changes: dict[str, float] = {}
+    damping: dict[str, float] = {}
+    for name, value in theta.items():
+        if name in _RELATIVE:
+            changes[_RELATIVE[name]] = value
+        elif name in _INVERSE:
+            changes[_INVERSE[name]] = 1.0 / (1.0 + value) - 1.0
+        elif value > 0.0:
+            damping[f"{name.partition('_')[0]}_viscous"] = value
+        elif value < 0.0:
+            changes[name] = max(value / getattr(arm, name), math.nextafter(-1.0, 0.0))
+    return Mismatch(**changes), Friction(**damping)
+
+
+def _together(*each: Mismatch) -> Mismatch:
+    """Return the change that changes one after the other make."""
+    return Mismatch(
+        **{
+            item.name: math.prod(1.0 + getattr(one, item.name) for one in each) - 1.0
+            for item in fields(Mismatch)
+        }
+    )
+
+
+def _sum(*each: Friction) -> Friction:
+    return Friction(
+        **{item.name: sum(getattr(one, item.name) for one in each) for item in fields(Friction)}
+    )
+
+
+def _payload(given: PayloadEntry) -> Payload | None:
+    """Return what the link carries, None if nothing."""
+    point = Payload.point(given.mass, given.distance)
+    inertia = point.link_inertia + given.link_inertia
+    torque = point.gravity_torque + given.gravity_torque
+    if not inertia and not torque:
+        return None
+    return Payload(inertia, torque, given.start, given.duration or math.inf)

@@ -1,0 +1,188 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The folder of a campaign: what it is, a Parquet file for each part that is done, the summary.
+
+A file appears once it is complete. So a campaign goes on from whatever is there.
+"""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as parquet
+
+from tsobs_ros import __version__
+from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
+from tsobs_ros.campaign.runs import PART, Columns
+from tsobs_ros.errors import DesignFileError
+
+CAMPAIGN, DESIGN, RUNS = "campaign.yaml", "campaign.design.yaml", "runs"
+SUMMARY = ("summary.json", "summary.txt")
+_IDENTITY = b"tsobs_ros campaign"
+
+
+class CampaignFolder:
+    """The folder of a campaign; what is in it already is kept.
+
+    Args:
+        path: The folder.
+        campaign: The campaign.
+
+    Attributes:
+        path: The folder.
+        campaign: The campaign.
+    """
+
+    def __init__(self, path: Path, campaign: Campaign) -> None:
+        self.path, self.campaign = path, campaign
+
+    @classmethod
+    def open(cls, path: Path) -> "CampaignFolder":
+        """Return a folder that has a campaign.
+
+        Raises:
+            CampaignError: It has none.
+            DesignFileError: One of its files is malformed.
+        """
+        if not (path / CAMPAIGN).is_file():
+            raise CampaignError(f"{path}: no campaign, expected {CAMPAIGN} in it")
+        return cls(path, load_campaign(path / CAMPAIGN))
+
+    @classmethod
+    def make(cls, path: Path, campaign: Campaign, *, force: bool = False) -> "CampaignFolder":
+        """Return a folder for a campaign: a new one, or one that has the same campaign.
+
+        Args:
+            path: The folder.
+            campaign: The campaign; it may have more runs than the folder.
+            force: Whether to replace another campaign's files.
+
+        Raises:
+            CampaignError: The folder has another campaign, other files, or more runs.
+        """
+        folder = cls(path, campaign)
+        if path.exists() and not path.is_dir():
+            raise CampaignError(f"{path}: expected a folder")
+        if force:
+            folder._remove()
+        elif (path / CAMPAIGN).exists():
+            folder._require_same()
+        elif path.is_dir() and any(path.iterdir()):
+            raise CampaignError(f"{path}: has other files than a campaign's; choose another folder")
+        (path / RUNS).mkdir(parents=True, exist_ok=True)
+        _write(path / DESIGN, campaign.file.text.encode())
+        _write(path / CAMPAIGN, campaign.text(DESIGN).encode())
+        return folder
+
+    def missing(self) -> list[tuple[int, int]]:
+        """Return the parts that are not done, each as its first run and the one after its last."""
+        runs = self.campaign.entries.runs
+        parts = [(begin, min(begin + PART, runs)) for begin in range(0, runs, PART)]
+        return [part for part in parts if self._rows(part[0]) < part[1] - part[0]]
+
+    def write(self, begin: int, columns: Columns) -> None:
+        """Write a part.
+
+        Raises:
+            CampaignError: It cannot be written.
+        """
+        table = pa.table(columns).replace_schema_metadata({_IDENTITY: self._identity})
+        sink = pa.BufferOutputStream()
+        parquet.write_table(table, sink)
+        _write(self._part(begin), sink.getvalue().to_pybytes())
+
+    def read(self) -> Columns:
+        """Return the columns of all runs that are there, in the order of their numbers.
+
+        Raises:
+            CampaignError: There are none, or a file cannot be read.
+        """
+        parts = range(0, self.campaign.entries.runs, PART)
+        tables = [self._table(begin) for begin in parts if self._part(begin).exists()]
+        if not tables:
+            raise CampaignError(f"{self.path}: no runs yet")
+        table = pa.concat_tables(tables)
+        return {
+            name: np.array(table[name].to_pylist() if _is_text(table, name) else table[name])
+            for name in table.column_names
+        }
+
+    def write_summary(self, texts: Iterable[str]) -> list[Path]:
+        """Write the summary's files, in the order of `SUMMARY`, and return their paths."""
+        paths = [self.path / name for name in SUMMARY]
+        for path, text in zip(paths, texts, strict=True):
+            _write(path, text.encode())
+        return paths
+
+    @property
+    def _identity(self) -> bytes:
+        return self.campaign.identity.encode()
+
+    def _part(self, begin: int) -> Path:
+        return self.path / RUNS / f"{begin:08d}.parquet"
+
+    def _rows(self, begin: int) -> int:
+        """Return the number of rows of a part, 0 if it is not there or damaged."""
+        try:
+            metadata = parquet.read_metadata(self._part(begin))
+        except (OSError, pa.ArrowInvalid):
+            return 0
+        known = (metadata.metadata or {}).get(_IDENTITY) == self._identity
+        return int(metadata.num_rows) if known else 0
+
+    def _table(self, begin: int) -> Any:
+        try:
+            return parquet.read_table(self._part(begin))
+        except (OSError, pa.ArrowInvalid) as error:
+            raise CampaignError(f"{self._part(begin)}: cannot be read: {error}") from error
+
+    def _require_same(self) -> None:
+        try:
+            there = load_campaign(self.path / CAMPAIGN)
+        except DesignFileError as error:
+            raise CampaignError(f"{error}; --force replaces the campaign") from error
+        if there.identity != self.campaign.identity:
+            raise CampaignError(
+                f"{self.path}: has another campaign, with "
+                f"{_difference(there, self.campaign)}; --force replaces it"
+            )
+        parts = {begin: self._rows(begin) for begin in range(0, there.entries.runs, PART)}
+        done = max((begin + rows for begin, rows in parts.items() if rows), default=0)
+        if self.campaign.entries.runs < done:
+            raise CampaignError(
+                f"{self.path}: has {done} runs already, expected at least as many, "
+                f"got {self.campaign.entries.runs}"
+            )
+
+    def _remove(self) -> None:
+        if not (self.path / CAMPAIGN).exists() and self.path.is_dir() and any(self.path.iterdir()):
+            raise CampaignError(f"{self.path}: has other files than a campaign's")
+        for path in [*(self.path / RUNS).glob("*.parquet"), *map(self.path.joinpath, SUMMARY)]:
+            path.unlink(missing_ok=True)
+
+
+def _difference(there: Campaign, asked: Campaign) -> str:
+    if there.file.sha256 != asked.file.sha256:
+        return f"design {there.file.identity} and not {asked.file.identity}"
+    for name in there.entries.__struct_fields__:
+        old, new = getattr(there.entries, name), getattr(asked.entries, name)
+        if name not in ("runs", "design") and old != new:
+            return f"another entry {name}"
+    return f"numbers of another version than {__version__}"
+
+
+def _is_text(table: Any, name: str) -> bool:
+    return bool(pa.types.is_string(table[name].type))
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file that appears once it is complete."""
+    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(content)
+        temporary.replace(path)
+    except OSError as error:
+        raise CampaignError(f"{path}: cannot be written: {error.strerror}") from error

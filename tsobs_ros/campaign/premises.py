@@ -1,0 +1,118 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Premises of a certified bound: which of them a simulated run does not keep."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
+from tsobs_ros.model.arm import SIDES, ElasticJointArm
+from tsobs_ros.simulation.plant import Mismatch, Scenario
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import BiasStep, Component, GaussMarkov, Ramp, Sinusoid
+
+_EPSILON = 1e-9
+
+_SENSOR = {
+    "outlier_probability": "outliers",
+    "noise_time_constant": "coloured noise",
+    "noise_degrees": "heavy tails",
+    "burst_interval": "bursts",
+    "latency": "latency",
+    "resolution": "resolution",
+}
+"""What sensors have that no design foresees, by the number that is not 0 then."""
+
+
+def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
+    """Return what a scenario has that the bound of a design does not foresee.
+
+    Dropouts are not among it: what is claimed after them is a covariance, until the certificate
+    covers it. Of uncertain parameters all changes within the bounds are foreseen; if the design
+    does not certify these, the bound is called "certified but for the learnt parameters". Whether
+    a run stays in the domain is seen only when it has been simulated.
+    """
+    found = set(_arm(scenario, request))
+    if scenario.payload.link_inertia or scenario.payload.gravity_torque:
+        found.add("payload")
+    if scenario.torque_error:
+        found.add("torque error")
+    noise, designed = scenario.process_noise, request.process_noise
+    if _is_more(noise.link, designed.link) or _is_more(noise.motor, designed.motor):
+        found.add("process noise")
+    for side in SIDES:
+        terms = getattr(request.torque_disturbance, side)
+        if not _foresees(terms, getattr(scenario.torque_disturbance, side)):
+            found.add("torque disturbance")
+    for asked, output in zip(request.sensors, scenario.measured, strict=True):
+        if not _foresees(asked.disturbance, output.disturbance):
+            found.add("disturbance")
+        if _is_more(output.sensor.noise_std, asked.measurement_std):
+            found.add("noise")
+        found |= _of_sensor(output.sensor)
+    return tuple(sorted(found))
+
+
+def _arm(scenario: Scenario, request: ArmRequest) -> Iterable[str]:
+    friction, arm = scenario.friction, request.arm
+    if friction.link_coulomb or friction.motor_coulomb:
+        yield "friction"
+    for name, side in (("link_damping", "link_viscous"), ("motor_damping", "motor_viscous")):
+        if _is_more(getattr(friction, side), request.uncertainty.get(name, 0.0)):
+            yield "friction"
+    for name, theta in _thetas(scenario.mismatch, arm).items():
+        if _is_more(abs(theta), request.uncertainty.get(name, 0.0)):
+            yield "parameters"
+
+
+def _thetas(mismatch: Mismatch, arm: ElasticJointArm) -> Mapping[str, float]:
+    """Return the changes of uncertain parameters that a mismatch is."""
+    changes = {item.name: getattr(mismatch, item.name) for item in fields(mismatch)}
+    return {
+        "stiffness": changes["stiffness"],
+        "gravity": changes["gravity_torque"] if arm.gravity_torque else 0.0,
+        "link_damping": changes["link_damping"] * arm.link_damping,
+        "motor_damping": changes["motor_damping"] * arm.motor_damping,
+        "link_inverse_inertia": 1.0 / (1.0 + changes["link_inertia"]) - 1.0,
+        "motor_inverse_inertia": 1.0 / (1.0 + changes["motor_inertia"]) - 1.0,
+    }
+
+
+def _of_sensor(sensor: Sensor) -> set[str]:
+    return {what for number, what in _SENSOR.items() if getattr(sensor, number)}
+
+
+def _foresees(terms: Iterable[DisturbanceTerm], components: Iterable[Component]) -> bool:
+    """Return whether terms of a design have a place for each of some components."""
+    terms = list(terms)
+    wandering = sum(term["density"] for term in terms if term.kind in ("bias", "ramp"))
+    drifts = [term for term in terms if term.kind == "gauss_markov"]
+    for component in components:
+        match component:
+            case BiasStep(start=start):
+                fits = start <= 0.0 and any(term.kind in ("bias", "ramp") for term in terms)
+            case Ramp(start=start):
+                fits = start <= 0.0 and any(term.kind == "ramp" for term in terms)
+            case Sinusoid(frequency=frequency, start=start):
+                fits = start <= 0.0 and any(term.get("frequency") == frequency for term in terms)
+            case GaussMarkov(std=std, time_constant=time_constant):
+                alike = [
+                    term
+                    for term in drifts
+                    if term["time_constant"] == time_constant and not _is_more(std, term["std"])
+                ]
+                density = 2.0 * std * std / time_constant
+                fits = bool(alike)
+                if alike:
+                    drifts.remove(alike[0])
+                elif time_constant >= 1e5 and not _is_more(density, wandering):
+                    wandering, fits = wandering - density, True
+            case _:
+                fits = False
+        if not fits:
+            return False
+    return True
+
+
+def _is_more(value: float, limit: float) -> bool:
+    return value > limit * (1.0 + _EPSILON)

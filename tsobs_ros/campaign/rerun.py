@@ -1,0 +1,102 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""One run of a campaign made again, as a bag of measurements, truth and estimates."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsobs_ros.bag.estimate_topics import sides
+from tsobs_ros.bag.joint_states import JOINT_STATE
+from tsobs_ros.bag.metadata import QosProfile
+from tsobs_ros.bag.writer import BagWriter, Message
+from tsobs_ros.campaign.batches import stamps_of
+from tsobs_ros.campaign.definition import Campaign, CampaignError
+from tsobs_ros.campaign.drawing import draw
+from tsobs_ros.checks import Array
+from tsobs_ros.design.signals import Place, signals
+from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
+from tsobs_ros.replay.places import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, Layout
+from tsobs_ros.simulation.plant import Plant
+
+JOINT = "elastic_joint"
+"""Name of the joint in the bag."""
+
+
+class _Topic(NamedTuple):
+    name: str
+    places: tuple[Place, ...]
+    values: Array
+    there: NDArray[np.bool_]
+
+
+def rerun(campaign: Campaign, run: int, output: Path) -> Path:
+    """Make a run again, and return its bag: `bag` in a folder.
+
+    Args:
+        campaign: The campaign.
+        run: The run's number.
+        output: The folder; the bag must not exist.
+
+    Raises:
+        CampaignError: The campaign has no such run.
+        BagWriteError: The bag exists, or cannot be written.
+    """
+    if not 0 <= run < campaign.entries.runs:
+        raise CampaignError(f"run {run}: expected a number from 0 to {campaign.entries.runs - 1}")
+    with TemporaryDirectory() as folder:
+        recorded = Path(folder, f"run_{run}")
+        _record(campaign, run, recorded)
+        source = open_source(recorded)
+        observer = Observer("observer", campaign.settings, (campaign.file,))
+        run_all(source, make_runs(source, [observer], rate=None, as_live=False), output / "bag")
+    return output / "bag"
+
+
+def _record(campaign: Campaign, run: int, bag: Path) -> None:
+    """Write what a plant simulator would have sent."""
+    request, drawn = campaign.file.design.arm_request, draw(campaign, run)
+    runs = Plant(drawn.scenario, drawn.seed).run(drawn.scenario.sample_count)
+    stamps, own = stamps_of(runs.times), signals(request, JOINT, alone=True)
+    measured = np.asarray(np.isfinite(runs.measurements).any(axis=1))
+    always = np.ones(len(stamps), np.bool_)
+    truth = {
+        TRUE_STATES: (own.states, runs.physical),
+        TRUE_DISTURBANCE: (
+            tuple(Place(name, "position") for name in own.disturbances),
+            runs.disturbances,
+        ),
+        # The motor's first, as in the truth of a run.
+        TRUE_TORQUE: (
+            tuple(Place(name, "effort") for name in reversed(sides(JOINT))),
+            runs.torque_disturbances,
+        ),
+    }
+    topics = [
+        _Topic(
+            "/joint_measurements",
+            (*own.outputs, *own.inputs),
+            np.hstack([runs.measurements, runs.torques]),
+            measured,
+        ),
+        *(_Topic(f"/{name}", *each, always) for name, each in truth.items()),
+    ]
+    notes = {
+        "run": str(run),
+        "scenario": drawn.name,
+        "seed": str(drawn.seed),
+        "campaign": campaign.identity,
+    }
+    with BagWriter(bag, custom_data=notes) as writer:
+        for topic in topics:
+            writer.add_topic(topic.name, JOINT_STATE, [QosProfile()])
+        messages: list[Message] = []
+        for name, places, values, there in topics:
+            times = stamps[there]
+            data = Layout([places]).encode(times, values[there][:, np.newaxis])
+            for stamp, message in zip(times.tolist(), data, strict=True):
+                messages.append((name, JOINT_STATE, message, stamp, stamp))
+        writer.write_all(sorted(messages, key=lambda message: message[3]))
