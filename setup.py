@@ -78,7 +78,7 @@ setup(
     distclass=AmentDistribution,
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "report/page.css", "report/page.js"]},
     data_files=data_files(),
     zip_safe=False,
     # Never rclpy: a sourced ROS provides it without pip's knowledge, and wheels would outrank it.

@@ -81,7 +81,9 @@ def run(options: argparse.Namespace) -> int:
         total=options.duration, unit="s", bar_format="{l_bar}{bar}| {n:.1f}/{total:.1f} s"
     ) as bar:
         bag = _record(output, options, lambda seconds: bar.update(seconds - bar.n))
-    exit_code = report_on(bag, output, as_json=options.json)
+    exit_code = report_on(
+        bag, output, as_json=options.json, notes={"seed of the simulator": str(options.seed)}
+    )
     if not options.json:
         print(
             f"\nthe bag is {bag}: ros2 bag play, Foxglove and PlotJuggler open it\n"

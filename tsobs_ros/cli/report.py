@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""`tsobs report`: table and figures of a recorded run."""
+"""`tsobs report`: page, figure and table of a recorded run."""
 
 import argparse
 from pathlib import Path
@@ -12,7 +12,7 @@ from tsobs_ros.errors import LogError
 
 def add_parser(commands: Commands) -> None:
     """Add the command `report`."""
-    report = commands.add_parser("report", help="table and figures of a recorded run")
+    report = commands.add_parser("report", help="page, figure and table of a recorded run")
     add = report.add_argument
     add("bag", type=Path)
     add("--output", type=Path, help="folder for the report (default: by the bag)")
@@ -27,6 +27,7 @@ def add_parser(commands: Commands) -> None:
         help="let --design name another design than the bag's observer ran",
     )  # fmt: skip
     add("--no-ekf", action="store_true", help="leave out the EKF comparison")
+    add("--force", action="store_true", help="replace existing files")
     add_json(report)
     report.set_defaults(command=run)
 
@@ -49,6 +50,7 @@ def run(options: argparse.Namespace) -> int:
         ekf=not options.no_ekf,
         joint=options.joint,
         namespace=options.namespace,
+        force=options.force,
     )
 
 

@@ -6,8 +6,7 @@ A bag has them on the observer's topic `design`; one from before there was that 
 checksums on /diagnostics.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import NamedTuple
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.cdr import CdrReader
+from tsobs_ros.bag.diagnostics import DIAGNOSTICS, read_statuses
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.design.file import IDENTITY_LENGTH, DesignFile, checksum, load_design_file
 from tsobs_ros.design.published import Value, read_record
@@ -22,7 +22,7 @@ from tsobs_ros.errors import BagReadError, DesignFileError, MessageError, TsobsE
 from tsobs_ros.methods import SETTING_NAMES, ObserverSettings
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
-STRING, DIAGNOSTICS = "std_msgs/msg/String", "diagnostic_msgs/msg/DiagnosticArray"
+STRING = "std_msgs/msg/String"
 
 # /diagnostics of other nodes come in between the observer's.
 _FIRST, _LAST = 200, 50
@@ -256,28 +256,13 @@ def _of_diagnostics(reader: BagReader, topic: str, name: str) -> RecordedObserve
     )
     pairs = []
     for message in messages:
-        for status, joint, values in _statuses(message.data):
-            if status[0] == name.strip("/") and status[-1] == "certificate":
+        for status in read_statuses(message.data):
+            if status.name[0] == name.strip("/") and status.name[-1] == "certificate":
+                values = status.values
                 ran = RanDesign(values.get("design", ""), values.get("design sha256", ""))
-                pairs += [(joint, ran)] if ran.sha256 else []
+                pairs += [(status.hardware, ran)] if ran.sha256 else []
     designs = _by_joint(pairs)
     return RecordedObserver(topic, designs) if designs else None
-
-
-def _statuses(data: bytes) -> Iterator[tuple[list[str], str, dict[str, str]]]:
-    """Yield the parts of each status's name, its hardware and its values."""
-    with suppress(MessageError):  # anybody publishes there
-        reader = CdrReader(data)
-        reader.skip(8, "stamp")
-        reader.text("frame_id")
-        for _ in range(reader.count("status", 1)):
-            reader.skip(1, "level")
-            name, _, hardware = (reader.text(field) for field in ("name", "message", "hardware_id"))
-            values = {}
-            for _ in range(reader.count("values", 8)):
-                key = reader.text("key")
-                values[key] = reader.text("value")
-            yield name.split(": "), hardware, values
 
 
 def _by_joint(pairs: Iterable[tuple[str, RanDesign]]) -> dict[str, tuple[RanDesign, ...]]:

@@ -3,17 +3,21 @@
 """The report on a bag: a table, a figure, an interactive page, and the same numbers as JSON."""
 
 import json
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from itertools import takewhile
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import TsobsError, missing_library, printable
-from tsobs_ros.replay.designs import choose_designs
+from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.replay.designs import RecordedObserver, choose_designs
 from tsobs_ros.replay.health import (
     EventFinder,
     Health,
@@ -25,13 +29,19 @@ from tsobs_ros.replay.health import (
 from tsobs_ros.report.comparison import (
     EkfComparison,
     compare_with_ekf,
+    metrics_cells,
     metrics_options,
     render_metrics,
 )
+from tsobs_ros.report.diagnosed import Diagnosed, diagnose
 from tsobs_ros.report.metrics import RunMetrics, measure
-from tsobs_ros.report.panels import picture
-from tsobs_ros.report.quantities import outputs_of, quantities_of
+from tsobs_ros.report.panels import RivalCurves, TimingSummary, picture
+from tsobs_ros.report.quantities import inputs_of, outputs_of, quantities_of
 from tsobs_ros.report.run import RecordedRun, RunParts, find_observer
+from tsobs_ros.report.summary import About, Summary, Table, summarise
+
+MAX_RIVAL = 200_000
+"""Measurements of a recording over which EKFs are run: a quarter of an hour at 200 Hz."""
 
 
 class ReportError(TsobsError, RuntimeError):
@@ -51,6 +61,10 @@ class BagReport:
         events: Changes of their health.
         begin: Stamp that times count from [ns].
         comparison: With an EKF on the same measurements, if asked for.
+        summary: How the run went, in words.
+        diagnosed: Faults and rejects, as the recorded diagnostics have them.
+        timing: How regular the measurements came.
+        notes: What else is known of its origin, such as a seed, by name.
         files: The files that were written, in order of interest.
         remarks: Limits of the report itself.
     """
@@ -63,6 +77,10 @@ class BagReport:
     events: tuple[JointEvent, ...]
     begin: int
     comparison: EkfComparison | None
+    summary: Summary
+    diagnosed: Diagnosed
+    timing: TimingSummary
+    notes: Mapping[str, str]
     files: tuple[Path, ...]
     remarks: tuple[str, ...]
 
@@ -71,7 +89,7 @@ class BagReport:
         quantities = quantities_of(self.design.design.request)
         table = render_metrics(self.metrics, self.comparison, quantities)
         what = f"{self.joint}, design {self.design.name} ({self.design.identity})"
-        parts = [f"{printable(f'{self.bag}: {what}')}\n{table}"]
+        parts = [f"{printable(f'{self.bag}: {what}')}\n{printable(self.summary.text)}", table]
         if self.health is not None:
             events = list_events(self.events, self.begin)
             parts.append("\n".join(map(printable, [*self.health.lines(), *events])))
@@ -86,10 +104,14 @@ class BagReport:
             "bag": str(self.bag),
             "joint": self.joint,
             "design": {"file": self.design.name, "sha256": self.design.sha256},
+            "version": __version__,
+            "summary": {"level": self.summary.level.name, "text": self.summary.text},
             **self.metrics.as_mapping(),
             "health": None
             if self.health is None
             else {**self.health.as_mapping(), **map_events(self.events, self.begin)},
+            "timing": self.timing._asdict(),
+            "diagnostics": self.diagnosed.as_mapping(),
             "ekf": None if self.comparison is None else self.comparison.as_mapping(),
             "files": [str(path) for path in self.files],
             "remarks": list(self.remarks),
@@ -106,26 +128,35 @@ def make_bag_report(
     html: bool = True,
     joint: str | None = None,
     namespace: str | None = None,
+    force: bool = False,
+    notes: Mapping[str, str] = MappingProxyType({}),
 ) -> BagReport:
-    """Measure a bag and write `report.png`, `report.html` and `report.json`.
+    """Measure a bag and write `report.html`, `report.png`, `report.pdf` and `report.json`.
 
     Args:
         bag: Bag folder or MCAP file.
-        output: Folder for the files; it is created, files of the same names are replaced.
+        output: Folder for the files, which is created.
         design: File of the design that the estimates were made with; if None, the one in the bag,
             else the shipped one.
         other_design: Whether that may be another one than the bag's.
-        ekf: Whether to run an EKF over the same measurements; takes about a second a minute.
+        ekf: Whether to run EKFs over the same measurements, over up to `MAX_RIVAL` of them.
         html: Whether to write the page too; it is left out, with a remark, without plotly.
         joint: Name of the joint in the bag; None if there is one only.
         namespace: Namespace of the topics, for a bag with several arms.
+        force: Whether to replace files of these names.
+        notes: What else is known of the run's origin, such as a seed, by name.
 
     Raises:
         BagReadError: The bag cannot be read or lacks what a report needs.
         DesignFileError: The design is none, or not that of the bag; or that is not known here.
-        ReportError: A file cannot be written.
+        ReportError: A file exists already or cannot be written.
         ModuleNotFoundError: matplotlib is not installed.
     """
+    page = html and find_spec("plotly") is not None
+    names = ["report.png", "report.pdf", *(["report.html"] if page else []), "report.json"]
+    written = tuple(output / name for name in names)
+    if not force and (existing := [str(path) for path in written if path.exists()]):
+        raise ReportError(f"{', '.join(existing)}: exists already; --force replaces it")
     found = find_observer(bag, namespace=namespace)
     joint, ran = found.choose(joint), found.ran
     given = [] if design is None else [design]
@@ -135,55 +166,133 @@ def make_bag_report(
     ((*chosen,),) = choose_designs(bag, ran, joints, named, others_allowed=other_design).values()
     files = dict(zip(joints, chosen, strict=True))
     file = files[joint]
-    parts = found.run(joint, file.design.request)
+    request = file.design.request
+    parts = found.run(joint, request)
     run = parts.run
     options = metrics_options(file.design)
-    health = _HealthOf(parts)
-    metrics = measure(health, options)
-    comparison = None
-    if ekf and parts.has_truth:
-        comparison = compare_with_ekf(run, metrics, bag, files, ran.settings(), options)
-    page = html and find_spec("plotly") is not None
+    health_of = _HealthOf(parts)
+    metrics = measure(health_of, options)
+    diagnosed = diagnose(found.statuses(joint), run.origin, metrics.last)
+    comparison, rival = None, RivalCurves(joint, run.origin)
     remarks = [*ran.doubt(given), *ran.remarks]
+    if ekf and parts.has_truth:
+        comparison = compare_with_ekf(
+            run, metrics, bag, files, ran.settings(), options, rival.add, MAX_RIVAL
+        )
+        if metrics.estimates > MAX_RIVAL and rival.until < metrics.last - 1.0:
+            until = takewhile(lambda part: float(part.times[0]) < rival.until, parts)
+            comparison = replace(comparison, observer=measure(until, options))
+            remarks.append(
+                f"note: the EKF was run over the first {rival.until:.0f} s, and is compared with "
+                "the observer over the same time"
+            )
     if not parts.has_truth:
         remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:
         remarks.append(f"note: time restarted {run.passes - 1} times; this is the longest pass")
     if not metrics.windows:
         remarks.append("note: the run is too short to have a settled part, so there are no errors")
+    if not diagnosed.count:
+        remarks.append(
+            "note: the bag has no diagnostics of the observer, so there are no faults, rejects and "
+            "ticks"
+        )
     if html and not page:
         remarks.append(f"note: no report.html: {missing_library('plotly')}")
-    outputs = ["report.png", *(["report.html"] if page else []), "report.json"]
-    written = tuple(output / name for name in outputs)
-    report = BagReport(
-        bag=bag,
-        joint=run.joint,
-        design=file,
-        metrics=metrics,
-        health=health.sum.result(),
-        events=tuple(health.finder.events),
-        begin=run.origin,
-        comparison=comparison,
-        files=written,
-        remarks=tuple(remarks),
-    )
     try:
         output.mkdir(parents=True, exist_ok=True)
         # Here, so that matplotlib and plotly are needed only for what they draw.
         from tsobs_ros.report.figures import draw_run
 
-        measured = outputs_of(file.design.request)
-        shown = picture(parts, metrics, options.innovation_stds, measured)
-        draw_run(shown, written[0])
+        shown = picture(
+            parts,
+            metrics,
+            options.innovation_stds,
+            outputs_of(request),
+            inputs=inputs_of(request),
+            learnt=request.uncertainty_model.names,
+            period=1.0 / request.rate,
+            diagnosed=diagnosed,
+            rival=None if comparison is None else rival.of(comparison.method),
+        )
+        health = health_of.sum.result()
+        report = BagReport(
+            bag=bag,
+            joint=run.joint,
+            design=file,
+            metrics=metrics,
+            health=health,
+            events=tuple(health_of.finder.events),
+            begin=run.origin,
+            comparison=comparison,
+            summary=summarise(metrics, health, diagnosed, shown.timing, quantities_of(request)),
+            diagnosed=diagnosed,
+            timing=shown.timing,
+            notes=dict(notes),
+            files=written,
+            remarks=tuple(remarks),
+        )
+        for path in written[:2]:
+            draw_run(shown, path)
         if page:
             from tsobs_ros.report.page import write_html
 
-            write_html(shown, written[1])
+            write_html(shown, written[2], about(report, ran))
         text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
         written[-1].write_text(text + "\n", encoding="utf-8")
     except OSError as error:
         raise ReportError(f"cannot write the report: {error}") from error
     return report
+
+
+def about(report: BagReport, ran: RecordedObserver) -> About:
+    """Return what the page of a report has besides its panels."""
+    design, begin = report.design.design, report.begin
+    head, *rows = metrics_cells(report.metrics, report.comparison, quantities_of(design.request))
+    note = f"Over the {report.metrics.settled_time:.1f} s that count as settled."
+    if report.comparison is not None:
+        note += f" {report.comparison.note(quantities_of(design.request))}."
+    tables = [Table("Errors and bounds", head, rows, 2, note)]
+    if report.diagnosed.faults:
+        faults = [
+            (
+                one.output or report.joint,
+                one.kind,
+                one.level.name,
+                f"{one.begin:.1f}",
+                f"{one.end:.1f}",
+                f"{one.magnitude:.3g} {one.unit}",
+            )
+            for one in report.diagnosed.faults
+        ]
+        columns = ("sensor", "fault", "level", "since [s]", "until [s]", "size")
+        tables.append(Table("Faults of sensors", columns, faults, 3))
+    if report.events:
+        events = [
+            (f"{(one.log_time - begin) / NANOSECONDS:.1f}", one.event.level.name, one.event.text)
+            for one in sorted(report.events, key=lambda one: one.log_time)
+        ]
+        tables.append(Table("Events", ("time [s]", "level", "what"), events, 3))
+    if report.diagnosed.rejected:
+        rejected = [(reason, str(count)) for reason, count in report.diagnosed.rejected.items()]
+        tables.append(Table("Rejected measurements", ("reason", "number"), rejected))
+    margin = design.certificate.worst.margin
+    parameters = ", ".join(f"{name} = {value}" for name, value in ran.parameters.items())
+    facts = [
+        ("bag", str(report.bag)),
+        ("joint", report.joint),
+        ("design", f"{report.design.name}, SHA-256 {report.design.sha256}"),
+        ("certificate", f"holds, checked now; smallest margin {margin:.3g} 1/s"),
+        ("rate of the design", f"{design.request.rate:g} Hz"),
+        ("solver", f"{design.solver.name} {design.solver.version}, {design.solver.status}"),
+        ("parameters of the observer", parameters or "not recorded"),
+        *report.notes.items(),
+        ("version of this report", f"tsobs_ros {__version__}"),
+    ]
+    health = () if report.health is None else report.health.lines()
+    return About(
+        report.summary.level, report.summary.sentences, tables, facts, (*health, *report.remarks)
+    )
 
 
 class _HealthOf:

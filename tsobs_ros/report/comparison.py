@@ -9,6 +9,7 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -55,6 +56,9 @@ HIGH_GAIN = ("high_gain", "proportional_integral")
 MAX_TUNED = 50_000
 """Measurements of a recording in which the best θ is looked for, which takes two dozen runs."""
 
+OnPart = Callable[[RecordedRun], object]
+"""Called with parts of runs, whose name is that of their observer."""
+
 _NOTHING = "–"
 _EKFS = {
     "ekf": "the nominal parameters",
@@ -88,6 +92,11 @@ class EkfComparison:
     def normalised_ratio(self) -> float | None:
         """Normalised RMSE of the observer over that of the EKF; None without truth."""
         return _ratio(self.observer.normalised_rmse, self.ekf.normalised_rmse)
+
+    def note(self, quantities: Sequence[Quantity]) -> str:
+        """Return the line on what the EKF has in common with ours, and in what it differs."""
+        gated = tuple(quantities[:4]) == QUANTITIES[:4]
+        return about_ekfs([self.method], better=self.rivals > 1, gated=gated)
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the EKF's errors and the ratios as plain data."""
@@ -167,6 +176,8 @@ def compare_with_ekf(
     files: Mapping[str, DesignFile],
     settings: ObserverSettings,
     options: MetricsOptions | None = None,
+    on_part: OnPart | None = None,
+    limit: int | None = None,
 ) -> EkfComparison:
     """Run EKFs over the measurements of a recorded run, as `tsobs compare` does.
 
@@ -180,6 +191,8 @@ def compare_with_ekf(
         files: Design file of each joint that the observer observed.
         settings: Those that it ran with.
         options: Options of the measures.
+        on_part: Called with each part of the runs of the EKFs.
+        limit: Number of estimates after which they end; of all measurements if None.
     """
     source = BagSource(bag, topic=run.topic, joints=tuple(files))
     learns = settings.learnt(files[run.joint].design)
@@ -188,7 +201,7 @@ def compare_with_ekf(
         for method in (EKFS if learns else EKFS[:1])
     ]
     observers, _ = without_misfits(observers)
-    errors = compare_observers(source, observers, options)
+    errors = compare_observers(source, observers, options, on_part, limit)
     own = [one for one in errors if one.joint == run.joint]
     best = min(own, key=lambda one: one.normalised_rmse)
     if best.metrics is None:
@@ -226,13 +239,36 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
 
 
 def compare_observers(
-    source: Source, observers: Sequence[Observer], options: MetricsOptions | None = None
+    source: Source,
+    observers: Sequence[Observer],
+    options: MetricsOptions | None = None,
+    on_part: OnPart | None = None,
+    limit: int | None = None,
 ) -> list[ObserverErrors]:
-    """Run observers when the recorded one estimated, if there is one, and measure them."""
+    """Run observers when the recorded one estimated, if there is one, and measure them.
+
+    Args:
+        source: The measurements.
+        observers: The observers.
+        options: Options of the measures.
+        on_part: Called with each part of the runs.
+        limit: Number of estimates after which the runs end; of all measurements if None.
+    """
     runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
-    scores = RunScores(source, runs, options)
-    run_all(source, runs, None, after_window=scores.add)
+    scores = RunScores(source, runs, options, on_part=on_part)
+
+    def add() -> None:
+        scores.add()
+        if limit is not None and runs[0].estimates >= limit:
+            raise _EnoughError
+
+    with suppress(_EnoughError):
+        run_all(source, runs, None, after_window=add)
     return scores.errors()
+
+
+class _EnoughError(Exception):
+    """Ends runs early."""
 
 
 class RunScores:
@@ -245,6 +281,7 @@ class RunScores:
         runs: The runs.
         options: Options of the measures.
         size: Number of messages of the truth that are read at once.
+        on_part: Called with each part of the runs.
     """
 
     def __init__(
@@ -253,10 +290,11 @@ class RunScores:
         runs: Sequence[Run],
         options: MetricsOptions | None = None,
         size: int | None = WINDOW,
+        on_part: OnPart | None = None,
     ) -> None:
         self._runs, self._truth = runs, _TruthReader(source, size)
         self._scores = [
-            (run, joint, _RunScore(run, joint, name, options or MetricsOptions()))
+            (run, joint, _RunScore(run, joint, name, options or MetricsOptions(), on_part))
             for joint, name in enumerate(source.joints)
             for run in runs
         ]
@@ -305,8 +343,10 @@ class _TruthReader:
 class _RunScore:
     """Measures a joint of a run, window by window."""
 
-    def __init__(self, run: Run, joint: int, name: str, options: MetricsOptions) -> None:
-        self._run, self._joint, self._name = run, joint, name
+    def __init__(
+        self, run: Run, joint: int, name: str, options: MetricsOptions, on_part: OnPart | None
+    ) -> None:
+        self._run, self._joint, self._name, self._on_part = run, joint, name, on_part
         design = run.observer.designs[joint]
         self._request, self._options = design.request, metrics_options(design, options)
         self._outputs = tuple(outputs_of(design.request))
@@ -328,7 +368,10 @@ class _RunScore:
             if begin == end:
                 continue
             self._newest = max(self._newest, int(stamps[begin:end].max()))
-            self._pass.add(self._part(there[begin:end], messages, truth), self._options)
+            part = self._part(there[begin:end], messages, truth)
+            self._pass.add(part, self._options)
+            if self._on_part is not None:
+                self._on_part(part)
 
     def _end_pass(self) -> None:
         if self._pass.count > self._longest.count:
@@ -472,6 +515,24 @@ def render_metrics(
         quantities: What is estimated.
         comparison: With an EKF on the same data; adds two columns.
     """
+    above = (
+        f"{metrics.measurements} measurements, {metrics.estimates} estimates in "
+        f"{metrics.duration:.1f} s; errors over the {metrics.settled_time:.1f} s that count as "
+        "settled"
+    )
+    below = _events(metrics)
+    if comparison is not None:
+        below.append(comparison.note(quantities))
+    table = aligned(metrics_cells(metrics, comparison, quantities))
+    return "\n".join([above, "", *table, "", *below])
+
+
+def metrics_cells(
+    metrics: RunMetrics,
+    comparison: EkfComparison | None = None,
+    quantities: Sequence[Quantity] = QUANTITIES,
+) -> list[list[str]]:
+    """Return the cells of the same table, its head first."""
     rows = [["", "unit", "RMSE", "bound (1σ)", "RMSE/bound", f"inside {SIGMAS:g}σ"]]
     for quantity in quantities:
         one = metrics[quantity.key]
@@ -479,7 +540,6 @@ def render_metrics(
         numbers = [number_text(one.rmse), number_text(one.bound), _quotient(one.ratio), inside]
         rows.append([quantity.name, quantity.unit, *numbers])
     rows.append(["all states, normalised", "", number_text(metrics.normalised_rmse), "", "", ""])
-    below = _events(metrics)
     if comparison is not None:
         theirs = {one.key: one.rmse for one in comparison.ekf.quantities}
         errors = [*(theirs.get(one.key) for one in quantities), comparison.ekf.normalised_rmse]
@@ -487,14 +547,7 @@ def render_metrics(
         rows[0] += ["EKF RMSE", "RMSE/EKF"]
         for row, error, ratio in zip(rows[1:], errors, ratios, strict=True):
             row += [number_text(error), _quotient(ratio)]
-        gated = quantities[:4] == QUANTITIES[:4]
-        below.append(about_ekfs([comparison.method], better=comparison.rivals > 1, gated=gated))
-    above = (
-        f"{metrics.measurements} measurements, {metrics.estimates} estimates in "
-        f"{metrics.duration:.1f} s; errors over the {metrics.settled_time:.1f} s that count as "
-        "settled"
-    )
-    return "\n".join([above, "", *aligned(rows), "", *below])
+    return rows
 
 
 def _events(metrics: RunMetrics) -> list[str]:

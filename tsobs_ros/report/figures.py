@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from tsobs_ros.report import panels as content
 from tsobs_ros.report.metrics import SIGMAS
-from tsobs_ros.report.panels import ERROR, Panel, Picture, Plot
+from tsobs_ros.report.panels import ERROR, TIME, Panel, Picture, Plot
 from tsobs_ros.style import MUTED, STYLE
 
 _WIDTH = 10.0
@@ -36,15 +36,15 @@ def draw_run(picture: Picture, path: Path) -> None:
 
     Args:
         picture: What is shown.
-        path: The file, `.png` or `.svg`; it is replaced.
+        path: The file, `.png`, `.pdf` or `.svg`; it is replaced.
 
     Raises:
         OSError: The file cannot be written.
     """
     with matplotlib.rc_context(STYLE):
         figure = _figure(picture)
-        # Without the date the same run gives the same SVG.
-        metadata = {"Date": None} if path.suffix == ".svg" else {}
+        # Without the date the same run gives the same file.
+        metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {})
         figure.savefig(path, dpi=_DPI, metadata=metadata)
         del figure
     # Its parts refer to each other, and would else stay as long as the page needs memory.
@@ -52,7 +52,9 @@ def draw_run(picture: Picture, path: Path) -> None:
 
 
 def _figure(picture: Picture) -> Figure:
-    panels = picture.panels
+    # Those of another axis than time below the others.
+    panels = sorted(picture.panels, key=lambda panel: panel.values.axis != TIME)
+    last_of_time = sum(panel.values.axis == TIME for panel in panels) - 1
     with_errors = any(panel.error is not None for panel in panels)
     heights = [_TALL if panel.values.estimate else _FLAT for panel in panels]
     height = sum(heights) + _TOP + _BOTTOM
@@ -73,7 +75,8 @@ def _figure(picture: Picture) -> Figure:
     left: list[Axes] = []
     right: list[Axes] = []
     for row, panel in enumerate(panels):
-        left.append(figure.add_subplot(grid[row, 0], sharex=left[0] if left else None))
+        follows = left and panel.values.axis == TIME
+        left.append(figure.add_subplot(grid[row, 0], sharex=left[0] if follows else None))
         _draw(left[-1], panel.values, panel.unit)
         if panel.error is None:
             _write_beside(left[-1], panel)
@@ -81,12 +84,15 @@ def _figure(picture: Picture) -> Figure:
             right.append(figure.add_subplot(grid[row, 1], sharex=left[0]))
             _draw(right[-1], panel.error, panel.unit)
             right[-1].set_title("  ·  ".join(panel.remark), loc="left", fontsize=7.8, pad=5)
-    for column in (left, right):
+    for column in (left[: last_of_time + 1], right):
         for axes in column:
             _mark_events(axes, picture)
             axes.tick_params(labelbottom=axes is column[-1])
-    for axes in [column[-1] for column in (left, right) if column]:
-        axes.set_xlabel("time since the first sample [s]")
+        if column:
+            column[-1].set_xlabel(TIME)
+    for axes, panel in zip(left, panels, strict=True):
+        if panel.values.axis != TIME:
+            axes.set_xlabel(panel.values.axis)
     left[0].xaxis.set_major_locator(MaxNLocator(8, steps=[1, 2, 5, 10]))
     left[0].set_xlim(picture.time_range)
     _label_jumps(left[0], picture)
@@ -118,7 +124,7 @@ def _head(figure: Figure, picture: Picture, height: float) -> None:
         handles=_legend(picture),
         loc="upper left",
         bbox_to_anchor=(0.013, at(0.58)),
-        ncols=6,
+        ncols=7,
         handlelength=1.6,
         columnspacing=1.6,
         borderpad=0.0,
@@ -134,6 +140,8 @@ def _legend(picture: Picture) -> list[Line2D | Patch]:
     if picture.has_truth:
         entries.append(Line2D([], [], color=content.TRUTH_COLOUR, lw=3.0, label="true"))
     blue = content.ESTIMATE_COLOUR
+    if any(panel.values.rival is not None for panel in picture.panels):
+        entries.append(Line2D([], [], color=content.RIVAL_COLOUR, lw=1.3, ls=":", label="EKF"))
     return [
         *entries,
         Line2D([], [], color=blue, lw=1.3, label="estimated"),
@@ -170,6 +178,18 @@ def _draw(axes: Axes, plot: Plot, unit: str) -> None:
         axes.axhline(0.0, color=content.TRUTH_COLOUR, lw=1.6, zorder=4)
     if plot.estimate is not None:
         axes.plot(*plot.estimate, color=blue, lw=1.0, zorder=5)
+    if plot.rival is not None:
+        axes.plot(*plot.rival, color=content.RIVAL_COLOUR, lw=0.9, ls=":", zorder=4)
+    for line in plot.lines:
+        axes.plot(*line.curve, color=line.colour, lw=1.0, label=line.name, zorder=4)
+    if len(plot.lines) > 1:
+        axes.legend(loc="upper left", fontsize=7.5, ncols=4, borderpad=0.1, handlelength=1.2)
+    names = list(dict.fromkeys(strip.name for strip in plot.strips))
+    for strip in plot.strips:
+        colour = content.LEVEL_COLOURS.get(strip.level, content.EVENT_COLOUR)
+        axes.hlines(names.index(strip.name), strip.begin, strip.end, color=colour, lw=9)
+    if names:
+        axes.set_yticks(range(len(names)), [_plain(name) for name in names])
     if plot.other is not None:
         axes.plot(*plot.other[0], color=MUTED, lw=1.0, ls=(0, (5, 3)), zorder=4)
     for begin, end in plot.spans:
@@ -177,6 +197,11 @@ def _draw(axes: Axes, plot: Plot, unit: str) -> None:
     if plot.level is not None:
         for sign in (-1.0, 1.0):
             axes.axhline(sign * plot.level[0], color=MUTED, lw=0.9, ls=(0, (5, 3)), zorder=4)
+
+
+def _plain(name: str) -> str:
+    """Return a name that is no formula."""
+    return name.replace("$", r"\$")
 
 
 def _label(name: str, unit: str) -> str:

@@ -161,6 +161,11 @@ class RunMetrics:
         """Whether the error of any quantity is known."""
         return any(one.rmse is not None for one in self.quantities)
 
+    @property
+    def last(self) -> float:
+        """Time of the last estimate since the run's origin [s]."""
+        return self.events[0].time + self.duration
+
     def __contains__(self, key: str) -> bool:
         return any(one.key == key for one in self.quantities)
 

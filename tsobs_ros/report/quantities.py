@@ -94,6 +94,13 @@ def outputs_of(request: ArmRequest | TSRequest) -> list[tuple[str, str]]:
     return list(zip(names, request.output_units, strict=True))
 
 
+def inputs_of(request: ArmRequest | TSRequest) -> list[tuple[str, str]]:
+    """Return the names of the inputs, for people, with their units."""
+    if isinstance(request, TSRequest):
+        return list(zip(request.input_names, request.input_units, strict=True))
+    return [("applied torque", "N m")]
+
+
 def measured_states(request: ArmRequest | TSRequest) -> dict[str, int]:
     """Return the place of the output that measures a state and nothing else, by the state's key."""
     if isinstance(request, ArmRequest):

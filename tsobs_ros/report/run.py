@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.diagnostics import DIAGNOSTICS, RecordedStatus, read_statuses
 from tsobs_ros.bag.joint_series import JointSeries, Wanted, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
@@ -38,7 +39,13 @@ MAX_GAP = 0.1
 _FIRST_MESSAGES = 1000
 _TRUTH = ("truth", "true_disturbance", "true_torque")
 _REQUIRED = ("measurements", "states", "bounds", "disturbance", "disturbance_bound")
-_SERIES = ("innovations", *_TRUTH, "health")
+_SERIES = (
+    "innovations", *_TRUTH, "health", "parameters", "parameter_bounds", "delays", "estimate_delays",
+)  # fmt: skip
+# Numbers of a joint that is alone, and those of one among several, are in entries of other names.
+_TWICE = ("health", "parameters", "parameter_bounds")
+# Of which topics the time from the stamp to the recording is of interest.
+_DELAYED = {"measurements": "delays", "states": "estimate_delays"}
 _ALIGNED = {
     "bounds": "state_bounds",
     "disturbance": "disturbance",
@@ -136,6 +143,11 @@ class RecordedRun:
             robot.
         health: Numbers of `estimation.events.Condition` at their stamps, values (h, 6); None if
             not recorded.
+        parameters: Learnt changes of the uncertain parameters, values (l, c); None if not recorded.
+        parameter_bounds: 1σ of each, values (l, c); None if not recorded.
+        delays: Time from the stamps of measurements to their recording [s], values (n, 1); None if
+            not recorded.
+        estimate_delays: The same of the estimates, values (m, 1).
         topic: Name of the measurements' topic.
         joints: All that there are estimates of.
         ran: What the observer ran, as far as the bag has it.
@@ -162,6 +174,10 @@ class RecordedRun:
     true_disturbance: Series | None = None
     true_torque: Series | None = None
     health: Series | None = None
+    parameters: Series | None = None
+    parameter_bounds: Series | None = None
+    delays: Series | None = None
+    estimate_delays: Series | None = None
     topic: str = "joint_measurements"
     joints: tuple[str, ...] = ()
     ran: RecordedObserver = field(default_factory=RecordedObserver)
@@ -364,7 +380,7 @@ class FoundObserver:
         reader, names = self._reader, self._names
         own = signals(request, joint, joint not in self._has_names)
         quantities = quantities_of(request)
-        wanted = _wanted(joint, own)
+        wanted = _wanted(joint, own, request.uncertainty_model.names)
         required = {key: names[key] for key in _REQUIRED}
         self._require(required)
         there = {name: (key, wanted[key]) for key, name in names.items()
@@ -403,6 +419,21 @@ class FoundObserver:
         )
         shown = {name: one for name, one in there.items() if one[0] in chosen}
         return RunParts(reader, shown, chosen, run, size)
+
+    def statuses(self, joint: str) -> Iterator[RecordedStatus]:
+        """Yield the recorded statuses of the observer that are of a joint, or of all joints."""
+        topic = self._reader.topics.get("/diagnostics")
+        node = str(self._names["states"]).removesuffix(f"/{topics.STATES}").strip("/")
+        if topic is None or topic.type != DIAGNOSTICS:
+            return
+        mark = node.encode()
+        for message in self._reader.messages([topic.name]):
+            if mark not in message.data:
+                continue
+            for status in read_statuses(message.data):
+                of_all = status.name[-1] == "timing" or len(self.joints) == 1
+                if status.name[0] == node and (of_all or status.hardware == joint):
+                    yield status
 
     def _require(self, names: Mapping[str, str | None]) -> None:
         ends = _topics(self._observer)
@@ -490,8 +521,8 @@ def _blocks(
     wanted = {name: own for name, (_, own) in there.items()}
     for block in read_blocks(reader, wanted, size):
         found = {there[name][0]: series for name, series in block.series.items()}
-        if "health" in found:
-            found["health"] = _as_named(found["health"])
+        for key in found.keys() & set(_TWICE):
+            found[key] = _as_named(found[key])
         yield found, block.horizon == math.inf
 
 
@@ -520,14 +551,14 @@ class RunParts:
     ) -> None:
         self.run, self._size = run, size
         self._reader, self._there, self._spans = reader, there, spans
-        # Of the health there are two groups, of which one has numbers.
-        self._widths = {key: [len(one) for one in wanted[: 1 if key == "health" else None]]
+        self._widths = {key: [len(one) for one in wanted[: 1 if key in _TWICE else None]]
                         for key, wanted in there.values()}  # fmt: skip
         self.has_truth = "truth" in spans
 
     def __iter__(self) -> Iterator[RecordedRun]:
         count = dict.fromkeys(self._spans, 0)
         waiting = {key: _no_series(sum(self._widths[key])) for key in self._spans}
+        waiting |= {_DELAYED[key]: _no_series(1) for key in self._spans.keys() & _DELAYED.keys()}
         since: int | None = None
         for block, is_last in _blocks(self._reader, self._there, self._size):
             for key, series in block.items():
@@ -540,6 +571,10 @@ class RunParts:
                 widths = enumerate(self._widths[key])
                 values = np.hstack([chosen[:, group, :width] for group, width in widths])
                 waiting[key] = waiting[key].followed_by(Series(stamps, values))
+                if key in _DELAYED:
+                    late = (series.log_times[named][own] - stamps) / NANOSECONDS
+                    delays = Series(stamps, late[:, np.newaxis])
+                    waiting[_DELAYED[key]] = waiting[_DELAYED[key]].followed_by(delays)
             latest = waiting["states"].stamps.max(initial=0)
             until = None if is_last else int(latest) - _LATENESS
             part = self._part(waiting, since, until)
@@ -589,15 +624,19 @@ def _topics(observer: str) -> dict[str, str]:
         "torque_bound": f"{observer}/{topics.TORQUE_DISTURBANCE_BOUND}",
         "innovations": f"{observer}/{topics.INNOVATION}",
         "health": f"{observer}/{topics.HEALTH}",
+        "parameters": f"{observer}/{topics.PARAMETERS}",
+        "parameter_bounds": f"{observer}/{topics.PARAMETER_BOUNDS}",
         "truth": TRUE_STATES,
         "true_disturbance": TRUE_DISTURBANCE,
         "true_torque": TRUE_TORQUE,
     }
 
 
-def _wanted(joint: str, own: Signals) -> dict[str, Wanted]:
+def _wanted(joint: str, own: Signals, learnt: tuple[str, ...]) -> dict[str, Wanted]:
     """Return for each part of a run what to read of its topic."""
-    alone, named = (places_of(joint, own, alone=alone, rated=False) for alone in (True, False))
+    alone, named = (
+        places_of(joint, own, alone=alone, learnt=learnt, rated=False) for alone in (True, False)
+    )
     return {
         "measurements": [own.outputs, own.inputs],
         "states": [own.states],
@@ -607,7 +646,10 @@ def _wanted(joint: str, own: Signals) -> dict[str, Wanted]:
         "torque": [own.torques],
         "torque_bound": [own.torques],
         "innovations": [alone[topics.INNOVATION]],
-        "health": [alone[topics.HEALTH], named[topics.HEALTH]],
+        **{
+            key: [alone[topic], named[topic]]
+            for key, topic in zip(_TWICE, (topics.HEALTH, *topics.PARAMETER_TOPICS), strict=True)
+        },
         "truth": [own.states],
         "true_disturbance": [alone[TRUE_DISTURBANCE]],
         "true_torque": [own.torques],
@@ -652,9 +694,9 @@ def _choose_joint(bag: Path, joints: tuple[str, ...], joint: str | None) -> str:
     raise BagReadError(f"{bag}: no estimate{whom}; joints: {has}")
 
 
-def _as_named(health: JointSeries) -> JointSeries:
+def _as_named(series: JointSeries) -> JointSeries:
     """Return the numbers of a joint that is alone or, if there are such, of one among several."""
-    return health.of_joint(int(health.named[:, 1].any()))
+    return series.of_joint(int(series.named[:, 1].any()))
 
 
 def align(series: Series, stamps: Stamps) -> Array:

@@ -1,0 +1,189 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a report in a browser: it draws, zooms and switches, alone and on a phone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tsobs_ros.bag.diagnostics import RecordedStatus
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.replay.health import HealthSum
+from tsobs_ros.report.diagnosed import diagnose
+from tsobs_ros.report.metrics import measure
+from tsobs_ros.report.page import write_html
+from tsobs_ros.report.panels import picture
+from tsobs_ros.report.quantities import QUANTITIES
+from tsobs_ros.report.run import Series
+from tsobs_ros.report.summary import About, Table, summarise
+
+HOSTILE = "</script><img src=x onerror=alert(1)><b>&\u202e$x$"
+
+
+def statuses(run):
+    """Yield what an observer reports once a second: a bias, and gated measurements."""
+    for second in range(1, 20):
+        stamp = run.origin + second * 1_000_000_000
+        kind, level = ("bias", 1) if 8 < second < 15 else ("none", 0)
+        fault = {"kind": kind, "magnitude [rad]": "0.25", "since": "for 0.5 s"}
+        gated = {"rejected: gated": str(max(0, second - 10)), "rejected: too old": "0"}
+        timing = {"missed ticks": "3", "latency p50 [ms]": "1.5", "latency p99 [ms]": "nan"}
+        yield RecordedStatus(stamp, level, ("observer", "sensor fault"), "arm", fault)
+        yield RecordedStatus(stamp, 0, ("observer", "measurements"), "arm", gated)
+        yield RecordedStatus(stamp, 0, ("observer", "timing"), "arm", timing)
+
+
+@pytest.fixture
+def diagnosed(simulated):
+    """What those statuses come to."""
+    return diagnose(statuses(simulated), simulated.origin, 20.0)
+
+
+@pytest.fixture
+def page(simulated, troubled, diagnosed, tmp_path):
+    """A page with all panels, of a run with a name that is markup."""
+    slow = troubled.health.stamps
+    learnt = Series(slow, np.tile([0.1, -0.05], (len(slow), 1)))
+    run = replace(
+        troubled, name=HOSTILE, parameters=learnt, parameter_bounds=learnt._replace(
+            values=np.full((len(slow), 2), 0.02)
+        ),
+        delays=Series(simulated.stamps, np.full((len(simulated.stamps), 1), 0.002)),
+    )  # fmt: skip
+    metrics = measure(run)
+    shown = picture(run, metrics, (0.03,), learnt=("stiffness", HOSTILE), diagnosed=diagnosed)
+    path = tmp_path / "run.html"
+    table = Table("A table", ("what", "number"), [(HOSTILE, "1")], 1, HOSTILE)
+    write_html(shown, path, About(Level.WARN, ("It went so-so.",), (table,), ((HOSTILE, "2"),)))
+    return path
+
+
+@pytest.fixture
+def opened(browser, page):
+    """Open the page in a window of some width; fail on messages and requests at the end."""
+    contexts, noise = [], []
+
+    def open_(width: int):
+        context = browser.new_context(viewport={"width": width, "height": 900})
+        contexts.append(context)
+        tab = context.new_page()
+        tab.on("console", lambda message: noise.append(message.text))
+        tab.on("pageerror", lambda error: noise.append(str(error)))
+        tab.on("request", lambda request: noise.append(request.url) if request.url != page.as_uri()
+               and not request.url.startswith(("data:", "blob:")) else None)  # fmt: skip
+        tab.goto(page.as_uri())
+        tab.wait_for_selector("body[data-drawn]")
+        return tab
+
+    yield open_
+    for context in contexts:
+        context.close()
+    assert noise == []
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_page_draws_all_panels_without_scrolling_sideways(opened, page, width) -> None:
+    tab = opened(width)
+
+    titles = tab.locator("h3").all_inner_texts()
+    assert [title for title in titles if ": error" not in title] == [
+        "link angle [rad]", "link velocity [rad/s]", "motor angle [rad]",
+        "motor velocity [rad/s]", "sensor disturbance [rad]", "applied torque [N m]",
+        "sensor fault", "innovation [rad]", "autocorrelation of innovation",
+        "noise scale [design's = 1]", "learnt change of stiffness",
+        f"learnt change of {HOSTILE}", "measurement interval [ms]", "stamp to recording [ms]",
+        "latency of the node [ms]", "rejected [1/s]",
+    ]  # fmt: skip
+    assert tab.locator(".main-svg .trace").count() > 40
+    assert tab.locator("p.verdict").inner_text() == "! Mind:It went so-so."
+    assert tab.title() == HOSTILE
+    assert tab.locator("h1").inner_text() == HOSTILE
+    assert tab.locator("td").first.inner_text() == HOSTILE
+    assert tab.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert [path.name for path in page.parent.iterdir() if path.name.startswith("run")] == [
+        "run.html"
+    ]
+
+
+def test_zooming_into_one_panel_zooms_into_all(opened) -> None:
+    tab = opened(1280)
+    box = tab.locator("#plot0 .nsewdrag").bounding_box()
+    middle = box["y"] + 0.5 * box["height"]
+    tab.mouse.move(box["x"] + 0.25 * box["width"], middle)
+    tab.mouse.down()
+    tab.mouse.move(box["x"] + 0.5 * box["width"], middle, steps=5)
+    tab.mouse.up()
+    tab.wait_for_selector("body[data-range]")
+
+    ranges = tab.evaluate(
+        "[...document.querySelectorAll('.plot')].map((one) => [...one.layout.xaxis.range])"
+    )
+    titles = tab.locator("h3").all_inner_texts()
+    for title, (begin, end) in zip(titles, ranges, strict=True):
+        if title.startswith("autocorrelation"):
+            assert (begin, end) != pytest.approx(ranges[0])
+        else:
+            assert (begin, end) == pytest.approx(ranges[0])
+    assert ranges[0] == pytest.approx([5.0, 10.0], abs=0.1)
+
+
+def test_a_key_switches_a_curve_in_all_panels(opened) -> None:
+    tab = opened(1280)
+    shown = "[...document.querySelectorAll('.plot')].flatMap((one) => one.data)"
+    shown += ".filter((one) => one.legendgroup === 'true' && one.visible !== false).length"
+    assert tab.evaluate(shown) == 5
+    key = tab.get_by_role("button", name="true")
+
+    key.focus()
+    tab.keyboard.press("Enter")
+
+    tab.wait_for_function(f"({shown}) === 0")
+    assert key.get_attribute("aria-pressed") == "false"
+    key.click()
+    tab.wait_for_function(f"({shown}) === 5")
+
+
+def test_a_printed_page_fits_its_paper(opened) -> None:
+    tab = opened(1280)
+
+    assert tab.pdf(format="A4").startswith(b"%PDF")
+
+    # As `beforeprint` made them, whatever the window's width is.
+    tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+    widths = "[...document.querySelectorAll('.plot')].map((one) => one._fullLayout.width)"
+    assert set(tab.evaluate(widths)) == {690}
+
+
+def test_diagnostics_come_to_faults_and_rates(diagnosed) -> None:
+    (fault,) = diagnosed.faults
+    assert (fault.kind, fault.level, fault.unit) == ("bias", Level.WARN, "rad")
+    assert (fault.begin, fault.end, fault.magnitude) == (8.5, 15.0, 0.25)
+    assert diagnosed.rejected == {"gated": 9}
+    times, rates = diagnosed.reject_rates["gated"]
+    assert rates[times == 12.0] == 1.0
+    assert diagnosed.missed == 3
+    np.testing.assert_array_equal(diagnosed.timing["latency p50 [ms]"][1], 1.5)
+
+
+def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> None:
+    metrics = measure(simulated)
+    timing = picture(simulated, metrics, period=0.005).timing
+    health = HealthSum()
+    health.add(troubled.health.values)
+
+    good = summarise(metrics, health.result(), diagnose([], 0, 20.0), timing, QUANTITIES)
+    assert good.level is Level.OK
+    assert good.text.startswith("All errors of each estimate are inside its 3σ bound, over 10.0 s.")
+    assert "The bounds were proved for 90.5 % of the time. No measurement was lost." in good.text
+
+    wrong = replace(simulated, state_bounds=0.1 * simulated.state_bounds)
+    bad = summarise(measure(wrong), None, diagnosed, timing, QUANTITIES)
+    assert bad.level is Level.ERROR
+    assert bad.text.startswith("Only ")
+    assert "A sensor fault was reported: bias of 0.25 rad, from 8.5 s to 15.0 s." in bad.text
+    assert "0 of 4001 measurements are missing, 9 were rejected." in bad.text
+
+    unknown = replace(simulated, truth=None, true_disturbance=None)
+    robot = summarise(measure(unknown), None, diagnose([], 0, 20.0), timing, QUANTITIES)
+    assert robot.text.startswith("Neither the truth nor the innovations")

@@ -1,0 +1,174 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""A run in plain words: how it went, and what its page has besides the panels."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from tsobs_ros.estimation.health import Level
+from tsobs_ros.estimation.records import Basis
+from tsobs_ros.replay.health import Health
+from tsobs_ros.report.diagnosed import Diagnosed
+from tsobs_ros.report.metrics import SIGMAS, RunMetrics
+from tsobs_ros.report.panels import TimingSummary
+from tsobs_ros.report.quantities import Quantity
+
+# Of errors inside 3 sigma: as many as the bound implies for any distribution, and too few.
+_INSIDE, _TOO_FEW = 0.99, 8.0 / 9.0
+_EXPECTED = (0.5, 2.0)
+_MANY_LOST = 0.01
+_BOUNDED = (Basis.CERTIFIED, Basis.LEARNT)
+
+
+class Table(NamedTuple):
+    """A table of a page.
+
+    Attributes:
+        title: Its heading.
+        head: Names of the columns.
+        rows: Their texts.
+        numbers: Place of the first column of numbers, which are aligned to the right.
+        note: What to know of it.
+    """
+
+    title: str
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    numbers: int = 1
+    note: str = ""
+
+
+class About(NamedTuple):
+    """What a page has besides the panels.
+
+    Attributes:
+        level: How well the run went.
+        sentences: How the run went, in plain words.
+        tables: Its tables, in order.
+        facts: Names and values of what it was made with.
+        remarks: Limits of the report.
+    """
+
+    level: Level = Level.OK
+    sentences: Sequence[str] = ()
+    tables: Sequence[Table] = ()
+    facts: Sequence[tuple[str, str]] = ()
+    remarks: Sequence[str] = ()
+
+
+class Summary(NamedTuple):
+    """How a run went.
+
+    Attributes:
+        level: How well.
+        sentences: In plain words.
+    """
+
+    level: Level
+    sentences: tuple[str, ...]
+
+    @property
+    def text(self) -> str:
+        """All sentences."""
+        return " ".join(self.sentences)
+
+
+def summarise(
+    metrics: RunMetrics,
+    health: Health | None,
+    diagnosed: Diagnosed,
+    timing: TimingSummary,
+    quantities: Sequence[Quantity],
+) -> Summary:
+    """Return how a run went, by its errors if they are known, else by its innovations.
+
+    Args:
+        metrics: Of the run.
+        health: Of its estimates, if recorded.
+        diagnosed: Faults and rejects, if recorded.
+        timing: Of its measurements.
+        quantities: What is estimated.
+    """
+    parts = [
+        _of_estimates(metrics, quantities),
+        _of_bounds(health),
+        _of_faults(diagnosed, metrics),
+        _of_data(metrics, diagnosed, timing),
+    ]
+    levels, sentences = zip(*[part for part in parts if part is not None], strict=True)
+    return Summary(max(levels), sentences)
+
+
+def _of_estimates(metrics: RunMetrics, quantities: Sequence[Quantity]) -> tuple[Level, str]:
+    if not metrics.windows:
+        return Level.WARN, (
+            f"The run of {metrics.duration:.1f} s is too short or too eventful to judge: no part "
+            "of it counts as settled."
+        )
+    names = {one.key: one.name for one in quantities}
+    inside = [(one.inside, names[one.key]) for one in metrics.quantities if one.inside is not None]
+    if inside:
+        share, name = min(inside)
+        if share >= _INSIDE:
+            how_many = "All" if share == 1.0 else f"At least {_percent(share)} of the"
+            return Level.OK, (
+                f"{how_many} errors of each estimate are inside its {SIGMAS:g}σ bound, over "
+                f"{metrics.settled_time:.1f} s."
+            )
+        level = Level.WARN if share >= _TOO_FEW else Level.ERROR
+        return level, (
+            f"Only {_percent(share)} of the errors of the {name} are inside their {SIGMAS:g}σ "
+            f"bound, over {metrics.settled_time:.1f} s."
+        )
+    if metrics.nis is None:
+        return Level.WARN, "Neither the truth nor the innovations are recorded."
+    good = _EXPECTED[0] <= metrics.nis <= _EXPECTED[1]
+    agree = "agree with the design" if good else "do not agree with the design"
+    return Level.OK if good else Level.WARN, (
+        f"The measurements {agree}: the mean square of the innovations is {metrics.nis:.2f} times "
+        "the expected one. The truth is not known."
+    )
+
+
+def _of_bounds(health: Health | None) -> tuple[Level, str] | None:
+    if health is None:
+        return None
+    if health.misfit:
+        return Level.WARN, f"{health.misfit[0].upper()}{health.misfit[1:]}."
+    share = sum(health.bases.get(basis, 0.0) for basis in _BOUNDED)
+    return Level.OK, f"The bounds were proved for {_percent(share)} of the time."
+
+
+def _of_faults(diagnosed: Diagnosed, metrics: RunMetrics) -> tuple[Level, str] | None:
+    if not diagnosed.count:
+        return None
+    if not diagnosed.faults:
+        return Level.OK, "No fault of a sensor was reported."
+    worst = max(diagnosed.faults, key=lambda one: (one.level, one.end - one.begin))
+    of = f" of {worst.output}" if worst.output else ""
+    until = "to the end" if worst.end > metrics.last - 2.5 else f"to {worst.end:.1f} s"
+    more = len(diagnosed.faults) - 1
+    also = f", and {more} more" if more else ""
+    size = f" of {worst.magnitude:.2g} {worst.unit}".rstrip() if worst.magnitude else ""
+    return min(worst.level, Level.ERROR), (
+        f"A sensor fault was reported: {worst.kind}{of}{size}, from {worst.begin:.1f} s "
+        f"{until}{also}."
+    )
+
+
+def _of_data(
+    metrics: RunMetrics, diagnosed: Diagnosed, timing: TimingSummary
+) -> tuple[Level, str] | None:
+    rejected = sum(diagnosed.rejected.values())
+    total = max(metrics.measurements, 1)
+    share = (timing.lost + rejected) / (total + timing.lost)
+    lost = f"{timing.lost} of {total + timing.lost} measurements are missing"
+    level = Level.WARN if share > _MANY_LOST else Level.OK
+    if not timing.lost and not rejected:
+        return level, "No measurement was lost."
+    return level, f"{lost}, {rejected} were rejected."
+
+
+def _percent(share: float) -> str:
+    # Downwards, so that nearly all is not all.
+    return f"{int(1000.0 * share) / 10.0:g} %"
