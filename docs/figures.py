@@ -5,12 +5,15 @@
 Diagrams in SVG are drawn by hand and not made here.
 """
 
+import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +118,95 @@ def learning(path: Path) -> None:
     save(figure, path)
 
 
+def markers(path: Path) -> None:
+    """What the visualizer draws: an arm without a fault, with a warning, with an error."""
+    from builtin_interfaces.msg import Time
+
+    from tsobs_ros.estimation.health import Level
+    from tsobs_ros.nodes.visualizer.scene import Angles, Arm, Look, scene
+
+    def arm(level: Level, fault: str, link: float, motor: float, sensor: float) -> Arm:
+        truth, estimate = Angles(link, motor), Angles(link + 0.01, motor - 0.02)
+        seen = Angles(sensor, np.nan)
+        return Arm("elastic_joint", truth, estimate, Angles(0.05, 0.07), seen, level, fault)
+
+    arms = [
+        arm(Level.OK, "no fault", 0.35, 0.15, 0.36),
+        arm(Level.WARN, "bias 0.3 rad", -0.3, 0.4, 0.0),
+        arm(Level.ERROR, "drift 0.9 rad", 0.6, 1.5, -0.3),
+    ]
+    figure, axis = plt.subplots(layout="constrained", figsize=(8, 2.6))
+    for marker in scene(arms, Look("world", 1.0, 2.6, 0.45, 1.0), Time()).markers:
+        draw(axis, marker)
+    axis.set_aspect("equal")
+    axis.set(xlim=(-1.1, 6.3), ylim=(-1.3, 0.95))
+    axis.axis("off")
+    save(figure, path)
+
+
+def draw(axis: Any, marker: Any) -> None:
+    """Draw a marker as it is seen from -y."""
+    at, turn, size = marker.pose.position, marker.pose.orientation, marker.scale
+    colour = (marker.color.r, marker.color.g, marker.color.b)
+    look = {"color": colour, "alpha": marker.color.a, "lw": 0}
+    points = [(point.x, point.z) for point in marker.points]
+    if marker.type == marker.CUBE:
+        bar = plt.Rectangle(
+            (at.x - size.x / 2, at.z - size.z / 2), size.x, size.z,
+            angle=-2.0 * np.degrees(np.arctan2(turn.y, turn.w)), rotation_point="center", **look,
+        )  # fmt: skip
+        axis.add_patch(bar)
+    elif marker.type in (marker.SPHERE, marker.CYLINDER):
+        behind = {"zorder": 0.5} if marker.type == marker.CYLINDER else {}
+        axis.add_patch(plt.Circle((at.x, at.z), size.x / 2, **look, **behind))
+    elif marker.type == marker.TRIANGLE_LIST:
+        for corner in range(0, len(points), 3):
+            axis.add_patch(plt.Polygon(points[corner : corner + 3], **look))
+    elif marker.type == marker.LINE_STRIP:
+        axis.plot(*zip(*points, strict=True), color=colour, lw=1.5)
+    else:
+        axis.text(at.x, at.z, marker.text, color=colour, ha="center", va="center")
+
+
+def watch(path: Path) -> None:
+    """`tsobs watch` on the nodes of `tsobs demo`, once their sensor's bias is known."""
+    from playwright.sync_api import sync_playwright
+    from rich.console import Console
+    from rich.text import Text
+
+    domain = "90"
+    environment = {
+        **os.environ, "ROS_DOMAIN_ID": domain, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FORCE_COLOR": "1", "COLUMNS": "92", "COLORTERM": "truecolor",
+    }  # fmt: skip
+    command = [sys.executable, "-m", "tsobs_ros.cli.main"]
+    with tempfile.TemporaryDirectory() as folder:
+        arguments = ["--output", f"{folder}/demo", "--domain-id", domain, "--duration", "40"]
+        bias = ["--bias", "0.3", "--bias-at", "5"]
+        running = subprocess.Popen([*command, "demo", *arguments, *bias])
+        try:
+            shown = ""
+            while "WARN bias" not in shown and running.poll() is None:
+                looked = [*command, "watch", "--once", "--timeout", "60"]
+                shown = subprocess.run(
+                    looked, env=environment, capture_output=True, text=True, check=False
+                ).stdout
+        finally:
+            running.send_signal(signal.SIGINT)
+            running.wait()
+        console = Console(record=True, width=92, file=StringIO())
+        console.print(Text.from_ansi(shown))
+        picture = Path(folder, "watch.svg")
+        console.save_svg(str(picture), title="tsobs watch")
+        with sync_playwright() as playwright:
+            chromium = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))))
+            browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+            page = browser.new_page()
+            page.goto(picture.as_uri())
+            page.locator("svg").first.screenshot(path=path)
+            browser.close()
+
+
 def tsobs(*arguments: str) -> None:
     """Run a command of `tsobs`."""
     subprocess.run([sys.executable, "-m", "tsobs_ros.cli.main", *arguments], check=True)
@@ -132,8 +224,10 @@ FIGURES: dict[str, Callable[[Path], None]] = {
     "contact_torque": example,
     "demo": demo,
     "learning": learning,
+    "markers": markers,
     "own_arm": example,
     "rivals": rivals,
+    "watch": watch,
 }
 """What makes each figure of docs/images."""
 

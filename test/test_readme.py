@@ -75,9 +75,12 @@ NOT_RUN = {
     "/tmp/release/bin/python ": "the network",
     "cd /tmp && /tmp/release": "made by the line before; demo runs on another page",
     "colcon build ": "colcon, no requirement",
+    "ros2 launch tsobs_ros demo.launch.xml": "Ubuntu's ROS; test_views.py reads the file",
+    "rviz2 -d ": "Ubuntu's ROS; test_views.py reads the file",
+    "tsobs watch": "a live observer; test_watch.py has one",
 }
 
-NODES = ("observer", "recorder", "player", "plant_simulator")
+NODES = ("observer", "recorder", "player", "plant_simulator", "visualizer")
 COMMANDS = (
     r"tsobs|ros2|python3?|make|source|mkdir|cp|rosdep|colcon|pip|apt|sudo|export|git|chrt|[A-Z_]+(?==)"
     r"|\.venv/bin/\S+"

@@ -172,7 +172,8 @@ def test_a_program_gets_one_snapshot(arm: None, ros: Any, ros_process: Any) -> N
     link = found["positions"]["elastic_joint_link"]
     assert abs(link["value"] - link["truth"]) < 1.0
     assert found["statuses"]["measurements"]["values"]["rejected: gated"].isdigit()
-    assert found["rates"]["joint_states"] > 1.0
+    # The observer's rate, of a busy machine as of another: arrivals are counted as they came.
+    assert 1.0 < found["rates"]["joint_states"] < 100.0
 
 
 def test_an_observer_that_is_not_there_is_an_error(ros_process: Any) -> None:

@@ -3,7 +3,7 @@
 """The newest messages of an observer, of its sensors and of the truth, for live views."""
 
 import time
-from collections import Counter
+from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
@@ -22,11 +22,15 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import MessageError, TsobsError
 from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import LATCHED
 
 MEASUREMENTS = "measurements"
 """The key of the sensors' messages: `joint_measurements` until the observer publishes its topic."""
+
+_RATE_WINDOW = 3 * NANOSECONDS
+_MAX_READS = 1000
 
 TRUE_STATES = "ground_truth/joint_states"
 TRUE_DISTURBANCE = "ground_truth/disturbance"
@@ -43,13 +47,12 @@ class ObserverFeed:
         observer: The observer's name, relative to the node's namespace or full.
         wanted: Topics of JointStates, those of `estimate_topics` below the observer's name, and of
             `TRUTH`.
-        depth: Messages that a topic keeps between two reads; only kept ones are counted.
+        depth: Messages that a topic keeps between two reads; only kept ones count in rates.
 
     Attributes:
         name: The observer's full name.
         latest: The newest message of each topic, by the name in `wanted`, and of `MEASUREMENTS`.
         arrived: When it was read, on the monotonic clock [s].
-        counts: Number of messages of each topic so far.
         statuses: The observer's newest diagnostics, by name without the observer's.
         requests: What each joint's design was made for, by its name; empty without a record.
         problem: Why the record cannot be used; empty if it can.
@@ -62,7 +65,8 @@ class ObserverFeed:
         self.name = node.resolve_topic_name(observer)
         self.latest: dict[str, JointState] = {}
         self.arrived: dict[str, float] = {}
-        self.counts: Counter[str] = Counter()
+        # Of each read: when its newest message was received [ns], and how many there were so far.
+        self._received: dict[str, deque[tuple[int, int]]] = {}
         self.statuses: dict[str, Status] = {}
         self.requests: dict[str, ArmRequest | TSRequest] = {}
         self.problem = ""
@@ -79,14 +83,21 @@ class ObserverFeed:
         for key, subscription in self._topics.items():
             taken = subscription.drain()
             if taken:
-                self.counts[key] += len(taken)
+                past = self._received.setdefault(key, deque([(0, 0)], _MAX_READS))
+                past.append((taken[-1][1]["received_timestamp"], past[-1][1] + len(taken)))
                 self.arrived[key] = time.monotonic()
                 with suppress(MessageError):
                     self.latest[key] = self._decode(taken[-1][0])
 
-    def publishers(self, key: str) -> int:
-        """Return the number of publishers of a topic."""
-        return self._topics[key].publisher_count if key in self._topics else 0
+    def rates(self) -> dict[str, float]:
+        """Return the messages a second of each topic that had any, over the last seconds."""
+        began = time.time_ns() - _RATE_WINDOW
+        found = {}
+        for key, past in self._received.items():
+            recent = [each for each in past if each[0] > began] or [past[-1]]
+            (first, before), (last, count) = recent[0], recent[-1]
+            found[key] = NANOSECONDS * (count - before) / (last - first) if last > first else 0.0
+        return found
 
     def fresh(self, key: str, max_age: float) -> JointState | None:
         """Return the newest message of a topic if it was read less than `max_age` [s] ago."""

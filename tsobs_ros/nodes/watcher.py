@@ -5,7 +5,6 @@
 import math
 import os
 import time
-from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -16,7 +15,6 @@ from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import NodeError
 from tsobs_ros.estimation.health import Status
 from tsobs_ros.nodes.feed import (
-    MEASUREMENTS,
     TRUE_DISTURBANCE,
     TRUE_STATES,
     TRUE_TORQUE,
@@ -26,8 +24,6 @@ from tsobs_ros.nodes.feed import (
 from tsobs_ros.nodes.ticker import Ticker
 
 _DEPTH = 5000
-_RATE_WINDOW = 3.0
-"""Time over which rates are counted [s]."""
 
 
 class Quantity(NamedTuple):
@@ -113,7 +109,6 @@ class Watcher(Node):
         own = (*topics.TOPICS, *topics.PARAMETER_TOPICS, *topics.TORQUE_TOPICS)
         wanted = [key for key in own if key != topics.RESTARTS]
         self._feed = ObserverFeed(self, name, (*wanted, *TRUTH), depth=_DEPTH)
-        self._past: deque[tuple[float, Counter[str]]] = deque()
         self.ticker = Ticker(self, period, self._tick)
         self.ticker.start()
 
@@ -138,24 +133,12 @@ class Watcher(Node):
             parameters=self._quantities("position", *topics.PARAMETER_TOPICS),
             health=self._values("position", topics.HEALTH),
             statuses=feed.statuses,
-            rates=self._rates(),
+            rates=feed.rates(),
             problem=feed.problem,
         )
 
     def _tick(self) -> None:
         self.finished = not self._show(self.snapshot())
-
-    def _rates(self) -> dict[str, float]:
-        now = time.monotonic()
-        self._past.append((now, Counter(self._feed.counts)))
-        while self._past[0][0] < now - _RATE_WINDOW:
-            self._past.popleft()
-        began, before = self._past[0]
-        duration = max(now - began, 1e-9)
-        grown = {key: count - before[key] for key, count in self._feed.counts.items()}
-        return {
-            key: grown[key] / duration for key in (MEASUREMENTS, *self._feed.counts) if key in grown
-        }
 
     def _values(self, field: str, topic: str) -> dict[str, float]:
         message = self._feed.latest.get(topic)
