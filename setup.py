@@ -71,6 +71,8 @@ setup(
     name=NAME,
     version=version(),
     description="State and sensor-disturbance estimation for a robot arm with an elastic joint",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
     license="Apache-2.0",
     author="The tsobs_ros contributors",
     maintainer="The tsobs_ros contributors",

@@ -18,9 +18,11 @@ from typing import Any
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+from sphinx.util.logging import getLogger
 
 from tsobs_ros.cli.main import main
 
+_LOG = getLogger(__name__)
 _PARAMETER = re.compile(r"  (\S+) \((\w+); default (.*?)((?:; .*)?)\)")
 
 
@@ -31,7 +33,12 @@ class NodeReference(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         """Return the page's part on the node."""
-        module = import_module(f"tsobs_ros.nodes.{self.arguments[0]}")
+        name = self.arguments[0]
+        try:
+            module = import_module(f"tsobs_ros.nodes.{name}")
+        except ModuleNotFoundError as error:
+            _LOG.warning("%s is not installed, so the %s has no reference", error.name, name)
+            return self.parse_text_to_nodes(f"See `ros2 run tsobs_ros {name} --help`.")
         _, _, described = (inspect.getdoc(module) or "").partition("\n\n")
         lines = [*_described(described), "", *_parameters(module.Parameters)]
         return self.parse_text_to_nodes("\n".join(lines))

@@ -31,7 +31,7 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ignored = shutil.ignore_patterns("__pycache__")
     for name in ("tsobs_ros", "config", "examples", "resource", *VIEWS):
         shutil.copytree(ROOT / name, copy / name, ignore=ignored)
-    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE"):
+    for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE", "README.md"):
         shutil.copy(ROOT / name, copy)
     return copy
 
