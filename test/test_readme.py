@@ -417,6 +417,7 @@ def test_the_tutorial_runs(
 ) -> None:
     """All ten steps, with nodes that run, until the observer waits for a robot."""
     Path("my_arm.design.yaml").unlink()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(ros.domain_id))  # of `tsobs watch`, which runs in here
     shell = LiveShell(ros_process, ros, benchmark, monkeypatch, capfd)
 
     run_page(TUTORIAL, shell, capfd)
