@@ -104,7 +104,6 @@ setup(
         "docs": ["furo", "myst-parser", "sphinx"],
         "test": [
             "bayesian-filters",
-            "filterpy",
             "hypothesis",
             "mcap-ros2-support",
             "mypy>=2.4,<3",

@@ -103,7 +103,7 @@ THETA_BAR = 0.005
 THETA_INSIDE_BAR = 0.95
 
 STEP_BAR, STEP_RATIO_BAR = 60.0, 0.6
-"""Median time of a step [µs], and as a share of filterpy's EKF with the same states."""
+"""Median time of a step [µs], and as a share of bayesian-filters' EKF with the same states."""
 
 
 def rival(found: Mapping[str, Outcome]) -> str:
@@ -180,9 +180,9 @@ def _of_parameters(name: str, found: Mapping[str, Outcome]) -> Iterator[Demand]:
 
 def cost_demands(cost: Mapping[str, float]) -> Iterator[Demand]:
     """Yield the demands on the cost of a step [µs]."""
-    mine, theirs = cost["pure functions"], cost["filterpy"]
+    mine, theirs = cost["pure functions"], cost["bayesian-filters"]
     yield Demand("stiff", "cost", "step, two parameters [µs]", mine, STEP_BAR)
-    text = "step / filterpy's EKF with the same states"
+    text = "step / bayesian-filters' EKF with the same states"
     yield Demand("stiff", "cost", text, mine / theirs, STEP_RATIO_BAR)
 
 

@@ -3,7 +3,7 @@
 """Cost of one estimator, by step, in a series, in batches, with late samples and more outputs.
 
 A step is correct + predict + readout of the supervised estimator, on data of a simulated arm. The
-reference is filterpy's extended Kalman filter with the same model and states, whose step is
+reference is bayesian-filters' extended Kalman filter with the same model and states, whose step is
 update + predict. All contenders take the same samples one after another in short turns, so that a
 change of the machine's speed meets all.
 """
@@ -19,8 +19,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+from bayesian_filters.kalman import ExtendedKalmanFilter
 from common import at_least, design_of, parser, show, timed, use_one_thread
-from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg import block_diag
 
 import tsobs_ros as ts
@@ -48,7 +48,7 @@ _SCENARIOS = {"fixed": "bias_step", "adaptive": "stiff"}
 Step = Callable[[int], object]
 
 
-class _FilterpyEkf(ExtendedKalmanFilter):  # type: ignore[misc]
+class _LibraryEkf(ExtendedKalmanFilter):  # type: ignore[misc]
     """The same model and states: exact prediction, its Jacobian at the estimate."""
 
     def __init__(self, design: Design) -> None:
@@ -82,7 +82,7 @@ class _FilterpyEkf(ExtendedKalmanFilter):  # type: ignore[misc]
         return matrix
 
 
-class _FilterpyAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
+class _LibraryAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
     """The same with θ as states, from the parts that `KalmanFilter` is made of."""
 
     def __init__(self, design: Design) -> None:
@@ -185,12 +185,12 @@ def step_costs(kind: str, design: Design, seconds: float) -> dict[str, float]:
     """Return the median times of one step [µs]."""
     runs = simulate(SCENARIOS[_SCENARIOS[kind]], [1], seconds)
     y, u = runs.measurements[0], runs.torques[0]
-    ekf: Any = _FilterpyAugmentedEkf(design) if kind == "adaptive" else _FilterpyEkf(design)
+    ekf: Any = _LibraryAugmentedEkf(design) if kind == "adaptive" else _LibraryEkf(design)
     contenders: dict[str, Step] = {
         "in place": _in_place(design.supervised(), y, u),
         "pure functions": _pure(design.supervised(), y, u),
         "tracker": _tracking(design, y, u),
-        "filterpy": lambda sample: ekf.step(y[sample], u[sample]),
+        "bayesian-filters": lambda sample: ekf.step(y[sample], u[sample]),
     }
     return _medians(contenders, len(y))
 
@@ -304,8 +304,8 @@ def _start(turns: int) -> dict[str, dict[str, float]]:
 
 
 def _of_steps(kind: str, found: dict[str, float]) -> Sequence[str]:
-    reference = found["filterpy"]
-    lines = [f"supervised, {kind}; medians, and as a share of filterpy's EKF:"]
+    reference = found["bayesian-filters"]
+    lines = [f"supervised, {kind}; medians, and as a share of bayesian-filters' EKF:"]
     lines += [
         f"  {name:28s} {cost:7.2f} µs  {cost / reference:6.3f}" for name, cost in found.items()
     ]

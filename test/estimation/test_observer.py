@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from filterpy.kalman import ExtendedKalmanFilter
+from bayesian_filters.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -104,7 +104,7 @@ def jacobian(flow: ArmFlow, x: Array, u: Array) -> Array:
 
 
 class ReferenceEkf(ExtendedKalmanFilter):  # type: ignore[misc]
-    """filterpy's filter with the observer's prediction as its state function."""
+    """bayesian-filters' filter with the observer's prediction as its state function."""
 
     flow: ArmFlow
 
