@@ -95,6 +95,8 @@ def test_another_arm_is_compared_by_the_observers_that_fit_it() -> None:
     }  # fmt: skip
     assert "certified_fixed is left out: the design calls no parameter uncertain" in str(found)
     assert found.rows[0].cells["certified"].typical < 0.1
+    with pytest.raises(ModelError, match="paper is left out: method paper: expected"):
+        compare_scenarios(other, ["noise"], 2, ["paper"])
 
 
 def test_numbers_do_not_depend_on_the_other_scenarios(design: Design, comparison) -> None:

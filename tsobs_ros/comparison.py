@@ -89,7 +89,8 @@ def compare_scenarios(
         advance: Called with the number of runs that have been observed since.
 
     Raises:
-        ModelError: A name is unknown, there are no seeds, or the design is not of such an arm.
+        ModelError: A name is unknown, there are no seeds, the design is not of such an arm, or no
+            observer can observe it.
     """
     if seeds < 1:
         raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
@@ -114,6 +115,8 @@ def compare_scenarios(
             remarks.append(f"{name} is left out: the design calls no parameter uncertain")
             continue
         contenders[name] = chosen
+    if not contenders:
+        raise ModelError("; ".join(remarks))
     job = _Job(design, contenders, range(seeds), duration, MetricsOptions())
 
     def compared(name: str) -> ScenarioRow:

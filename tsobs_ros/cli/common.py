@@ -43,8 +43,13 @@ def at_least_one(text: str) -> int:
 def show(mapping: dict[str, Any], text: str, as_json: bool) -> None:
     """Print a result, as JSON or as text."""
     if as_json:
-        text = json.dumps(_plain(mapping), indent=2, allow_nan=False).replace("\x7f", r"\u007f")
+        text = json_text(mapping)
     print(printable(text, newline="\n"), flush=True)
+
+
+def json_text(mapping: dict[str, Any]) -> str:
+    """Return plain data as JSON, null for numbers that JSON does not have."""
+    return json.dumps(_plain(mapping), indent=2, allow_nan=False).replace("\x7f", r"\u007f")
 
 
 def complain(problem: object) -> None:

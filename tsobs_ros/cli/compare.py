@@ -3,11 +3,18 @@
 """`tsobs compare`: all observers on the same data, simulated or recorded, in one table."""
 
 import argparse
-import json
 import time
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_json, at_least_one, positive, progress, show
+from tsobs_ros.cli.common import (
+    Commands,
+    add_json,
+    at_least_one,
+    json_text,
+    positive,
+    progress,
+    show,
+)
 from tsobs_ros.cli.estimate import METHODS, add_observer_options, estimate, given_parameters
 from tsobs_ros.errors import ParameterError, printable
 
@@ -87,7 +94,7 @@ def _on_scenarios(options: argparse.Namespace) -> int:
         figure, data, page = paths
         options.output.mkdir(parents=True, exist_ok=True)
         draw_comparison(found, figure)
-        data.write_text(json.dumps(mapping, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        data.write_text(json_text(mapping) + "\n", encoding="utf-8")
         page.write_text(found.markdown(figure.name), encoding="utf-8")
         text += f"\n\nwrote {', '.join(printable(str(path)) for path in paths)}"
     seconds = time.monotonic() - begin
