@@ -20,20 +20,19 @@ from tsobs_ros.report.scenario_table import BOUNDS, ScenarioComparison
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS
 
-SEEDS = 12
+SEEDS = 8
 
 
 @pytest.fixture(scope="module")
 def comparison(design: Design) -> ScenarioComparison:
-    names = ("noise", "stiff", "student", "friction")
-    return compare_scenarios(design, names, SEEDS, duration=25.0)
+    return compare_scenarios(design, ("stiff", "student", "friction"), SEEDS, duration=20.0)
 
 
 @pytest.mark.parametrize(
     ("bound", "observers", "scenarios"),
     [
-        ("pcrb", ("certified_fixed", "ekf_plain", "ekf", "ukf"), ("noise", "student")),
-        ("pcrb_augmented", ("certified", "ekf_augmented"), ("noise", "stiff", "student")),
+        ("pcrb", ("certified_fixed", "ekf_plain", "ekf", "ukf"), ("student",)),
+        ("pcrb_augmented", ("certified", "ekf_augmented"), ("stiff", "student")),
     ],
 )
 def test_no_unbiased_observer_has_smaller_errors_than_the_bound(
@@ -52,13 +51,13 @@ def test_no_unbiased_observer_has_smaller_errors_than_the_bound(
 
 
 def test_the_bound_with_unknown_parameters_is_the_larger_one(comparison) -> None:
-    for row in comparison.rows[:3]:
+    for row in comparison.rows[:2]:
         known, augmented = (row.bounds[name].rmse for name in BOUNDS)
         assert (known < augmented).all()
 
 
 def test_who_learns_wins_if_the_arm_is_another_one(comparison) -> None:
-    typical = {name: cell.typical for name, cell in comparison.rows[1].cells.items()}
+    typical = {name: cell.typical for name, cell in comparison.rows[0].cells.items()}
     for name in ("certified", "ekf_augmented"):
         for other in ("certified_fixed", "ekf_plain", "ekf", "ukf", "paper"):
             assert typical[name] < 0.3 * typical[other]
@@ -67,7 +66,7 @@ def test_who_learns_wins_if_the_arm_is_another_one(comparison) -> None:
 def test_what_has_no_bound_is_named_with_the_reason(comparison) -> None:
     text = str(comparison)
 
-    assert comparison.rows[3].bounds == {}
+    assert comparison.rows[-1].bounds == {}
     assert "no bound for friction: it has friction, which no method has a model of" in text
     table = {line.split()[0]: line.split()[1:] for line in text.splitlines()[2:13]}
     assert table["pcrb"][-1] == table["pcrb_augmented"][-1] == "–"
@@ -100,9 +99,9 @@ def test_another_arm_is_compared_by_the_observers_that_fit_it() -> None:
 
 
 def test_numbers_do_not_depend_on_the_other_scenarios(design: Design, comparison) -> None:
-    (row,) = compare_scenarios(design, ["stiff"], SEEDS, ["ukf"], duration=25.0).rows
+    (row,) = compare_scenarios(design, ["stiff"], SEEDS, ["ukf"], duration=20.0).rows
 
-    np.testing.assert_array_equal(row.cells["ukf"].rmse, comparison.rows[1].cells["ukf"].rmse)
+    np.testing.assert_array_equal(row.cells["ukf"].rmse, comparison.rows[0].cells["ukf"].rmse)
 
 
 def test_files_are_written_and_not_replaced(tmp_path: Path, capsys) -> None:

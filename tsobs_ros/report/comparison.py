@@ -61,8 +61,10 @@ OnPart = Callable[[RecordedRun], object]
 
 _NOTHING = "–"
 _EKFS = {
+    "ekf_plain": "no gate",
     "ekf": "the nominal parameters",
     "ekf_augmented": "the uncertain parameters as states",
+    "ukf": "points in place of derivatives",
 }
 
 
