@@ -41,6 +41,9 @@ SHORTER = {
     "tsobs compare --output comparison": (
         "tsobs compare --output comparison --scenario noise --seeds 1 --duration 8"
     ),
+    "tsobs campaign $(tsobs config)/campaign.yaml": (
+        "tsobs campaign $(tsobs config)/campaign.yaml --runs 8 --output my_campaign"
+    ),
 }
 """What runs in place of a command that takes long."""
 

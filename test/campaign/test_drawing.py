@@ -157,9 +157,9 @@ def test_disturbances_with_a_model_in_the_design_are_foreseen() -> None:
 
 
 def test_scenarios_of_the_simulator_befall_the_arm_of_a_design(both_encoders: Path) -> None:
-    request = load_design_file(both_encoders).design.arm_request
+    base = campaign_of({}, both_encoders).plant
     for name, known in SCENARIOS.items():
-        scenario = scenario_like(request, name)
+        scenario = scenario_like(base, name)
         first, second = scenario.outputs
         assert first.disturbance == known.disturbance
         louder = known.sensor.noise_std / 0.028
@@ -167,7 +167,7 @@ def test_scenarios_of_the_simulator_befall_the_arm_of_a_design(both_encoders: Pa
         assert second.sensor.noise_std == 0.002
         assert (scenario.mismatch, scenario.friction) == (known.mismatch, known.friction)
     with pytest.raises(TsobsError, match="like: held holds the default arm"):
-        scenario_like(ArmRequest(arm=ElasticJointArm(stiffness=20.0)), "held")
+        scenario_like(replace(base, arm=ElasticJointArm(stiffness=20.0)), "held")
 
 
 @pytest.mark.parametrize(

@@ -131,6 +131,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
     made.stop()
 
 
+@pytest.mark.slow
 def test_a_cluster_whose_worker_is_killed_gives_the_same_bits(
     short: Campaign, done: Path, tmp_path: Path, cluster: Cluster
 ) -> None:

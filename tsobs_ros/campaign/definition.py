@@ -21,10 +21,11 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.errors import DesignFileError, ModelError, TsobsError
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.methods import FILTERS, ObserverSettings, make_estimator
+from tsobs_ros.plants import scenario_of
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming
 from tsobs_ros.simulation.integrator import Friction
-from tsobs_ros.simulation.plant import Mismatch
+from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS
 from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Component, Excitation
 from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
@@ -223,6 +224,13 @@ class Campaign:
         if self.settings.method in FILTERS:
             return None
         return make_estimator(self.file.design, self.settings)
+
+    @cached_property
+    def plant(self) -> Scenario:
+        """The plant as it is designed."""
+        made = scenario_of(self.file.design.arm_request)
+        assert isinstance(made, Scenario)
+        return made
 
     @cached_property
     def turns(self) -> Sequence[str]:

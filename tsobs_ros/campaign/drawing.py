@@ -15,7 +15,6 @@ from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.plants import scenario_of
 from tsobs_ros.schema import decode, within
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, TorqueDisturbance
@@ -100,7 +99,7 @@ def _drawn(
             parameter: _within_physics(request.arm, parameter, share * bound * choose(-1.0, 1.0))
             for parameter, bound in request.uncertainty.items()
         }
-        scenario = _scenario(request, given, theta, entries.duration, random)
+        scenario = _scenario(request, campaign.plant, given, theta, entries.duration, random)
     return scenario, theta, numbers
 
 
@@ -124,14 +123,13 @@ def _filled(data: Any, path: str, choose: Choose, numbers: dict[str, float]) -> 
 
 def _scenario(
     request: ArmRequest,
+    base: Scenario,
     given: ScenarioEntries,
     theta: Mapping[str, float],
     duration: float,
     random: np.random.Generator,
 ) -> Scenario:
-    base = scenario_of(request)
-    assert isinstance(base, Scenario)
-    known = scenario_like(request, given.like) if given.like else base
+    known = scenario_like(base, given.like) if given.like else base
     mismatch, damping = _true_arm(request.arm, theta)
     if len(given.initial_state) != 4:
         raise ModelError(f"initial_state: expected four numbers, got {given.initial_state}")
@@ -162,30 +160,33 @@ def _scenario(
     )
 
 
-def scenario_like(request: ArmRequest, name: str) -> Scenario:
-    """Return a scenario of the simulator with the arm and the sensors of a request.
+def scenario_like(base: Scenario, name: str) -> Scenario:
+    """Return a scenario of the simulator with the arm and the sensors of another.
 
-    What befalls the sensor befalls the request's first output; the noise's 1σ is in the same
-    proportion to the designed one.
+    What befalls the sensor befalls the first output; the noise's 1σ is in the same proportion to
+    the designed one.
+
+    Args:
+        base: The plant as it is designed, of `plants.scenario_of`.
+        name: Of the scenario.
 
     Raises:
         ModelError: There is no such scenario, or it moves the default arm in a way of its own.
     """
     if name not in SCENARIOS:
         raise ModelError(f"like: expected one of {', '.join(SCENARIOS)}, got {name!r}")
-    known, base, plain = SCENARIOS[name], scenario_of(request), Scenario()
-    assert isinstance(base, Scenario)
+    known, plain = SCENARIOS[name], Scenario()
     moved = known.excitation != plain.excitation or known.initial_state != plain.initial_state
-    if moved and request.arm != plain.arm:
+    if moved and base.arm != plain.arm:
         raise ModelError(f"like: {name} holds the default arm, expected another for this arm")
     first, *others = base.outputs
     louder = known.sensor.noise_std / plain.sensor.noise_std
     sensor = replace(known.sensor, noise_std=louder * first.sensor.noise_std)
     return replace(
         known,
-        arm=request.arm,
-        rate=request.rate,
-        process_noise=request.process_noise,
+        arm=base.arm,
+        rate=base.rate,
+        process_noise=base.process_noise,
         sensor=Sensor(),
         disturbance=(),
         outputs=(SimulatedOutput(first.measures, sensor, known.disturbance), *others),
