@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of an observer, below its own name; all but `DESIGN` are JointStates."""
+"""The topics of an observer, below its own name, and of a simulator; JointStates but `DESIGN`."""
 
 DESIGN = "design"
 """What it runs, a latched std_msgs/String: see `tsobs_ros.design.published`."""
@@ -12,6 +12,11 @@ RESTARTS = "restarts"
 HEALTH = "health"
 PARAMETERS, PARAMETER_BOUNDS = "parameters_estimate", "parameters_bound"
 TORQUE_DISTURBANCE, TORQUE_DISTURBANCE_BOUND = "torque_disturbance", "torque_disturbance_bound"
+
+TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
+TRUE_TORQUE = "ground_truth/torque_disturbance"
+TRUTH = (TRUE_STATES, TRUE_DISTURBANCE, TRUE_TORQUE)
+"""Topics of a simulator, below its namespace."""
 
 TOPICS = (STATES, STATE_BOUNDS, DISTURBANCE, DISTURBANCE_BOUND, INNOVATION, RESTARTS, HEALTH)
 """The JointStates that every observer publishes.

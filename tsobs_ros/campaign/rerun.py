@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.estimate_topics import sides
+from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.bag.writer import BagWriter, Message
@@ -19,7 +19,7 @@ from tsobs_ros.campaign.drawing import draw
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Place, signals
 from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
-from tsobs_ros.replay.places import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, Layout
+from tsobs_ros.replay.places import Layout
 from tsobs_ros.simulation.plant import Plant
 
 JOINT = "elastic_joint"

@@ -14,7 +14,13 @@ from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
 
-from tsobs_ros.bag.estimate_topics import DESIGN, PARAMETER_TOPICS, TOPICS
+from tsobs_ros.bag.estimate_topics import (
+    DESIGN,
+    PARAMETER_TOPICS,
+    TOPICS,
+    TRUE_DISTURBANCE,
+    TRUE_STATES,
+)
 from tsobs_ros.cli.common import Commands, add_json, positive
 from tsobs_ros.cli.report import report_on
 from tsobs_ros.errors import NodeError
@@ -24,8 +30,8 @@ from tsobs_ros.stop import StopFlag, signal_came
 MARKERS = "/visualizer/markers"
 RECORDED_TOPICS = (
     "/joint_measurements",
-    "/ground_truth/joint_states",
-    "/ground_truth/disturbance",
+    f"/{TRUE_STATES}",
+    f"/{TRUE_DISTURBANCE}",
     *(f"/observer/{name}" for name in (*TOPICS, DESIGN)),
     MARKERS,
     "/diagnostics",

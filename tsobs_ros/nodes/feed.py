@@ -32,12 +32,6 @@ MEASUREMENTS = "measurements"
 _RATE_WINDOW = 3 * NANOSECONDS
 _MAX_READS = 1000
 
-TRUE_STATES = "ground_truth/joint_states"
-TRUE_DISTURBANCE = "ground_truth/disturbance"
-TRUE_TORQUE = "ground_truth/torque_disturbance"
-TRUTH = (TRUE_STATES, TRUE_DISTURBANCE, TRUE_TORQUE)
-"""Topics of the plant simulator, relative to the node's namespace."""
-
 
 class ObserverFeed:
     """Subscribes to an observer's topics and keeps the newest message of each.
@@ -72,7 +66,8 @@ class ObserverFeed:
         self.problem = ""
         self._prefix = f"{self.name.lstrip('/')}: "
         self._topics = {
-            key: self._subscribe(key if key in TRUTH else f"{observer}/{key}") for key in wanted
+            key: self._subscribe(key if key in topics.TRUTH else f"{observer}/{key}")
+            for key in wanted
         }
         self._topics[MEASUREMENTS] = self._subscribe("joint_measurements")
         node.create_subscription(String, f"{observer}/{topics.DESIGN}", self._take_record, LATCHED)

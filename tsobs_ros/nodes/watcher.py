@@ -14,13 +14,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.errors import NodeError
 from tsobs_ros.estimation.health import Status
-from tsobs_ros.nodes.feed import (
-    TRUE_DISTURBANCE,
-    TRUE_STATES,
-    TRUE_TORQUE,
-    TRUTH,
-    ObserverFeed,
-)
+from tsobs_ros.nodes.feed import ObserverFeed
 from tsobs_ros.nodes.ticker import Ticker
 
 _DEPTH = 5000
@@ -108,7 +102,7 @@ class Watcher(Node):
         self._show = show
         own = (*topics.TOPICS, *topics.PARAMETER_TOPICS, *topics.TORQUE_TOPICS)
         wanted = [key for key in own if key != topics.RESTARTS]
-        self._feed = ObserverFeed(self, name, (*wanted, *TRUTH), depth=_DEPTH)
+        self._feed = ObserverFeed(self, name, (*wanted, *topics.TRUTH), depth=_DEPTH)
         self.ticker = Ticker(self, period, self._tick)
         self.ticker.start()
 
@@ -117,9 +111,9 @@ class Watcher(Node):
         feed = self._feed
         feed.read()
         arms = [isinstance(each, ArmRequest) for each in feed.requests.values()]
-        states = topics.STATES, topics.STATE_BOUNDS, TRUE_STATES
-        disturbance = topics.DISTURBANCE, topics.DISTURBANCE_BOUND, TRUE_DISTURBANCE
-        torque = topics.TORQUE_DISTURBANCE, topics.TORQUE_DISTURBANCE_BOUND, TRUE_TORQUE
+        states = topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES
+        disturbance = topics.DISTURBANCE, topics.DISTURBANCE_BOUND, topics.TRUE_DISTURBANCE
+        torque = topics.TORQUE_DISTURBANCE, topics.TORQUE_DISTURBANCE_BOUND, topics.TRUE_TORQUE
         return Snapshot(
             observer=feed.name,
             age=time.monotonic() - feed.arrived.get(topics.STATES, math.nan),

@@ -13,11 +13,6 @@ from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Field, Place, Signals, positions
 
-TRUE_STATES, TRUE_DISTURBANCE = "ground_truth/joint_states", "ground_truth/disturbance"
-TRUE_TORQUE = "ground_truth/torque_disturbance"
-TRUTH = (TRUE_STATES, TRUE_DISTURBANCE, TRUE_TORQUE)
-"""Topics of a simulator, below its namespace."""
-
 Places: TypeAlias = Mapping[str, Sequence[Place]]
 """The places of a joint's numbers by topic."""
 
@@ -38,11 +33,13 @@ def places_of(
     rates = (Place(name, "velocity") for name in signals.disturbances if rated)
     parameters = positions(topics.parameter_names(joint, learnt, alone=alone))
     return {
-        **dict.fromkeys((topics.STATES, topics.STATE_BOUNDS, TRUE_STATES), signals.states),
+        **dict.fromkeys((topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES), signals.states),
         topics.DISTURBANCE: (*channels, *rates),
-        **dict.fromkeys((topics.DISTURBANCE_BOUND, topics.INNOVATION, TRUE_DISTURBANCE), channels),
         **dict.fromkeys(
-            (topics.TORQUE_DISTURBANCE, topics.TORQUE_DISTURBANCE_BOUND, TRUE_TORQUE),
+            (topics.DISTURBANCE_BOUND, topics.INNOVATION, topics.TRUE_DISTURBANCE), channels
+        ),
+        **dict.fromkeys(
+            (topics.TORQUE_DISTURBANCE, topics.TORQUE_DISTURBANCE_BOUND, topics.TRUE_TORQUE),
             signals.torques,
         ),
         topics.RESTARTS: positions([joint]),

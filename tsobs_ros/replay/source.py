@@ -33,7 +33,7 @@ from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError, ModelError
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
-from tsobs_ros.replay.places import TRUTH, places_of
+from tsobs_ros.replay.places import places_of
 
 MEASUREMENTS = "joint_measurements"
 UNNAMED_SYSTEM = "system"
@@ -412,7 +412,7 @@ class BagSource(Source):
         states = self._live.get(topics.STATES)
         self.was_observed = states is not None and self._reader.topics[states].count > 0
         self._assume_zero_torque = assume_zero_torque
-        shown = self.topic, *self._there({n: n for n in TRUTH}).values()
+        shown = self.topic, *self._there({n: n for n in topics.TRUTH}).values()
         self.topics = tuple(self._reader.topics[name] for name in shown)
 
     @property
@@ -450,10 +450,10 @@ class BagSource(Source):
         return until_damage(self._reader.messages(names), self._damaged)
 
     def truth(self, size: int | None = None) -> Iterator[Truth]:
-        there = self._there({name: name for name in TRUTH})
+        there = self._there({name: name for name in topics.TRUTH})
         wanted = {full: self._wanted(name) for name, full in there.items()}
         for series, _ in read_blocks(self._reader, wanted, size, on_damage=self._damaged):
-            yield Truth(*(series.get(there.get(name, "")) for name in TRUTH))
+            yield Truth(*(series.get(there.get(name, "")) for name in topics.TRUTH))
 
     def _damaged(self, error: BagReadError) -> None:
         self.damage = error

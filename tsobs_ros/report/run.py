@@ -25,7 +25,7 @@ from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
-from tsobs_ros.replay.places import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, places_of
+from tsobs_ros.replay.places import places_of
 from tsobs_ros.replay.source import MEASUREMENTS, RESTART_MESSAGES, UNNAMED_SYSTEM, restarts
 from tsobs_ros.report.quantities import QUANTITIES, Quantity, measured_states, quantities_of
 
@@ -626,9 +626,9 @@ def _topics(observer: str) -> dict[str, str]:
         "health": f"{observer}/{topics.HEALTH}",
         "parameters": f"{observer}/{topics.PARAMETERS}",
         "parameter_bounds": f"{observer}/{topics.PARAMETER_BOUNDS}",
-        "truth": TRUE_STATES,
-        "true_disturbance": TRUE_DISTURBANCE,
-        "true_torque": TRUE_TORQUE,
+        "truth": topics.TRUE_STATES,
+        "true_disturbance": topics.TRUE_DISTURBANCE,
+        "true_torque": topics.TRUE_TORQUE,
     }
 
 
@@ -651,7 +651,7 @@ def _wanted(joint: str, own: Signals, learnt: tuple[str, ...]) -> dict[str, Want
             for key, topic in zip(_TWICE, (topics.HEALTH, *topics.PARAMETER_TOPICS), strict=True)
         },
         "truth": [own.states],
-        "true_disturbance": [alone[TRUE_DISTURBANCE]],
+        "true_disturbance": [alone[topics.TRUE_DISTURBANCE]],
         "true_torque": [own.torques],
     }
 

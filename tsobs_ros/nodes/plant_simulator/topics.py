@@ -14,7 +14,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from tsobs_ros.bag.estimate_topics import sides
+from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import Place, signals
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -135,15 +135,11 @@ class SamplePublisher:
         # suits all usual subscribers, so only the best-effort one is asked about mismatches.
         silent = PublisherEventCallbacks(use_default_callbacks=False)
         options = {"qos_profile": QoSProfile(depth=10), "event_callbacks": silent}
-        self._to_states = node.create_publisher(JointState, "ground_truth/joint_states", **options)
-        self._to_disturbance = node.create_publisher(
-            JointState, "ground_truth/disturbance", **options
-        )
+        self._to_states = node.create_publisher(JointState, TRUE_STATES, **options)
+        self._to_disturbance = node.create_publisher(JointState, TRUE_DISTURBANCE, **options)
         self._to_torque: Any = None
         if arms:
-            self._to_torque = node.create_publisher(
-                JointState, "ground_truth/torque_disturbance", **options
-            )
+            self._to_torque = node.create_publisher(JointState, TRUE_TORQUE, **options)
         self._to_clock: Any = None
         if parameters.publish_clock:
             self._to_clock = node.create_publisher(ClockMessage, "/clock", **options)

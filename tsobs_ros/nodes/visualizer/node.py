@@ -13,13 +13,13 @@ from tsobs_ros.bag.joint_states import JointState
 from tsobs_ros.errors import printable
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.nodes.feed import MEASUREMENTS, TRUE_STATES, ObserverFeed
+from tsobs_ros.nodes.feed import MEASUREMENTS, ObserverFeed
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.ticker import Ticker
 from tsobs_ros.nodes.visualizer.parameters import VisualizerParameters
 from tsobs_ros.nodes.visualizer.scene import Angles, Arm, Look, scene
 
-_WANTED = (topics.STATES, topics.STATE_BOUNDS, TRUE_STATES)
+_WANTED = (topics.STATES, topics.STATE_BOUNDS, topics.TRUE_STATES)
 _LINK, _MOTOR = topics.sides("")
 
 
@@ -68,7 +68,7 @@ class Visualizer(ManagedNode[VisualizerParameters]):
         }
         names = [
             name.removesuffix(_LINK)
-            for key in (topics.STATES, TRUE_STATES)
+            for key in (topics.STATES, topics.TRUE_STATES)
             for name in getattr(found[key], "names", ())
             if name.endswith(_LINK)
         ]
