@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter
 
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.bag.writer import BagWriter
-from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, RECORDED_TOPICS
+from tsobs_ros.cli.demo import ADAPTIVE_TOPICS, MARKERS, RECORDED_TOPICS
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder, visualizer
 from tsobs_ros.resources import config_path
 
@@ -25,6 +25,7 @@ EVERYTHING = [
 TYPES = {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "/observer/design": "std_msgs/msg/String",
+    MARKERS: "visualization_msgs/msg/MarkerArray",
 }
 # How the policy calls what a node does, and what an entry of that kind is called.
 KINDS = {"publish": "topic", "subscribe": "topic", "reply": "service", "request": "service"}
