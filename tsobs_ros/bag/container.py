@@ -217,6 +217,11 @@ class Span(NamedTuple):
         """The places of its message indexes in the file, by channel."""
         return dict(_INDEX_OFFSET.iter_unpack(self.places))
 
+    def check(self, first: int, last: int) -> None:
+        """Raise `RecordError` unless log times in it are as the index states [ns]."""
+        if not self.start <= first <= last <= self.end:
+            raise RecordError(f"the index states other times at byte {self.offset}")
+
     @property
     def channels(self) -> frozenset[int] | None:
         """The channels it has messages of; None if that is unknown."""

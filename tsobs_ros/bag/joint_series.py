@@ -5,20 +5,20 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import islice
-from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder, JointStates
-from tsobs_ros.bag.reader import BagMessage, BagReader
+from tsobs_ros.bag.message_rows import Bytes, Rows, by_size, gather, read_rows
+from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import BagReadError
 
 _STEP = 8192
-_DATA, _LOG_TIME, _PUBLISH_TIME = map(itemgetter, (2, 3, 4))
+
+Read = TypeVar("Read")
 
 Times = NDArray[np.int64]
 
@@ -82,33 +82,24 @@ _MAX_OTHERS = 32
 
 
 class _Builder:
-    """Gathers one topic's messages and turns them into arrays, a block at a time."""
+    """Turns a topic's messages into arrays, a block at a time."""
 
     def __init__(self, wanted: Wanted) -> None:
-        self.waiting: list[BagMessage] = []
         self._wanted = wanted
         self._names = {name for places in wanted for name, _ in places}
         self._decoder = JointStateDecoder()
-        self._blocks: list[JointSeries] = []
         self._others: dict[str, None] = {}
 
-    def take(self) -> JointSeries:
-        """Return what has been decoded since the last call."""
-        first, *rest = self._blocks
-        self._blocks = []
-        return first.followed_by(*rest)
-
-    def decode(self) -> None:
-        """Decode the messages that wait."""
-        block = _empty(len(self.waiting), self._wanted)
-        block.log_times[:] = list(map(_LOG_TIME, self.waiting))
-        block.publish_times[:] = list(map(_PUBLISH_TIME, self.waiting))
-        # What is malformed names nobody, and so is no sample of anybody.
-        groups, _ = self._decoder.decode_all(list(map(_DATA, self.waiting)))
-        self.waiting.clear()
-        for group in groups:
-            self._place(group, block)
-        self._blocks.append(replace(block, other_names=tuple(self._others)))
+    def decode(self, rows: Rows, records: Mapping[int, Bytes]) -> JointSeries:
+        """Return the messages in records that rows are of."""
+        block = _empty(len(rows.sizes), self._wanted)
+        block.log_times[:], block.publish_times[:] = rows.log_times, rows.publish_times
+        for size, places in by_size(rows):
+            data = gather(rows.take(places), records, size)
+            # What is malformed names nobody, and so is no sample of anybody.
+            for group in self._decoder.decode_rows(places, data, {}):
+                self._place(group, block)
+        return replace(block, other_names=tuple(self._others))
 
     def _place(self, group: JointStates, block: JointSeries) -> None:
         rows = group.places
@@ -160,28 +151,37 @@ def read_blocks(
     """
     for name in wanted:
         require_joint_states(reader, name)
-    builders = {name: _Builder(each) for name, each in wanted.items()}
-    messages = until_damage(reader.messages(list(wanted)), on_damage)
-    add = {name: builder.waiting.append for name, builder in builders.items()}
-    step = _STEP if size is None else min(_STEP, size // 4)
-    while True:
-        count, horizon = 0, math.inf
-        while size is None or count < size:
-            some = list(islice(messages, step if size is None else min(step, size - count)))
-            for message in some:
-                add[message[0]](message)
-            for builder in builders.values():
-                builder.decode()
-            count += len(some)
-            if size is not None and horizon == math.inf and 4 * count >= 3 * size:
-                horizon = some[-1].log_time if some else math.inf
-            if len(some) < step:
+    builders = [_Builder(each) for each in wanted.values()]
+    parts = until_damage(read_rows(reader, list(wanted)), on_damage)
+    waiting, records, whole = Rows.none(), dict[int, Bytes](), False
+    while not whole:
+        found = [waiting]
+        while size is None or sum(len(one.sizes) for one in found) < size:
+            try:
+                rows, own = next(parts)
+            except StopIteration:
+                whole = True
                 break
-        whole = size is None or count < size
-        series = {name: builder.take() for name, builder in builders.items()}
-        yield Block(series, math.inf if whole else horizon)
-        if whole:
-            return
+            found.append(rows)
+            records |= own
+        waiting = Rows.none().followed_by(found)
+        block = waiting.take(slice(size))
+        horizon = math.inf
+        if not whole and size is not None:
+            horizon = int(block.log_times[_behind(size) - 1])
+        series = {
+            name: builder.decode(block.take(block.topics == place), records)
+            for place, (name, builder) in enumerate(zip(wanted, builders, strict=True))
+        }
+        yield Block(series, horizon)
+        waiting = waiting.take(slice(len(block.sizes), None))
+        records = {key: records[key] for key in np.unique(waiting.chunks).tolist()}
+
+
+def _behind(size: int) -> int:
+    """Return the number of messages in front of the horizon: three quarters, in whole steps."""
+    step = min(_STEP, size // 4)
+    return -(-3 * size // 4 // step) * step
 
 
 def require_joint_states(reader: BagReader, topic: str) -> None:
@@ -194,8 +194,8 @@ def require_joint_states(reader: BagReader, topic: str) -> None:
 
 
 def until_damage(
-    messages: Iterable[BagMessage], on_damage: Callable[[BagReadError], None] | None
-) -> Iterator[BagMessage]:
+    messages: Iterable[Read], on_damage: Callable[[BagReadError], None] | None
+) -> Iterator[Read]:
     """Yield messages until the bag turns out to be damaged, and tell of that."""
     try:
         yield from messages

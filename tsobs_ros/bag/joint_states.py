@@ -155,15 +155,16 @@ class _Template:
             self._frame_id,
         )
 
-    def unpack_all(self, places: Places, data: bytes, size: int) -> JointStates:
-        """Return those of the messages, of `size` bytes each, that fit the template."""
-        rows = np.frombuffer(data, self._dtype(size))
+    def unpack_all(self, places: Places, data: NDArray[np.uint8]) -> JointStates:
+        """Return those of the messages, a row each, that fit the template."""
+        rows = np.ascontiguousarray(data).view(self._dtype(data.shape[1]))[:, 0]
         fits = (rows["header"] == np.frombuffer(self._header, np.uint8)).all(axis=1)
         fits &= (rows["constant"] == np.frombuffer(self._constant, np.uint8)).all(axis=1)
         fits &= (rows["velocities"] == self._lengths[1]) & (rows["efforts"] == self._lengths[2])
-        rows = rows[fits]
+        if not fits.all():
+            places, rows = places[fits], rows[fits]
         return JointStates(
-            places[fits],
+            places,
             self._names,
             rows["sec"].astype(np.int64) * NANOSECONDS + rows["nanosec"],
             *(rows[name].astype(np.float64) for name in ("position", "velocity", "effort")),
@@ -314,18 +315,40 @@ class JointStateDecoder:
         sizes = np.fromiter(map(len, messages), np.intp, len(messages))
         for size in np.unique(sizes).tolist():
             places = np.flatnonzero(sizes == size)
-            while len(places):
-                first = int(places[0])
-                try:
-                    self(messages[first])
-                except MessageError as error:
-                    malformed[first] = error
-                    places = places[1:]
-                    continue
-                data = b"".join([messages[place] for place in places.tolist()])
-                found.append(self._templates[size].unpack_all(places, data, size))
-                places = np.setdiff1d(places, found[-1].places, assume_unique=True)
+            data = b"".join([messages[place] for place in places.tolist()])
+            rows = np.frombuffer(data, np.uint8).reshape(len(places), size)
+            found += self.decode_rows(places, rows, malformed)
         return found, malformed
+
+    def decode_rows(
+        self, places: Places, rows: NDArray[np.uint8], malformed: dict[int, MessageError]
+    ) -> list[JointStates]:
+        """Decode messages of one size.
+
+        Args:
+            places: Numbers of the messages, ascending, shape (m,).
+            rows: Their bytes, shape (m, size).
+            malformed: Takes each that is none, with the reason.
+
+        Returns:
+            The messages, those of the same names and lengths together.
+        """
+        found: list[JointStates] = []
+        while len(places):
+            first = rows[0].tobytes()
+            try:
+                self(first)
+            except MessageError as error:
+                malformed[int(places[0])] = error
+                places, rows = places[1:], rows[1:]
+                continue
+            one = self._templates[len(first)].unpack_all(places, rows)
+            found.append(one)
+            left = np.isin(places, one.places, assume_unique=True, invert=True)
+            if not left.any():
+                break
+            places, rows = places[left], rows[left]
+        return found
 
 
 def _constant(frame_id: str, names: tuple[str, ...], positions: int) -> bytes:

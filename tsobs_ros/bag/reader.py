@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading bags: a folder with its metadata.yaml, or a single MCAP file."""
 
+import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import redirect_stderr
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
 from heapq import heappop, heappush
 from io import StringIO
@@ -47,13 +48,15 @@ class BagMessage(NamedTuple):
 # Faster than the attribute, at millions of messages.
 _LOG_TIME = itemgetter(3)
 
-_MAX_MESSAGES = 2**20
+MAX_MESSAGES = 2**20
 """The largest number of messages of a chunk: as objects they take 300 MB."""
 
-_MAX_HELD = 2**29
+MAX_HELD = 2**29
 """The largest size of messages that wait for later chunks, or are the last of a topic, bytes."""
 
-_OBJECT_SIZE = 400
+OVERLAPPING = "too many chunks overlap in time to be read in order of log time"
+
+OBJECT_SIZE = 400
 """What a message takes beside its data, bytes."""
 
 _MAX_LATCHED = 1_000
@@ -156,6 +159,35 @@ class BagReader:
         ]
         return _in_log_order(spans, self._loader(selected, start_ns, end_ns))
 
+    def records(self, topics: Collection[str]) -> Iterator[tuple[Span, float, bytes, bool]]:
+        """Yield the parts of the files that may have messages of some topics, by their begin.
+
+        Yields:
+            The part, the smallest log time of what follows it [ns], the records in it, and whether
+            a checksum covers them.
+
+        Raises:
+            BagReadError: As for `messages`, but that nobody has looked into the records.
+        """
+        spans = sorted(
+            self._spans_with(self._select(topics)),
+            key=lambda span: (span.start, span.rank, span.offset),
+        )
+        for span, following in pairwise(chain[Span | None](spans, (None,))):
+            assert span is not None
+            with self._damage(span), open_regular(self.files[span.rank]) as stream:
+                records, is_checked = read_span(stream, span)
+            horizon = math.inf if following is None else following.start
+            yield span, horizon, records, is_checked
+
+    @contextmanager
+    def _damage(self, span: Span) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RecordError) as error:
+            path = self.files[span.rank]
+            raise BagReadError(f"{path}: the file is damaged: {error}; {RECOVER_HINT}") from error
+
     def last_before(
         self, time_ns: int, topics: Collection[str] | None = None, depth: int = 1
     ) -> list[BagMessage]:
@@ -234,20 +266,13 @@ class BagReader:
         ]
 
         def load(span: Span) -> list[BagMessage]:
-            path = self.files[span.rank]
-            try:
-                with open_regular(path) as stream:
+            with self._damage(span):
+                with open_regular(self.files[span.rank]) as stream:
                     records, is_checked = read_span(stream, span)
                 messages = _messages(records, known[span.rank])
                 messages.sort(key=_LOG_TIME)
-                if messages and not (
-                    span.start <= messages[0].log_time and messages[-1].log_time <= span.end
-                ):
-                    raise RecordError(f"the index states other times at byte {span.offset}")
-            except (OSError, RecordError) as error:
-                raise BagReadError(
-                    f"{path}: the file is damaged: {error}; {RECOVER_HINT}"
-                ) from error
+                if messages:
+                    span.check(messages[0].log_time, messages[-1].log_time)
             first = 0 if start_ns is None else bisect_left(messages, start_ns, key=_LOG_TIME)
             last = None if end_ns is None else bisect_left(messages, end_ns, key=_LOG_TIME)
             messages = messages[first:last]
@@ -350,13 +375,13 @@ def _messages(records: bytes, channels: Mapping[int, tuple[str, str] | None]) ->
     try:
         messages = [
             new(BagMessage, (*known, data, log_time, publish_time))
-            for channel, log_time, publish_time, _, data in islice(found, _MAX_MESSAGES)
+            for channel, log_time, publish_time, _, data in islice(found, MAX_MESSAGES)
             if (known := channels[channel])
         ]
     except KeyError as error:
         raise RecordError(f"a message is of channel {error}, which is not described") from error
     if next(found, None):
-        raise RecordError(f"a chunk has more than {_MAX_MESSAGES} messages, too many to read")
+        raise RecordError(f"a chunk has more than {MAX_MESSAGES} messages, too many to read")
     return messages
 
 
@@ -389,8 +414,8 @@ def _in_log_order(spans: Iterable[Span], load: _Load) -> Iterator[BagMessage]:
         for entry in _entries(span, messages, end, len(messages)):
             heappush(waiting, entry)
             held += _size(entry[-1])
-        if held > _MAX_HELD:
-            raise BagReadError("too many chunks overlap in time to be read in order of log time")
+        if held > MAX_HELD:
+            raise BagReadError(OVERLAPPING)
 
 
 def _entries(
@@ -403,7 +428,7 @@ def _entries(
 
 
 def _size(message: BagMessage) -> int:
-    return _OBJECT_SIZE + len(message.data)
+    return OBJECT_SIZE + len(message.data)
 
 
 def _last_of_each(
@@ -431,6 +456,6 @@ def _last_of_each(
             for topic, messages in earlier.items():
                 both = sorted(messages[-depth:] + last.get(topic, []), key=_LOG_TIME)
                 last[topic] = both[-depth:]
-            if sum(map(_size, chain.from_iterable(last.values()))) > _MAX_HELD:
+            if sum(map(_size, chain.from_iterable(last.values()))) > MAX_HELD:
                 raise BagReadError("the last messages of the topics are too large to be held")
     return sorted(chain.from_iterable(last.values()), key=_LOG_TIME)

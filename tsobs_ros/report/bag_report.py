@@ -17,6 +17,7 @@ from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.files import require_new
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs
 from tsobs_ros.replay.health import (
     EventFinder,
@@ -149,14 +150,14 @@ def make_bag_report(
     Raises:
         BagReadError: The bag cannot be read or lacks what a report needs.
         DesignFileError: The design is none, or not that of the bag; or that is not known here.
-        ReportError: A file exists already or cannot be written.
+        OutputError: A file exists already.
+        ReportError: A file cannot be written.
         ModuleNotFoundError: matplotlib is not installed.
     """
     page = html and find_spec("plotly") is not None
     names = ["report.png", "report.pdf", *(["report.html"] if page else []), "report.json"]
     written = tuple(output / name for name in names)
-    if not force and (existing := [str(path) for path in written if path.exists()]):
-        raise ReportError(f"{', '.join(existing)}: exists already; --force replaces it")
+    require_new(written, force=force)
     found = find_observer(bag, namespace=namespace)
     joint, ran = found.choose(joint), found.ran
     given = [] if design is None else [design]
@@ -232,8 +233,7 @@ def make_bag_report(
             files=written,
             remarks=tuple(remarks),
         )
-        for path in written[:2]:
-            draw_run(shown, path)
+        draw_run(shown, *written[:2])
         if page:
             from tsobs_ros.report.page import write_html
 

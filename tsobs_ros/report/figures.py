@@ -3,8 +3,10 @@
 """A run as one picture, drawn without any display and without matplotlib's global state."""
 
 import gc
+from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -31,21 +33,22 @@ _JUMPS = {"jump": "fault {:+.2g} rad", "step": "torque {:+.2g} N m"}
 _LABEL_WIDTH = 20
 
 
-def draw_run(picture: Picture, path: Path) -> None:
+def draw_run(picture: Picture, *paths: Path) -> None:
     """Draw a run, 1400 pixels wide as PNG.
 
     Args:
         picture: What is shown.
-        path: The file, `.png`, `.pdf` or `.svg`; it is replaced.
+        paths: Its files, `.png`, `.pdf` or `.svg`; they are replaced.
 
     Raises:
-        OSError: The file cannot be written.
+        OSError: A file cannot be written.
     """
     with matplotlib.rc_context(STYLE):
         figure = _figure(picture)
-        # Without the date the same run gives the same file.
-        metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix, {})
-        figure.savefig(path, dpi=_DPI, metadata=metadata)
+        for path in paths:
+            # Without the date the same run gives the same file.
+            metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
+            figure.savefig(path, dpi=_DPI, metadata=metadata or {})
         del figure
     # Its parts refer to each other, and would else stay as long as the page needs memory.
     gc.collect()
@@ -185,15 +188,17 @@ def _draw(axes: Axes, plot: Plot, unit: str) -> None:
     if len(plot.lines) > 1:
         axes.legend(loc="upper left", fontsize=7.5, ncols=4, borderpad=0.1, handlelength=1.2)
     names = list(dict.fromkeys(strip.name for strip in plot.strips))
-    for strip in plot.strips:
-        colour = content.LEVEL_COLOURS.get(strip.level, content.EVENT_COLOUR)
-        axes.hlines(names.index(strip.name), strip.begin, strip.end, color=colour, lw=9)
+    for level in sorted({strip.level for strip in plot.strips}):
+        own = [strip for strip in plot.strips if strip.level == level]
+        places = [names.index(strip.name) for strip in own]
+        colour = content.LEVEL_COLOURS.get(level, content.EVENT_COLOUR)
+        begins, ends = [strip.begin for strip in own], [strip.end for strip in own]
+        axes.hlines(places, begins, ends, color=colour, lw=9)
     if names:
         axes.set_yticks(range(len(names)), [_plain(name) for name in names])
     if plot.other is not None:
         axes.plot(*plot.other[0], color=MUTED, lw=1.0, ls=(0, (5, 3)), zorder=4)
-    for begin, end in plot.spans:
-        axes.axvspan(begin, end, color=content.EVENT_COLOUR, alpha=_FAINT, lw=0, zorder=1)
+    _mark_spans(axes, plot.spans, color=content.EVENT_COLOUR, alpha=_FAINT, zorder=1)
     if plot.level is not None:
         for sign in (-1.0, 1.0):
             axes.axhline(sign * plot.level[0], color=MUTED, lw=0.9, ls=(0, (5, 3)), zorder=4)
@@ -229,11 +234,25 @@ def _write_beside(axes: Axes, panel: Panel) -> None:
 
 
 def _mark_events(axes: Axes, picture: Picture) -> None:
-    for begin, end in picture.unsettled:
-        axes.axvspan(begin, end, color=content.SETTLING_COLOUR, lw=0, zorder=0)
-    for event in picture.events:
-        if event.what != "start":
-            axes.axvline(event.time, color=content.EVENT_COLOUR, lw=1.0, ls=(0, (2, 2)), zorder=6)
+    _mark_spans(axes, picture.unsettled, color=content.SETTLING_COLOUR, zorder=0)
+    jumps = [event.time for event in picture.events if event.what != "start"]
+    whole = axes.get_xaxis_transform()
+    axes.vlines(
+        jumps,
+        0.0,
+        1.0,
+        transform=whole,
+        color=content.EVENT_COLOUR,
+        lw=1.0,
+        ls=(0, (2, 2)),
+        zorder=6,
+    )
+
+
+def _mark_spans(axes: Axes, spans: Sequence[tuple[float, float]], **style: Any) -> None:
+    """Mark times over the whole height, as one artist: one each would make many events slow."""
+    widths = [(begin, end - begin) for begin, end in spans]
+    axes.broken_barh(widths, (0.0, 1.0), transform=axes.get_xaxis_transform(), lw=0, **style)
 
 
 def _label_jumps(axes: Axes, picture: Picture) -> None:

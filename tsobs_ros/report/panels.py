@@ -340,12 +340,10 @@ def thin(curve: Curve, max_points: int = MAX_CURVE) -> Curve:
     lowest = np.minimum.reduceat(np.where(finite, values, np.inf), begins)[owner]
     highest = np.maximum.reduceat(np.where(finite, values, -np.inf), begins)[owner]
     low, high = np.flatnonzero(values == lowest), np.flatnonzero(values == highest)
-    chosen = [
-        low[np.diff(owner[low], prepend=-1) != 0],
-        high[np.diff(owner[high], append=-1) != 0],
-        begins[np.isinf(lowest[begins])],
-    ]
-    kept = np.unique(np.concatenate(chosen))
+    kept = np.zeros(len(times), np.bool_)
+    kept[low[np.diff(owner[low], prepend=-1) != 0]] = True
+    kept[high[np.diff(owner[high], append=-1) != 0]] = True
+    kept[begins[np.isinf(lowest[begins])]] = True
     return Curve(times[kept], values[kept])
 
 
@@ -595,13 +593,14 @@ class _Autocorrelation:
     def add(self, values: Array) -> None:
         """Add innovations, NaN if they do not count."""
         joined = np.concatenate([self._before, values])
-        known = np.isfinite(joined)
-        filled, first = np.where(known, joined, 0.0), len(self._before)
+        known = np.isfinite(joined).astype(np.float64)
+        filled, first = np.where(known > 0.0, joined, 0.0), len(self._before)
         for lag in range(_MAX_LAG + 1):
             begin = max(first, lag)
             late, early = slice(begin, None), slice(begin - lag, max(len(joined) - lag, 0))
-            self._sums[lag] += filled[late] @ filled[early]
-            self._counts[lag] += np.count_nonzero(known[late] & known[early])
+            # Not by BLAS, whose threads cost more than so few numbers.
+            self._sums[lag] += np.einsum("i,i", filled[late], filled[early])
+            self._counts[lag] += np.einsum("i,i", known[late], known[early])
         self._before = joined[-_MAX_LAG:]
 
     def panel(self, label: str, period: float) -> list[Panel]:

@@ -3,12 +3,13 @@
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import islice, pairwise
+from itertools import chain, islice, pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from tempfile import TemporaryFile
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.diagnostics import DIAGNOSTICS, RecordedStatus, read_statuses
 from tsobs_ros.bag.joint_series import JointSeries, Wanted, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
+from tsobs_ros.bag.message_rows import read_rows
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
@@ -53,8 +55,8 @@ _ALIGNED = {
     "torque": "torque",
     "torque_bound": "torque_bounds",
 }
-BLOCK = 2**14
-"""Number of messages that are read at once, of all topics: some 10 s at 200 Hz."""
+BLOCK = 2**17
+"""Number of messages that are read at once, of all topics: some 80 s at 200 Hz."""
 # Messages may be recorded this late [ns], and truth before a part still serves it.
 _LATENESS, _BEFORE = 2 * NANOSECONDS, NANOSECONDS
 
@@ -385,7 +387,8 @@ class FoundObserver:
         self._require(required)
         there = {name: (key, wanted[key]) for key, name in names.items()
                  if name is not None and any(wanted[key])}  # fmt: skip
-        streams = _survey(reader, there)
+        kept = _KeptBlocks(_blocks(reader, there, BLOCK if size is None else size))
+        streams = _survey(kept.write())
         if empty := [str(name) for key, name in required.items() if not streams[key]]:
             raise BagReadError(
                 f"{reader.path}: no message about joint '{joint}' on {', '.join(empty)}"
@@ -418,7 +421,7 @@ class FoundObserver:
             begin=min([states.first, *chosen["measurements"].first_stamped]),
         )
         shown = {name: one for name, one in there.items() if one[0] in chosen}
-        return RunParts(reader, shown, chosen, run, size)
+        return RunParts(_blocks(reader, shown, None) if size is None else kept, shown, chosen, run)
 
     def statuses(self, joint: str) -> Iterator[RecordedStatus]:
         """Yield the recorded statuses of the observer that are of a joint, or of all joints."""
@@ -426,14 +429,17 @@ class FoundObserver:
         node = str(self._names["states"]).removesuffix(f"/{topics.STATES}").strip("/")
         if topic is None or topic.type != DIAGNOSTICS:
             return
-        mark = node.encode()
-        for message in self._reader.messages([topic.name]):
-            if mark not in message.data:
-                continue
-            for status in read_statuses(message.data):
-                of_all = status.name[-1] == "timing" or len(self.joints) == 1
-                if status.name[0] == node and (of_all or status.hardware == joint):
-                    yield status
+        mark = f"{node}: ".encode()
+        for rows, records in read_rows(self._reader, [topic.name]):
+            places = zip(
+                rows.chunks.tolist(), rows.begins.tolist(), rows.sizes.tolist(), strict=True
+            )
+            for chunk, begin, size in places:
+                data = records[chunk][begin : begin + size].tobytes()
+                for status in read_statuses(data) if mark in data else ():
+                    of_all = status.name[-1] == "timing" or len(self.joints) == 1
+                    if status.name[0] == node and (of_all or status.hardware == joint):
+                        yield status
 
     def _require(self, names: Mapping[str, str | None]) -> None:
         ends = _topics(self._observer)
@@ -504,25 +510,69 @@ class _PassFinder:
         self._waiting = np.stack([log_times[known:], stamps[known:]])
 
 
-def _survey(reader: BagReader, there: Mapping[str, tuple[str, Wanted]]) -> dict[str, list[_Span]]:
-    finders = {key: _PassFinder() for key, _ in there.values()}
-    for block, is_last in _blocks(reader, there, BLOCK):
-        for key, series in block.items():
-            named = series.named[:, 0]
-            stamps, log_times = series.stamps[named], series.log_times[named]
-            finders[key].add(log_times, stamps, is_last=is_last)
+class _Read(NamedTuple):
+    """Messages about a joint.
+
+    Attributes:
+        stamps: [ns], shape (n,).
+        log_times: [ns], shape (n,).
+        values: Of all groups that are read, shape (n, k).
+    """
+
+    stamps: Stamps
+    log_times: Stamps
+    values: Array
+
+
+_Blocks: TypeAlias = Iterable[tuple[dict[str, _Read], bool]]
+"""The topics of a run block by block, and whether it is the last one."""
+
+
+class _KeptBlocks:
+    """Blocks in a temporary file, some 0.3 kB for each estimate, as they are needed thrice."""
+
+    def __init__(self, blocks: _Blocks) -> None:
+        self._file = TemporaryFile()  # noqa: SIM115 (closed with this object)
+        self._keys: list[tuple[str, ...]] = []
+        self._blocks = blocks
+
+    def write(self) -> Iterator[tuple[dict[str, _Read], bool]]:
+        """Yield the blocks, and keep them."""
+        for block, is_last in self._blocks:
+            self._keys.append(tuple(block))
+            for array in chain.from_iterable(block.values()):
+                np.save(self._file, array)
+            yield block, is_last
+
+    def __iter__(self) -> Iterator[tuple[dict[str, _Read], bool]]:
+        self._file.seek(0)
+        for number, keys in enumerate(self._keys, 1):
+            block = {key: _Read(*(np.load(self._file) for _ in _Read._fields)) for key in keys}
+            yield block, number == len(self._keys)
+
+
+def _survey(blocks: _Blocks) -> dict[str, list[_Span]]:
+    finders: dict[str, _PassFinder] = {}
+    for block, is_last in blocks:
+        for key, (stamps, log_times, _) in block.items():
+            finder = finders.setdefault(key, _PassFinder())
+            finder.add(log_times, stamps, is_last=is_last)
     return {key: finder.spans for key, finder in finders.items()}
 
 
 def _blocks(
     reader: BagReader, there: Mapping[str, tuple[str, Wanted]], size: int | None
-) -> Iterator[tuple[dict[str, JointSeries], bool]]:
-    """Yield the topics of a run block by block, and whether it is the last one."""
+) -> Iterator[tuple[dict[str, _Read], bool]]:
     wanted = {name: own for name, (_, own) in there.items()}
     for block in read_blocks(reader, wanted, size):
-        found = {there[name][0]: series for name, series in block.series.items()}
-        for key in found.keys() & set(_TWICE):
-            found[key] = _as_named(found[key])
+        found = {}
+        for name, (key, groups) in there.items():
+            series, shown = block.series[name], groups
+            if key in _TWICE:
+                series, shown = _as_named(series), groups[:1]
+            named = series.named[:, 0]
+            values = [series.values[named, group, : len(one)] for group, one in enumerate(shown)]
+            found[key] = _Read(series.stamps[named], series.log_times[named], np.hstack(values))
         yield found, block.horizon == math.inf
 
 
@@ -530,11 +580,10 @@ class RunParts:
     """A recorded run in parts of bounded size, read from the bag each time that they are needed.
 
     Args:
-        reader: The bag.
-        there: What to read of which topic, and the name of a run's part that it is.
+        blocks: The messages.
+        there: What is read of which topic, and the name of a run's part that it is.
         spans: The pass to read of each.
         run: What all parts have in common.
-        size: Number of messages in a part; None for one part.
 
     Attributes:
         run: The same.
@@ -543,37 +592,32 @@ class RunParts:
 
     def __init__(
         self,
-        reader: BagReader,
+        blocks: _Blocks,
         there: Mapping[str, tuple[str, Wanted]],
         spans: Mapping[str, _Span],
         run: RecordedRun,
-        size: int | None,
     ) -> None:
-        self.run, self._size = run, size
-        self._reader, self._there, self._spans = reader, there, spans
-        self._widths = {key: [len(one) for one in wanted[: 1 if key in _TWICE else None]]
+        self.run, self._blocks, self._spans = run, blocks, spans
+        self._widths = {key: sum(map(len, wanted[: 1 if key in _TWICE else None]))
                         for key, wanted in there.values()}  # fmt: skip
         self.has_truth = "truth" in spans
 
     def __iter__(self) -> Iterator[RecordedRun]:
         count = dict.fromkeys(self._spans, 0)
-        waiting = {key: _no_series(sum(self._widths[key])) for key in self._spans}
+        waiting = {key: _no_series(self._widths[key]) for key in self._spans}
         waiting |= {_DELAYED[key]: _no_series(1) for key in self._spans.keys() & _DELAYED.keys()}
         since: int | None = None
-        for block, is_last in _blocks(self._reader, self._there, self._size):
-            for key, series in block.items():
-                span, named = self._spans[key], series.named[:, 0]
-                places = count[key] + np.arange(int(named.sum()))
-                count[key] += len(places)
-                own = (span.begin <= places) & (places < span.end)
-                stamps = series.stamps[named][own]
-                chosen = series.values[named][own]
-                widths = enumerate(self._widths[key])
-                values = np.hstack([chosen[:, group, :width] for group, width in widths])
-                waiting[key] = waiting[key].followed_by(Series(stamps, values))
+        for block, is_last in self._blocks:
+            for key, span in self._spans.items():
+                stamps, log_times, values = block[key]
+                # The messages of the block that are of the pass.
+                first = min(max(span.begin - count[key], 0), len(stamps))
+                own = slice(first, max(span.end - count[key], first))
+                count[key] += len(stamps)
+                waiting[key] = waiting[key].followed_by(Series(stamps[own], values[own]))
                 if key in _DELAYED:
-                    late = (series.log_times[named][own] - stamps) / NANOSECONDS
-                    delays = Series(stamps, late[:, np.newaxis])
+                    late = (log_times[own] - stamps[own]) / NANOSECONDS
+                    delays = Series(stamps[own], late[:, np.newaxis])
                     waiting[_DELAYED[key]] = waiting[_DELAYED[key]].followed_by(delays)
             latest = waiting["states"].stamps.max(initial=0)
             until = None if is_last else int(latest) - _LATENESS
