@@ -13,6 +13,7 @@ from tsobs_ros.campaign.definition import Campaign, load_campaign
 
 SHORT: dict[str, Any] = {
     "runs": 250,
+    "repeats": 3,
     "seed": 3,
     "duration": 1.0,
     "settle_time": 0.3,

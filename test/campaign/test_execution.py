@@ -214,7 +214,7 @@ def test_the_command_shows_refuses_and_replaces(
     assert "250 runs of 1 s" in text
     assert main(["campaign", "--show", str(done), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["scenarios"]["as_designed"]["runs"] == 100
+    assert found["scenarios"]["as_designed"]["runs"] == 99
     worst = found["worst"]["normalised RMSE"]
     assert [one["value"] for one in worst] == sorted((one["value"] for one in worst), reverse=True)
     columns = CampaignFolder.open(done).read()

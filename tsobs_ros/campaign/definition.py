@@ -140,6 +140,8 @@ class CampaignEntries(msgspec.Struct, kw_only=True):
             one that the package ships.
         observer: Parameters of the observer that decide estimates, by their names in the node.
         runs: How many.
+        repeats: How many of them share what is drawn from ranges, with other random numbers in the
+            simulation; these are simulated at once, which takes less time.
         seed: Of everything that is drawn.
         duration: Of a run [s].
         settle_time: Time after the start, and after each jump of a disturbance, that does not
@@ -153,6 +155,7 @@ class CampaignEntries(msgspec.Struct, kw_only=True):
     design: str = SHIPPED_DESIGN
     observer: dict[str, bool | int | float | str] = {}
     runs: int = 1000
+    repeats: int = 1
     seed: int = 0
     duration: float = 30.0
     settle_time: float = 5.0
@@ -187,7 +190,7 @@ class Campaign:
 
     def __post_init__(self) -> None:
         entries = self.entries
-        for name, least in (("runs", 1), ("seed", 0)):
+        for name, least in (("runs", 1), ("repeats", 1), ("seed", 0)):
             if getattr(entries, name) < least:
                 raise ModelError(f"{name}: expected at least {least}, got {getattr(entries, name)}")
         if not 0.0 <= entries.settle_time < entries.duration:

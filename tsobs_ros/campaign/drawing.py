@@ -61,12 +61,24 @@ def draw(campaign: Campaign, run: int) -> Drawn:
     Raises:
         TsobsError: An entry of its scenario is unknown, out of range or does not fit the design.
     """
-    sequence = np.random.SeedSequence(campaign.entries.seed, spawn_key=(run,))
+    (drawn,) = draw_group(campaign, run, run + 1)
+    return drawn
+
+
+def draw_group(campaign: Campaign, begin: int, end: int) -> list[Drawn]:
+    """Return runs that share what is drawn from ranges, from a number up to another, or fewer."""
+    repeats = campaign.entries.repeats
+    group = begin // repeats
+    end = min(end, (group + 1) * repeats)
+    sequence = np.random.SeedSequence(campaign.entries.seed, spawn_key=(group,))
     random = np.random.Generator(np.random.Philox(sequence))
-    seed = int(random.integers(_SEEDS))
-    name = campaign.turns[run % len(campaign.turns)]
+    seeds = random.integers(_SEEDS, size=repeats).tolist()
+    name = campaign.turns[group % len(campaign.turns)]
     scenario, theta, numbers = _drawn(campaign, name, random, random.uniform)
-    return Drawn(run, name, seed, scenario, theta, numbers)
+    return [
+        Drawn(run, name, seeds[run - group * repeats], scenario, theta, numbers)
+        for run in range(begin, end)
+    ]
 
 
 def check(campaign: Campaign) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tsobs_ros import __version__
 from tsobs_ros.campaign.batches import CLAIMS, BatchObserver, Observed, Scores, score
 from tsobs_ros.campaign.definition import Campaign, parse_campaign
-from tsobs_ros.campaign.drawing import Drawn, draw
+from tsobs_ros.campaign.drawing import Drawn, draw_group
 from tsobs_ros.campaign.premises import violated
 from tsobs_ros.design.file import load_design_file
 from tsobs_ros.report.comparison import metrics_options
@@ -83,19 +83,21 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
     settle_time = campaign.entries.settle_time
     settled = MetricsOptions(start_settle_time=settle_time, jump_settle_time=settle_time)
     quantities, options = quantities_of(request), metrics_options(design, settled)
-    rows = []
-    for run in range(begin, end):
-        drawn = draw(campaign, run)
-        truth = Plant(drawn.scenario, [drawn.seed]).run(drawn.scenario.sample_count)
+    rows: list[dict[str, Any]] = []
+    while begin + len(rows) < end:
+        group = draw_group(campaign, begin + len(rows), end)
+        scenario = group[0].scenario
+        truth = Plant(scenario, [one.seed for one in group]).run(scenario.sample_count)
         observed = observer(truth)
         scores = score(truth, observed, options, quantities, request.torque_sides)
-        rows.append(
-            {
-                **_of_drawn(drawn, campaign),
-                **_of_scores(scores, quantities, drawn, campaign),
-                **_of_estimates(observed, campaign),
-            }
-        )
+        for place, drawn in enumerate(group):
+            rows.append(
+                {
+                    **_of_drawn(drawn, campaign),
+                    **_of_scores(scores, place, quantities, drawn, campaign),
+                    **_of_estimates(observed, place, campaign),
+                }
+            )
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
@@ -113,37 +115,41 @@ def _of_drawn(drawn: Drawn, campaign: Campaign) -> dict[str, Any]:
 
 
 def _of_scores(
-    scores: Scores, quantities: tuple[Quantity, ...], drawn: Drawn, campaign: Campaign
+    scores: Scores,
+    run: int,
+    quantities: tuple[Quantity, ...],
+    drawn: Drawn,
+    campaign: Campaign,
 ) -> dict[str, Any]:
     request = campaign.file.design.arm_request
-    reach = float(scores.reach[0])
+    reach = float(scores.reach[run])
     broken = violated(drawn.scenario, request) + (DOMAIN,) * (reach > request.max_angle)
     row: dict[str, Any] = {
         "premises_hold": not broken,
         "violated": ", ".join(broken),
         "max_link_angle": reach,
-        "normalised_rmse": float(scores.normalised_rmse[0]),
+        "normalised_rmse": float(scores.normalised_rmse[run]),
     }
     for place, quantity in enumerate(quantities):
         for name in ("rmse", "bound", "inside"):
-            row[f"{quantity.key}_{name}"] = float(getattr(scores, name)[0, place])
+            row[f"{quantity.key}_{name}"] = float(getattr(scores, name)[run, place])
     for claim, name in enumerate(CLAIMS):
-        row[f"{name}_samples"] = int(scores.claimed[0, claim])
+        row[f"{name}_samples"] = int(scores.claimed[run, claim])
         for place, quantity in enumerate(quantities):
             for what in ("inside", "ratio", "worst"):
-                number = getattr(scores, f"claim_{what}")[0, claim, place]
+                number = getattr(scores, f"claim_{what}")[run, claim, place]
                 row[f"{quantity.key}_{name}_{what}"] = float(number)
     return row
 
 
-def _of_estimates(observed: Observed, campaign: Campaign) -> dict[str, Any]:
+def _of_estimates(observed: Observed, run: int, campaign: Campaign) -> dict[str, Any]:
     """Return what was learnt at the end of a run, and what was counted."""
     names = campaign.settings.learnt(campaign.file.design)
-    last = observed.rows[0, -1]
+    last = observed.rows[run, -1]
     row: dict[str, Any] = {}
     for field, what in (("parameters", "learnt"), ("parameter_bound", "learnt_bound")):
         part = observed.parts[field]
         row |= {f"{what}_{name}": float(last[part][place]) for place, name in enumerate(names)}
     if names:
-        row["learnt_valid"] = bool(observed.conditions["parameters_valid"][0, -1] == 1.0)
-    return row | {name.replace(" ", "_"): n for name, n in observed.events[0].items()}
+        row["learnt_valid"] = bool(observed.conditions["parameters_valid"][run, -1] == 1.0)
+    return row | {name.replace(" ", "_"): n for name, n in observed.events[run].items()}

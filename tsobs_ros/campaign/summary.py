@@ -158,7 +158,7 @@ def summarise(campaign: Campaign, columns: Columns) -> Summary:
         },
         violated=dict(broken.most_common()),
         learnt={name: _learnt(columns, name) for name in campaign.settings.learnt(file.design)},
-        worst=_worst(columns, keys),
+        worst=_worst(columns, keys, entries.repeats),
         failed=int((~np.isfinite(columns["normalised_rmse"])).sum()),
     )
 
@@ -212,7 +212,8 @@ def _learnt(columns: Columns, name: str) -> dict[str, Any]:
     }
 
 
-def _worst(columns: Columns, keys: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+def _worst(columns: Columns, keys: Sequence[str], repeats: int) -> dict[str, list[dict[str, Any]]]:
+    """Return the worst runs by each measure, one of those that share what is drawn."""
     claimed = np.array(
         [columns[f"{key}_{claim}_worst"] for key in keys for claim in ("certified", "learnt")]
     )
@@ -227,9 +228,11 @@ def _worst(columns: Columns, keys: Sequence[str]) -> dict[str, list[dict[str, An
     for measure, values in measures.items():
         # Runs without a number are the worst by their error.
         ranked = np.where(np.isnan(values), np.inf, values)
-        order = [
-            run for run in np.argsort(-ranked, kind="stable")[:_WORST] if ranked[run] > -np.inf
-        ]
+        by_draw: dict[int, int] = {}
+        for place in np.argsort(-ranked, kind="stable").tolist():
+            if ranked[place] > -np.inf and len(by_draw) < _WORST:
+                by_draw.setdefault(int(columns["run"][place]) // repeats, place)
+        order = list(by_draw.values())
         if order:
             found[measure] = [
                 {
