@@ -163,7 +163,8 @@ def _draw(axes: Axes, plot: Plot, unit: str) -> None:
         # Thousands of dots as vectors would make an SVG slow and large.
         axes.plot(
             *plot.dots,
-            ".",
+            "-" if plot.dense else ".",
+            lw=0.5,
             ms=2.2,
             mew=0,
             color=content.MEASUREMENT_COLOUR,

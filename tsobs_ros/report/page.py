@@ -194,8 +194,11 @@ def _traces(plot: Plot) -> Iterator[dict[str, Any]]:
     if plot.dots is not None:
         name = plot.label if plot.estimate is None else "measured"
         grey = content.MEASUREMENT_COLOUR
-        mark = {"size": 2.5, "color": grey}
-        yield _trace(name, plot.dots, None, grey, mode="markers", marker=mark)
+        if plot.dense:
+            yield _trace(name, plot.dots, {"width": 0.7}, grey)
+        else:
+            mark = {"size": 2.5, "color": grey}
+            yield _trace(name, plot.dots, None, grey, mode="markers", marker=mark)
     if plot.truth is not None:
         yield _trace("true", plot.truth, {"width": 4}, content.TRUTH_COLOUR)
     if plot.rival is not None:

@@ -124,6 +124,7 @@ class Plot(NamedTuple):
         label: The quantity, or "error".
         limits: Range of values to show.
         dots: Measured values.
+        dense: Whether those are only the extremes of so many that they are drawn as a line.
         truth: True values.
         estimate: Estimated values, or their error.
         bands: Bounds of it.
@@ -139,6 +140,7 @@ class Plot(NamedTuple):
     label: str
     limits: tuple[float, float]
     dots: Curve | None = None
+    dense: bool = False
     truth: Curve | None = None
     estimate: Curve | None = None
     bands: Bands | None = None
@@ -264,7 +266,8 @@ def picture(
             label = "innovation" if len(outputs) == 1 else f"innovation of {name}"
             std = innovation_std[place] if innovation_std else None
             nis = metrics.output_nis[place] if metrics.output_nis else None
-            made.append(_innovation_panel(label, unit, (curve.curve(), sizes), nis, std))
+            panel = _innovation_panel(label, unit, (curve.curve(), sizes), nis, std)
+            made.append(panel._replace(values=panel.values._replace(dense=curve.dense)))
             made += correlations[place].panel(label, timing.period)
     if health.count:
         made.append(health.panel())
@@ -366,12 +369,17 @@ class _Extremes:
 
     def __init__(self, max_gap: float = MAX_GAP) -> None:
         self._parts: list[Curve] = []
-        self._count = 0
+        self._count = self._total = 0
         self._last, self._max_gap = math.nan, max_gap
 
     @property
     def there(self) -> bool:
         return self._count > 0
+
+    @property
+    def dense(self) -> bool:
+        """Whether only the extremes are left."""
+        return self._total > MAX_CURVE
 
     def add(self, times: Array, values: Array) -> None:
         if len(times):
@@ -380,6 +388,7 @@ class _Extremes:
             times, values = np.insert(times, *gaps), np.insert(values, gaps[0], np.nan)
         self._parts.append(Curve(times, values))
         self._count += len(times)
+        self._total += len(times)
         if self._count > _WAITING * MAX_CURVE:
             self._parts = [self.curve()]
             self._count = len(self._parts[0].times)
@@ -504,6 +513,7 @@ class _Quantity:
             label=quantity.name,
             limits=self._limits(truth),
             dots=self._dots.curve() if self._dots.there else None,
+            dense=self._dots.dense,
             truth=truth,
             estimate=self._estimate.curve(),
             bands=self._bands.bands(),
@@ -739,6 +749,7 @@ class _Timing:
             )
             curve = self._intervals.curve()
             plot = Plot("measurement interval", _around([curve.values], zero=True), dots=curve)
+            plot = plot._replace(dense=self._intervals.dense)
             made.append(Panel("ms", remark, plot))
         if found.latency is not None:
             curves = {

@@ -10,6 +10,7 @@ from itertools import chain, islice, pairwise
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, NamedTuple, TypeAlias
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -532,7 +533,8 @@ class _KeptBlocks:
     """Blocks in a temporary file, some 0.3 kB for each estimate, as they are needed thrice."""
 
     def __init__(self, blocks: _Blocks) -> None:
-        self._file = TemporaryFile()  # noqa: SIM115 (closed with this object)
+        self._file = TemporaryFile()  # noqa: SIM115 (closed when this object goes)
+        finalize(self, self._file.close)
         self._keys: list[tuple[str, ...]] = []
         self._blocks = blocks
 
