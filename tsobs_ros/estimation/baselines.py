@@ -752,7 +752,7 @@ def _predict(
             phi, gamma, noise = matrices[4], gammas[0], matrices[5]
             flow_over(
                 model.series, terms, reach, length, phi, gamma, noise, matrices[6:8], gammas[1],
-                n, 1, True,
+                np.empty(model.series.shape[1]), n, 1, True,
             )  # fmt: skip
         half = 0.5 * length
         if model.sizes[6] != 0:

@@ -82,6 +82,7 @@ class LinearFlow:
             noise,
             np.empty((2, n, n)),
             np.empty((n, m)),
+            np.empty(self.series.shape[1]),
             n,
             m,
             True,
@@ -125,6 +126,7 @@ def flow_over(
     noise: Array,
     squares: Array,
     forced: Array,
+    values: Array,
     n: int,
     m: int,
     with_noise: bool,
@@ -141,6 +143,7 @@ def flow_over(
         noise: Q, shape (n, n).
         squares: Scratch, shape (2, n, n).
         forced: Scratch, shape (n, m).
+        values: Scratch, shape (n (2n + m),).
         n: Number of states.
         m: Number of inputs.
         with_noise: Whether Q is wanted, which is a third of the work.
@@ -149,14 +152,21 @@ def flow_over(
     while step > reach:
         doublings += 1
         step *= 0.5
+    # Horner's rule.
+    count = n * (2 * n + m) if with_noise else n * (n + m)
+    for place in range(count):
+        values[place] = 0.0
+    for back in range(terms):
+        row = terms - 1 - back
+        for place in range(count):
+            values[place] = values[place] * step + series[row, place]
     for i in range(n):
         for j in range(n):
-            phi[i, j] = _at(series, terms, step, n * i + j)
+            phi[i, j] = values[n * i + j]
         for j in range(m):
-            gamma[i, j] = _at(series, terms, step, n * n + m * i + j)
-        for j in range(i, n if with_noise else i):
-            noise[i, j] = _at(series, terms, step, n * (n + m) + n * i + j)
-            noise[j, i] = noise[i, j]
+            gamma[i, j] = values[n * n + m * i + j]
+        for j in range(n if with_noise else 0):
+            noise[i, j] = values[n * (n + m) + n * i + j]
     first, second = squares[0], squares[1]
     for _ in range(doublings):
         multiply(phi, gamma, forced, n, n, m)
@@ -168,15 +178,6 @@ def flow_over(
             copy(second, noise, n, n)
         multiply(phi, phi, first, n, n, n)
         copy(first, phi, n, n)
-
-
-@compiled
-def _at(series: Array, terms: int, time: float, column: int) -> float:
-    """Return a polynomial's value by Horner's rule."""
-    value = 0.0
-    for back in range(terms):
-        value = value * time + series[terms - 1 - back, column]
-    return value
 
 
 @compiled

@@ -81,6 +81,29 @@ def multiply(a: Array, b: Array, result: Array, rows: int, inner: int, columns: 
 
 
 @compiled
+def multiply_padded(a: Array, b: Array, result: Array, rows: int, width: int) -> None:
+    """Write a b into `result`, for matrices whose rows have room for `width` numbers.
+
+    The same bits as of `multiply`, in a third of the time. What is in the room behind the numbers
+    in use must be zero in a or b, and finite in the other. `width` is a multiple of four, and at
+    least 8: loops of such lengths are those that become vector instructions.
+    """
+    for i in range(rows):
+        for j in range(width):
+            total = 0.0
+            for k in range(8):
+                total += a[i, k] * b[k, j]
+            result[i, j] = total
+    for block in range(8, width, 4):
+        for i in range(rows):
+            for j in range(width):
+                total = result[i, j]
+                for k in range(4):
+                    total += a[i, block + k] * b[block + k, j]
+                result[i, j] = total
+
+
+@compiled
 def congruence(
     a: Array, s: Array, added: Array, scratch: Array, result: Array, rows: int, inner: int
 ) -> None:

@@ -225,7 +225,7 @@ def fill_common(
     record["series"][:, : linear.series.shape[1]] = linear.series
     phi, gamma, noise = linear.over(nominal)
     record["inputs"] = gamma.shape[1]
-    for name, matrix in (("phi", phi), ("gamma", gamma), ("noise", noise)):
+    for name, matrix in (("phi", phi), ("turned", phi.T), ("gamma", gamma), ("noise", noise)):
         fill_matrix(record[name], matrix)
 
 

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled
+from tsobs_ros.compiled import compiled, inlined
 from tsobs_ros.model.linear_flow import MAX_TERMS, cut_into_steps, flow_over
-from tsobs_ros.model.matrices import apply, congruence, dot, multiply
+from tsobs_ros.model.matrices import apply, congruence, copy, dot, multiply, multiply_padded
 from tsobs_ros.model.memberships import rule_weights, rule_weights_and_slopes
-from tsobs_ros.model.trigonometry import cosine, sine
+from tsobs_ros.model.trigonometry import sine, sine_and_cosine
 
 EFFECTS = 14
 """What θ = 1 adds to both accelerations of an arm: by x (4 each), by sin x₁, by the torque of the
@@ -79,7 +79,7 @@ def flow_type(room: Room) -> np.dtype[Any]:
 
     kind: ARM, SYSTEM or INTEGRATED. n, m, inputs, p, k, plant, rules, premises: sizes in use; the
     m signals are the inputs and then the scheduled ones. period to noise: a `LinearFlow` with its
-    nominal step. gravity_gain, effects: of an arm; has_unknown, motor_torque, link_torque: whether
+    nominal step; turned: phi transposed. gravity_gain, effects: of an arm; has_unknown, motor_torque, link_torque: whether
     it has unknown torques, and the states that make them up. deviations to parameters: of a T–S
     system. The rest is of an integrated observer.
     """
@@ -101,6 +101,7 @@ def flow_type(room: Room) -> np.dtype[Any]:
             ("reach", number),
             ("series", number, (MAX_TERMS, n * (2 * n + m))),
             ("phi", number, (n, n)),
+            ("turned", number, (n, n)),
             ("gamma", number, (n, m)),
             ("noise", number, (n, n)),
             ("gravity_gain", number),
@@ -124,17 +125,32 @@ def flow_type(room: Room) -> np.dtype[Any]:
 
 @cache
 def work_type(room: Room) -> np.dtype[Any]:
-    """Return the type of a step's scratch numbers."""
-    n, _, m, k, rules, premises = room
+    """Return the type of a step's scratch numbers.
+
+    stack: what is moved, x̄ and behind it the rows of Υᵀ. covariance: Σ. theta, y, u: as of
+    `advance`. What is behind the numbers in use is zero in these.
+    """
+    n, p, m, k, rules, premises = room
     number = np.float64
     return record_type(
         [
+            ("stack", number, (k + 1, n)),
+            ("covariance", number, (n, n)),
+            ("theta", number, (k,)),
+            ("y", number, (p,)),
+            ("u", number, (m,)),
             ("phi", number, (n, n)),
+            ("turned", number, (n, n)),
             ("gamma", number, (n, m)),
             ("noise", number, (n, n)),
             ("squares", number, (4, n, n)),
             ("forced", number, (n, m)),
+            ("values", number, (n * (2 * n + m),)),
             ("vectors", number, (6, n)),
+            ("kicks", number, (2, n)),
+            ("changes", number, (2, n)),
+            ("before", number, (4,)),
+            ("moved", number, (k + 1, n)),
             ("rows", number, (4, k, n)),
             ("effects", number, (EFFECTS,)),
             ("rates", number, (rules, n)),
@@ -146,7 +162,7 @@ def work_type(room: Room) -> np.dtype[Any]:
     )
 
 
-@compiled
+@inlined
 def advance(
     flow: Any,
     x: Array,
@@ -173,57 +189,63 @@ def advance(
         duration: [s], at least 0.
         work: Scratch record of `work_type`.
     """
+    n, k, width = flow.n, flow.k, work.covariance.shape[1]
+    stack, sigma = work.stack[:], work.covariance[:]
+    for j in range(width):
+        stack[0, j] = x[j] if j < n else 0.0
+    for i in range(k):
+        for j in range(width):
+            stack[i + 1, j] = upsilon[i, j] if j < n else 0.0
+        work.theta[i] = theta[i]
+    for i in range(flow.m):
+        work.u[i] = u[i]
     if flow.kind == INTEGRATED:
-        _integrate(flow, x, y, u, duration, work)
+        for i in range(flow.p):
+            work.y[i] = y[i]
+    if with_covariance:
+        for i in range(width):
+            for j in range(width):
+                sigma[i, j] = covariance[i, j] if i < n and j < n else 0.0
+    move(flow, with_covariance, duration, work)
+    for j in range(n):
+        x[j] = stack[0, j]
+    for i in range(k):
+        for j in range(n):
+            upsilon[i, j] = stack[i + 1, j]
+    if with_covariance:
+        copy(sigma, covariance, n, n)
+
+
+@compiled
+def move(flow: Any, with_covariance: bool, duration: float, work: Any) -> None:
+    """Move what is in a scratch record over a time [s]; see `advance`.
+
+    Functions of records alone know all sizes when they are compiled, and count no references.
+    """
+    x, upsilon, theta, u = work.stack[0], work.stack[1:], work.theta[:], work.u[:]
+    if flow.kind == INTEGRATED:
+        _integrate(flow, x, work.y[:], u, duration, work)
         return
     whole, rest = cut_into_steps(duration, flow.period)
-    phi, gamma, noise = flow.phi[:], flow.gamma[:], flow.noise[:]
     for step in range(whole + 1):
-        length = flow.period if step < whole else rest
-        if step == whole:
-            if not rest > 0.0:
-                return
-            phi, gamma, noise = work.phi[:], work.gamma[:], work.noise[:]
-            # A step of a T–S system has two equal halves.
-            flow_over(
-                flow.series[:],
-                flow.terms,
-                flow.reach,
-                0.5 * rest if flow.kind == SYSTEM else rest,
-                phi,
-                gamma,
-                noise,
-                work.squares[:],
-                work.forced[:],
-                flow.n,
-                flow.inputs,
-                with_covariance,
-            )
+        nominal = step < whole
+        if not (nominal or rest > 0.0):
+            return
+        if not nominal:
+            _fill_flow(flow, rest, with_covariance, work)
+        length = flow.period if nominal else rest
         if flow.kind == ARM:
-            _step_arm(
-                flow,
-                phi,
-                gamma,
-                noise,
-                length,
-                x,
-                upsilon,
-                covariance,
-                with_covariance,
-                theta,
-                u[0],
-                work,
-            )
+            _step_arm(flow, with_covariance, length, nominal, work)
         else:
             _step_system(
                 flow,
-                phi,
-                gamma,
-                noise,
+                flow.phi[:] if nominal else work.phi[:],
+                flow.gamma[:] if nominal else work.gamma[:],
+                flow.noise[:] if nominal else work.noise[:],
                 length,
                 x,
                 upsilon,
-                covariance,
+                work.covariance[:],
                 with_covariance,
                 theta,
                 u,
@@ -232,24 +254,41 @@ def advance(
 
 
 @compiled
-def _step_arm(
-    flow: Any,
-    phi: Array,
-    gamma: Array,
-    noise: Array,
-    duration: float,
-    x: Array,
-    upsilon: Array,
-    covariance: Array,
-    with_covariance: bool,
-    theta: Array,
-    torque: float,
-    work: Any,
-) -> None:
+def _fill_flow(flow: Any, duration: float, with_noise: bool, work: Any) -> None:
+    """Write the linear flow over a time [s] into the scratch record."""
+    n, phi, turned = flow.n, work.phi[:], work.turned[:]
+    flow_over(
+        flow.series[:],
+        flow.terms,
+        flow.reach,
+        # A step of a T–S system has two equal halves.
+        0.5 * duration if flow.kind == SYSTEM else duration,
+        phi,
+        work.gamma[:],
+        work.noise[:],
+        work.squares[:],
+        work.forced[:],
+        work.values[:],
+        n,
+        flow.inputs,
+        with_noise,
+    )
+    for i in range(phi.shape[0]):
+        for j in range(phi.shape[1]):
+            if i >= n or j >= n:
+                phi[i, j] = 0.0
+            turned[j, i] = phi[i, j]
+
+
+@compiled
+def _step_arm(flow: Any, with_covariance: bool, duration: float, nominal: bool, work: Any) -> None:
     """Kick both velocities by gravity and by θ̂, take the linear flow, and kick again."""
-    n, k, half = flow.n, flow.k, 0.5 * duration
-    total, effects, vectors = work.effects[:], flow.effects[:], work.vectors[:]
-    moved, link, motor = vectors[0], vectors[1], vectors[2]
+    n, k, half, torque = flow.n, flow.k, 0.5 * duration, work.u[0]
+    total, effects, theta, before = work.effects[:], flow.effects[:], work.theta[:], work.before[:]
+    stack, moved, x, upsilon = work.stack[:], work.moved[:], work.stack[0], work.stack[1:]
+    link, motor = work.kicks[0], work.kicks[1]
+    turned = flow.turned[:] if nominal else work.turned[:]
+    gamma = flow.gamma[:] if nominal else work.gamma[:]
     for place in range(EFFECTS):
         total[place] = 0.0
         for i in range(k):
@@ -258,27 +297,22 @@ def _step_arm(
     for part in range(2):
         if part == 1:
             if with_covariance:
-                congruence(phi, covariance, noise, work.squares[0], covariance, n, n)
-            for i in range(k):
-                apply(phi, upsilon[i], moved, n, n)
-                for j in range(n):
-                    upsilon[i, j] = moved[j]
-            apply(phi, x, moved, n, n)
+                _carry(flow, nominal, work)
+            multiply_padded(stack, turned, moved, k + 1, turned.shape[1])
+            copy(moved, stack, k + 1, n)
             for j in range(n):
-                x[j] = moved[j] + gamma[j, 0] * torque
-        sin, cos = sine(x[0]), cosine(x[0])
+                x[j] += gamma[j, 0] * torque
+        sin, cos = sine_and_cosine(x[0])
         # What a kick adds to both accelerations, by the state.
-        for j in range(n):
-            link[j] = total[j] if j < 4 else 0.0
-            motor[j] = total[4 + j] if j < 4 else 0.0
-        before = moved
-        for j in range(n):
-            before[j] = x[j]
+        for j in range(4):
+            link[j], motor[j], before[j] = total[j], total[4 + j], x[j]
+        for j in range(4, link.shape[0]):
+            link[j], motor[j] = 0.0, 0.0
         drive, external = torque, 0.0
         if flow.has_unknown != 0:
             # What θ̂ does to the known torque, it does to its unknown part.
-            drive += dot(flow.motor_torque[:], before, n)
-            external = dot(flow.link_torque[:], before, n)
+            drive += dot(flow.motor_torque[:], x, n)
+            external = dot(flow.link_torque[:], x, n)
         x[1] += (
             dot(link, before, 4)
             + total[LINK_SINE] * sin
@@ -300,8 +334,8 @@ def _step_arm(
                 motor[j] = total[MOTOR_TORQUE] * share + total[MOTOR_EXTERNAL] * other
         for i in range(k):
             effect = effects[i]
-            on_link = dot(link, upsilon[i], n)
-            on_motor = dot(motor, upsilon[i], n)
+            on_link = dot(link, upsilon[i], link.shape[0])
+            on_motor = dot(motor, upsilon[i], link.shape[0])
             upsilon[i, 1] += on_link + half * (
                 dot(effect, before, 4)
                 + effect[LINK_SINE] * sin
@@ -315,25 +349,38 @@ def _step_arm(
                 + effect[MOTOR_EXTERNAL] * external
             )
         if with_covariance:
-            _shear(covariance, link, motor, n)
+            _shear(n, work)
 
 
 @compiled
-def _shear(covariance: Array, link: Array, motor: Array, n: int) -> None:
-    """Write J Σ Jᵀ into Σ for J = I + the rows `link` of x₂ and `motor` of x₄."""
-    c = covariance
-    for j in range(n):
-        first, second = 0.0, 0.0
-        for i in range(n):
-            first += link[i] * c[i, j]
-            second += motor[i] * c[i, j]
-        c[1, j] += first
-        c[3, j] += second
-    for j in range(n):
-        row = c[j]
-        first, second = dot(link, row, n), dot(motor, row, n)
-        row[1] += first
-        row[3] += second
+def _carry(flow: Any, nominal: bool, work: Any) -> None:
+    """Write Φ Σ Φᵀ + Q into Σ."""
+    n, c, half, whole = flow.n, work.covariance[:], work.squares[0], work.squares[1]
+    phi = flow.phi[:] if nominal else work.phi[:]
+    turned = flow.turned[:] if nominal else work.turned[:]
+    noise = flow.noise[:] if nominal else work.noise[:]
+    multiply_padded(phi, c, half, n, c.shape[1])
+    multiply_padded(half, turned, whole, n, c.shape[1])
+    for i in range(n):
+        for j in range(i, n):
+            total = whole[i, j] + noise[i, j]
+            c[i, j], c[j, i] = total, total
+
+
+@compiled
+def _shear(n: int, work: Any) -> None:
+    """Write J Σ Jᵀ into Σ for J = I + the two kicks as rows of x₂ and x₄."""
+    c, kicks, changes, width = work.covariance[:], work.kicks[:], work.changes[:], work.phi.shape[1]
+    multiply_padded(kicks, c, changes, 2, width)
+    for j in range(width):
+        c[1, j] += changes[0, j]
+        c[3, j] += changes[1, j]
+    # Of the columns only what is in these rows is not known yet, as Σ is symmetric.
+    corner, both = dot(kicks[0], c[1], width), dot(kicks[0], c[3], width)
+    c[3, 3] += dot(kicks[1], c[3], width)
+    c[1, 1] += corner
+    c[3, 1] += both
+    c[1, 3] = c[3, 1]
     for j in range(n):
         c[j, 3] = c[3, j]
     for j in range(n):

@@ -25,29 +25,32 @@ _MAX_EXACT = 1e6
 @compiled
 def sine(angle: float) -> float:
     """Return sin of an angle [rad]."""
-    return _turned(angle, 0)
+    return sine_and_cosine(angle)[0]
 
 
 @compiled
 def cosine(angle: float) -> float:
     """Return cos of an angle [rad]."""
-    return _turned(angle, 1)
+    return sine_and_cosine(angle)[1]
 
 
 @compiled
-def _turned(angle: float, quarters: int) -> float:
-    """Return sin(angle + quarters π/2)."""
+def sine_and_cosine(angle: float) -> tuple[float, float]:
+    """Return sin and cos of an angle [rad], which together cost little more than one of them."""
     if not math.fabs(angle) <= _MAX_EXACT:
         if not math.fabs(angle) < math.inf:
-            return math.nan
+            return math.nan, math.nan
         # What is lost is less than the rounding of so large an angle.
         angle = angle % math.tau
+    quarters = 0
     if math.fabs(angle) > 0.25 * math.pi:
         whole = math.floor(angle * _QUARTERS + 0.5)
         angle = ((angle - whole * _PART_1) - whole * _PART_2) - whole * _PART_3
-        quarters += int(whole)
-    value = _first_cosine(angle) if quarters & 1 else _first_sine(angle)
-    return -value if quarters & 2 else value
+        quarters = int(whole)
+    sin, cos = _first_sine(angle), _first_cosine(angle)
+    if quarters & 1:
+        sin, cos = cos, -sin
+    return (-sin, -cos) if quarters & 2 else (sin, cos)
 
 
 @inlined
