@@ -61,7 +61,7 @@ def memory_type(room: Room) -> np.dtype[Any]:
     counts, the last by the codes of `REASONS`. span: how far back a late measurement may reach
     [ns]. future: how far ahead of the clock a stamp may lie [ns]. restart_after: the longest gap
     [ns]. max_steps: the largest number of measurements. x_max: half width of the certificate's
-    domain. The rest is scratch.
+    domain. The rest is scratch; y, u: of the measurement in hand.
     """
     count = np.int64
     return record_type(
@@ -82,6 +82,8 @@ def memory_type(room: Room) -> np.dtype[Any]:
             ("restart_after", count),
             ("max_steps", count),
             ("x_max", np.float64),
+            ("y", np.float64, (room.p,)),
+            ("u", np.float64, (room.m,)),
             ("correction", correction_type(room)),
             ("readout", readout_type(room)),
             ("work", work_type(room)),
@@ -314,11 +316,17 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
             # bool(0) and not False, for which `predict` would be compiled once more.
             predict(model, ring[place], last.held[:], duration, bool(0), memory.work)
     state, correction = ring[place], memory.correction
+    # A part of a record costs nothing to pass on; a part of an array counts references.
+    sample, inputs = memory.y[:], memory.u[:]
+    for i in range(model.p):
+        sample[i] = y[i]
+    for i in range(model.m):
+        inputs[i] = u[i]
     for attempt in range(2):
         if restart:
             ring[place] = model.initial
-        take_torque(model, state, u)
-        correct(model, state, y, correction)
+        take_torque(model, state, inputs)
+        correct(model, state, sample, correction)
         total = 0.0
         for i in range(model.p):
             if math.isfinite(y[i]):
@@ -361,14 +369,14 @@ def _advance(model: Any, memory: Any, ring: Any, stamp: int, y: Array, u: Array)
     return code
 
 
-@compiled
+@inlined
 def slot_of(memory: Any, ring: Any, place: int) -> int:
     """Return where a state is, given its place from the oldest on."""
     slot: int = (memory.first + place) % (len(ring) - SPARE)
     return slot
 
 
-@compiled
+@inlined
 def newest_stamp(memory: Any, ring: Any) -> int:
     """Return the newest stamp [ns], 0 if there is none."""
     if memory.length == 0:
@@ -377,7 +385,7 @@ def newest_stamp(memory: Any, ring: Any) -> int:
     return stamp
 
 
-@compiled
+@inlined
 def _count_before(memory: Any, ring: Any, stamp: int) -> int:
     """Return the number of states in the ring before a stamp [ns]."""
     low, high = 0, memory.length
@@ -390,7 +398,7 @@ def _count_before(memory: Any, ring: Any, stamp: int) -> int:
     return low
 
 
-@compiled
+@inlined
 def _is_readable(model: Any, y: Array, u: Array) -> bool:
     """Return whether an output and all inputs are numbers, but for a torque, which is judged."""
     return has_finite(y, model.p) and (model.torque_limit > 0.0 or is_finite(u, model.m))

@@ -296,7 +296,10 @@ def _correct(model: Any, state: Any, place: int, correction: Any) -> tuple[float
     assumed, alternative = model.alternatives[place], state.alternatives[place]
     n, k = assumed.n, model.k
     x, covariance, upsilon = alternative.x[:], alternative.covariance[:], alternative.upsilon[:]
-    crossed, omega = correction.crossed[0], correction.turned[0]
+    crossed, gain = correction.crossed[0], correction.crossed[1]
+    omega, width = correction.turned[0], covariance.shape[1]
+    # Whole rows of four become vector instructions; behind the numbers in use are zeros.
+    padded = (n + 3) // 4 * 4
     likelihood, total, count = 0.0, 0.0, 0
     for output in range(model.p):
         if not _shows(model, state, output):
@@ -306,24 +309,29 @@ def _correct(model: Any, state: Any, place: int, correction: Any) -> tuple[float
         if place == _COLOURED - 1:
             # The white scale is of differences, which coloured noise hardly has.
             scale *= math.sqrt(max(sensor.coloured_power / _DESIGNED_COLOUR, 1.0))
-        for i in range(n):
-            crossed[i] = dot(covariance[i], C, n)
+        for j in range(padded):
+            entry = 0.0
+            for i in range(width):
+                entry += covariance[i, j] * C[i]
+            crossed[j] = entry
         known = dot(C, crossed, n) + assumed.variances[output]
         for a in range(k):
-            omega[a] = dot(C, upsilon[a], n)
+            omega[a] = dot(C, upsilon[a], width)
         variance = scale * scale * (known + quadratic(state.gamma[:], omega, k))
         alternative.variances[output] = variance
-        innovation = state.y[output] - dot(C, x, n)
+        innovation = state.y[output] - dot(C, x, width)
         ratio, weight = innovation * innovation / variance, 1.0
         if ratio > model.gate * model.gate:
             weight = model.gate * model.gate / ratio
+        for i in range(padded):
+            gain[i] = crossed[i] / known
+            x[i] += gain[i] * (weight * innovation)
         for i in range(n):
-            gain = crossed[i] / known
-            x[i] += gain * (weight * innovation)
-            for j in range(n):
+            for j in range(padded):
                 covariance[i, j] -= crossed[i] * crossed[j] / known
-            for a in range(k):
-                upsilon[a, i] -= omega[a] * gain
+        for a in range(k):
+            for i in range(padded):
+                upsilon[a, i] -= omega[a] * gain[i]
         ratio = min(ratio, _CLIP * _CLIP)
         likelihood += -0.5 * (ratio + logarithm(variance))
         total, count = total + ratio, count + 1
@@ -337,9 +345,10 @@ def _wake(model: Any, state: Any) -> None:
     for i in range(ALTERNATIVES):
         assumed, alternative = model.alternatives[i], state.alternatives[i]
         x, covariance, upsilon = alternative.x[:], alternative.covariance[:], alternative.upsilon[:]
-        for a in range(assumed.n):
+        # All the room, so that there is no trace of numbers that were not finite.
+        for a in range(x.shape[0]):
             x[a] = state.x[a] if a < n else 0.0
-            for b in range(assumed.n):
+            for b in range(x.shape[0]):
                 covariance[a, b] = 0.0
             covariance[a, a] = assumed.added[a]
             for b in range(k):

@@ -543,7 +543,8 @@ def _judge_output(model: Any, state: Any, i: int, correction: Any) -> int:
             sensor.excluded, correction.weight[i] = 1, 0.0
         # The averages start over: they belong to the time before the jump.
         _forget(sensor)
-        sensor.magnitude = model.lost if sensor.excluded != 0 else 1.0
+        if sensor.excluded != 0:
+            sensor.magnitude = model.lost
         _note_jump(model, state, sensor)
         return _JUMPED
     return _AS_USUAL

@@ -79,9 +79,9 @@ def flow_type(room: Room) -> np.dtype[Any]:
 
     kind: ARM, SYSTEM or INTEGRATED. n, m, inputs, p, k, plant, rules, premises: sizes in use; the
     m signals are the inputs and then the scheduled ones. period to noise: a `LinearFlow` with its
-    nominal step; turned: phi transposed. gravity_gain, effects: of an arm; has_unknown, motor_torque, link_torque: whether
-    it has unknown torques, and the states that make them up. deviations to parameters: of a T–S
-    system. The rest is of an integrated observer.
+    nominal step; turned: phi transposed. gravity_gain, effects: of an arm; has_unknown,
+    motor_torque, link_torque: whether it has unknown torques, and the states that make them up.
+    deviations to parameters: of a T–S system. The rest is of an integrated observer.
     """
     n, p, m, k, rules, premises = room
     number, count = np.float64, np.int64
