@@ -37,6 +37,16 @@ def square(part: Array, least: float = 0.0) -> None:
     part[...] += least * np.trace(part) * np.eye(len(part))
 
 
+@pytest.mark.parametrize("width", [8, 12, 16])
+def test_padded_products_have_the_bits_of_those_without_room(width: int) -> None:
+    rng, n = np.random.default_rng(width), width - 3
+    a, b, plain, padded = (np.zeros((width, width)) for _ in range(4))
+    a[:n, :n], b[:] = rng.standard_normal((n, n)), rng.standard_normal((width, width))
+    matrices.multiply(a, b, plain, n, n, n)
+    matrices.multiply_padded(a, b, padded, n, width)
+    assert padded[:n, :n].tobytes() == plain[:n, :n].tobytes()
+
+
 @given(SEEDS, SIZES, SIZES, SIZES)
 def test_products_are_those_of_numpy(seed: int, rows: int, inner: int, columns: int) -> None:
     make = drawn(seed)
