@@ -21,13 +21,13 @@ from common import at_least, parser, show, use_one_thread
 
 from tsobs_ros.campaign.batches import BatchObserver, score
 from tsobs_ros.campaign.definition import Campaign, load_campaign
-from tsobs_ros.campaign.drawing import draw
+from tsobs_ros.campaign.drawing import draw_group
 from tsobs_ros.campaign.runs import PART
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Plant
 
 _RUNS = 10_000
-_TURNS = 60
+_TURNS = 45
 _MEMORY = """
 import resource, subprocess, sys
 code = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
@@ -41,17 +41,19 @@ def _parts(campaign: Campaign) -> dict[str, float]:
     observer = BatchObserver(campaign.file.design, campaign.settings, campaign.estimator)
     generator, normal = np.random.Generator(np.random.Philox(0)), np.empty(12 * 256)
     times: dict[str, list[float]] = {}
-    for run in range(_TURNS):
+    repeats = campaign.entries.repeats
+    for turn in range(_TURNS):
         marks = [time.thread_time_ns()]
-        drawn = draw(campaign, run)
+        group = draw_group(campaign, turn * repeats, (turn + 1) * repeats)
         marks.append(time.thread_time_ns())
-        samples = drawn.scenario.sample_count
-        runs = Plant(drawn.scenario, [drawn.seed]).run(samples)
+        scenario = group[0].scenario
+        runs = Plant(scenario, [one.seed for one in group]).run(scenario.sample_count)
         marks.append(time.thread_time_ns())
         observed = observer(runs)
         marks.append(time.thread_time_ns())
         score(runs, observed)
         marks.append(time.thread_time_ns())
+        samples = repeats * scenario.sample_count
         for _ in range(samples // 256):
             generator.standard_normal(out=normal)
         marks.append(time.thread_time_ns())
