@@ -19,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,8 +40,9 @@ _DEPTH = 5000
 def _kill_children() -> None:
     """Leave no process behind, not even one whose start a signal has interrupted."""
     for task in Path("/proc/self/task").iterdir():
-        for child in (task / "children").read_text(encoding="ascii").split():
-            os.kill(int(child), signal.SIGKILL)
+        with suppress(FileNotFoundError):  # a thread that has ended meanwhile
+            for child in (task / "children").read_text(encoding="ascii").split():
+                os.kill(int(child), signal.SIGKILL)
 
 
 class Process:
