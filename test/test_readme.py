@@ -50,7 +50,6 @@ SHORTER = {
 BENCHMARKS = {
     "observer_step.py --parts steps --seconds 20": "--parts steps --seconds 1",
     "joints.py --seconds 15": "--seconds 1",
-    "unscented.py": "--seconds 2",
     "bags.py": "--messages 100 --repeats 1",
     "offline.py --seconds 60 --repeats 3": "--seconds 1 --repeats 1",
 }
