@@ -118,7 +118,7 @@ def test_a_report_is_of_one_joint_and_names_those_there_are(
     assert main([*command, "--joint", "knee"]) == 1
     assert "no estimate of joint 'knee'" in capsys.readouterr().err
     for joint, file in (("elbow", soft), ("wrist", FIXED)):
-        assert main([*command, "--joint", joint, "--json"]) == 0
+        assert main([*command, "--joint", joint, "--json", "--force"]) == 0
         report = json.loads(capsys.readouterr().out)
         assert report["joint"] == joint
         known = load_design_file(file)
