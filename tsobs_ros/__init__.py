@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from tsobs_ros.model.arm import ElasticJointArm
     from tsobs_ros.model.ts_model import TSModel
 
-__version__ = "0.6.0"
+__version__ = "0.7.0"
 
 # A signal must be caught while the heavy modules load (see executables.py), hence by name only.
 _HOMES = {
