@@ -6,8 +6,10 @@ The messages are those of the observer node, byte for byte; made a block at a ti
 of what they cost one by one.
 """
 
+import os
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import chain, repeat
 from operator import itemgetter
@@ -204,12 +206,15 @@ class Run:
         at = _Times.of(self.schedule).take(ticks)
         return self._publisher.messages(topics.RESTARTS, at, np.broadcast_to(numbers, shape))
 
-    def blocks(self, window: Window, progress: Callable[[int], None]) -> Iterator[list[Message]]:
+    def blocks(
+        self, window: Window, progress: Callable[[int], None], *, encode: bool
+    ) -> Iterator[list[Message]]:
         """Run the observer block by block of a window's ticks, and yield the messages of each.
 
         Args:
             window: The window, which has been entered.
             progress: Called with the number of measurements taken since its last call.
+            encode: Whether there are to be messages.
         """
         begun = self.replay.taken
         for begin in range(0, max(1, window.ticks), _BLOCK):
@@ -218,7 +223,7 @@ class Run:
             if ticks.stop == window.ticks:
                 taken = slice(taken.start, self._use_rest(window, taken.stop))
             progress(taken.stop - taken.start)
-            yield self._published(ticks, taken)
+            yield self._published(ticks, taken, encode=encode)
         messages = slice(begun, self.replay.taken)
         self.made, self.horizon = (slice(0, window.ticks), messages), window.horizon
         self._agreement.began(self.replay.began_without_past)
@@ -239,9 +244,10 @@ class Run:
             return int(self.replay.use(taken + waiting // 2).stop)
         return taken
 
-    def _published(self, ticks: slice, taken: slice) -> list[Message]:
+    def _published(self, ticks: slice, taken: slice, *, encode: bool) -> list[Message]:
         """Return the messages of some ticks, and of the innovations of the samples taken there."""
-        table, publish = self.table, self._publisher.messages
+        table = self.table
+        publish = self._publisher.messages if encode else _no_messages
         at = _Times.of(self.schedule).take(ticks)
         messages = publish(topics.INNOVATION, self._times_of_use(taken), table.innovations[taken])
         for topic, values in table.of_topics.items():
@@ -408,7 +414,7 @@ def run_all(
     """
     if output is None:
         for window in runs[0].windows.over(runs):
-            for _ in _blocks(runs, window, progress):
+            for _ in _blocks(runs, window, progress, encode=False):
                 pass
             after_window()
         return
@@ -425,7 +431,7 @@ def run_all(
         waiting: list[Message] = [run.record() for run in runs]
         for window in runs[0].windows.over(runs):
             waiting += chain.from_iterable(run.restarts(window) for run in runs)
-            for horizon, messages in _blocks(runs, window, progress):
+            for horizon, messages in _blocks(runs, window, progress, encode=True):
                 for message in recorded:
                     waiting.append(message)
                     if message[3] >= horizon:
@@ -446,17 +452,29 @@ def _text_definition() -> MessageDefinition:
 
 
 def _blocks(
-    runs: Sequence[Run], window: Window, progress: Callable[[int], None]
+    runs: Sequence[Run], window: Window, progress: Callable[[int], None], *, encode: bool
 ) -> Iterator[tuple[float, list[Message]]]:
     """Yield the messages of all runs in a window block by block.
 
     Each comes with the log time that the messages of later blocks have at least [ns].
     """
     times = window.schedule.log_times
-    together = zip(*[run.blocks(window, progress) for run in runs], strict=True)
-    for number, blocks in enumerate(together, 1):
-        following = times[min(number * _BLOCK, window.ticks) :][:1].tolist()
-        yield min([window.horizon, *following]), list(chain.from_iterable(blocks))
+    own = [run.blocks(window, progress, encode=encode) for run in runs]
+    # Compiled code of several observers runs at once.
+    with ThreadPoolExecutor(min(len(runs), os.cpu_count() or 1)) as pool:
+        together = iter(lambda: list(pool.map(_next, own)), [None] * len(own))
+        for number, blocks in enumerate(together, 1):
+            following = times[min(number * _BLOCK, window.ticks) :][:1].tolist()
+            messages = [message for block in blocks for message in block or ()]
+            yield min([window.horizon, *following]), messages
+
+
+def _next(blocks: Iterator[list[Message]]) -> list[Message] | None:
+    return next(blocks, None)
+
+
+def _no_messages(*_: object) -> list[Message]:
+    return []
 
 
 class _Times(NamedTuple):
