@@ -9,6 +9,7 @@ import pytest
 
 from tsobs_ros.bag.diagnostics import RecordedStatus
 from tsobs_ros.estimation.health import Level
+from tsobs_ros.estimation.records import Basis
 from tsobs_ros.replay.health import HealthSum
 from tsobs_ros.report.diagnosed import diagnose
 from tsobs_ros.report.metrics import measure
@@ -176,6 +177,14 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     assert good.level is Level.OK
     assert good.text.startswith("All errors of each estimate are inside its 3σ bound, over 10.0 s.")
     assert "The bounds were proved for 90.5 % of the time. No measurement was lost." in good.text
+    found = health.result()
+    assert found is not None
+    learnt = found._replace(bases={Basis.CERTIFIED: 0.25, Basis.LEARNT: 0.5})
+    but = summarise(metrics, learnt, diagnose([], 0, 20.0), timing, QUANTITIES)
+    uncertain = (
+        "The bounds were proved, but for what is uncertain of the learnt parameters, for 75 % of"
+    )
+    assert uncertain in but.text
 
     wrong = replace(simulated, state_bounds=0.1 * simulated.state_bounds)
     bad = summarise(measure(wrong), None, diagnosed, timing, QUANTITIES)

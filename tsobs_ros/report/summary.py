@@ -135,8 +135,9 @@ def _of_bounds(health: Health | None) -> tuple[Level, str] | None:
         return None
     if health.misfit:
         return Level.WARN, f"{health.misfit[0].upper()}{health.misfit[1:]}."
-    share = sum(health.bases.get(basis, 0.0) for basis in _BOUNDED)
-    return Level.OK, f"The bounds were proved for {_percent(share)} of the time."
+    proved, learnt = (health.bases.get(basis, 0.0) for basis in _BOUNDED)
+    but = ", but for what is uncertain of the learnt parameters," if learnt else ""
+    return Level.OK, f"The bounds were proved{but} for {_percent(proved + learnt)} of the time."
 
 
 def _of_faults(diagnosed: Diagnosed, metrics: RunMetrics) -> tuple[Level, str] | None:
