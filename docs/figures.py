@@ -19,6 +19,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 
 import tsobs_ros as ts
 
@@ -55,12 +56,17 @@ def bias_step(path: Path) -> None:
     save(figure, path)
 
 
+_STATES_HEIGHT = 1330
+"""Height of the report's panels of states and disturbance [pixels]."""
+
+
 def demo(path: Path) -> None:
-    """The report of `tsobs demo`, whose nodes run for 20 s."""
+    """The upper part of the report of `tsobs demo`, whose nodes run for 20 s."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder, "bag")
         tsobs("demo", "--output", str(report))
-        shutil.copy(report / "report.png", path)
+        with Image.open(report / "report.png") as whole:
+            whole.crop((0, 0, whole.width, _STATES_HEIGHT)).save(path)
 
 
 def comparison(path: Path) -> None:
