@@ -6,7 +6,7 @@ import re
 import sys
 from pathlib import Path
 
-from setuptools import Distribution, find_packages, setup
+from setuptools import Distribution, Extension, find_packages, setup
 
 NAME = "tsobs_ros"
 EXECUTABLES = {
@@ -67,6 +67,22 @@ def data_files() -> list[tuple[str, list[str]]]:
     return files
 
 
+def extension() -> Extension:
+    """Declare the compiled core: strict IEEE arithmetic, one binary for all Pythons from 3.11 on."""
+    core = Path(NAME, "core")
+    return Extension(
+        f"{NAME}.core.native",
+        sources=sorted(map(str, core.glob("*.c"))),
+        depends=sorted(map(str, core.glob("*.h"))),
+        define_macros=[("Py_LIMITED_API", "0x030B0000")],
+        extra_compile_args=[
+            *("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno"),
+            *("-Wall", "-Wextra", "-fvisibility=hidden"),
+        ],
+        py_limited_api=True,
+    )
+
+
 setup(
     name=NAME,
     version=version(),
@@ -80,7 +96,8 @@ setup(
     distclass=AmentDistribution,
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/page.css", "report/page.js"]},
+    package_data={NAME: ["py.typed", "report/page.css", "report/page.js", "core/*.h", "core/*.pyi"]},
+    ext_modules=[extension()],
     data_files=data_files(),
     zip_safe=False,
     # Never rclpy: a sourced ROS provides it without pip's knowledge, and wheels would outrank it.

@@ -1,0 +1,62 @@
+/* Copyright 2026 The tsobs_ros contributors
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * Records: blocks of 8-byte numbers whose fields have sizes that are known at run time.
+ *
+ * The fields of a record stand in one list, a macro that applies another macro to each of them:
+ *
+ *     #define THING_FIELDS(F, s)              \
+ *         F(COUNT, jumps, 1, 1)               \
+ *         F(NUMBER, noise_scale, 1, 1)        \
+ *         F(VECTOR, x, s->n, 1)               \
+ *         F(MATRIX, covariance, s->n, s->n)
+ *     LAYOUT_DECLARE(thing, THING_FIELDS, sizes)
+ *
+ * A NUMBER, VECTOR or MATRIX is made of doubles, matrices by rows; a COUNT or COUNTS of 64-bit
+ * integers. From the list come the C view of a record (a pointer to each field), the function that
+ * binds a view to memory, and the table from which Python makes the NumPy type of the same record.
+ * So the layout is written once. Memory belongs to the caller, and copying a record is copying its
+ * numbers. A record in a record is a MATRIX with a row of `other_size(s)` numbers for each.
+ */
+#ifndef TSOBS_LAYOUT_H
+#define TSOBS_LAYOUT_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* One field of a record, for those who read layouts at run time. */
+typedef struct {
+    const char *name;
+    const char *kind; /* NUMBER, VECTOR, MATRIX, COUNT or COUNTS */
+    long rows, columns;
+} layout_field;
+
+typedef double layout_NUMBER, layout_VECTOR, layout_MATRIX;
+typedef int64_t layout_COUNT, layout_COUNTS;
+
+#define LAYOUT_POINTER(kind, name, rows, columns) layout_##kind *name;
+#define LAYOUT_BIND(kind, name, rows, columns)         \
+    view->name = (layout_##kind *)(void *)memory;      \
+    memory += (size_t)(rows) * (size_t)(columns);
+#define LAYOUT_COUNT(kind, name, rows, columns) +(size_t)(rows) * (size_t)(columns)
+#define LAYOUT_ROW(kind, name, rows, columns) {#name, #kind, (long)(rows), (long)(columns)},
+
+/* Declare `thing`, the view of a record; `thing_bind`, which returns what is behind its memory;
+ * and `thing_size`, its length in numbers. `sizes` is the type that the list calls s. */
+#define LAYOUT_DECLARE(thing, FIELDS, sizes)                                        \
+    typedef struct {                                                                \
+        FIELDS(LAYOUT_POINTER, unused)                                              \
+    } thing;                                                                        \
+    static inline double *thing##_bind(thing *view, const sizes *s, double *memory) \
+    {                                                                               \
+        (void)s;                                                                    \
+        FIELDS(LAYOUT_BIND, s)                                                      \
+        return memory;                                                              \
+    }                                                                               \
+    static inline size_t thing##_size(const sizes *s)                               \
+    {                                                                               \
+        (void)s;                                                                    \
+        return (size_t)0 FIELDS(LAYOUT_COUNT, s);                                   \
+    }
+
+#endif
