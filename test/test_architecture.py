@@ -16,6 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "tsobs_ros"
 COMMON = {
     "checks",
     "compiled",
+    "core",
     "errors",
     "files",
     "resources",

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of a bag as rows of numbers, for topics of millions of messages.
 
-A message is its place in the records of a chunk until its bytes are wanted. Chunks are split by a
-compiled loop, some hundred times as fast as message by message.
+A message is its place in the records of a chunk until its bytes are wanted. Chunks are split by the
+compiled core, some hundred times as fast as message by message.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,22 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.container import (
-    MESSAGE,
-    MESSAGE_OPCODE,
-    RECORD,
-    RECOVER_HINT,
-    RecordError,
-    split_messages,
-)
+from tsobs_ros.bag.container import MESSAGE, RECOVER_HINT, RecordError, split_messages
 from tsobs_ros.bag.reader import MAX_HELD, MAX_MESSAGES, OBJECT_SIZE, OVERLAPPING, BagReader
-from tsobs_ros.compiled import compiled
+from tsobs_ros.core import native
 from tsobs_ros.errors import BagReadError
 
 Integers = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
-_OPCODE, _HEAD, _RECORD = MESSAGE_OPCODE, MESSAGE.size, RECORD.size
 _FIELDS = 5
 
 
@@ -129,12 +121,12 @@ def split_rows(records: bytes, key: int, topics: Mapping[int, int]) -> Rows | No
     Returns:
         The messages; None if a record is cut off, malformed or of an unknown channel.
     """
-    data = np.frombuffer(records, np.uint8)
-    count = _count(data)
+    # Memory that nothing is written to costs nothing.
+    found = np.empty((_FIELDS, len(records) // MESSAGE.size), np.int64)
+    count = native.messages_split(records, found)
     if count < 0:
         return None
-    found = np.empty((_FIELDS, count), np.int64)
-    _split(data, found)
+    found = found[:, :count]
     channels = np.unique(found[0])
     numbers = np.array([topics.get(channel, -2) for channel in channels.tolist()], np.int64)
     if (numbers == -2).any():
@@ -151,63 +143,19 @@ def gather(rows: Rows, records: Mapping[int, Bytes], size: int) -> Bytes:
     gathered = np.empty((len(rows.sizes), size), np.uint8)
     edges = np.flatnonzero(np.diff(rows.chunks)) + 1
     for places in np.split(np.arange(len(gathered)), edges):
-        if len(places):
+        if len(places) and size:
             own = slice(int(places[0]), int(places[-1]) + 1)
-            _copy(records[int(rows.chunks[own.start])], rows.begins[own], gathered[own])
+            data = records[int(rows.chunks[own.start])]
+            gathered[own] = pieces(data, size)[rows.begins[own]].view(np.uint8).reshape(-1, size)
     return gathered
+
+
+def pieces(data: Bytes, size: int) -> NDArray[np.void]:
+    """Return the `size` bytes that begin at each place of some data, which are not copied."""
+    return np.ndarray((len(data) - size + 1,), f"V{size}", data, 0, (1,))
 
 
 def by_size(rows: Rows) -> Iterator[tuple[int, NDArray[np.intp]]]:
     """Yield the sizes of messages, and the places of those that have it."""
     for size in np.unique(rows.sizes).tolist():
         yield size, np.flatnonzero(rows.sizes == size)
-
-
-@compiled
-def _number(data: Bytes, at: int, size: int) -> int:
-    value: Any = 0
-    for place in range(size):
-        value |= np.int64(data[at + place]) << (8 * place)
-    return int(value)
-
-
-@compiled
-def _count(data: Bytes) -> int:
-    """Return the number of messages; −1 if a record is not whole, or has no kind."""
-    at, count, end = 0, 0, len(data)
-    while at < end:
-        if end - at < _RECORD:
-            return -1
-        length = _number(data, at + 1, 8)
-        if length < 0 or length > end - at - _RECORD or data[at] == 0:
-            return -1
-        if data[at] == _OPCODE:
-            if length < _HEAD - _RECORD:
-                return -1
-            count += 1
-        at += _RECORD + length
-    return count
-
-
-@compiled
-def _split(data: Bytes, found: Integers) -> None:
-    """Write channel, log time, publish time, first byte and size of each message."""
-    at, count, end = 0, 0, len(data)
-    while at < end:
-        length = _number(data, at + 1, 8)
-        if data[at] == _OPCODE:
-            found[0, count] = _number(data, at + _RECORD, 2)
-            found[1, count] = _number(data, at + _RECORD + 6, 8)
-            found[2, count] = _number(data, at + _RECORD + 14, 8)
-            found[3, count] = at + _HEAD
-            found[4, count] = length - (_HEAD - _RECORD)
-            count += 1
-        at += _RECORD + length
-
-
-@compiled
-def _copy(data: Bytes, begins: Integers, gathered: Bytes) -> None:
-    count, size = gathered.shape
-    for row in range(count):
-        for place in range(size):
-            gathered[row, place] = data[begins[row] + place]

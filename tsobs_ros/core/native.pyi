@@ -8,3 +8,6 @@ class Memory:
     """An array's address, looked up once; the array must stay as it is."""
 
     def __init__(self, array: Any) -> None: ...
+
+def messages_split(data: Any, found: Any, /) -> int:
+    """Write the fields of each message in some records, and return their number or -1."""

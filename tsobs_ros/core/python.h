@@ -50,5 +50,6 @@ typedef PyObject *(*fast_function)(PyObject *module, PyObject *const *given, Py_
 
 /* Tables of functions, one per file, each ended by an empty row. */
 extern PyMethodDef flow_methods[];
+extern PyMethodDef messages_methods[];
 
 #endif
