@@ -1,0 +1,179 @@
+/* Copyright 2026 The tsobs_ros contributors
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "matrices.h"
+
+double quadratic(const double *s, long s_width, const double *a, long n)
+{
+    double total = 0.0;
+    for (long i = 0; i < n; i++) {
+        for (long j = 0; j < n; j++) {
+            total += a[i] * s[i * s_width + j] * a[j];
+        }
+    }
+    return total;
+}
+
+void apply(const double *a, const double *x, double *result, long rows, long columns)
+{
+    for (long i = 0; i < rows; i++) {
+        result[i] = dot(a + i * columns, x, columns);
+    }
+}
+
+/* Write a b; whole rows of b are added up, which makes vector instructions of the inner loop. */
+static void multiply_wide(
+    const double *a, long a_width, const double *b, long b_width, double *restrict result,
+    long rows, long inner, long columns)
+{
+    for (long i = 0; i < rows; i++) {
+        double *restrict row = result + i * columns;
+        for (long j = 0; j < columns; j++) {
+            row[j] = 0.0;
+        }
+        for (long k = 0; k < inner; k++) {
+            const double factor = a[i * a_width + k];
+            const double *restrict other = b + k * b_width;
+            for (long j = 0; j < columns; j++) {
+                row[j] += factor * other[j];
+            }
+        }
+    }
+}
+
+void multiply(
+    const double *a, const double *b, double *result, long rows, long inner, long columns)
+{
+    multiply_wide(a, inner, b, columns, result, rows, inner, columns);
+}
+
+void congruence(
+    const double *a, long a_width, const double *s, long s_width, const double *added,
+    double *scratch, double *result, long result_width, long rows, long inner)
+{
+    multiply_wide(a, a_width, s, s_width, scratch, rows, inner, inner);
+    for (long i = 0; i < rows; i++) {
+        for (long j = i; j < rows; j++) {
+            double total = dot(scratch + i * inner, a + j * a_width, inner);
+            if (added != NULL) {
+                total += added[i * rows + j];
+            }
+            result[i * result_width + j] = total;
+            result[j * result_width + i] = total;
+        }
+    }
+}
+
+void joseph_form(
+    const double *C, long C_width, const double *R, const double *S, long S_width,
+    const double *gain, double *scratch, double *result, long result_width, long n, long p)
+{
+    const long most = n > p ? n : p;
+    double *closed = scratch, *noise = closed + n * most, *rest = noise + n * most;
+    congruence(gain, p, R, p, NULL, rest, noise, n, n, p);
+    multiply_wide(gain, p, C, C_width, closed, n, p, n);
+    for (long i = 0; i < n; i++) {
+        for (long j = 0; j < n; j++) {
+            closed[i * n + j] = (i == j ? 1.0 : 0.0) - closed[i * n + j];
+        }
+    }
+    congruence(closed, n, S, S_width, noise, rest, result, result_width, n, n);
+}
+
+int is_below(
+    const double *s, long s_width, const double *bound, long bound_width, double *scratch, long n)
+{
+    for (long i = 0; i < n; i++) {
+        for (long j = 0; j < n; j++) {
+            scratch[i * n + j] = bound[i * bound_width + j] - s[i * s_width + j];
+        }
+    }
+    return is_nonnegative(scratch, n);
+}
+
+/* Return whether numbers are all zero. */
+static int is_zero(const double *a, long n)
+{
+    for (long i = 0; i < n; i++) {
+        if (a[i] != 0.0) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+int is_nonnegative(double *s, long n)
+{
+    for (long first = 0; first < n; first++) {
+        const double *top = s + first * n;
+        const double pivot = top[first];
+        if (!(pivot > 0.0)) { /* which NaN is not either */
+            if (pivot != 0.0 || !is_zero(top + first + 1, n - first - 1)) {
+                return 0;
+            }
+            continue;
+        }
+        for (long row = first + 1; row < n; row++) {
+            const double share = top[row] / pivot;
+            for (long column = row; column < n; column++) {
+                s[row * n + column] -= share * top[column];
+            }
+        }
+    }
+    return 1;
+}
+
+/* Write L and, on the diagonal, D of s = L D L'. */
+static void factorise(const double *s, double *factor, long n)
+{
+    for (long j = 0; j < n; j++) {
+        double *at_j = factor + j * n;
+        double pivot = s[j * n + j];
+        for (long k = 0; k < j; k++) {
+            pivot -= at_j[k] * at_j[k] * factor[k * n + k];
+        }
+        at_j[j] = pivot;
+        for (long i = j + 1; i < n; i++) {
+            double total = s[i * n + j];
+            for (long k = 0; k < j; k++) {
+                total -= factor[i * n + k] * at_j[k] * factor[k * n + k];
+            }
+            factor[i * n + j] = total / pivot;
+        }
+    }
+}
+
+void solve(const double *s, const double *b, double *factor, double *result, long n, long columns)
+{
+    factorise(s, factor, n);
+    for (long column = 0; column < columns; column++) {
+        for (long i = 0; i < n; i++) {
+            double total = b[i * columns + column];
+            for (long k = 0; k < i; k++) {
+                total -= factor[i * n + k] * result[k * columns + column];
+            }
+            result[i * columns + column] = total;
+        }
+        for (long i = 0; i < n; i++) {
+            result[i * columns + column] /= factor[i * n + i];
+        }
+        for (long i = n - 1; i >= 0; i--) {
+            double total = result[i * columns + column];
+            for (long k = i + 1; k < n; k++) {
+                total -= factor[k * n + i] * result[k * columns + column];
+            }
+            result[i * columns + column] = total;
+        }
+    }
+}
+
+void copy_matrix(
+    const double *source, long source_width, double *result, long result_width, long rows,
+    long columns)
+{
+    for (long i = 0; i < rows; i++) {
+        for (long j = 0; j < columns; j++) {
+            result[i * result_width + j] = source[i * source_width + j];
+        }
+    }
+}

@@ -1,0 +1,95 @@
+/* Copyright 2026 The tsobs_ros contributors
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * Products, factors and solutions for matrices of a few rows, as loops in a fixed order.
+ *
+ * A BLAS library has other kernels for other CPUs, and so other last bits. Matrices are stored by
+ * rows. One with an argument `..._width` behind it has rows that begin so many numbers apart; the
+ * rows of all others are as long as they are used. Results must not be an argument at the same
+ * time unless that is said.
+ */
+#ifndef TSOBS_MATRICES_H
+#define TSOBS_MATRICES_H
+
+#include <math.h>
+#include <stddef.h>
+
+/* Return a . b. */
+static inline double dot(const double *a, const double *b, long n)
+{
+    double total = 0.0;
+    for (long i = 0; i < n; i++) {
+        total += a[i] * b[i];
+    }
+    return total;
+}
+
+/* Return whether all of the first n numbers are finite. */
+static inline int is_finite(const double *a, long n)
+{
+    int finite = 1;
+    for (long i = 0; i < n; i++) {
+        finite = finite && isfinite(a[i]);
+    }
+    return finite;
+}
+
+/* Return whether one of the first n numbers is finite. */
+static inline int has_finite(const double *a, long n)
+{
+    int found = 0;
+    for (long i = 0; i < n; i++) {
+        found = found || isfinite(a[i]);
+    }
+    return found;
+}
+
+/* Return the value, but at least so much; NaN stays. */
+static inline double larger(double value, double least)
+{
+    return value < least ? least : value;
+}
+
+/* Return a' s a for s (n, n). */
+double quadratic(const double *s, long s_width, const double *a, long n);
+
+/* Write a x for a (rows, columns). */
+void apply(const double *a, const double *x, double *result, long rows, long columns);
+
+/* Write a b for a (rows, inner) and b (inner, columns). */
+void multiply(
+    const double *a, const double *b, double *result, long rows, long inner, long columns);
+
+/* Write a s a' + added, symmetric, for a (rows, inner), s (inner, inner) and added (rows, rows), or
+ * none if NULL; s and added symmetric. `result` may be s, `scratch` is (rows, inner). */
+void congruence(
+    const double *a, long a_width, const double *s, long s_width, const double *added,
+    double *scratch, double *result, long result_width, long rows, long inner);
+
+/* Write (I - K C) S (I - K C)' + K R K', symmetric and positive for any gain K (n, p), for C (p, n),
+ * R (p, p) and S (n, n). `scratch` has 3 n max(n, p) numbers, `result` may be S. */
+void joseph_form(
+    const double *C, long C_width, const double *R, const double *S, long S_width,
+    const double *gain, double *scratch, double *result, long result_width, long n, long p);
+
+/* Return whether s <= bound as symmetric matrices (n, n), by the pivots of their difference, which
+ * `scratch` (n, n) takes up. */
+int is_below(
+    const double *s, long s_width, const double *bound, long bound_width, double *scratch, long n);
+
+/* Return whether a symmetric matrix (n, n) is positive semidefinite; overwrites its upper part. */
+int is_nonnegative(double *s, long n);
+
+/* Write s^-1 b into `result`, which may be b (n, columns), for a symmetric positive definite s.
+ *
+ * By s = L D L', so that a 1 x 1 system is one division. `factor` (n, n) is scratch. What comes of a
+ * singular s is not finite. */
+void solve(
+    const double *s, const double *b, double *factor, double *result, long n, long columns);
+
+/* Write a matrix (rows, columns) into `result`. */
+void copy_matrix(
+    const double *source, long source_width, double *result, long result_width, long rows,
+    long columns);
+
+#endif

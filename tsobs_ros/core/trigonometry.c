@@ -1,0 +1,110 @@
+/* Copyright 2026 The tsobs_ros contributors
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "trigonometry.h"
+
+#define PI 3.14159265358979323846
+
+double sine(double angle)
+{
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return sin;
+}
+
+double cosine(double angle)
+{
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return cos;
+}
+
+/* Return an angle beyond 10^6 rad within one turn. What is lost is less than the rounding of so
+ * large an angle. */
+static double within_a_turn(double angle)
+{
+    const double rest = fmod(angle, TWO_PI); /* which is exact */
+    return rest < 0.0 ? rest + TWO_PI : rest + 0.0;
+}
+
+void sine_and_cosine(double angle, double *sin, double *cos)
+{
+    long quarters = 0;
+    double at_sine, at_cosine;
+    if (!(fabs(angle) <= 1e6)) {
+        if (!(fabs(angle) < HUGE_VAL)) {
+            *sin = *cos = (double)NAN;
+            return;
+        }
+        angle = within_a_turn(angle);
+    }
+    if (fabs(angle) > 0.25 * PI) {
+        const double whole = round_down(angle * (2.0 / PI) + 0.5);
+        angle = less_quarters(angle, whole);
+        quarters = (long)whole;
+    }
+    at_sine = first_sine(angle);
+    at_cosine = first_cosine(angle);
+    switch (quarters & 3) {
+    case 0:
+        *sin = at_sine;
+        *cos = at_cosine;
+        break;
+    case 1:
+        *sin = at_cosine;
+        *cos = -at_sine;
+        break;
+    case 2:
+        *sin = -at_sine;
+        *cos = -at_cosine;
+        break;
+    default:
+        *sin = -at_cosine;
+        *cos = at_sine;
+        break;
+    }
+}
+
+double exponential(double x)
+{
+    double whole, high, low, r, t, c;
+    if (!(x >= -745.2)) {
+        return isnan(x) ? x : 0.0;
+    }
+    whole = round_down(x * 1.44269504088896338700e00 + 0.5);
+    high = x - whole * 6.93147180369123816490e-01;
+    low = whole * 1.90821492927058770002e-10;
+    r = high - low;
+    t = r * r;
+    c = -1.65339022054652515390e-06 + t * 4.13813679705723846039e-08;
+    c = 6.61375632143793436117e-05 + t * c;
+    c = -2.77777777770155933842e-03 + t * c;
+    c = r - t * (1.66666666666666019037e-01 + t * c);
+    return ldexp(1.0 - ((low - r * c / (2.0 - c)) - high), (int)whole);
+}
+
+double logarithm(double x)
+{
+    double mantissa, f, s, z, w, even, odd, half, low;
+    int power;
+    if (!(0.0 < x && x < HUGE_VAL)) {
+        return (double)NAN;
+    }
+    mantissa = frexp(x, &power);
+    if (mantissa < 0.70710678118654752440) {
+        mantissa *= 2.0;
+        power -= 1;
+    }
+    f = mantissa - 1.0;
+    s = f / (2.0 + f);
+    z = s * s;
+    w = z * z;
+    even = w * (0.2222219843214978396 + w * 0.1531383769920937332);
+    even = w * (0.3999999999940941908 + even);
+    odd = w * (0.1818357216161805012 + w * 0.1479819860511658591);
+    odd = w * (0.2857142874366239149 + odd);
+    odd = z * (0.6666666666666735130 + odd);
+    half = 0.5 * f * f;
+    low = power * 1.90821492927058770002e-10;
+    return power * 6.93147180369123816490e-01 - ((half - (s * (half + even + odd) + low)) - f);
+}
