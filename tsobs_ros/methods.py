@@ -34,7 +34,6 @@ METHODS = {
     "ekf_plain": "extended Kalman filter of an arm, of the same model, disturbance and noise",
     "ekf": "the same with a gate for outliers",
     "ekf_augmented": "the same with the parameters that the design calls uncertain as states",
-    "ukf": "gated unscented Kalman filter of an arm, otherwise as ekf",
     "high_gain": "proportional observer of an arm: takes the disturbance for motion",
     "proportional_integral": "with an integral besides: takes the disturbance for motion",
     "paper": "the published method's observer, for T-S systems and the arm of its Example 3",
@@ -44,7 +43,7 @@ METHODS = {
 EKFS = ("ekf", "ekf_augmented")
 """The rivals of a report: EKFs that leave outliers out."""
 
-FILTERS = ("ekf_plain", *EKFS, "ukf")
+FILTERS = ("ekf_plain", *EKFS)
 """Those that run over recordings and arrays only."""
 
 CONTENDERS: Mapping[str, Mapping[str, Any]] = {
@@ -65,7 +64,7 @@ RANGES = {
 """Least and largest values of settings, with which no estimate takes for ever."""
 
 _LINK_ANGLE = ("link_angle",)
-_ARMS_ONLY = ("ekf_plain", "ekf_augmented", "ukf", "high_gain", "proportional_integral")
+_ARMS_ONLY = ("ekf_plain", "ekf_augmented", "high_gain", "proportional_integral")
 
 
 @dataclass(frozen=True)
@@ -328,7 +327,6 @@ def make_runner(
             settings,
             learns=method == "ekf_augmented",
             gate=math.inf if method == "ekf_plain" else baselines.GATE,
-            unscented=method == "ukf",
         )
     return make_tracker(design, settings, estimator)
 
@@ -340,9 +338,8 @@ def make_ekf(
     arm: ElasticJointArm | None = None,
     learns: bool = False,
     gate: float = baselines.GATE,
-    unscented: bool = False,
 ) -> KalmanFilter:
-    """Return the EKF, or the UKF, of a design for an arm: with its disturbance model, noise, start.
+    """Return the EKF of a design for an arm: with its disturbance model, noise and start.
 
     Args:
         design: The design.
@@ -350,7 +347,6 @@ def make_ekf(
         arm: The arm that it takes for the true one; the design's if None.
         learns: Whether the parameters that the design calls uncertain are states.
         gate: Sigmas of an innovation beyond which a sample is left out; infinite: none is.
-        unscented: Whether it is the UKF.
 
     Raises:
         ModelError: The design is not for an arm, or calls nothing uncertain that is to be a state.
@@ -364,9 +360,7 @@ def make_ekf(
     std = np.sqrt(np.diag(request.initial_covariance))
     options = _limits(design, settings or ObserverSettings())
     variances = np.diag(request.measurement_covariance).copy()
-    return KalmanFilter(
-        request.flow, variances, std, uncertainty, gate=gate, unscented=unscented, options=options
-    )
+    return KalmanFilter(request.flow, variances, std, uncertainty, gate=gate, options=options)
 
 
 def _limits(design: Design, settings: ObserverSettings) -> TrackerOptions:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bayesian_filters.kalman import KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
+from bayesian_filters.kalman import KalmanFilter
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
@@ -194,54 +194,6 @@ def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
         bound = np.sqrt(textbook.P[4, 4])
         np.testing.assert_allclose(rows[k, ekf.row_parts["disturbance_bound"]], bound, rtol=1e-6)
         textbook.predict(u[k, :, None])
-
-
-def test_a_ukf_is_the_textbook_filter() -> None:
-    """bayesian-filters' UKF with one step of the arm as its state function."""
-    design = load_design(config_path(SHIPPED_DESIGN))
-    request, count = design.arm_request, 1500
-    flow, n = request.flow, request.flow.state_count
-    step = flow.transition(PERIOD)
-    # Far from the estimate, so that gravity bends what lies between the points.
-    y, u = RUN.measurements[0, :count] + 0.5, RUN.torques[0, :count]
-    drive = np.zeros(1)
-
-    def moved(x: Array, _: float) -> Array:
-        for kick in (True, False, True):
-            x = x.copy()
-            if kick:
-                x[1] -= step.half_kick * np.sin(x[0])
-            else:
-                x = step.phi @ x + step.gamma @ drive
-        return x
-
-    textbook = UnscentedKalmanFilter(
-        n,
-        1,
-        PERIOD,
-        lambda x: flow.output_matrix @ x,
-        moved,
-        MerweScaledSigmaPoints(n, 1.0, 2.0, 0.0),
-    )
-    textbook.Q, textbook.R = step.noise, request.measurement_covariance
-    textbook.P = request.initial_covariance.copy()
-    ukf, ekf = (
-        make_ekf(design, gate=np.inf, unscented=unscented).follow(
-            10**9 + 5_000_000 * np.arange(count), y, u
-        )
-        for unscented in (True, False)
-    )
-    for k in range(count):
-        if k > 0:
-            drive = u[k - 1]
-            textbook.predict()
-        # The library leaves the points where the prediction ended; the noise widens them.
-        textbook.sigmas_f = textbook.points_fn.sigma_points(textbook.x, textbook.P)
-        textbook.update(y[k])
-        np.testing.assert_allclose(ukf[k, :4], ARM.to_physical(textbook.x[:4]), atol=1e-8)
-        variances = np.diag(textbook.P)[:4]
-        np.testing.assert_allclose(ukf[k, 4:8], ARM.to_physical(np.sqrt(variances)), rtol=1e-6)
-    assert np.abs(ukf[:, :4] - ekf[:, :4]).max() > 0.01
 
 
 def follow(estimator: Estimator) -> tuple[Tracker, Array]:

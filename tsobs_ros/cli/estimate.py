@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # Repeated here, so that the parser needs no numpy.
 _ZERO = "assume_zero_torque"
 METHODS = (
-    "certified", "certified_fixed", "ekf_plain", "ekf", "ekf_augmented", "ukf", "high_gain",
+    "certified", "certified_fixed", "ekf_plain", "ekf", "ekf_augmented", "high_gain",
     "proportional_integral", "paper",
 )  # fmt: skip
 

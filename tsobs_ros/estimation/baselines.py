@@ -19,12 +19,7 @@ for motion. Between two samples the last one is held, and the observer is integr
 The extended Kalman filter (EKF) has the states [x; w] of a design, its noise and its start, or
 [x; w; θ] with its uncertain parameters. It is what a careful engineer writes: an output that is
 further off than so many sigmas is left out, and if all were in most of the last half second, the
-covariance starts again. Late samples are put in their place.
-
-The unscented Kalman filter (UKF) is the same but for its prediction, which moves 2n + 1 points
-x̂, x̂ ± √n columns of the Cholesky factor of P (E. A. Wan, R. van der Merwe, "The unscented Kalman
-filter for nonlinear estimation", 2000; α = 1, β = 2, κ = 0, so that no weight is negative). The
-outputs are linear in the states, so that its correction is the Kalman filter's. No observer here
+covariance starts again. Late samples are put in their place. No observer here
 has a certificate.
 """
 
@@ -254,7 +249,7 @@ class EkfNumbers(NamedTuple):
 
     Attributes:
         sizes: Of [x; w] and of θ, of the window of the gate, of its ring, terms of the series,
-            whether there are unknown torques, and whether it predicts by points.
+            and whether there are unknown torques.
         times: Longest lateness, the clock's tolerance and the longest gap [ns].
         numbers: Nominal step [s], reach of the series [s], mgl/J₁ [1/s²], the gate, and half width
             of the certificate's domain [rad].
@@ -315,7 +310,6 @@ class KalmanFilter:
         initial_std: 1σ of [x; w] before any measurement, shape (n,).
         uncertainty: Parameters to have as states; none if None.
         gate: Sigmas, infinite for a filter that leaves nothing out.
-        unscented: Whether to predict by points, as a UKF.
         options: Limits.
 
     Attributes:
@@ -339,7 +333,6 @@ class KalmanFilter:
         uncertainty: Uncertainty | None = None,
         *,
         gate: float = GATE,
-        unscented: bool = False,
         options: TrackerOptions,
     ) -> None:
         self.flow, self.options = flow, options
@@ -357,9 +350,7 @@ class KalmanFilter:
         window = max(10, round(_WINDOW / flow.period))
         limits = (options.history, options.future_tolerance, options.restart_after)
         self.numbers = EkfNumbers(
-            np.array(
-                [n, k, window, options.max_steps, linear.terms, int(torques.any()), int(unscented)]
-            ),
+            np.array([n, k, window, options.max_steps, linear.terms, int(torques.any())]),
             np.array([round(min(each, 1e9) * NANOSECONDS) for each in limits]),
             np.array([flow.period, linear.reach, flow.arm.gravity_gain, gate, options.x_max]),
             as_matrix("variances", variances, (p,)),
@@ -741,7 +732,6 @@ def _predict(
     size = n + k
     x, moved, P, jacobian, scratch = vectors[0], vectors[1], matrices[0], matrices[1], matrices[2]
     nothing = matrices[3]
-    points = np.empty((2 * size + 1 if model.sizes[6] != 0 else 0, size))
     whole, rest = cut_into_steps(duration, period)
     for step in range(whole + 1):
         length = period if step < whole else rest
@@ -755,15 +745,6 @@ def _predict(
                 np.empty(model.series.shape[1]), n, 1, True,
             )  # fmt: skip
         half = 0.5 * length
-        if model.sizes[6] != 0:
-            _spread_points(x, P, scratch, points)
-            for point in points:
-                _kick(model, half, half * gravity, u, point, jacobian[:0])
-                _drift(phi, gamma, u, point, moved)
-                _kick(model, half, half * gravity, u, point, jacobian[:0])
-            _join_points(points, x, P)
-            _add_noise(noise, length, P)
-            continue
         for part in range(2):
             if part == 1:
                 # The parameters wander.
@@ -801,51 +782,6 @@ def _add_noise(noise: Array, length: float, P: Array) -> None:
                 P[i, j] += noise[i, j]
             elif i == j:
                 P[i, i] += THETA_WANDER * length
-
-
-@compiled
-def _spread_points(x: Array, P: Array, factor: Array, points: Array) -> None:
-    """Write x and x ± √n columns of the Cholesky factor of P, which is scratch."""
-    n = len(x)
-    for j in range(n):
-        for i in range(j, n):
-            total = P[i, j]
-            for c in range(j):
-                total -= factor[i, c] * factor[j, c]
-            if i == j:
-                # Rounding may leave what is known exactly a little below zero.
-                factor[j, j] = math.sqrt(total) if total > 0.0 else 0.0
-            else:
-                factor[i, j] = total / factor[j, j] if factor[j, j] > 0.0 else 0.0
-    root = math.sqrt(n)
-    for i in range(n):
-        points[0, i] = x[i]
-        for j in range(n):
-            step = root * factor[i, j] if j <= i else 0.0
-            points[1 + j, i] = x[i] + step
-            points[1 + n + j, i] = x[i] - step
-
-
-@compiled
-def _join_points(points: Array, x: Array, P: Array) -> None:
-    """Write the mean and the covariance of moved points.
-
-    Weights of the mean are 0 and then 1/(2n), of the covariance 2 and then 1/(2n).
-    """
-    n = len(x)
-    weight = 0.5 / n
-    for i in range(n):
-        total = 0.0
-        for place in range(1, 2 * n + 1):
-            total += points[place, i]
-        x[i] = weight * total
-    for i in range(n):
-        for j in range(i + 1):
-            total = 0.0
-            for place in range(1, 2 * n + 1):
-                total += (points[place, i] - x[i]) * (points[place, j] - x[j])
-            P[i, j] = weight * total + 2.0 * (points[0, i] - x[i]) * (points[0, j] - x[j])
-            P[j, i] = P[i, j]
 
 
 @compiled

@@ -64,7 +64,6 @@ _EKFS = {
     "ekf_plain": "no gate",
     "ekf": "the nominal parameters",
     "ekf_augmented": "the uncertain parameters as states",
-    "ukf": "points in place of derivatives",
 }
 
 

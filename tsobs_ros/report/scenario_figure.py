@@ -21,7 +21,6 @@ _MARKERS = {
     "ekf_plain": ("^", "#F2C572"),
     "ekf": ("^", "#C98A12"),
     "ekf_augmented": ("v", "#8A5A00"),
-    "ukf": ("D", "#7A5195"),
     "high_gain": ("s", "#9AA5B1"),
     "proportional_integral": ("s", "#52606D"),
     "paper": ("X", "#D1495B"),
