@@ -2,11 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The method's observer: its equations, and what its structure makes of them."""
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -227,19 +223,6 @@ def test_a_batch_moves_as_its_single_runs_to_the_bit() -> None:
         assert single.Xi.tobytes() == batch.Xi[place].tobytes()
     np.testing.assert_allclose(np.linalg.norm(batch.Xi[-1], 2, axis=(-2, -1)), 0.05, rtol=1e-8)
     assert BOUNDED.estimate(batch).omega.shape == (6, 2, 4, 3)
-
-
-def test_interpreted_it_is_the_same_bits() -> None:
-    script = (
-        "import sys, test_observer; sys.stdout.buffer.write(test_observer.batch_of().Xi.tobytes())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent), "NUMBA_DISABLE_JIT": "1"},
-        stdout=subprocess.PIPE,
-        check=True,
-    )
-    assert done.stdout == batch_of().Xi.tobytes()
 
 
 def test_projection_holds_its_bounds_and_only_when_asked() -> None:

@@ -14,13 +14,13 @@ The observer's limits are the subject of docs/method.md; it is here to be compar
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, positive
-from tsobs_ros.compiled import compiled, compiled_nogil
 from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import integrated_estimator
@@ -146,35 +146,44 @@ class AugmentedObserver:
         weights = aug.system.rule_base.weights(_at_nodes(premises, steps))
         guess = np.zeros(size) if estimate is None else np.asarray(estimate, dtype=np.float64)
         runs = math.prod(batch)
-        states = np.zeros((count, runs, 1 + r * p, size))
-        states.reshape(count, *batch, 1 + r * p, size)[0, ..., 0, :] = guess - samples[0] @ aug.L1.T
-        _integrate(
-            self._equations(),
+        rows = 1 if self.Gamma is None else 1 + r * p
+        equations = self._equations(
             _at_nodes(inputs, steps),
             _at_nodes(samples, steps).reshape(-1, runs, p),
             weights.reshape(-1, runs, r),
-            period / steps,
-            steps,
-            states,
         )
-        states = states.reshape(count, *batch, 1 + r * p, size)
-        Xi = states[..., 1:, :].reshape(count, *batch, r, p, size)
+        states = np.empty((count, *batch, rows, size))
+        states[0, ..., 1:, :] = 0.0
+        states[0, ..., 0, :] = guess - equations.offset[0].reshape(*batch, size)
+        equations.integrate(states.reshape(count, runs, rows, size), period / steps)
+        Xi = np.zeros((count, *batch, r, p, size))
+        if self.Gamma is not None:
+            Xi = states[..., 1:, :].reshape(Xi.shape)
         return AugmentedState(states[..., 0, :], Xi, samples, premises)
 
-    def _equations(self) -> "_Equations":
-        aug, p = self.augmentation, self.augmentation.output_count
-        given = _Equations(
-            aug.A1,
-            aug.B1,
-            self.H1,
-            aug.N1,
-            aug.L1,
+    def _equations(self, u: Array, y: Array, weights: Array) -> "_Equations":
+        """Return the equations with the signals at the nodes.
+
+        Args:
+            u: Inputs, shape (nodes, m).
+            y: Outputs, shape (nodes, runs, p).
+            weights: Rule weights, shape (nodes, runs, r).
+        """
+        # Columns, as a product with all samples at once has other last bits for another batch.
+        aug, columns = self.augmentation, y[..., np.newaxis]
+        driven = np.einsum("nkr,nra->nka", weights, np.einsum("rab,nb->nra", aug.B1, u))
+        return _Equations(
+            columns,
+            aug.L1 @ columns,
+            np.einsum("nkr,rab->nkab", weights, aug.A1),
+            np.einsum("nkr,rab->nkab", weights, self.H1),
+            driven[..., np.newaxis] + aug.N1 @ columns,
+            weights[..., np.newaxis, np.newaxis],
             aug.C_bar,
             self.M,
-            np.zeros((aug.rule_count, p, p)) if self.Gamma is None else self.Gamma,
-            np.full(aug.rule_count, math.inf) if self.xi is None else self.xi,
+            self.Gamma,
+            self.xi,
         )
-        return _Equations(*(np.array(each, order="C") for each in given))
 
     def augmented_estimate(self, state: AugmentedState) -> Array:
         """Return x̂̄ = [x̂; ω̂₀] = ξ + E_L⁻¹L y, shape (..., n + p)."""
@@ -212,133 +221,89 @@ def _at_nodes(signal: Array, steps: int) -> Array:
 
 
 class _Equations(NamedTuple):
-    """The matrices of the observer's equations; Γ = 0 for no adaptation, ξ = ∞ for no bound."""
+    """The observer's equations for some runs, with the signals at the nodes of their steps.
 
-    A1: Array
-    B1: Array
-    H1: Array
-    N1: Array
-    L1: Array
+        x̂̄ = ξ + o ,  e_y = y − C̄x̂̄ ,  ξ' = A x̂̄ + H e_y + d + M Σ hᵢ Ξ̂ᵢ x̂̄
+
+    A state is one matrix a run, whose rows are ξ and, with adaptation, those of all Ξ̂ᵢ.
+
+    Attributes:
+        y: Outputs, shape (nodes, runs, p, 1).
+        offset: o = E_L⁻¹L y, shape (nodes, runs, n + p, 1).
+        A: Σ hᵢA₁ᵢ, shape (nodes, runs, n + p, n + p).
+        H: Σ hᵢH₁ᵢ, shape (nodes, runs, n + p, p).
+        drive: d = Σ hᵢE_L⁻¹B̄ᵢu + E_L⁻¹N y, shape (nodes, runs, n + p, 1).
+        weights: hᵢ, shape (nodes, runs, r, 1, 1).
+        C_bar: C̄, shape (p, n + p).
+        M: P⁻¹C̄ᵀ, shape (n + p, p).
+        Gamma: Γᵢ, shape (r, p, p); None for no adaptation.
+        limits: ξᵢ, shape (r,); None for no bounds.
+    """
+
+    y: Array
+    offset: Array
+    A: Array
+    H: Array
+    drive: Array
+    weights: Array
     C_bar: Array
     M: Array
-    Gamma: Array
-    limits: Array
+    Gamma: Array | None
+    limits: Array | None
+
+    def rates(self, node: int, state: Array) -> Array:
+        """Return the derivative of a state, shape (runs, rows, n + p), at a node."""
+        x_bar = state[:, 0, :, np.newaxis] + self.offset[node]
+        innovation = self.y[node] - self.C_bar @ x_bar
+        xi_rate = self.A[node] @ x_bar + self.H[node] @ innovation + self.drive[node]
+        if self.Gamma is None:
+            return np.asarray(xi_rate.swapaxes(1, 2))
+        weights, Xi = self.weights[node], self.uncertainties(state)
+        xi_rate += self.M @ (weights * (Xi @ x_bar[:, np.newaxis])).sum(axis=1)
+        outer = self.Gamma @ innovation[:, np.newaxis] * x_bar.swapaxes(1, 2)[:, np.newaxis]
+        Xi_rate = weights * outer
+        if self.limits is not None:
+            Xi_rate = project(Xi, Xi_rate, self.Gamma, self.limits)
+        rates = np.empty_like(state)
+        rates[:, 0], self.uncertainties(rates)[...] = xi_rate[..., 0], Xi_rate
+        return rates
+
+    def uncertainties(self, state: Array) -> Array:
+        """Return a view of Ξ̂ᵢ, shape (runs, r, p, n + p)."""
+        return state[:, 1:].reshape(len(state), -1, len(self.C_bar), state.shape[-1])
+
+    def integrate(self, states: Array, h: float) -> None:
+        """Fill the states after the first sample.
+
+        Args:
+            states: At the samples, shape (samples, runs, rows, n + p); the first is given.
+            h: Length of a step [s].
+        """
+        steps = (len(self.y) - 1) // (2 * max(1, len(states) - 1))
+        for k in range(1, len(states)):
+            now = states[k - 1]
+            for step in range(steps):
+                now = runge_kutta(self.rates, 2 * ((k - 1) * steps + step), now, h)
+                if self.Gamma is not None and self.limits is not None:
+                    Xi = self.uncertainties(now)
+                    Xi[...] = clip(Xi, self.limits)
+            states[k] = now
 
 
-@compiled_nogil
-def _integrate(
-    equations: _Equations,
-    u: Array,
-    y: Array,
-    weights: Array,
-    h: float,
-    steps: int,
-    states: Array,
-) -> None:
-    """Fill the states of all runs after the first sample.
+def runge_kutta(rates: Callable[[int, Array], Array], node: int, state: Array, h: float) -> Array:
+    """Return a state a classical Runge–Kutta step later.
 
     Args:
-        equations: Of the observer.
-        u: Inputs at the ends and in the middle of each step, shape (nodes, m).
-        y: Outputs there, shape (nodes, runs, p).
-        weights: Rule weights there, shape (nodes, runs, r).
-        h: Length of a step [s].
-        steps: Number of steps between two samples.
-        states: ξ and the rows of Ξ̂ᵢ of each run, shape (samples, runs, 1 + r p, n + p); those at
-            the first sample are given.
+        rates: The derivative of a state at a node; nodes are the ends and middles of steps.
+        node: Where the step begins.
+        state: There, any shape.
+        h: Length of the step [s].
     """
-    samples, runs, rows, size = states.shape
-    p = equations.C_bar.shape[0]
-    slopes, at = np.empty((4, rows, size)), np.empty((rows, size))
-    x_bar, innovation, squares = np.empty(size), np.empty(p), np.empty((2, p, p))
-    for k in range(1, samples):
-        for run in range(runs):
-            now = states[k, run]
-            for i in range(rows):
-                for j in range(size):
-                    now[i, j] = states[k - 1, run, i, j]
-            for step in range(steps):
-                for stage in range(4):
-                    reach = h if stage == 3 else 0.5 * h
-                    for i in range(rows):
-                        for j in range(size):
-                            at[i, j] = now[i, j]
-                            if stage > 0:
-                                at[i, j] += reach * slopes[stage - 1, i, j]
-                    node = 2 * ((k - 1) * steps + step) + (stage + 1) // 2
-                    _derivative(
-                        equations,
-                        at,
-                        u[node],
-                        y[node, run],
-                        weights[node, run],
-                        slopes[stage],
-                        x_bar,
-                        innovation,
-                        squares,
-                    )
-                for i in range(rows):
-                    for j in range(size):
-                        middle = 2.0 * (slopes[1, i, j] + slopes[2, i, j])
-                        now[i, j] += (h / 6.0) * (slopes[0, i, j] + middle + slopes[3, i, j])
-                for rule in range(weights.shape[2]):
-                    first = 1 + rule * p
-                    limit = equations.limits[rule]
-                    clip(now[first : first + p], limit, squares[0], squares[1])
-
-
-@compiled
-def _derivative(
-    equations: _Equations,
-    state: Array,
-    u: Array,
-    y: Array,
-    weights: Array,
-    rates: Array,
-    x_bar: Array,
-    innovation: Array,
-    squares: Array,
-) -> None:
-    """Write the derivative of a state; x̂̄ (n + p,), e_y (p,) and squares (2, p, p) are scratch."""
-    p, size = equations.C_bar.shape
-    for i in range(size):
-        x_bar[i] = state[0, i]
-        rates[0, i] = 0.0
-        for a in range(p):
-            x_bar[i] += equations.L1[i, a] * y[a]
-            rates[0, i] += equations.N1[i, a] * y[a]
-    for a in range(p):
-        innovation[a] = y[a]
-        for j in range(size):
-            innovation[a] -= equations.C_bar[a, j] * x_bar[j]
-    for rule in range(weights.shape[0]):
-        weight, first = weights[rule], 1 + rule * p
-        for i in range(size):
-            total = 0.0
-            for j in range(size):
-                total += equations.A1[rule, i, j] * x_bar[j]
-            for j in range(u.shape[0]):
-                total += equations.B1[rule, i, j] * u[j]
-            rates[0, i] += weight * total
-        for a in range(p):
-            change = turned = 0.0
-            for j in range(size):
-                change += state[first + a, j] * x_bar[j]
-            for i in range(size):
-                effect = equations.H1[rule, i, a] * innovation[a] + equations.M[i, a] * change
-                rates[0, i] += weight * effect
-            for b in range(p):
-                turned += equations.Gamma[rule, a, b] * innovation[b]
-            for j in range(size):
-                rates[first + a, j] = weight * turned * x_bar[j]
-        project(
-            state[first : first + p],
-            rates[first : first + p],
-            equations.Gamma[rule],
-            equations.limits[rule],
-            squares[0],
-            squares[1],
-        )
+    first = rates(node, state)
+    second = rates(node + 1, state + 0.5 * h * first)
+    third = rates(node + 1, state + 0.5 * h * second)
+    fourth = rates(node + 2, state + h * third)
+    return state + (h / 6.0) * (first + 2.0 * (second + third) + fourth)
 
 
 def checked_gamma(Gamma: ArrayLike, rules: int, outputs: int) -> Array:

@@ -15,16 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.estimation.baselines import high_gain, proportional_integral
 from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
 from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.model.arm import MOTOR_ANGLE, ElasticJointArm
-from tsobs_ros.model.memberships import SQUARE, grade_and_slope
 from tsobs_ros.paper.examples import PaperExample
-from tsobs_ros.paper.observer import AugmentedObserver, paper_observer
+from tsobs_ros.paper.observer import AugmentedObserver, paper_observer, runge_kutta
 from tsobs_ros.paper.synthesis import AdaptiveDesign, design_adaptive_observer
 from tsobs_ros.simulation.plant import Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -202,50 +200,22 @@ def _simulate(example: PaperExample, period: float, duration: float) -> PlantRec
     scaled = np.array(UNCERTAINTIES)[:, np.newaxis, np.newaxis, np.newaxis] * example.delta_A
     states = np.empty((samples, len(UNCERTAINTIES), system.state_count))
     states[0] = example.initial_state
-    torque, offset = example.torque(times), np.ascontiguousarray(disturbance[:, 0])
-    _move_plants(system.A + scaled, np.array(system.B), torque, offset, period, states)
+    driven = np.einsum("rab,nb->nra", system.B, example.torque(times))[..., np.newaxis]
+    A = system.A + scaled
+
+    def rates(node: int, x: Array) -> Array:
+        """Return x' of the plants, shape (plants, n), by the rules of Examples 1 and 2."""
+        by_rule = (A @ x[:, np.newaxis, :, np.newaxis] + driven[node])[..., 0]
+        z = x[:, :1] + disturbance[node, 0]
+        second = np.minimum(z * z, 1.0)
+        return np.asarray((1.0 - second) * by_rule[:, 0] + second * by_rule[:, 1])
+
+    for k in range(1, samples):
+        states[k] = runge_kutta(rates, 2 * (k - 1), states[k - 1], period)
     premises: Array = states[..., :1] + disturbance[::2, np.newaxis, :1]
     outputs = system.output(states, premises) + disturbance[::2, np.newaxis]
     weights = system.rule_base.weights(premises)
     return PlantRecord(times[::2], states, disturbance[::2], outputs, premises, weights)
-
-
-@compiled_nogil
-def _move_plants(A: Array, B: Array, u: Array, offset: Array, h: float, states: Array) -> None:
-    """Fill the states of plants with the rules of Examples 1 and 2 after the first sample.
-
-    Args:
-        A: Shape (plants, 2, n, n).
-        B: Shape (2, n, m).
-        u: Inputs at the ends and in the middle of each step, shape (nodes, m).
-        offset: Disturbance of the first output there, shape (nodes,); the premise is z = x₁ + it.
-        h: Length of a step, and time between two samples [s].
-        states: Shape (samples, plants, n); the first is given.
-    """
-    samples, plants, n = states.shape
-    slopes, at = np.zeros((4, n)), np.empty(n)
-    for k in range(1, samples):
-        for plant in range(plants):
-            now = states[k - 1, plant]
-            for stage in range(4):
-                reach = h if stage == 3 else 0.5 * h
-                for i in range(n):
-                    at[i] = now[i] if stage == 0 else now[i] + reach * slopes[stage - 1, i]
-                when = 2 * (k - 1) + (stage + 1) // 2
-                second, _ = grade_and_slope(SQUARE, at[0] + offset[when], 1.0, 0.0, 0.0, 0.0)
-                for i in range(n):
-                    first_rate = second_rate = 0.0
-                    for j in range(n):
-                        first_rate += A[plant, 0, i, j] * at[j]
-                        second_rate += A[plant, 1, i, j] * at[j]
-                    for j in range(u.shape[1]):
-                        first_rate += B[0, i, j] * u[when, j]
-                        second_rate += B[1, i, j] * u[when, j]
-                    slopes[stage, i] = (1.0 - second) * first_rate + second * second_rate
-            for i in range(n):
-                middle = 2.0 * (slopes[1, i] + slopes[2, i])
-                change = (h / 6.0) * (slopes[0, i] + middle + slopes[3, i])
-                states[k, plant, i] = now[i] + change
 
 
 def _observe(
