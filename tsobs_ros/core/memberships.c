@@ -1,0 +1,188 @@
+/* Copyright 2026 The tsobs_ros contributors
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * Grades of membership functions, and the rule weights that follow from them.
+ */
+#include <math.h>
+
+#include "flow.h"
+#include "trigonometry.h"
+
+/* Return x within 0 and 1; NaN stays. */
+static double clipped(double x)
+{
+    const double least = x < 0.0 ? 0.0 : x;
+    return least > 1.0 ? 1.0 : least;
+}
+
+/* From 0 at z = zero to 1 at z = one in a straight line, level outside. */
+static double linear(double z, double zero, double one, double *slope)
+{
+    const double first = one < zero ? one : zero, last = one < zero ? zero : one;
+    *slope = first <= z && z < last ? 1.0 / (one - zero) : 0.0;
+    return clipped((z - zero) / (one - zero));
+}
+
+/* 1 between b and c, falling in straight lines to 0 at a and d. */
+static double trapezoid(double z, const double *corners, double *slope)
+{
+    const double a = corners[0], b = corners[1], c = corners[2], d = corners[3];
+    if (a <= z && z < b) {
+        *slope = 1.0 / (b - a);
+        return (z - a) / (b - a);
+    }
+    if (c <= z && z < d) {
+        *slope = -1.0 / (d - c);
+        return (d - z) / (d - c);
+    }
+    *slope = 0.0;
+    return b <= z && z < c ? 1.0 : 0.0;
+}
+
+/* exp(-((z - centre)/width)^2/2). */
+static double gaussian(double z, double centre, double width, double *slope)
+{
+    const double distance = (z - centre) / width;
+    const double grade = exponential(-0.5 * distance * distance);
+    *slope = grade > 0.0 ? -distance / width * grade : 0.0;
+    return grade;
+}
+
+/* (z/width)^2; 1 and level outside of |z| < width. */
+static double square(double z, double half_width, double *slope)
+{
+    const double share = z / half_width;
+    if (fabs(z) >= half_width) {
+        *slope = 0.0;
+        return 1.0;
+    }
+    *slope = 2.0 * share / half_width;
+    return share * share;
+}
+
+/* h in sin z = (h + (1 - h) bottom) z; 0 and level outside of |z| < width. */
+static double share_of_sine(double z, double half_width, double bottom, double *slope)
+{
+    double sin, cos, fall, ratio;
+    if (fabs(z) >= half_width) {
+        *slope = 0.0;
+        return 0.0;
+    }
+    sine_and_cosine(z, &sin, &cos);
+    /* (z cos z - sin z)/z^2 loses every digit near 0. */
+    if (fabs(z) < 1e-3) {
+        fall = -z / 3.0 + z * z * z / 30.0;
+    } else {
+        fall = (z * cos - sin) / (z * z);
+    }
+    ratio = z != 0.0 ? sin / z : 1.0;
+    *slope = fall / (1.0 - bottom);
+    return clipped((ratio - bottom) / (1.0 - bottom));
+}
+
+double grade_and_slope(int64_t shape, double z, const double *parameters, double *slope)
+{
+    double grade;
+    *slope = 0.0;
+    if (shape == SHAPE_ALWAYS) {
+        return 1.0;
+    }
+    if (isnan(z)) {
+        *slope = z;
+        return z;
+    }
+    switch (shape) {
+    case SHAPE_LINEAR:
+        return linear(z, parameters[0], parameters[1], slope);
+    case SHAPE_TRAPEZOID:
+        return trapezoid(z, parameters, slope);
+    case SHAPE_GAUSSIAN:
+        return gaussian(z, parameters[0], parameters[1], slope);
+    case SHAPE_SQUARE:
+    case SHAPE_SQUARE_REST:
+        grade = square(z, parameters[0], slope);
+        break;
+    default:
+        grade = share_of_sine(z, parameters[0], parameters[1], slope);
+    }
+    if (shape == SHAPE_SINE_UPPER || shape == SHAPE_SQUARE) {
+        return grade;
+    }
+    *slope = -*slope;
+    return 1.0 - grade;
+}
+
+void rule_weights(
+    const int64_t *shapes, const double *parameters, const double *z, double *weights, long r,
+    long q)
+{
+    for (long i = 0; i < r; i++) {
+        weights[i] = 1.0;
+        for (long j = 0; j < q; j++) {
+            const long place = i * q + j;
+            double slope;
+            weights[i] *= grade_and_slope(shapes[place], z[j], parameters + 4 * place, &slope);
+        }
+    }
+    normalise(weights, r);
+}
+
+void rule_weights_and_slopes(
+    const int64_t *shapes, const double *parameters, const double *z, double *weights,
+    double *slopes, long r, long q)
+{
+    double total;
+    for (long i = 0; i < r; i++) {
+        double *row = slopes + i * q;
+        weights[i] = 1.0;
+        for (long j = 0; j < q; j++) {
+            const long place = i * q + j;
+            double slope, grade;
+            grade = grade_and_slope(shapes[place], z[j], parameters + 4 * place, &slope);
+            for (long before = 0; before < j; before++) {
+                row[before] *= grade;
+            }
+            row[j] = slope * weights[i];
+            weights[i] *= grade;
+        }
+    }
+    total = normalise(weights, r);
+    for (long j = 0; j < q; j++) {
+        double sum_of_slopes = 0.0;
+        for (long i = 0; i < r; i++) {
+            slopes[i * q + j] /= total;
+            sum_of_slopes += slopes[i * q + j];
+        }
+        for (long i = 0; i < r; i++) {
+            slopes[i * q + j] -= weights[i] * sum_of_slopes;
+        }
+    }
+}
+
+double normalise(double *grades, long r)
+{
+    double largest = 0.0, total = 0.0, scale;
+    for (long i = 0; i < r; i++) {
+        if (!(0.0 <= grades[i] && grades[i] < HUGE_VAL)) {
+            largest = (double)NAN;
+            break;
+        }
+        largest = grades[i] > largest ? grades[i] : largest;
+    }
+    if (!(largest > 0.0)) {
+        for (long i = 0; i < r; i++) {
+            grades[i] = (double)NAN;
+        }
+        return (double)NAN;
+    }
+    /* A sum of huge grades overflows; multiplying them by 2^-100 loses no digit. */
+    scale = largest > 1e300 ? 7.888609052210118e-31 : 1.0;
+    for (long i = 0; i < r; i++) {
+        grades[i] *= scale;
+        total += grades[i];
+    }
+    for (long i = 0; i < r; i++) {
+        grades[i] /= total;
+    }
+    return total / scale;
+}
