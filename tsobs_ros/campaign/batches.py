@@ -2,15 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batches of simulated runs: their estimates, and the scores of these."""
 
-import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled_nogil
+from tsobs_ros.core import native
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
@@ -227,22 +226,21 @@ def score(
     claims = np.zeros((count, len(CLAIMS), len(quantities), 4))
     claimed = np.zeros((count, len(CLAIMS)), np.int64)
     reach = np.zeros(count)
-    _add_up(
+    given = (runs.times, runs.physical, runs.disturbances, runs.torque_disturbances)
+    native.scores_add_up(
         kept,
         places,
         jumps,
         _CLAIM_OF,
         width - EXTRA - len(CONDITIONS) + CONDITIONS.index("basis"),
-        runs.times,
-        runs.physical,
-        runs.disturbances,
-        runs.torque_disturbances,
+        *map(np.ascontiguousarray, given),
         _last_measured(runs.measurements),
-        observed.rows,
+        np.ascontiguousarray(observed.rows),
         settled,
         claims,
         claimed,
         reach,
+        np.zeros((2, len(quantities))),
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         rmse = np.sqrt(settled[..., 0] / settled[..., 1])
@@ -280,83 +278,3 @@ def _places(
     if quantity.kind == "torque":
         column = SIDES.index(sides[column])
     return _KINDS.index(quantity.kind), column, here[0], here[1]
-
-
-@compiled_nogil
-def _add_up(
-    kept: Array,
-    places: Any,
-    jumps: Array,
-    claim_of: Any,
-    basis: int,
-    times: Array,
-    states: Array,
-    disturbances: Array,
-    torques: Array,
-    lasts: Any,
-    rows: Array,
-    settled: Array,
-    claims: Array,
-    claimed: Any,
-    reach: Array,
-) -> None:
-    """Add up what `score` needs, for each run and quantity.
-
-    Over the settled parts: error², errors, bound², bounds, errors inside. By the claim: errors,
-    errors inside, (error / bound)², largest |error| / bound.
-    """
-    after_start, after_jump, same_jump, sigmas = kept
-    truths, before = np.zeros(places.shape[0]), np.zeros(places.shape[0])
-    for run in range(settled.shape[0]):
-        begin, jumped = times[0] + after_start, -math.inf
-        for sample in range(times.shape[0]):
-            time, stepped = times[sample], False
-            for item in range(places.shape[0]):
-                kind, column = places[item, 0], places[item, 1]
-                if kind == 0:
-                    truth = states[run, sample, column]
-                elif kind == 1:
-                    truth = disturbances[run, sample, column]
-                else:
-                    truth = torques[run, sample, column]
-                truths[item] = truth
-                if sample > 0 and abs(truth - before[item]) > jumps[item]:
-                    stepped = True
-                before[item] = truth
-            if stepped:
-                # A fault that chatters is one event, which begins with its first jump.
-                if time - jumped > same_jump:
-                    begin = max(begin, time + after_jump)
-                jumped = time
-            reach[run] = max(reach[run], abs(states[run, sample, 0]))
-            counts, claim = sample < lasts[run] and time >= begin, -1
-            if math.isfinite(rows[run, sample, basis]):
-                claim = claim_of[int(rows[run, sample, basis])]
-                claimed[run, claim] += 1
-            for item in range(places.shape[0]):
-                if places[item, 2] < 0:
-                    continue
-                error = rows[run, sample, places[item, 2]] - truths[item]
-                if not math.isfinite(error):
-                    continue
-                bound = math.nan
-                if places[item, 3] >= 0:
-                    bound = rows[run, sample, places[item, 3]]
-                known = math.isfinite(bound)
-                inside = abs(error) <= sigmas * bound
-                if counts:
-                    total = settled[run, item]
-                    total[0] += error * error
-                    total[1] += 1.0
-                    if known:
-                        total[2] += bound * bound
-                        total[3] += 1.0
-                        if inside:
-                            total[4] += 1.0
-                if known and bound > 0.0 and claim >= 0:
-                    ratio, total = abs(error) / bound, claims[run, claim, item]
-                    total[0] += 1.0
-                    if inside:
-                        total[1] += 1.0
-                    total[2] += ratio * ratio
-                    total[3] = max(total[3], ratio)

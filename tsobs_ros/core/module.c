@@ -146,7 +146,12 @@ PyObject *fields_as_list(const layout_field *fields, size_t count)
 
 static int module_exec(PyObject *module)
 {
-    PyMethodDef *const tables[] = {flow_methods, messages_methods};
+    PyMethodDef *const tables[] = {
+        flow_methods,
+        messages_methods,
+        faults_methods,
+        scores_methods,
+    };
     size_t i;
     memory_type = (PyTypeObject *)PyType_FromSpec(&memory_spec);
     if (memory_type == NULL || PyModule_AddObjectRef(module, "Memory", (PyObject *)memory_type) < 0) {

@@ -9,7 +9,7 @@ disturbance has no bound. The last seconds of the estimated disturbance have a s
 `fault_shapes`. A level is about size, a kind about shape; both must last to be reported.
 
 What is added up at each sample and estimate is a record in an array of them, one a sensor, for
-compiled code; the rest is done ten times a second.
+core/faults.c; the rest is done ten times a second.
 """
 
 import math
@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array, positive
-from tsobs_ros.compiled import compiled
+from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.estimation.fault_shapes import FaultKind, Shape, shape_of
 from tsobs_ros.estimation.health import (
     Debounce,
@@ -28,32 +29,20 @@ from tsobs_ros.estimation.health import (
     Status,
     duration_text,
 )
-from tsobs_ros.estimation.history import CORRECTING, GATED, NON_FINITE, USED
-from tsobs_ros.estimation.repeats import REPEAT_FIELDS, count_repeats
+from tsobs_ros.estimation.history import USED
 
 __all__ = ["Fault", "FaultKind", "FaultMonitor", "add_estimates", "add_samples", "new_watches"]
 
-_SAME_SIGMAS = 0.02
-_STUCK_TIME = 100_000_000
-_STUCK_SAMPLES = 10
-_MISSING_TIME = 100_000_000
-
 _MEMORY = 1.0
-_CLIP = 5.0
 _LARGE = 2.0
-_OUTLIER_MEMORY = 5.0
 _MANY_OUTLIERS, _FEW_OUTLIERS = 0.03, 0.02
 _COLOURED = 0.3
 
 _SURE = (FaultKind.STUCK, FaultKind.MISSING)
 """Kinds that are reported at once."""
 
-_BLOCK = 100_000_000
-_BLOCKS = 150
 _LEAST_BLOCKS = 10
-_RECOVERY_BLOCKS = 100
 _EVERY = 3
-_LONGEST_GAP = 1_000_000_000
 _OPEN = 3.0
 
 
@@ -81,55 +70,8 @@ class Fault(NamedTuple):
     frequency: float | None = None
 
 
-_WATCH = np.dtype(
-    (
-        np.record,
-        [
-            ("std", np.float64),
-            *REPEAT_FIELDS,
-            ("since", np.int64),
-            ("stuck", np.int64),
-            ("lacking", np.int64),
-            ("missing", np.int64),
-            ("stamp", np.int64),
-            ("normalised", np.float64),
-            ("square", np.float64),
-            ("product", np.float64),
-            ("period", np.float64),
-            ("seen", np.int64),
-            ("last", np.float64),
-            ("outliers", np.float64),
-            ("predicted", np.float64),
-            ("estimated", np.int64),
-            ("begun", np.int64),
-            ("block", np.int64),
-            ("in_block", np.int64),
-            ("sums", np.float64, (3,)),
-            ("blocks", np.float64, (_BLOCKS, 4)),
-            ("count", np.int64),
-            ("least", np.int64),
-            ("renewed", np.int64),
-            ("complete", np.int64),
-        ],
-    )
-)
-"""What is remembered of a sensor.
-
-std: 1σ of the noise [rad]. since: stamp of the first sample with the present value [ns]. stuck:
-whether it has come for a tenth of a second, with ten repetitions that count. lacking: stamp from
-which samples lack a value [ns], 0 if the newest has one; missing: whether that is a tenth of a
-second. stamp: of the latest
-innovation in order [ns], 0 before it. normalised: that one in σ, clipped at 5σ. square, product:
-averages over a second of its square, 1 if the model fits, and of its product with the one before.
-period: between the last two [s]. seen, last: stamp of the latest sample in order, gated or not
-[ns], and its innovation as `normalised`. outliers: share of lone samples beyond 5σ, an average over
-five seconds. predicted: latest predicted output [rad]. estimated: stamp of the latest estimate
-[ns], 0 before it. begun: stamp of the history's first estimate [ns], 0 before it. block, in_block,
-sums: the tenth of a second since then, its estimates' number and sums of disturbance, motion and
-bound. blocks, count: the last quarter of a minute, a row a tenth of a second: its end [s] and the
-means. least: number of rows to judge by. renewed: whether the history was forgotten, after a gap 1,
-after a stuck sensor 2. complete: whether the latest estimate ended a tenth of a second.
-"""
+_WATCH = np.dtype((np.record, record_type(native.faults_layout())))
+"""What is remembered of a sensor; core/faults.h describes it."""
 
 
 def new_watches(measurement_std: list[float]) -> Any:
@@ -140,7 +82,6 @@ def new_watches(measurement_std: list[float]) -> Any:
     return watches
 
 
-@compiled
 def add_samples(
     watches: Any,
     stamps: NDArray[np.int64],
@@ -159,76 +100,13 @@ def add_samples(
             for their value or missing, something is taken in; shape (k, m).
         innovations: y − ŷ, shape (k, m).
         expected_std: 1σ expected of the innovations, shape (k, m).
+
+    Raises:
+        ValueError: An array is too short.
     """
-    for place in range(watches.shape[0]):
-        watch = watches[place]
-        for sample in range(stamps.shape[0]):
-            code, stamp = codes[place, sample], stamps[sample]
-            innovation, expected = innovations[place, sample], expected_std[place, sample]
-            if code == NON_FINITE and stamp > 0:
-                if watch.lacking == 0:
-                    watch.lacking = stamp
-                watch.missing = 1 if stamp - watch.lacking >= _MISSING_TIME else 0
-            if code in CORRECTING or code == GATED:
-                watch.lacking, watch.missing = 0, 0
-                _compare(watch, stamp, y[place, sample], innovation, expected)
-                _count_outlier(watch, stamp, innovation / expected)
-            if code in CORRECTING:
-                _average(watch, stamp, innovation / expected)
-                watch.predicted = y[place, sample] - innovation
+    native.faults_add_samples(watches.view(np.float64), stamps, y, codes, innovations, expected_std)
 
 
-@compiled
-def _compare(watch: Any, stamp: int, y: float, innovation: float, expected_std: float) -> None:
-    """Look whether a raw sample repeats those before it."""
-    before, value = watch.stuck, watch.value
-    noise, tolerance = watch.std * watch.std, _SAME_SIGMAS * watch.std
-    count_repeats(watch, y, innovation, expected_std * expected_std, noise, tolerance)
-    if watch.value != value:
-        watch.since, watch.stuck = stamp, 0
-    elif watch.repeats >= _STUCK_SAMPLES and stamp - watch.since >= _STUCK_TIME:
-        watch.stuck = 1
-    if before and not watch.stuck:
-        # The past is no guide to the future, and the estimate was led astray.
-        _renew(watch, 2, _RECOVERY_BLOCKS)
-
-
-@compiled
-def _average(watch: Any, stamp: int, normalised: float) -> None:
-    """Take in an innovation divided by its expected 1σ; late ones pass by."""
-    value = max(-_CLIP, min(_CLIP, normalised))
-    if watch.stamp != 0:
-        if stamp <= watch.stamp:
-            return
-        watch.period = (stamp - watch.stamp) * 1e-9
-        weight = -math.expm1(-watch.period / _MEMORY)
-        watch.square += weight * (value * value - watch.square)
-        watch.product += weight * (value * watch.normalised - watch.product)
-    watch.stamp, watch.normalised = stamp, value
-
-
-@compiled
-def _count_outlier(watch: Any, stamp: int, normalised: float) -> None:
-    """Take in whether a sample is an outlier: far off, and not as those of a jump all are."""
-    if stamp <= watch.seen:
-        return
-    value = max(-_CLIP, min(_CLIP, normalised))
-    outlier = 1.0 if abs(value) == _CLIP and value != watch.last else 0.0
-    if watch.seen != 0:
-        weight = -math.expm1((watch.seen - stamp) * 1e-9 / _OUTLIER_MEMORY)
-        watch.outliers += weight * (outlier - watch.outliers)
-    watch.seen, watch.last = stamp, value
-
-
-@compiled
-def _renew(watch: Any, reason: int, least: int) -> None:
-    """Forget the history."""
-    watch.begun, watch.block, watch.in_block, watch.count = 0, 0, 0, 0
-    watch.sums[:] = 0.0
-    watch.renewed, watch.least = reason, least
-
-
-@compiled
 def add_estimates(watches: Any, stamp: int, disturbances: Array, bounds: Array) -> bool:
     """Take in an estimate of each of k sensors.
 
@@ -240,42 +118,11 @@ def add_estimates(watches: Any, stamp: int, disturbances: Array, bounds: Array) 
 
     Returns:
         Whether there is something to judge.
+
+    Raises:
+        ValueError: An array is too short.
     """
-    ready = False
-    for place in range(watches.shape[0]):
-        watch, disturbance = watches[place], disturbances[place]
-        watch.complete = 0
-        if disturbance != disturbance or (watch.estimated != 0 and stamp <= watch.estimated):
-            continue
-        if watch.begun != 0 and stamp - watch.estimated > _LONGEST_GAP:
-            _renew(watch, 1, _LEAST_BLOCKS)
-        watch.estimated = stamp
-        if watch.begun == 0:
-            watch.begun = stamp
-        watch.sums[0] += disturbance
-        watch.sums[1] += watch.predicted - disturbance
-        watch.sums[2] += bounds[place]
-        watch.in_block += 1
-        if stamp - watch.begun >= (watch.block + 1) * _BLOCK:
-            _end_block(watch, stamp - watch.begun)
-        ready = ready or watch.complete != 0 or watch.stuck != 0 or watch.missing != 0
-    return ready
-
-
-@compiled
-def _end_block(watch: Any, elapsed: int) -> None:
-    """Add a row of means to the blocks."""
-    if watch.count == _BLOCKS:
-        watch.count -= 1
-        for row in range(watch.count):
-            for column in range(4):
-                watch.blocks[row, column] = watch.blocks[row + 1, column]
-    watch.blocks[watch.count, 0] = elapsed * 1e-9
-    for column in range(3):
-        watch.blocks[watch.count, column + 1] = watch.sums[column] / watch.in_block
-        watch.sums[column] = 0.0
-    watch.count += 1
-    watch.block, watch.in_block, watch.complete = elapsed // _BLOCK, 0, 1
+    return native.faults_add_estimates(watches.view(np.float64), stamp, disturbances, bounds)
 
 
 class FaultMonitor:

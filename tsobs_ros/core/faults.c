@@ -1,0 +1,230 @@
+/* Copyright 2026 The tsobs_ros contributors
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "faults.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "outcomes.h"
+#include "repeats.h"
+
+/* Values that differ by so many sigmas are the same. A sensor is stuck after so long [ns] with so
+ * many repetitions that count, and missing after so long [ns]. */
+static const double SAME_SIGMAS = 0.02;
+static const int64_t STUCK_TIME = 100000000, STUCK_SAMPLES = 10, MISSING_TIME = 100000000;
+
+/* Times over which squares and outliers are averaged [s], and the clip in sigmas. */
+static const double MEMORY = 1.0, OUTLIER_MEMORY = 5.0, CLIP = 5.0;
+
+/* Length of a block, the longest gap in a history [ns], and blocks after a sensor was stuck. */
+static const int64_t BLOCK = 100000000, LONGEST_GAP = 1000000000, RECOVERY_BLOCKS = 100;
+
+/* Return exp(x) - 1 for x <= 0, to the last bit or so: a product of powers of 2 and a rational
+ * approximation on |r| <= ln 2 / 2 (the polynomial of Sun's fdlibm) in a fixed order of sums. */
+static double exponential_less_one(double x)
+{
+    static const double LN2_HIGH = 6.93147180369123816490e-01;
+    static const double LN2_LOW = 1.90821492927058770002e-10;
+    double whole = 0.0, lost = 0.0, half, z, z2, r, t, e;
+    if (x <= -38.816225051879883) {
+        return -1.0;
+    }
+    if (x > -5.551115123125783e-17) {
+        return x;
+    }
+    if (x <= -0.3465735912322998) {
+        double high, low;
+        /* Once up to 1.5 ln 2; beyond, the nearest multiple. */
+        whole = x > -1.0397205352783203 ? -1.0 : ceil(1.44269504088896338700e+00 * x - 0.5);
+        high = x - whole * LN2_HIGH;
+        low = whole * LN2_LOW;
+        x = high - low;
+        lost = (high - x) - low;
+    }
+    half = 0.5 * x;
+    z = x * half;
+    z2 = z * z;
+    r = (1.0 + z * -3.33333333333331316428e-02) +
+        z2 * (1.58730158725481460165e-03 + z * -7.93650757867487942473e-05) +
+        z2 * z2 * (4.00821782732936239552e-06 + z * -2.01099218183624371326e-07);
+    t = 3.0 - r * half;
+    e = z * ((r - t) / (6.0 - x * t));
+    if (whole == 0.0) {
+        return x - (x * e - z);
+    }
+    e = (x * (e - lost) - lost) - z;
+    if (whole == -1.0) {
+        return 0.5 * (x - e) - 0.5;
+    }
+    return ldexp(1.0 - (e - x), (int)whole) - 1.0;
+}
+
+/* Return a normalised innovation within +-5 sigmas. */
+static double clipped(double normalised)
+{
+    const double least = normalised < CLIP ? normalised : CLIP;
+    return least > -CLIP ? least : -CLIP;
+}
+
+/* Forget the history of a sensor's disturbance. */
+static void renew(const watch *of, int64_t reason, int64_t least)
+{
+    *of->begun = *of->block = *of->in_block = *of->count = 0;
+    of->sums[0] = of->sums[1] = of->sums[2] = 0.0;
+    *of->renewed = reason;
+    *of->least = least;
+}
+
+/* Look whether a raw sample repeats those before it. */
+static void compare(
+    const watch *of, int64_t stamp, double y, double innovation, double expected_std)
+{
+    const int was_stuck = *of->stuck != 0;
+    const double value = *of->value, noise = *of->std * *of->std;
+    count_repeats(
+        REPETITION_OF(of), y, innovation, expected_std * expected_std, noise,
+        SAME_SIGMAS * *of->std);
+    if (*of->value != value) {
+        *of->since = stamp;
+        *of->stuck = 0;
+    } else if (*of->repeats >= STUCK_SAMPLES && stamp - *of->since >= STUCK_TIME) {
+        *of->stuck = 1;
+    }
+    if (was_stuck && *of->stuck == 0) {
+        /* The past is no guide to the future, and the estimate was led astray. */
+        renew(of, 2, RECOVERY_BLOCKS);
+    }
+}
+
+/* Take in whether a sample is an outlier: far off, and not as those of a jump all are. */
+static void count_outlier(const watch *of, int64_t stamp, double normalised)
+{
+    const double value = clipped(normalised);
+    const double outlier = fabs(value) == CLIP && value != *of->last ? 1.0 : 0.0;
+    if (stamp <= *of->seen) {
+        return;
+    }
+    if (*of->seen != 0) {
+        const double elapsed = (double)(*of->seen - stamp) * 1e-9;
+        const double weight = -exponential_less_one(elapsed / OUTLIER_MEMORY);
+        *of->outliers += weight * (outlier - *of->outliers);
+    }
+    *of->seen = stamp;
+    *of->last = value;
+}
+
+/* Take in an innovation divided by its expected 1 sigma; late ones pass by. */
+static void average(const watch *of, int64_t stamp, double normalised)
+{
+    const double value = clipped(normalised);
+    if (*of->stamp != 0) {
+        double weight;
+        if (stamp <= *of->stamp) {
+            return;
+        }
+        *of->period = (double)(stamp - *of->stamp) * 1e-9;
+        weight = -exponential_less_one(-*of->period / MEMORY);
+        *of->square += weight * (value * value - *of->square);
+        *of->product += weight * (value * *of->normalised - *of->product);
+    }
+    *of->stamp = stamp;
+    *of->normalised = value;
+}
+
+/* Take in one sample of one sensor. */
+static void add_sample(
+    const watch *of, int64_t stamp, int64_t code, double y, double innovation, double expected_std)
+{
+    const int corrects = code == USED || code == IMPLAUSIBLE_TORQUE;
+    if (code == NON_FINITE && stamp > 0) {
+        if (*of->lacking == 0) {
+            *of->lacking = stamp;
+        }
+        *of->missing = stamp - *of->lacking >= MISSING_TIME;
+    }
+    if (corrects || code == GATED) {
+        *of->lacking = *of->missing = 0;
+        compare(of, stamp, y, innovation, expected_std);
+        count_outlier(of, stamp, innovation / expected_std);
+    }
+    if (corrects) {
+        average(of, stamp, innovation / expected_std);
+        *of->predicted = y - innovation;
+    }
+}
+
+void add_samples(double *watches, const sensor_samples *samples)
+{
+    const int64_t count = samples->count;
+    int64_t sensor, i;
+    for (sensor = 0; sensor < samples->sensors; sensor++) {
+        watch of;
+        watches = watch_bind(&of, NULL, watches);
+        for (i = 0; i < count; i++) {
+            const int64_t at = sensor * count + i;
+            add_sample(
+                &of, samples->stamps[i], samples->codes[at], samples->values[at],
+                samples->innovations[at], samples->expected_std[at]);
+        }
+    }
+}
+
+/* Add a row of means to the blocks. */
+static void end_block(const watch *of, int64_t elapsed)
+{
+    double *row;
+    int column;
+    if (*of->count == BLOCKS) {
+        *of->count -= 1;
+        memmove(of->blocks, of->blocks + 4, (BLOCKS - 1) * 4 * sizeof *of->blocks);
+    }
+    row = of->blocks + 4 * *of->count;
+    row[0] = (double)elapsed * 1e-9;
+    for (column = 0; column < 3; column++) {
+        row[column + 1] = of->sums[column] / (double)*of->in_block;
+        of->sums[column] = 0.0;
+    }
+    *of->count += 1;
+    *of->block = elapsed / BLOCK;
+    *of->in_block = 0;
+    *of->complete = 1;
+}
+
+/* Take in an estimate of one sensor; return whether there is something to judge. */
+static int add_estimate(const watch *of, int64_t stamp, double disturbance, double bound)
+{
+    *of->complete = 0;
+    if (isnan(disturbance) || (*of->estimated != 0 && stamp <= *of->estimated)) {
+        return 0;
+    }
+    if (*of->begun != 0 && stamp - *of->estimated > LONGEST_GAP) {
+        renew(of, 1, LEAST_BLOCKS);
+    }
+    *of->estimated = stamp;
+    if (*of->begun == 0) {
+        *of->begun = stamp;
+    }
+    of->sums[0] += disturbance;
+    of->sums[1] += *of->predicted - disturbance;
+    of->sums[2] += bound;
+    *of->in_block += 1;
+    if (stamp - *of->begun >= (*of->block + 1) * BLOCK) {
+        end_block(of, stamp - *of->begun);
+    }
+    return *of->complete != 0 || *of->stuck != 0 || *of->missing != 0;
+}
+
+int add_estimates(
+    double *watches, int64_t sensors, int64_t stamp, const double *disturbances,
+    const double *bounds)
+{
+    int ready = 0;
+    int64_t sensor;
+    for (sensor = 0; sensor < sensors; sensor++) {
+        watch of;
+        watches = watch_bind(&of, NULL, watches);
+        ready |= add_estimate(&of, stamp, disturbances[sensor], bounds[sensor]);
+    }
+    return ready;
+}
