@@ -11,7 +11,7 @@
 #include "matrices.h"
 #include "trigonometry.h"
 
-#define MOST 65536 /* of any size, so that no product of sizes overflows */
+#define MOST 4096 /* of any size, so that no product of sizes overflows */
 
 flow_sizes flow_sizes_of(const double *memory)
 {

@@ -51,3 +51,100 @@ def scores_add_up(
     scratch: Numbers,
     /,
 ) -> None: ...
+def sine(angle: float, /) -> float:
+    """Return sin of an angle [rad], with the same bits on every CPU."""
+
+def cosine(angle: float, /) -> float:
+    """Return cos of an angle [rad]."""
+
+def unbranched_sine(angle: float, /) -> float:
+    """Return what `sine` returns up to 10⁶ rad, NaN beyond, as vectorised loops have it."""
+
+def exponential(x: float, /) -> float:
+    """Return exp x for x ≤ 0; NaN of NaN."""
+
+def logarithm(x: float, /) -> float:
+    """Return the natural logarithm of x > 0; NaN of other numbers."""
+
+def multiply(a: Any, b: Any, result: Any, rows: int, inner: int, columns: int, /) -> None:
+    """Write a b into `result`."""
+
+def congruence(
+    a: Any, s: Any, added: Any, scratch: Any, result: Any, rows: int, inner: int, /
+) -> None:
+    """Write a s aᵀ + `added`, symmetric, into `result`, which may be s; scratch (rows, inner)."""
+
+def joseph_form(
+    C: Any, R: Any, covariance: Any, gain: Any, scratch: Any, result: Any, n: int, p: int, /
+) -> None:
+    """Write (I − KC) Σ (I − KC)ᵀ + K R Kᵀ; scratch has 3 n max(n, p) numbers."""
+
+def solve(s: Any, b: Any, factor: Any, result: Any, n: int, columns: int, /) -> None:
+    """Write s⁻¹ b into `result`, which may be b; factor is scratch (n, n)."""
+
+def is_below(s: Any, bound: Any, scratch: Any, n: int, /) -> bool:
+    """Return whether s ⪯ bound, for symmetric matrices (n, n)."""
+
+def grades_and_slopes(shape: int, parameters: Any, z: Any, grades: Any, slopes: Any, /) -> None:
+    """Write the grade of one membership function at every z, and its derivative."""
+
+def weights_and_slopes_of_each(
+    shapes: Any, parameters: Any, z: Any, weights: Any, slopes: Any, r: int, q: int, /
+) -> None:
+    """Write the rules' weights at z (samples, q), and their slopes (samples, r, q)."""
+
+def weights_of_each(shapes: Any, parameters: Any, z: Any, weights: Any, r: int, q: int, /) -> None:
+    """Write the rules' weights at z (samples, q)."""
+
+def normalise_each(grades: Any, r: int, /) -> None:
+    """Divide the grades of r rules by their sum, for each sample, in place."""
+
+def fill_series(
+    A: Any, B: Any, W: Any, reach: float, series: Any, scratch: Any, n: int, m: int, /
+) -> int:
+    """Write the Taylor coefficients of a linear flow, and return the number of rows that matter."""
+
+def flow_over(
+    series: Any,
+    terms: int,
+    reach: float,
+    duration: float,
+    phi: Any,
+    gamma: Any,
+    noise: Any,
+    scratch: Any,
+    n: int,
+    m: int,
+    /,
+) -> None:
+    """Write Φ, Γ and Q over a duration [s]; scratch has n (4 n + 2 m) numbers."""
+
+def cut_into_steps(duration: float, period: float, /) -> tuple[int, float]:
+    """Return the number of nominal steps in `duration` [s] and the length of a last one [s]."""
+
+def flow_layout(
+    n: int, m: int, inputs: int, p: int, k: int, plant: int, rules: int, premises: int, /
+) -> list[tuple[str, str, int, int]]:
+    """Return name, kind, rows and columns of each field of a model's record."""
+
+def flow_scratch_size(
+    n: int, m: int, inputs: int, p: int, k: int, plant: int, rules: int, premises: int, /
+) -> int:
+    """Return how many numbers of scratch a step of a model needs."""
+
+def advance_all(
+    flow: Any,
+    x: Any,
+    upsilon: Any,
+    covariance: Any,
+    theta: Any,
+    y: Any,
+    u: Any,
+    duration: float,
+    scratch: Any,
+    /,
+) -> None:
+    """Move states (batch, n), Υᵀ (batch, k, n) and covariances (batch, n, n) over a time [s].
+
+    No covariance is moved if there are no numbers of it; y is read by integrated observers only.
+    """

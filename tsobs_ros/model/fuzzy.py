@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, Integers, finite, positive
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.memberships import (
     ALWAYS,
@@ -27,18 +28,14 @@ from tsobs_ros.model.memberships import (
     SQUARE,
     SQUARE_REST,
     TRAPEZOID,
-    grades_and_slopes,
-    normalise_each,
-    weights_and_slopes_of_each,
 )
-from tsobs_ros.model.trigonometry import sine
 
 MembershipFunction = Callable[[Array], Array]
 """Grade in [0, ∞) of one premise variable, evaluated elementwise on an array."""
 
 
 class CodedRules(NamedTuple):
-    """A rule base for the compiled functions of `tsobs_ros.model.memberships`.
+    """A rule base as the compiled core has it.
 
     Attributes:
         shapes: Codes, shape (r, q).
@@ -122,7 +119,7 @@ class RuleBase:
             return weights_and_slopes(self, z)[0]
         premise = self._checked(z)
         weights = self._grades(premise)
-        normalise_each(weights.reshape(-1, self.rule_count))
+        native.normalise_each(weights, self.rule_count)
         self._check(premise, weights)
         return weights
 
@@ -212,7 +209,7 @@ class Membership:
     def _evaluated(self, z: ArrayLike) -> tuple[Array, Array]:
         premise = np.ascontiguousarray(z, dtype=np.float64)
         grades, slopes = np.empty((2, premise.size))
-        grades_and_slopes(self.code, np.array(self.coded), premise.ravel(), grades, slopes)
+        native.grades_and_slopes(self.code, np.array(self.coded), premise, grades, slopes)
         shape = np.shape(z)
         return grades.reshape(shape), slopes.reshape(shape)
 
@@ -307,7 +304,7 @@ class SineUpper(Membership):
     @property
     def coded(self) -> tuple[float, float, float, float]:
         """The half width and the lower sector b."""
-        return self.half_width, sine(self.half_width) / self.half_width, 0.0, 0.0
+        return self.half_width, native.sine(self.half_width) / self.half_width, 0.0, 0.0
 
 
 @dataclass(frozen=True)
@@ -379,8 +376,6 @@ def weights_and_slopes(rule_base: RuleBase, z: ArrayLike) -> tuple[Array, Array]
     r, q = coded.shapes.shape
     weights = np.empty((*premise.shape[:-1], r))
     slopes = np.empty((*premise.shape[:-1], r, q))
-    weights_and_slopes_of_each(
-        *coded, premise.reshape(-1, q), weights.reshape(-1, r), slopes.reshape(-1, r, q)
-    )
+    native.weights_and_slopes_of_each(*coded, premise, weights, slopes, r, q)
     rule_base._check(premise, weights)
     return weights, slopes

@@ -14,6 +14,7 @@ import numpy as np
 
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.matrices import congruence, copy, multiply
 
@@ -23,7 +24,6 @@ MAX_TERMS = 60
 STRETCH = 1.25
 """A step may be longer than nominal by so much: real stamps jitter about the period."""
 
-_ROUNDING = float(np.finfo(np.float64).eps)
 _LARGEST_TURN = 2.0**16
 """Most a mode may turn or decay in one step [rad]; doubling loses a digit for every factor 10."""
 
@@ -59,10 +59,10 @@ class LinearFlow:
         self.reach = STRETCH * period / max(1.0, STRETCH * turn)
         self._n, self._m = B.shape
         self.series = np.zeros((MAX_TERMS, self._n * (2 * self._n + self._m)))
-        with np.errstate(over="ignore", invalid="ignore"):
-            self.terms = self._fill(*(np.array(each, np.float64, order="C") for each in (A, B, W)))
-            over_period = self.over(period)
-        if not all(np.isfinite(part).all() for part in over_period):
+        rows = (np.array(each, np.float64, order="C") for each in (A, B, W))
+        scratch = np.empty(self._n * (4 * self._n + 2 * self._m))
+        self.terms = native.fill_series(*rows, self.reach, self.series, scratch, self._n, self._m)
+        if not all(np.isfinite(part).all() for part in self.over(period)):
             raise ModelError(
                 f"flow: every entry over a step of {period:.4g} s must be finite; "
                 f"the model's numbers are too large"
@@ -72,47 +72,11 @@ class LinearFlow:
         """Return Φ, Γ and Q over `duration` [s] ≥ 0, shapes (n, n), (n, m) and (n, n)."""
         n, m = self._n, self._m
         phi, gamma, noise = np.empty((n, n)), np.empty((n, m)), np.empty((n, n))
-        flow_over(
-            self.series,
-            self.terms,
-            self.reach,
-            duration,
-            phi,
-            gamma,
-            noise,
-            np.empty((2, n, n)),
-            np.empty((n, m)),
-            np.empty(self.series.shape[1]),
-            n,
-            m,
-            True,
+        scratch = np.empty(n * (4 * n + 2 * m))
+        native.flow_over(
+            self.series, self.terms, self.reach, duration, phi, gamma, noise, scratch, n, m
         )
         return phi, gamma, noise
-
-    def _fill(self, A: Array, B: Array, W: Array) -> int:
-        """Write the Taylor coefficients and return their number."""
-        n, m = self._n, self._m
-        phi, gamma, noise = np.eye(n), np.zeros((n, m)), np.zeros((n, n))
-        product, forced, turned = np.empty((n, n)), np.empty((n, m)), np.empty((n, n))
-        largest = np.zeros(self.series.shape[1])
-        power = 1.0
-        for order in range(1, MAX_TERMS):
-            row = self.series[order - 1]
-            row[:] = np.hstack([phi.ravel(), gamma.ravel(), noise.ravel()])
-            size = np.abs(row) * power
-            largest = np.maximum(largest, size)
-            # Judged entry by entry: entries differ by ten orders of magnitude.
-            if order > 2 * n and (size <= 1e-3 * _ROUNDING * largest).all():
-                return order
-            power *= self.reach
-            multiply(A, phi, product, n, n, n)
-            multiply(A, gamma, forced, n, n, m)
-            multiply(A, noise, turned, n, n, n)
-            # Symmetric to the last bit, as a sum does not depend on the order of two terms.
-            noise = np.ascontiguousarray(turned + turned.T + (W if order == 1 else 0.0)) / order
-            gamma = (forced + (B if order == 1 else 0.0)) / order
-            phi = product / order
-        return MAX_TERMS - 1
 
 
 @compiled

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array
 from tsobs_ros.compiled import compiled
+from tsobs_ros.core import native
 
 
 @compiled
@@ -219,7 +220,7 @@ def product(a: ArrayLike, b: ArrayLike) -> Array:
     left, right = _rows(a), _rows(b)
     result = np.empty((left.shape[0], right.shape[1]))
     rows, inner = left.shape
-    multiply(left, right, result, rows, inner, right.shape[1])
+    native.multiply(left, right, result, rows, inner, right.shape[1])
     return result
 
 
@@ -229,7 +230,8 @@ def congruent(a: ArrayLike, s: ArrayLike, added: ArrayLike = 0.0) -> Array:
     rows, inner = left.shape
     result = np.empty((rows, rows))
     extra = np.broadcast_to(added, (rows, rows))
-    congruence(left, _rows(s), _rows(extra), np.empty((rows, inner)), result, rows, inner)
+    scratch = np.empty((rows, inner))
+    native.congruence(left, _rows(s), _rows(extra), scratch, result, rows, inner)
     return result
 
 
@@ -237,10 +239,8 @@ def joseph(C: ArrayLike, R: ArrayLike, covariance: ArrayLike, gain: ArrayLike) -
     """Return (I − KC) Σ (I − KC)ᵀ + K R Kᵀ as a new matrix, exactly symmetric."""
     K = _rows(gain)
     n, p = K.shape
-    result, nothing = np.empty((n, n)), np.zeros((n, n))
-    joseph_form(
-        _rows(C), _rows(R), _rows(covariance), K, np.empty((3, n, max(n, p))), nothing, result, n, p
-    )
+    result, scratch = np.empty((n, n)), np.empty((3, n, max(n, p)))
+    native.joseph_form(_rows(C), _rows(R), _rows(covariance), K, scratch, result, n, p)
     return result
 
 
@@ -249,7 +249,7 @@ def inverse(matrix: ArrayLike) -> Array:
     rows = _rows(matrix)
     n = len(rows)
     result = np.empty((n, n))
-    solve(rows, np.eye(n), np.empty((n, n)), result, n, n)
+    native.solve(rows, np.eye(n), np.empty((n, n)), result, n, n)
     return np.asarray(0.5 * (result + result.T))
 
 

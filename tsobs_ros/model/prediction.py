@@ -7,22 +7,53 @@ It is [x; w]: the plant's states, then those of the disturbances.
 
 import math
 from abc import ABC, abstractmethod
-from functools import cached_property
-from typing import Any
+from functools import cache, cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled
+from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
-from tsobs_ros.model.stepping import Room, advance, flow_type, work_type
 from tsobs_ros.model.uncertainty import Uncertainty
 
 Record = np.ndarray[Any, np.dtype[Any]]
 """An array of records."""
+
+
+class FlowSizes(NamedTuple):
+    """Sizes of a model's numbers.
+
+    Attributes:
+        n: Augmented states.
+        m: Inputs and scheduled signals.
+        inputs: Inputs, the first of them.
+        p: Outputs.
+        k: Parameters.
+        plant: The plant's own states.
+        rules: Rules.
+        premises: Premise variables.
+    """
+
+    n: int
+    m: int
+    inputs: int
+    p: int
+    k: int
+    plant: int
+    rules: int = 0
+    premises: int = 0
+
+
+@cache
+def flow_type(sizes: FlowSizes) -> "np.dtype[Any]":
+    """Return the type of a model's numbers, those of the compiled core's `flow`."""
+    kind: np.dtype[Any] = record_type(native.flow_layout(*sizes))
+    return kind
 
 
 class Flow(ABC):
@@ -94,9 +125,21 @@ class Flow(ABC):
         """Numbers of rules and of premise variables."""
         return 0, 0
 
+    @property
+    def scheduled_count(self) -> int:
+        """Number of scheduled signals, the last of the m signals."""
+        return 0
+
+    def sizes(self, parameters: int = 0) -> FlowSizes:
+        """Return the sizes of the model's record, with so many parameters θ."""
+        m, p = self.input_count, self.output_matrix.shape[0]
+        inputs = m - self.scheduled_count
+        plant = self.plant_count
+        return FlowSizes(self.state_count, m, inputs, p, parameters, plant, *self.rule_counts)
+
     @abstractmethod
     def fill(self, record: Any, uncertainty: Uncertainty | None = None) -> None:
-        """Enter the model's numbers into one record of `flow_type`.
+        """Enter the model's numbers into one record of `flow_type`, zero before.
 
         Args:
             record: With room for the model.
@@ -148,42 +191,32 @@ class Flow(ABC):
             raise ModelError(
                 f"duration: expected a finite number of at least 0, got {duration!r} s"
             )
-        n, m, p = self.state_count, self.input_count, self.output_matrix.shape[0]
+        n, m, sizes = self.state_count, self.input_count, self.sizes()
         batch = np.broadcast_shapes(np.shape(x)[:-1], np.shape(u)[:-1])
         states, inputs = as_rows("x", x, batch, (n,)), as_rows("u", u, batch, (m,))
         sigma = np.zeros((n, n)) if covariance is None else covariance
         spread = as_rows("covariance", sigma, batch, (n, n))
-        room = Room.fitting(n, p, m, 0, *self.rule_counts)
-        flow, work = np.zeros(1, flow_type(room)), np.zeros(1, work_type(room))
-        self.fill(flow[0])
-        _advance_all(flow, states, spread, covariance is not None, inputs, duration, work)
+        moved = np.empty(0) if covariance is None else spread
+        none, scratch = np.empty(0), np.empty(native.flow_scratch_size(*sizes))
+        record = flow_record(self).view(np.float64)
+        native.advance_all(record, states, none, moved, none, none, inputs, duration, scratch)
         return states.reshape(*batch, n), spread.reshape(*batch, n, n)
 
 
-@compiled
-def _advance_all(
-    flow: Any,
-    x: Array,
-    covariance: Array,
-    with_covariance: bool,
-    u: Array,
-    duration: float,
-    work: Any,
-) -> None:
-    none, no_parameters, no_sample = np.zeros((0, x.shape[1])), np.zeros(0), np.zeros(0)
-    for i in range(x.shape[0]):
-        advance(
-            flow[0],
-            x[i],
-            none,
-            covariance[i],
-            with_covariance,
-            no_parameters,
-            no_sample,
-            u[i],
-            duration,
-            work[0],
-        )
+def flow_record(flow: Flow, uncertainty: Uncertainty | None = None) -> Record:
+    """Return the record of a model for the compiled core, shape (1,).
+
+    Args:
+        flow: The model.
+        uncertainty: Parameters θ that the step takes in.
+
+    Raises:
+        ModelError: The uncertainty is of another model.
+    """
+    count = 0 if uncertainty is None else uncertainty.count
+    record = np.zeros(1, flow_type(flow.sizes(count)))
+    flow.fill(record[0], uncertainty)
+    return record
 
 
 def as_rows(name: str, values: ArrayLike, batch: tuple[int, ...], shape: tuple[int, ...]) -> Array:
@@ -230,8 +263,11 @@ def fill_common(
 
 
 def fill_matrix(target: Array, matrix: ArrayLike) -> None:
-    """Enter a matrix into the first rows and columns of a larger array."""
+    """Enter a matrix into the first rows and columns of a larger array, or as rows of numbers."""
     values = np.asarray(matrix)
+    if values.ndim != target.ndim:
+        target[...] = values.reshape(target.shape)
+        return
     target[tuple(slice(length) for length in values.shape)] = values
 
 

@@ -138,6 +138,11 @@ class TSFlow(Flow):
         """Number of inputs and scheduled signals."""
         return self.model.input_count + int(self.model.schedule.shape[1])
 
+    @property
+    def scheduled_count(self) -> int:
+        """Number of scheduled signals, the last of the m signals."""
+        return int(self.model.schedule.shape[1])
+
     def augmented(self, A: Array) -> Array:
         """Return diag(A, S), shape (n, n), for a state matrix of the plant."""
         return np.asarray(block_diag(A, self.disturbance.S))
