@@ -63,6 +63,16 @@ typedef struct {
     int64_t scratch;   /* and of the scratch that they need */
 } estimator_sizes;
 
+/* Return the sizes that a model record's first numbers are, and whether they belong together. */
+static inline estimator_sizes sizes_of(const int64_t *numbers)
+{
+    const estimator_sizes s = {
+        numbers[0], numbers[1], numbers[2], numbers[3],  numbers[4],  numbers[5], numbers[6],
+        numbers[7], numbers[8], numbers[9], numbers[10], numbers[11], numbers[12]};
+    return s;
+}
+int sizes_are_sound(const int64_t *numbers);
+
 /* What is remembered of one output.
  *
  * recent, sizes, calm: its newest innovations in sigmas and in units, and the coloured power before
@@ -366,7 +376,7 @@ LAYOUT_DECLARE(model_numbers, MODEL_FIELDS, estimator_sizes)
 typedef struct {
     estimator_sizes s;
     flow design_flow, gap_flow, bank_flows[ALTERNATIVES];
-    alternative_model bank[ALTERNATIVES];
+    alternative_model hypotheses[ALTERNATIVES];
     MODEL_FIELDS(LAYOUT_POINTER, unused)
 } model;
 

@@ -152,6 +152,7 @@ static int module_exec(PyObject *module)
         messages_methods,
         faults_methods,
         scores_methods,
+        estimator_methods,
     };
     size_t i;
     memory_type = (PyTypeObject *)PyType_FromSpec(&memory_spec);

@@ -54,5 +54,7 @@ extern PyMethodDef matrices_methods[];
 extern PyMethodDef messages_methods[];
 extern PyMethodDef faults_methods[];
 extern PyMethodDef scores_methods[];
+extern PyMethodDef estimator_methods[];
+extern PyMethodDef estimator_methods[];
 
 #endif
