@@ -153,6 +153,7 @@ static int module_exec(PyObject *module)
         faults_methods,
         scores_methods,
         estimator_methods,
+        simulate_methods,
     };
     size_t i;
     memory_type = (PyTypeObject *)PyType_FromSpec(&memory_spec);

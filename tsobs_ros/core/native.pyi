@@ -148,3 +148,28 @@ def advance_all(
 
     No covariance is moved if there are no numbers of it; y is read by integrated observers only.
     """
+def simulated_arm_layout() -> Layout: ...
+def simulated_system_layout(sizes: Counts, /) -> Layout: ...
+def simulate_arms(
+    arms: Numbers,
+    carried: Counts,
+    inputs: Numbers,
+    kicks: Numbers,
+    present: Numbers,
+    states: Numbers,
+    torques: Numbers,
+    /,
+) -> None: ...
+def simulate_systems(
+    sizes: Counts,
+    system: Numbers,
+    inputs: Numbers,
+    kicks: Numbers,
+    present: Numbers,
+    states: Numbers,
+    truths: Numbers,
+    /,
+) -> None: ...
+def gauss_markov(decay: float, strength: float, present: Numbers, series: Numbers, /) -> None: ...
+def take_sines(angles: Numbers, /) -> None: ...
+def take_cosines(angles: Numbers, /) -> None: ...

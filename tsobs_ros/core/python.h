@@ -56,5 +56,6 @@ extern PyMethodDef faults_methods[];
 extern PyMethodDef scores_methods[];
 extern PyMethodDef estimator_methods[];
 extern PyMethodDef estimator_methods[];
+extern PyMethodDef simulate_methods[];
 
 #endif

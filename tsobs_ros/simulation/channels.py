@@ -7,42 +7,32 @@ A channel is the disturbance of an output, or of a torque. The time of its compo
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Integers
-from tsobs_ros.compiled import compiled
-from tsobs_ros.simulation.signals import (
-    GAUSS_MARKOV,
-    ROW,
-    Component,
-    component_row,
-    disturbance_at,
-    is_stuck,
-    markov_step,
-)
+from tsobs_ros.checks import Array, Flags
+from tsobs_ros.core import native
+from tsobs_ros.simulation.series import Span
+from tsobs_ros.simulation.signals import Component, GaussMarkov, StuckSensor, markov_step
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 
-class Sums(NamedTuple):
-    """The components of all channels, for compiled code.
+@dataclass
+class _Drift:
+    """The random part of a component.
 
     Attributes:
-        rows: Of the components, one channel after another, shape (components, ROW).
-        ends: Number of rows up to each channel, and of all, shape (channels + 1,).
-        injected: Index of the first sample of each channel's components, shape (channels,).
-        drifts: Present values of the drifts in the order of their rows, shape (runs, drifts).
-        noise: Normal numbers of the drifts, shape (drifts, runs, block).
-        drift_ends: Number of drifts up to each channel, and of all, shape (channels + 1,).
+        component: Its numbers.
+        stream: Of its normal numbers.
+        noise: The present ones, shape (runs, block).
+        now: Present values, shape (runs,).
     """
 
-    rows: Array
-    ends: Integers
-    injected: Integers
-    drifts: Array
+    component: GaussMarkov
+    stream: RandomStream
     noise: Array
-    drift_ends: Integers
+    now: Array
 
 
 class Channels:
@@ -53,24 +43,17 @@ class Channels:
         source: What the random numbers of drifts are for.
         count: Number of channels.
         block: Samples that random numbers are drawn for at a time.
-
-    Attributes:
-        sums: The components' numbers.
+        rate: Samples a second [Hz].
     """
 
-    def __init__(self, seeds: Sequence[int], source: Source, count: int, block: int) -> None:
-        self._seeds, self._source, self._block = seeds, source, block
-        self._others: list[list[Component]] = [[]] * count
+    def __init__(
+        self, seeds: Sequence[int], source: Source, count: int, block: int, rate: float
+    ) -> None:
+        self._seeds, self._source, self._block, self._rate = seeds, source, block, rate
+        self._components: list[tuple[Component, ...]] = [()] * count
+        self._drifts: list[list[_Drift]] = [[]] * count
         self._generations = [-1] * count
-        self._streams: list[list[RandomStream]] = [[]] * count
-        self.sums = Sums(
-            np.zeros((0, ROW)),
-            np.zeros(count + 1, np.int64),
-            np.zeros(count, np.int64),
-            np.zeros((len(seeds), 0)),
-            np.zeros((0, len(seeds), block)),
-            np.zeros(count + 1, np.int64),
-        )
+        self._injected = [0] * count
 
     def exchange(
         self, channel: int, components: Sequence[Component], index: int, drawn: int
@@ -84,92 +67,65 @@ class Channels:
             drawn: Its place in the blocks of random numbers.
         """
         generation = self._generations[channel] = self._generations[channel] + 1
-        rows = [component_row(each) for each in components]
-        pairs = list(zip(components, rows, strict=True))
-        self._others[channel] = [each for each, row in pairs if row is None]
-        key = () if channel == 0 else (channel,)
-        streams = [
-            RandomStream(self._seeds, self._source, (generation, place, *key))
-            for place, row in enumerate(rows)
-            if row is not None and row[0] == GAUSS_MARKOV
-        ]
-        runs = len(self._seeds)
-        noise = np.empty((len(streams), runs, self._block))
-        for stream, block in zip(streams, noise, strict=True):
-            stream.fill(block[:, drawn:])
-        kept = np.array([row for row in rows if row is not None]).reshape(-1, ROW)
-        sums = self.sums
-        first, last = sums.ends[channel : channel + 2]
-        before, after = sums.drift_ends[channel : channel + 2]
-        self.sums = sums._replace(
-            rows=np.vstack([sums.rows[:first], kept, sums.rows[last:]]),
-            drifts=np.hstack(
-                [sums.drifts[:, :before], np.zeros((runs, len(streams))), sums.drifts[:, after:]]
-            ),
-            noise=np.concatenate([sums.noise[:before], noise, sums.noise[after:]]),
-        )
-        sums.injected[channel] = index
-        sums.ends[channel + 1 :] += len(kept) - (last - first)
-        sums.drift_ends[channel + 1 :] += len(streams) - (after - before)
-        self._streams[channel] = streams
+        key, runs = () if channel == 0 else (channel,), len(self._seeds)
+        drifts = []
+        for place, each in enumerate(components):
+            if isinstance(each, GaussMarkov):
+                stream = RandomStream(self._seeds, self._source, (generation, place, *key))
+                noise = np.empty((runs, self._block))
+                stream.fill(noise[:, drawn:])
+                drifts.append(_Drift(each, stream, noise, np.zeros(runs)))
+        self._components[channel], self._drifts[channel] = tuple(components), drifts
+        self._injected[channel] = index
 
     def draw(self) -> None:
         """Draw the next random numbers."""
-        streams = [stream for each in self._streams for stream in each]
-        for stream, block in zip(streams, self.sums.noise, strict=True):
-            stream.fill(block)
+        for drifts in self._drifts:
+            for drift in drifts:
+                drift.stream.fill(drift.noise)
 
-    def add_others(self, values: Array, index: int, rate: float) -> None:
-        """Add the components that are not those of `signals`.
+    def _times(self, channel: int, index: int, samples: int) -> Array:
+        """Return the times since a channel's components were put in [s]."""
+        first = index - self._injected[channel]
+        return np.arange(first, first + samples) / self._rate
+
+    def add_means(self, values: Array, index: int) -> None:
+        """Add the components without their random parts.
 
         Args:
             values: To add to, shape (runs, samples, channels).
             index: Index of the first sample.
-            rate: Samples a second [Hz].
         """
-        for channel, others in enumerate(self._others):
-            first = index - int(self.sums.injected[channel])
-            for other in others:
-                places = range(first, first + values.shape[1])
-                values[..., channel] += [other.value(place / rate) for place in places]
+        for channel, components in enumerate(self._components):
+            if components:
+                times = self._times(channel, index, values.shape[1])
+                total = np.zeros(len(times))
+                for each in components:
+                    total += each.values(times)
+                values[..., channel] += total
 
+    def add_drifts(self, values: Array, channel: int, span: Span) -> None:
+        """Move the drifts of a channel on over samples, in every run, and add them.
 
-@compiled
-def without_drifts(sums: Sums, channel: int, index: int, rate: float) -> tuple[float, bool]:
-    """Return what a channel adds at a sample without its drifts, and whether it is stuck.
+        Args:
+            values: To add to, shape (runs, samples).
+            channel: Its number.
+            span: The samples.
+        """
+        for drift in self._drifts[channel]:
+            # A drift leaves zero one sample after its start.
+            before = self._times(channel, span.start - 1, span.samples)
+            has_begun = (before >= 0.0) & (before >= drift.component.start)
+            first = span.samples - int(np.count_nonzero(has_begun))
+            decay, strength = markov_step(1.0 / self._rate, drift.component.time_constant)
+            numbers = drift.noise[:, span.drawn + first : span.drawn + span.samples].copy()
+            native.gauss_markov(decay, strength * drift.component.std, drift.now, numbers)
+            values[:, first:] += numbers
 
-    Args:
-        sums: The components of all channels.
-        channel: Its number.
-        index: Index of the sample.
-        rate: Samples a second [Hz].
-    """
-    rows = sums.rows[sums.ends[channel] : sums.ends[channel + 1]]
-    time = (index - int(sums.injected[channel])) / rate
-    return disturbance_at(rows, time), is_stuck(rows, time)
-
-
-@compiled
-def add_drifts(values: Array, sums: Sums, channel: int, index: int, rate: float, draw: int) -> None:
-    """Move the drifts of a channel on to a sample, in every run, and add them to values.
-
-    Args:
-        values: To add to, shape (runs,).
-        sums: The components of all channels; their drifts are moved.
-        channel: Its number.
-        index: Index of the sample.
-        rate: Samples a second [Hz].
-        draw: Place of the sample in the block.
-    """
-    drift, since = sums.drift_ends[channel], index - int(sums.injected[channel])
-    for row in range(sums.ends[channel], sums.ends[channel + 1]):
-        if int(sums.rows[row, 0]) == GAUSS_MARKOV:
-            has_begun = since > 0 and (since - 1) / rate >= float(sums.rows[row, 3])
-            decay, strength = markov_step(1.0 / rate, float(sums.rows[row, 2]))
-            strength *= float(sums.rows[row, 1])
-            for run in range(values.shape[0]):
-                now, number = float(sums.drifts[run, drift]), float(sums.noise[drift, run, draw])
-                now = decay * now + strength * number if has_begun else 0.0
-                sums.drifts[run, drift] = now
-                values[run] += now
-            drift += 1
+    def stuck(self, channel: int, span: Span) -> Flags:
+        """Return at which samples a component holds the measured value, shape (samples,)."""
+        found = np.zeros(span.samples, np.bool_)
+        for each in self._components[channel]:
+            if isinstance(each, StuckSensor):
+                found |= each.holds(self._times(channel, span.start, span.samples))
+        return found

@@ -8,53 +8,28 @@ needed.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, check_each, non_negative, positive
-from tsobs_ros.compiled import compiled, inlined
+from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.stepping import record_type
-from tsobs_ros.model.trigonometry import sine, unbranched_sine
+from tsobs_ros.model.flow import ProcessNoise
 
 LONGEST_SUBSTEP = 1e-3
 """Upper limit of an integration step [s]; a sampling period is cut into equal steps below it."""
 
-_MOTION = record_type(
-    [
-        ("substeps", np.int64),
-        ("substep", np.float64),
-        ("gravity", np.float64),
-        ("motor_inertia", np.float64),
-        ("link_spring", np.float64),
-        ("link_drag", np.float64),
-        ("motor_spring", np.float64),
-        ("motor_drag", np.float64),
-        ("link_rub", np.float64),
-        ("motor_rub", np.float64),
-        ("link_inertia", np.float64),
-        ("link_viscous", np.float64),
-        ("link_coulomb", np.float64),
-        ("motor_viscous", np.float64),
-        ("motor_coulomb", np.float64),
-        ("added_inertia", np.float64),
-        ("added_gravity", np.float64),
-    ]
-)
+_ARM = record_type(native.simulated_arm_layout())
 
 STANDARD_GRAVITY = 9.80665
 """[m/s²]."""
 
-_FEW = 4
-"""Arms from which on they are integrated side by side."""
-
 CREEP = 0.01
-"""Speed below which Coulomb friction is proportional to the speed [rad/s]."""
+"""Speed below which Coulomb friction is proportional to the speed [rad/s], as in simulate.c."""
 
 
 @dataclass(frozen=True)
@@ -143,9 +118,10 @@ class ArmIntegrator:
         friction: Friction besides the arm's damping.
         longest_substep: Upper limit of the integration step [s].
         payload: What the arm carries besides.
+        process_noise: What `advance` is to make of kicks that are normal numbers.
 
     Attributes:
-        motion: One record with the numbers that `advance_arms` takes.
+        numbers: The numbers of the record that the compiled core takes.
 
     Raises:
         ModelError: The period or the step limit is not a finite number above zero.
@@ -158,6 +134,7 @@ class ArmIntegrator:
         friction: Friction | None = None,
         longest_substep: float = LONGEST_SUBSTEP,
         payload: Payload | None = None,
+        process_noise: ProcessNoise | None = None,
     ) -> None:
         friction, payload = friction or Friction(), payload or Payload()
         arm = payload.on(arm)
@@ -165,8 +142,9 @@ class ArmIntegrator:
         # A period of exactly five steps must not become six because .005/.001 rounds upwards.
         self.substeps = max(1, math.ceil(positive("period", period) / longest_substep - 1e-9))
         self.substep = period / self.substeps
-        self.motion = np.empty(1, _MOTION)
-        self.motion[0] = (
+        noise = process_noise
+        record = np.zeros(1, _ARM)
+        record[0] = (
             self.substeps,
             self.substep,
             arm.gravity_gain,
@@ -184,7 +162,10 @@ class ArmIntegrator:
             friction.motor_coulomb,
             payload.link_inertia,
             payload.gravity_torque,
+            1.0 if noise is None else math.sqrt(noise.link * self.substep),
+            1.0 if noise is None else math.sqrt(noise.motor * self.substep),
         )
+        self.numbers: Array = record.view(np.float64)
 
     def advance(self, state: ArrayLike, torque: ArrayLike, kicks: ArrayLike | None = None) -> Array:
         """Return the physical state one period later.
@@ -198,168 +179,23 @@ class ArmIntegrator:
         Raises:
             ModelError: The state or the kicks have another shape.
         """
-        start = np.array(state, dtype=np.float64)
+        start = np.array(state, np.float64, order="C")
         if start.ndim not in (1, 2) or start.shape[-1] != 4:
             raise ModelError(f"state: expected shape (4,) or (runs, 4), got {start.shape}")
         shape = (*start.shape[:-1], self.substeps, 2)
-        noise = np.zeros(shape) if kicks is None else np.array(kicks, dtype=np.float64)
+        noise = np.zeros(shape) if kicks is None else np.array(kicks, np.float64, order="C")
         if noise.shape != shape:
             raise ModelError(f"kicks: expected shape {shape}, got {noise.shape}")
         states = start.reshape(-1, 4)
-        runs = len(states)
-        torques = np.empty((runs, 1))
+        torques = np.empty((len(states), 1))
         torques[...] = torque
-        _advance_arms(
-            self.motion,
+        native.simulate_arms(
+            np.concatenate([self.numbers, self.numbers]),
+            np.zeros(1, np.int64),
+            torques,
+            noise,
             states,
-            torques[:, 0].copy(),
-            np.zeros((2, runs)),
-            noise.reshape(runs, 1, -1),
+            np.empty_like(states),
+            np.zeros((len(states), 2)),
         )
         return start
-
-
-@compiled
-def advance_arms(
-    motion: Any,
-    states: Array,
-    torques: Array,
-    pushes: Array,
-    kicks: Array,
-    draw: int,
-    link_kick: float,
-    motor_kick: float,
-) -> None:
-    """Move the physical states of arms over a period, in place.
-
-    Args:
-        motion: Record of an `ArmIntegrator`.
-        states: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, 4).
-        torques: Motor torques held over the period [N m], shape (runs,).
-        pushes: Torques on motor and link besides, held likewise [N m], shape (2, runs).
-        kicks: Velocity steps of link and motor after each integration step in turn, shape
-            (runs, block, 2 substeps), or (runs, block, 0) for none.
-        draw: Which of the block.
-        link_kick: What the link's are to be multiplied by [rad/s].
-        motor_kick: What the motor's are to be multiplied by [rad/s].
-    """
-    lanes = np.empty((6, states.shape[0]))
-    # Of few arms a sine with branches is faster; of an angle beyond 10⁶ rad the other one is NaN.
-    is_done = states.shape[0] >= _FEW
-    if is_done:
-        _load(motion, states, torques, pushes, lanes)
-        _integrate(motion, lanes, kicks, draw, link_kick, motor_kick, unbranched_sine)
-        for run in range(states.shape[0]):
-            is_done = is_done and not math.isnan(lanes[1, run])
-    if not is_done:
-        _load(motion, states, torques, pushes, lanes)
-        _integrate(motion, lanes, kicks, draw, link_kick, motor_kick, sine)
-    for run in range(states.shape[0]):
-        for item in range(4):
-            states[run, item] = lanes[item, run]
-
-
-@compiled
-def _load(motion: Any, states: Array, torques: Array, pushes: Array, lanes: Array) -> None:
-    """Write states, and the accelerations by torques, as lanes: one quantity of all runs a row."""
-    motor, link = float(motion.motor_inertia), float(motion.link_inertia)
-    for run in range(states.shape[0]):
-        for item in range(4):
-            lanes[item, run] = states[run, item]
-        # Subtracted, so that a push of zero changes no bit, the sign of a zero included.
-        lanes[4, run] = float(torques[run]) / motor - (0.0 - float(pushes[0, run])) / motor
-        lanes[5, run] = (0.0 - float(pushes[1, run])) / link
-
-
-@inlined
-def _integrate(
-    motion: Any,
-    lanes: Array,
-    kicks: Array,
-    draw: int,
-    link_kick: float,
-    motor_kick: float,
-    sin: Callable[[float], float],
-) -> None:
-    # Floats, since scalars of NumPy are slow and warn of an overflow when this is interpreted.
-    h, gravity = float(motion.substep), float(motion.gravity)
-    link_spring, drag = float(motion.link_spring), float(motion.link_drag)
-    motor_spring, motor_drag = float(motion.motor_spring), float(motion.motor_drag)
-    link_rub, motor_rub = float(motion.link_rub), float(motion.motor_rub)
-    half, sixth = 0.5 * h, h / 6.0
-    for step in range(motion.substeps):
-        # The velocity of each stage is the slope of the angle: w of the link, s of the motor.
-        for run in range(lanes.shape[1]):
-            q1, v1 = float(lanes[0, run]), float(lanes[1, run])
-            q2, v2 = float(lanes[2, run]), float(lanes[3, run])
-            drive, brake = float(lanes[4, run]), float(lanes[5, run])
-            a1 = (
-                link_spring * (q2 - q1) - gravity * sin(q1) - drag * v1 - _rub(link_rub, v1) - brake
-            )
-            b1 = drive - motor_spring * (q2 - q1) - motor_drag * v2 - _rub(motor_rub, v2)
-            w2, s2 = v1 + half * a1, v2 + half * b1
-            p1, p2 = q1 + half * v1, q2 + half * v2
-            a2 = (
-                link_spring * (p2 - p1) - gravity * sin(p1) - drag * w2 - _rub(link_rub, w2) - brake
-            )
-            b2 = drive - motor_spring * (p2 - p1) - motor_drag * s2 - _rub(motor_rub, s2)
-            w3, s3 = v1 + half * a2, v2 + half * b2
-            p1, p2 = q1 + half * w2, q2 + half * s2
-            a3 = (
-                link_spring * (p2 - p1) - gravity * sin(p1) - drag * w3 - _rub(link_rub, w3) - brake
-            )
-            b3 = drive - motor_spring * (p2 - p1) - motor_drag * s3 - _rub(motor_rub, s3)
-            w4, s4 = v1 + h * a3, v2 + h * b3
-            p1, p2 = q1 + h * w3, q2 + h * s3
-            a4 = (
-                link_spring * (p2 - p1) - gravity * sin(p1) - drag * w4 - _rub(link_rub, w4) - brake
-            )
-            b4 = drive - motor_spring * (p2 - p1) - motor_drag * s4 - _rub(motor_rub, s4)
-            lanes[0, run] = q1 + sixth * (v1 + 2.0 * (w2 + w3) + w4)
-            lanes[1, run] = v1 + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-            lanes[2, run] = q2 + sixth * (v2 + 2.0 * (s2 + s3) + s4)
-            lanes[3, run] = v2 + sixth * (b1 + 2.0 * (b2 + b3) + b4)
-        if kicks.shape[2]:
-            for run in range(lanes.shape[1]):
-                lanes[1, run] += link_kick * float(kicks[run, draw, 2 * step])
-                lanes[3, run] += motor_kick * float(kicks[run, draw, 2 * step + 1])
-
-
-@compiled
-def missing_torques(
-    motion: Any, state: Array, motor_push: float, link_push: float
-) -> tuple[float, float]:
-    """Return the torques that an arm without friction and payload would need to move like this one.
-
-    Args:
-        motion: Record of an `ArmIntegrator`.
-        state: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (4,).
-        motor_push: Torque on the motor besides the drive's [N m].
-        link_push: Torque on the link [N m].
-
-    Returns:
-        The motor's and the link's [N m]: the pushes less Coulomb and viscous friction, and on the
-        link less what turns the payload and holds it, ΔJ q̈₁ + Δmgl sin q₁.
-    """
-    q1, v1, q2, v2 = float(state[0]), float(state[1]), float(state[2]), float(state[3])
-    motor = motor_push - float(motion.motor_viscous) * v2 - _rub(float(motion.motor_coulomb), v2)
-    link = link_push - float(motion.link_viscous) * v1 - _rub(float(motion.link_coulomb), v1)
-    inertia, weight = float(motion.added_inertia), float(motion.added_gravity)
-    if inertia > 0.0 or weight > 0.0:
-        pull = float(motion.gravity) * sine(q1)
-        speeding = float(motion.link_spring) * (q2 - q1) - pull - float(motion.link_drag) * v1
-        speeding -= _rub(float(motion.link_rub), v1)
-        speeding += link_push / float(motion.link_inertia)
-        link -= inertia * speeding + weight * sine(q1)
-    return motor, link
-
-
-@inlined
-def _rub(level: float, speed: float) -> float:
-    """Return Coulomb friction of a level, a torque [N m] or a deceleration [rad/s²]."""
-    return level * min(max(speed / CREEP, -1.0), 1.0) if level > 0.0 else 0.0
-
-
-@compiled
-def _advance_arms(motion: Any, states: Array, torques: Array, pushes: Array, kicks: Array) -> None:
-    advance_arms(motion[0], states, torques, pushes, kicks, 0, 1.0, 1.0)

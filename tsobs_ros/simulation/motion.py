@@ -2,39 +2,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motion of simulated plants between samples, in every run of a batch."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Flags, Integers
-from tsobs_ros.compiled import compiled_nogil
+from tsobs_ros.checks import Array
+from tsobs_ros.core import native
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.model.stepping import record_type
-from tsobs_ros.simulation.channels import Channels, Sums, add_drifts, without_drifts
-from tsobs_ros.simulation.integrator import (
-    ArmIntegrator,
-    Friction,
-    Payload,
-    advance_arms,
-    missing_torques,
-)
+from tsobs_ros.simulation.channels import Channels
+from tsobs_ros.simulation.integrator import ArmIntegrator, Friction, Payload
 from tsobs_ros.simulation.series import Series, Span
-from tsobs_ros.simulation.signals import ROW, Excitation, excitation_row, recurs, torque_at
+from tsobs_ros.simulation.signals import Excitation, NoTorque, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
-
-_ARM = record_type(
-    [
-        ("rate", np.float64),
-        ("link_kick", np.float64),
-        ("motor_kick", np.float64),
-        ("payload_start", np.float64),
-        ("payload_duration", np.float64),
-    ]
-)
 
 
 class Motion(ABC):
@@ -46,13 +27,15 @@ class Motion(ABC):
         kicks: Normal numbers a sample that the process noise takes.
         input_count: Number of inputs and scheduled signals.
         torque_count: Number of torques that can be disturbed.
+        rate: Samples a second [Hz].
         block: Samples that random numbers are drawn for at a time.
 
     Attributes:
         states: Present states, shape (runs, n).
         torques: The disturbances of the torques.
         kicks: Normal numbers of the process noise, shape (runs, block, kicks).
-        excitations: Rows of the inputs' signals, shape (inputs, ROW).
+        excitations: The inputs' signals.
+        rate: Samples a second [Hz].
     """
 
     def __init__(
@@ -62,20 +45,18 @@ class Motion(ABC):
         kicks: int,
         input_count: int,
         torque_count: int,
+        rate: float,
         block: int,
     ) -> None:
-        self.states = states
-        self.torques = Channels(seeds, Source.TORQUE, torque_count, block)
+        self.states, self.rate = np.ascontiguousarray(states), rate
+        self.torques = Channels(seeds, Source.TORQUE, torque_count, block, rate)
         self.kicks = np.empty((len(seeds), block, kicks))
-        self.excitations = np.zeros((input_count, ROW))
-        self._others: list[Excitation | None] = [None] * input_count
+        self.excitations: list[Excitation] = [NoTorque()] * input_count
         self._stream = RandomStream(seeds, Source.PROCESS) if kicks else None
 
     def excite(self, place: int, excitation: Excitation) -> None:
         """Let another signal move an input from the next sample on."""
-        row = excitation_row(excitation)
-        self._others[place] = excitation if row is None else None
-        self.excitations[place] = 0.0 if row is None else row
+        self.excitations[place] = excitation
 
     def draw(self) -> None:
         """Draw the next random numbers."""
@@ -83,20 +64,17 @@ class Motion(ABC):
             self._stream.fill(self.kicks)
         self.torques.draw()
 
-    def add_others(self, inputs: Array, given: Flags, index: int, rate: float) -> None:
-        """Write the signals that are not those of `signals`, and mark their inputs as given.
+    def add_inputs(self, inputs: Array, given: int, index: int) -> None:
+        """Write the signals of the inputs.
 
         Args:
             inputs: To write, shape (runs, samples, inputs).
-            given: Which inputs are given, shape (inputs,).
+            given: Number of the first inputs that are written already.
             index: Index of the first sample.
-            rate: Samples a second [Hz].
         """
-        for place, other in enumerate(self._others):
-            if other is not None and not given[place]:
-                samples = range(index, index + inputs.shape[1])
-                inputs[..., place] = [other.torque(sample / rate) for sample in samples]
-                given[place] = True
+        times = np.arange(index, index + inputs.shape[1]) / self.rate
+        for place in range(given, len(self.excitations)):
+            inputs[..., place] = self.excitations[place].torques(times)
 
     @property
     def fed_back(self) -> tuple[tuple[int, int], ...]:
@@ -113,7 +91,7 @@ class Motion(ABC):
 
         Args:
             span: The samples.
-            series: With the given inputs; states, truths, other inputs and torques are written.
+            series: With inputs and disturbances of torques; states, truths and torques are written.
         """
 
 
@@ -144,73 +122,31 @@ class ArmMotion(Motion):
         states: Array,
         block: int,
     ) -> None:
-        bare = ArmIntegrator(arm, 1.0 / rate, friction)
-        loaded = ArmIntegrator(arm, 1.0 / rate, friction, payload=payload)
-        self._motions = np.empty(2, bare.motion.dtype)
-        self._motions[:1], self._motions[1:] = bare.motion, loaded.motion
-        self._columns = np.array(columns, dtype=np.int64)
-        self._numbers = np.zeros(1, _ARM)
-        self._numbers[0] = (
-            rate,
-            math.sqrt(process_noise.link * bare.substep),
-            math.sqrt(process_noise.motor * bare.substep),
-            payload.start,
-            payload.duration,
+        bare = ArmIntegrator(arm, 1.0 / rate, friction, process_noise=process_noise)
+        loaded = ArmIntegrator(
+            arm, 1.0 / rate, friction, payload=payload, process_noise=process_noise
         )
+        self._arms = np.concatenate([bare.numbers, loaded.numbers])
+        self._payload, self._columns = payload, list(columns)
         kicks = 2 * bare.substeps if process_noise.link or process_noise.motor else 0
-        super().__init__(seeds, states, kicks, 1, 2, block)
+        super().__init__(seeds, states, kicks, 1, 2, rate, block)
 
     def move(self, span: Span, series: Series) -> None:
         """Write the next samples of every run and move on; see `Motion.move`."""
-        _move_arms(
-            self._numbers,
-            self._motions,
-            self._columns,
-            self.excitations,
-            self.torques.sums,
+        since = span.times(self.rate) - self._payload.start
+        states, torques = np.empty((len(self.states), span.samples, 4)), span.of(series.torques)
+        moving = torques.copy()
+        for side in range(moving.shape[2]):
+            self.torques.add_drifts(moving[..., side], side, span)
+        native.simulate_arms(
+            self._arms,
+            recurs(since, self._payload.duration, 0.0).astype(np.int64),
+            np.ascontiguousarray(span.of(series.inputs)),
+            np.ascontiguousarray(span.drawn_for(self.kicks)),
             self.states,
-            self.kicks,
-            span,
-            series,
+            states,
+            moving,
         )
-
-
-@compiled_nogil
-def _move_arms(
-    plant: Any,
-    motions: Any,
-    columns: Integers,
-    excitations: Array,
-    sums: Sums,
-    present: Array,
-    kicks: Array,
-    span: Span,
-    series: Series,
-) -> None:
-    """Move every arm, sample by sample; see `Motion.move`."""
-    numbers, rate, runs = plant[0], float(plant[0].rate), present.shape[0]
-    start, duration = float(numbers.payload_start), float(numbers.payload_duration)
-    link_kick, motor_kick = float(numbers.link_kick), float(numbers.motor_kick)
-    torques, pushes = np.empty(runs), np.empty((2, runs))
-    for step in range(span.samples):
-        draw, place, index = span.drawn + step, span.place + step, span.start + step
-        time = index / rate
-        motion = motions[1 if recurs(time - start, duration, 0.0) else 0]
-        torque = 0.0 if series.given[0] else torque_at(excitations[0], time)
-        for side in range(2):
-            added, _ = without_drifts(sums, side, index, rate)
-            for run in range(runs):
-                pushes[side, run] = float(series.torques[run, place, side]) + added
-            add_drifts(pushes[side], sums, side, index, rate, draw)
-        for run in range(runs):
-            state = present[run]
-            for item in range(4):
-                series.states[run, place, item] = state[item]
-            for item in range(columns.shape[0]):
-                series.truths[run, place, item] = state[columns[item]]
-            if not series.given[0]:
-                series.inputs[run, place, 0] = torque
-            torques[run] = series.inputs[run, place, 0]
-            missing = missing_torques(motion, state, float(pushes[0, run]), float(pushes[1, run]))
-            series.torques[run, place, 0], series.torques[run, place, 1] = missing
-        advance_arms(motion, present, torques, pushes, kicks, draw, link_kick, motor_kick)
+        torques[...] = moving
+        span.of(series.states)[...] = states
+        span.of(series.truths)[...] = states[..., self._columns]

@@ -367,7 +367,7 @@ class Plant:
         for _, fed in self._motion.fed_back:
             self._measured_last[fed] = False
         self._held = np.zeros((runs, len(outputs)))
-        # So that the code is compiled, or loaded, and the first block drawn, before the first step.
+        # So that the first block is drawn before the first step.
         self._advance(0)
 
     @property
@@ -480,16 +480,15 @@ class Plant:
             np.zeros((*shape, outputs)),
             np.empty((*shape, outputs)),
             np.empty((*shape, signals)),
-            np.zeros(signals, np.bool_),
             np.zeros((*shape, len(scenario.torques))),
         )
+        rate, first, given = scenario.rate, self._index, 0
         if torque is not None:
-            series.inputs[..., : scenario.input_count] = torque
-            series.given[: scenario.input_count] = True
-        rate, first = scenario.rate, self._index
-        motion.add_others(series.inputs, series.given, first, rate)
-        motion.torques.add_others(series.torques, first, rate)
-        self._sensors.channels.add_others(series.disturbances, first, rate)
+            given = scenario.input_count
+            series.inputs[..., :given] = torque
+        motion.add_inputs(series.inputs, given, first)
+        motion.torques.add_means(series.torques, first)
+        self._sensors.channels.add_means(series.disturbances, first)
         done = 0
         while True:
             if self._drawn == self._block:
@@ -498,17 +497,18 @@ class Plant:
                 self._drawn = 0
             part = min(samples - done, self._block - self._drawn, 1 if motion.fed_back else samples)
             span = Span(self._index, self._drawn, done, part)
-            if motion.fed_back and part:
-                self._feed_back(span, series)
-            motion.move(span, series)
-            self._sensors.measure(span, series, self._measured_last)
+            if part:
+                if motion.fed_back:
+                    self._feed_back(span, series)
+                motion.move(span, series)
+                self._sensors.measure(span, series, self._measured_last)
             self._index += part
             self._drawn += part
             done += part
             if done == samples:
                 break
         for each in scenario.reporting_error:
-            error = [each.value(index / rate) for index in range(first, self._index)]
+            error = each.values(np.arange(first, self._index) / rate)
             series.inputs[..., 0] += error
             series.torques[..., 0] -= error
         return series
@@ -521,4 +521,3 @@ class Plant:
             now = series.measurements[:, span.place, output]
             self._held[:, output] = np.where(np.isfinite(now), now, self._held[:, output])
             series.inputs[:, span.place, row] = self._held[:, output]
-            series.given[row] = True

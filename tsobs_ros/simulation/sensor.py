@@ -5,60 +5,16 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array, Flags, check_each, non_negative
-from tsobs_ros.compiled import compiled, compiled_nogil
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.stepping import record_type
-from tsobs_ros.simulation.channels import Channels, Sums, add_drifts, without_drifts
+from tsobs_ros.simulation.channels import Channels
 from tsobs_ros.simulation.series import Series, Span
 from tsobs_ros.simulation.signals import Component, markov_step, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
-
-_SENSOR = record_type(
-    [
-        ("noise_std", np.float64),
-        ("outlier_probability", np.float64),
-        ("outlier_size", np.float64),
-        ("dropout_interval", np.float64),
-        ("dropout_duration", np.float64),
-        ("outlier_is_uniform", np.bool_),
-        ("noise_time_constant", np.float64),
-        ("noise_degrees", np.int64),
-        ("burst_interval", np.float64),
-        ("burst_duration", np.float64),
-        ("burst_factor", np.float64),
-        ("latency", np.float64),
-        ("resolution", np.float64),
-        ("places", np.int64),
-        ("fresh", np.int64),
-        ("lost", np.bool_),
-    ]
-)
-_SEEN = record_type([("noise", np.float64), ("frozen", np.float64), ("stuck", np.bool_)])
-
-
-class _Numbers(NamedTuple):
-    """What compiled code takes of all sensors.
-
-    Attributes:
-        sensors: Their numbers, shape (p,).
-        seen: What they remember of each run, shape (p, runs).
-        noise: Normal numbers, shape (p, runs, block).
-        luck: Uniform numbers of the outliers, shape (p, runs, block).
-        tail: Normal numbers of Student's t; rows have room for the sensor with the most.
-        past: Last true values; rows have room for the sensor with the most.
-    """
-
-    sensors: Any
-    seen: Any
-    noise: Array
-    luck: Array
-    tail: Array
-    past: Array
 
 
 @dataclass(frozen=True)
@@ -127,25 +83,29 @@ class Sensors:
     def __init__(self, seeds: Sequence[int], count: int, block: int, rate: float) -> None:
         self._seeds, self._block, self._rate = seeds, block, rate
         runs = len(seeds)
-        self.channels = Channels(seeds, Source.DISTURBANCE, count, block)
-        self._numbers = numbers = _Numbers(
-            np.zeros(count, _SENSOR),
-            np.zeros((count, runs), _SEEN),
-            *np.empty((2, count, runs, block)),
-            *np.empty((2, count, runs, 0)),
-        )
+        self.channels = Channels(seeds, Source.DISTURBANCE, count, block, rate)
+        self._sensors = [Sensor()] * count
+        self._noise, self._luck = np.empty((2, count, runs, block))
         self._streams = []
         for output in range(count):
             key = () if output == 0 else (output,)
             normal = RandomStream(seeds, Source.MEASUREMENT, key)
             uniform = RandomStream(seeds, Source.OUTLIER, key, uniform=True)
-            self._streams += [(normal, numbers.noise[output]), (uniform, numbers.luck[output])]
-        self._tails: list[RandomStream | None] = [None] * count
+            self._streams += [(normal, self._noise[output]), (uniform, self._luck[output])]
+        # Of Student's t, with as many numbers a sample as its degrees of freedom.
+        self._tails: list[tuple[RandomStream, Array] | None] = [None] * count
+        # True values before the next sample, one more than the latency has samples; or not known.
+        self._past: list[Array | None] = [None] * count
+        self._last, self._frozen = np.zeros((2, count, runs))
+        self._was_stuck, self._was_lost = np.zeros((2, count), np.bool_)
 
     @property
     def lost(self) -> bool:
         """Whether the last sample of every output was lost in a dropout."""
-        return bool(self._numbers.sensors["lost"].all())
+        return bool(self._was_lost.all())
+
+    def _delay(self, sensor: Sensor) -> int:
+        return round(sensor.latency * self._rate)
 
     def exchange(self, output: int, sensor: Sensor, drawn: int) -> None:
         """Measure an output by another sensor.
@@ -157,140 +117,118 @@ class Sensors:
             sensor: The other one.
             drawn: Place of the next sample in the blocks of random numbers.
         """
-        record = self._numbers.sensors[output]
-        degrees, places = sensor.noise_degrees, 1 + round(sensor.latency * self._rate)
-        if degrees != record["noise_degrees"]:
-            tail = _with_room(self._numbers.tail, degrees * self._block)
-            stream = None
+        former, degrees = self._sensors[output], sensor.noise_degrees
+        if degrees != former.noise_degrees:
+            self._tails[output] = None
             if degrees:
                 key = (degrees,) if output == 0 else (degrees, output)
                 stream = RandomStream(self._seeds, Source.TAIL, key)
-                stream.fill(tail[output][:, drawn * degrees : self._block * degrees])
-            self._numbers, self._tails[output] = self._numbers._replace(tail=tail), stream
-        if places != record["places"]:
-            past = _with_room(self._numbers.past, places)
-            self._numbers = self._numbers._replace(past=past)
-            record["places"], record["fresh"] = places, 1
-        for item in fields(sensor):
-            record[item.name] = getattr(sensor, item.name)
+                tail = np.empty((len(self._seeds), self._block, degrees))
+                stream.fill(tail[:, drawn:])
+                self._tails[output] = stream, tail
+        if self._delay(sensor) != self._delay(former):
+            self._past[output] = None
+        self._sensors[output] = sensor
 
     def disturb(self, output: int, components: Sequence[Component], index: int, drawn: int) -> None:
         """Exchange the disturbance of an output; see `Channels.exchange`."""
-        self._numbers.seen["stuck"][output] = False
+        self._was_stuck[output] = False
         self.channels.exchange(output, components, index, drawn)
 
     def draw(self) -> None:
         """Draw the next random numbers."""
-        for stream, block in self._streams:
+        for stream, block in (*self._streams, *filter(None, self._tails)):
             stream.fill(block)
-        for output, tail in enumerate(self._tails):
-            if tail is not None:
-                size = self._block * int(self._numbers.sensors["noise_degrees"][output])
-                tail.fill(self._numbers.tail[output][:, :size])
         self.channels.draw()
 
     def measure(self, span: Span, series: Series, chosen: Flags) -> None:
         """Measure outputs of every run at the next samples.
 
         Args:
-            span: The samples.
+            span: The samples, at least one.
             series: With the truths; disturbances and measurements are written.
             chosen: Which outputs, shape (p,).
         """
-        _measure(self._numbers, self.channels.sums, self._rate, span, series, chosen)
+        with np.errstate(all="ignore"):
+            for output in np.flatnonzero(chosen).tolist():
+                truths, disturbances = span.of(series.truths), span.of(series.disturbances)
+                span.of(series.measurements)[..., output] = self._measured(
+                    output, span, truths[..., output], disturbances[..., output]
+                )
+
+    def _measured(self, output: int, span: Span, truth: Array, disturbance: Array) -> Array:
+        """Return what a sensor measures, and complete its disturbance; all (runs, samples)."""
+        sensor, times = self._sensors[output], span.times(self._rate)
+        self.channels.add_drifts(disturbance, output, span)
+        is_loud = is_within(times, sensor.burst_interval, sensor.burst_duration)
+        loudness = sensor.noise_std * np.where(is_loud, sensor.burst_factor, 1.0)
+        values = self._late(output, truth) + disturbance + loudness * self._noise_of(output, span)
+        stuck = self.channels.stuck(output, span)
+        if stuck.any():
+            values = self._freeze(output, values, stuck)
+            disturbance[:, stuck] = (values - truth)[:, stuck]
+        self._was_stuck[output] = stuck[-1]
+        if sensor.outlier_probability > 0.0:
+            values += outliers(span.drawn_for(self._luck[output]), sensor)
+        if sensor.resolution > 0.0:
+            rounded = sensor.resolution * np.floor(values / sensor.resolution + 0.5)
+            values = np.where(np.isfinite(values), rounded, values)
+        lost = is_within(times, sensor.dropout_interval, sensor.dropout_duration)
+        self._was_lost[output] = lost[-1]
+        return np.where(lost, np.nan, values)
+
+    def _late(self, output: int, truth: Array) -> Array:
+        """Return the true values that are measured, as old as the latency."""
+        past = self._past[output]
+        if past is None:
+            past = np.repeat(truth[:, :1], self._delay(self._sensors[output]), axis=1)
+        known = np.concatenate([past, truth], axis=1)
+        self._past[output] = known[:, truth.shape[1] :]
+        return known[:, : truth.shape[1]]
+
+    def _noise_of(self, output: int, span: Span) -> Array:
+        """Return the noise in units of its 1σ."""
+        sensor, last, tail = self._sensors[output], self._last[output], self._tails[output]
+        noise = span.drawn_for(self._noise[output]).copy()
+        if tail is not None:
+            others, total = span.drawn_for(tail[1]), np.zeros_like(noise)
+            for place in range(sensor.noise_degrees):
+                total += others[..., place] * others[..., place]
+            noise /= np.sqrt(total / sensor.noise_degrees)
+        if sensor.noise_time_constant > 0.0:
+            decay, strength = markov_step(1.0 / self._rate, sensor.noise_time_constant)
+            first = 0
+            if span.start == 0:  # the first one is stationary already
+                first, last[:] = 1, noise[:, 0]
+            moving = noise[:, first:].copy()
+            native.gauss_markov(decay, strength, last, moving)
+            noise[:, first:] = moving
+        else:
+            last[:] = noise[:, -1]
+        return noise
+
+    def _freeze(self, output: int, values: Array, stuck: Flags) -> Array:
+        """Return values that stay as they were where the sensor began to be stuck."""
+        before = np.concatenate([self._was_stuck[output : output + 1], stuck[:-1]])
+        began = np.where(stuck & ~before, np.arange(len(stuck)), -1)
+        began = np.maximum.accumulate(began)
+        held = np.where(began >= 0, values[:, began], self._frozen[output][:, np.newaxis])
+        self._frozen[output] = held[:, -1]
+        return np.where(stuck, held, values)
 
 
-def _with_room(numbers: Array, size: int) -> Array:
-    """Return numbers with rows of at least a size, the former ones first."""
-    missing = size - numbers.shape[-1]
-    return np.pad(numbers, [(0, 0), (0, 0), (0, missing)]) if missing > 0 else numbers
+def is_within(times: Array, interval: float, duration: float) -> Flags:
+    """Return whether times [s] lie in a dropout or a burst, the first after one interval."""
+    if not interval > 0.0:
+        return np.zeros(len(times), np.bool_)
+    return recurs(times - interval, duration, interval)
 
 
-@compiled_nogil
-def _measure(
-    all_numbers: _Numbers, sums: Sums, rate: float, span: Span, series: Series, chosen: Flags
-) -> None:
-    """Measure each chosen output of every run, sample by sample; see `Sensors`."""
-    sensors, seen, noise, luck, tail, past = all_numbers
-    truths, disturbances = series.truths, series.disturbances
-    present = np.empty(truths.shape[0])
-    for output in range(sensors.shape[0]):
-        if span.samples == 0 or not chosen[output]:
-            continue
-        numbers = sensors[output]
-        places, degrees = int(numbers.places), int(numbers.noise_degrees)
-        is_correlated, decay, strength = numbers.noise_time_constant > 0.0, 0.0, 1.0
-        if is_correlated:
-            decay, strength = markov_step(1.0 / rate, float(numbers.noise_time_constant))
-        if numbers.fresh:
-            numbers.fresh = 0
-            for run in range(truths.shape[0]):
-                past[output, run, :places] = truths[run, span.place, output]
-        for step in range(span.samples):
-            draw, place, index = span.drawn + step, span.place + step, span.start + step
-            time = index / rate
-            lost = is_within(time, numbers.dropout_interval, numbers.dropout_duration)
-            loud = is_within(time, numbers.burst_interval, numbers.burst_duration)
-            loudness = float(numbers.burst_factor) if loud else 1.0
-            added, stuck = without_drifts(sums, output, index, rate)
-            numbers.lost = lost
-            for run in range(truths.shape[0]):
-                present[run] = disturbances[run, place, output] + added
-            add_drifts(present, sums, output, index, rate, draw)
-            for run in range(truths.shape[0]):
-                truth = float(truths[run, place, output])
-                disturbance = float(present[run])
-                memory = seen[output, run]
-                number = float(noise[output, run, draw])
-                if degrees > 0:
-                    others = tail[output, run, draw * degrees : (draw + 1) * degrees]
-                    number = student(number, others)
-                if is_correlated and index > 0:
-                    number = decay * float(memory.noise) + strength * number
-                memory.noise = number
-                past[output, run, index % places] = truth
-                old = float(past[output, run, (index + 1) % places])
-                measured = old + disturbance + float(numbers.noise_std) * loudness * number
-                if stuck:
-                    if not memory.stuck:
-                        memory.frozen = measured
-                    measured = float(memory.frozen)
-                    disturbance = measured - truth
-                memory.stuck = stuck
-                if numbers.outlier_probability > 0.0:
-                    measured += outlier(
-                        luck[output, run, draw],
-                        numbers.outlier_probability,
-                        float(numbers.outlier_size),
-                        numbers.outlier_is_uniform,
-                    )
-                resolution = float(numbers.resolution)
-                if resolution > 0.0 and math.isfinite(measured):
-                    measured = resolution * math.floor(measured / resolution + 0.5)
-                disturbances[run, place, output] = disturbance
-                series.measurements[run, place, output] = math.nan if lost else measured
-
-
-@compiled
-def is_within(time: float, interval: float, duration: float) -> bool:
-    """Return whether a time [s] lies in a dropout or a burst, the first after one interval."""
-    return interval > 0.0 and recurs(time - interval, duration, interval)
-
-
-@compiled
-def outlier(luck: float, probability: float, size: float, is_uniform: bool) -> float:
-    """Return what an outlier adds [rad], 0 if it is none, by a number drawn from [0, 1)."""
-    if not luck < probability:
-        return 0.0
-    if is_uniform:
-        return size * (2.0 * luck / probability - 1.0)
-    return -size if luck < 0.5 * probability else size
-
-
-@compiled
-def student(number: float, others: Array) -> float:
-    """Return a number of Student's t from a normal one and as many as its degrees of freedom."""
-    total = 0.0
-    for i in range(others.shape[0]):
-        total += float(others[i]) * float(others[i])
-    return number / math.sqrt(total / others.shape[0])
+def outliers(luck: Array, sensor: Sensor) -> Array:
+    """Return what outliers add [rad], 0 if there is none, by numbers drawn from [0, 1)."""
+    probability, size = sensor.outlier_probability, sensor.outlier_size
+    if sensor.outlier_is_uniform:
+        sizes = size * (2.0 * luck / probability - 1.0)
+    else:
+        sizes = np.where(luck < 0.5 * probability, -size, size)
+    return np.where(luck < probability, sizes, 0.0)

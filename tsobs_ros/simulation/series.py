@@ -4,7 +4,9 @@
 
 from typing import NamedTuple
 
-from tsobs_ros.checks import Array, Flags
+import numpy as np
+
+from tsobs_ros.checks import Array
 
 
 class Span(NamedTuple):
@@ -22,6 +24,18 @@ class Span(NamedTuple):
     place: int
     samples: int
 
+    def times(self, rate: float) -> Array:
+        """Return the samples' times since the start [s], shape (samples,)."""
+        return np.arange(self.start, self.start + self.samples) / rate
+
+    def of(self, series: Array) -> Array:
+        """Return the samples of a series, shape (runs, samples, ...)."""
+        return series[:, self.place : self.place + self.samples]
+
+    def drawn_for(self, block: Array) -> Array:
+        """Return the random numbers of the samples, shape (runs, samples, ...)."""
+        return block[:, self.drawn : self.drawn + self.samples]
+
 
 class Series(NamedTuple):
     """All samples of a call, to be written span by span.
@@ -30,12 +44,11 @@ class Series(NamedTuple):
         states: Physical states, shape (runs, samples, n).
         truths: True values of the outputs, shape (runs, samples, p).
         disturbances: What the measurements have beyond the truth, shape (runs, samples, p);
-            before, those of components that `signals` does not evaluate.
+            before, without random parts and stuck sensors.
         measurements: Measured outputs, NaN if lost, shape (runs, samples, p).
         inputs: Inputs and scheduled signals, shape (runs, samples, inputs).
-        given: Which of these are not to be written, shape (inputs,).
         torques: Torques that an undisturbed plant would need to move so, shape (runs, samples, t);
-            before, those of components that `signals` does not evaluate.
+            before, those that disturb it, without random parts.
     """
 
     states: Array
@@ -43,5 +56,4 @@ class Series(NamedTuple):
     disturbances: Array
     measurements: Array
     inputs: Array
-    given: Flags
     torques: Array

@@ -7,28 +7,21 @@ components, and its time counts from the moment it is put in, which is the plant
 is exchanged while the plant runs. Units of components are those of an angle; a component of
 another output has that output's unit in place of rad, one of a torque has N m.
 
-A signal of this module is evaluated by compiled code from a row: the code of its kind, then its
-numbers. Others are evaluated by their own methods.
+Signals of this module are evaluated at many times at once. Others are evaluated time by time.
 """
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from tsobs_ros.checks import Array, check_each, finite, non_negative, positive
-from tsobs_ros.compiled import compiled
+from tsobs_ros.checks import Array, Flags, check_each, finite, non_negative, positive
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.trigonometry import cosine, exponential, sine
-
-ROW = 5
-"""Length of a row."""
-
-_NO_TORQUE, _SINE, _MULTISINE, _SQUARE, _CHIRP, _CONSTANT = range(6)
-_BIAS_STEP, _SINUSOID, _RAMP, _TWO_TONE, GAUSS_MARKOV, STUCK, _PULSES = range(7)
+from tsobs_ros.model.trigonometry import exponential
 
 
 class Excitation(ABC):
@@ -38,38 +31,52 @@ class Excitation(ABC):
     def torque(self, time: float) -> float:
         """Return the torque [N m] at a time [s] since the start."""
 
+    def torques(self, times: Array) -> Array:
+        """Return the torques at times, shape (samples,)."""
+        return np.array([self.torque(time) for time in times.tolist()], np.float64)
 
-class _CompiledExcitation(Excitation):
-    code: ClassVar[int]
 
+class _KnownExcitation(Excitation):
     def torque(self, time: float) -> float:
-        return torque_at(_row(self.code, self), float(time))
+        return float(_at_once(self._at, np.array([time], np.float64))[0])
+
+    def torques(self, times: Array) -> Array:
+        if type(self).torque is not _KnownExcitation.torque:
+            return super().torques(times)
+        return _at_once(self._at, times)
+
+    @abstractmethod
+    def _at(self, times: Array) -> Array:
+        """Return the torques at times."""
 
 
 @dataclass(frozen=True)
-class NoTorque(_CompiledExcitation):
+class NoTorque(_KnownExcitation):
     """The motor is not driven."""
 
-    code: ClassVar[int] = _NO_TORQUE
+    def _at(self, times: Array) -> Array:
+        return np.zeros(len(times))
 
 
 @dataclass(frozen=True)
-class Constant(_CompiledExcitation):
+class Constant(_KnownExcitation):
     """u = a.
 
     Attributes:
         amplitude: a [N m].
     """
 
-    code: ClassVar[int] = _CONSTANT
     amplitude: float = 1.0
 
     def __post_init__(self) -> None:
         finite("constant amplitude", self.amplitude)
 
+    def _at(self, times: Array) -> Array:
+        return np.full(len(times), self.amplitude, np.float64)
+
 
 @dataclass(frozen=True)
-class Sine(_CompiledExcitation):
+class Sine(_KnownExcitation):
     """u = a sin ωt; the defaults are the method's u = sin t.
 
     Attributes:
@@ -77,16 +84,18 @@ class Sine(_CompiledExcitation):
         frequency: ω [rad/s].
     """
 
-    code: ClassVar[int] = _SINE
     amplitude: float = 1.0
     frequency: float = 1.0
 
     def __post_init__(self) -> None:
         _check_signal("sine", self.amplitude, self.frequency)
 
+    def _at(self, times: Array) -> Array:
+        return self.amplitude * _sine(self.frequency * times)
+
 
 @dataclass(frozen=True)
-class Multisine(_CompiledExcitation):
+class Multisine(_KnownExcitation):
     """A sum of tones, equally spaced from the lowest to the highest, with Schroeder's phases.
 
     Schroeder's phases −πi(i − 1)/n spread the tones' crests, so that the peak stays near that of
@@ -99,7 +108,6 @@ class Multisine(_CompiledExcitation):
         tones: Their number.
     """
 
-    code: ClassVar[int] = _MULTISINE
     amplitude: float = 1.0
     lowest: float = 0.5
     highest: float = 6.0
@@ -115,9 +123,17 @@ class Multisine(_CompiledExcitation):
         if self.tones < 1:
             raise ModelError(f"multisine tones: expected at least 1, got {self.tones!r}")
 
+    def _at(self, times: Array) -> Array:
+        spacing = (self.highest - self.lowest) / max(1.0, self.tones - 1.0)
+        total = np.zeros(len(times))
+        for i in range(self.tones):
+            phase = math.pi * i * (i + 1) / self.tones
+            total += _sine((self.lowest + i * spacing) * times - phase)
+        return self.amplitude / math.sqrt(self.tones) * total
+
 
 @dataclass(frozen=True)
-class Square(_CompiledExcitation):
+class Square(_KnownExcitation):
     """Alternately +a and −a, half a period each, + first.
 
     Attributes:
@@ -125,16 +141,19 @@ class Square(_CompiledExcitation):
         frequency: ω [rad/s]; the period is 2π/ω.
     """
 
-    code: ClassVar[int] = _SQUARE
     amplitude: float = 1.0
     frequency: float = 1.0
 
     def __post_init__(self) -> None:
         _check_signal("square", self.amplitude, self.frequency)
 
+    def _at(self, times: Array) -> Array:
+        is_first = (self.frequency * times / math.tau) % 1.0 < 0.5
+        return self.amplitude * np.where(is_first, 1.0, -1.0)
+
 
 @dataclass(frozen=True)
-class Chirp(_CompiledExcitation):
+class Chirp(_KnownExcitation):
     """A tone whose frequency rises linearly from the lowest to the highest, again and again.
 
     Attributes:
@@ -144,7 +163,6 @@ class Chirp(_CompiledExcitation):
         sweep: Length of a sweep [s].
     """
 
-    code: ClassVar[int] = _CHIRP
     amplitude: float = 1.0
     lowest: float = 0.5
     highest: float = 6.0
@@ -153,6 +171,11 @@ class Chirp(_CompiledExcitation):
     def __post_init__(self) -> None:
         _check_signal("chirp", self.amplitude, self.lowest)
         check_each(positive, self, "highest", "sweep", prefix="chirp ")
+
+    def _at(self, times: Array) -> Array:
+        within = times % self.sweep
+        half_rate = 0.5 * ((self.highest - self.lowest) / self.sweep)
+        return self.amplitude * _sine((self.lowest + half_rate * within) * within)
 
 
 EXCITATIONS: Mapping[str, type[Excitation]] = {
@@ -189,16 +212,27 @@ class Component(ABC):
     def value(self, time: float) -> float:
         """Return the addition to the measurement [rad] at a time [s], zero before the start."""
 
+    def values(self, times: Array) -> Array:
+        """Return the additions at times, shape (samples,)."""
+        return np.array([self.value(time) for time in times.tolist()], np.float64)
 
-class _CompiledComponent(Component):
-    code: ClassVar[int]
 
+class _KnownComponent(Component):
     def value(self, time: float) -> float:
-        return _value_at(_row(self.code, self), float(time))
+        return float(_at_once(self._at, np.array([time], np.float64))[0])
+
+    def values(self, times: Array) -> Array:
+        if type(self).value is not _KnownComponent.value:
+            return super().values(times)
+        return _at_once(self._at, times)
+
+    def _at(self, times: Array) -> Array:
+        """Return the additions at times."""
+        return np.zeros(len(times))
 
 
 @dataclass(frozen=True)
-class BiasStep(_CompiledComponent):
+class BiasStep(_KnownComponent):
     """d = a from the start on.
 
     Attributes:
@@ -207,13 +241,15 @@ class BiasStep(_CompiledComponent):
     """
 
     kind: ClassVar[str] = "bias_step"
-    code: ClassVar[int] = _BIAS_STEP
     amplitude: float = 0.1
     start: float = 30.0
 
+    def _at(self, times: Array) -> Array:
+        return np.where(times >= self.start, self.amplitude, 0.0)
+
 
 @dataclass(frozen=True)
-class Sinusoid(_CompiledComponent):
+class Sinusoid(_KnownComponent):
     """d = a sin(ω(t − start) + φ) from the start on; the defaults are Example 2's first fault.
 
     Attributes:
@@ -224,15 +260,19 @@ class Sinusoid(_CompiledComponent):
     """
 
     kind: ClassVar[str] = "sinusoid"
-    code: ClassVar[int] = _SINUSOID
     amplitude: float = 0.2
     frequency: float = 3.0
     start: float = 2.0
     phase: float = 0.0
 
+    def _at(self, times: Array) -> Array:
+        since = times - self.start
+        values = self.amplitude * _sine(self.frequency * since + self.phase)
+        return np.where(since >= 0.0, values, 0.0)
+
 
 @dataclass(frozen=True)
-class Ramp(_CompiledComponent):
+class Ramp(_KnownComponent):
     """d = r (t − start) from the start on.
 
     Attributes:
@@ -241,13 +281,15 @@ class Ramp(_CompiledComponent):
     """
 
     kind: ClassVar[str] = "ramp"
-    code: ClassVar[int] = _RAMP
     rate: float = 0.004
     start: float = 10.0
 
+    def _at(self, times: Array) -> Array:
+        return self.rate * np.maximum(0.0, times - self.start)
+
 
 @dataclass(frozen=True)
-class TwoTone(_CompiledComponent):
+class TwoTone(_KnownComponent):
     """d = a (sin 2t + cos 3t) from the start on; the defaults are Example 2's third fault.
 
     Attributes:
@@ -256,13 +298,16 @@ class TwoTone(_CompiledComponent):
     """
 
     kind: ClassVar[str] = "two_tone"
-    code: ClassVar[int] = _TWO_TONE
     amplitude: float = 0.4
     start: float = 0.0
 
+    def _at(self, times: Array) -> Array:
+        values = self.amplitude * (_sine(2.0 * times) + _cosine(3.0 * times))
+        return np.where(times >= self.start, values, 0.0)
+
 
 @dataclass(frozen=True)
-class GaussMarkov(_CompiledComponent):
+class GaussMarkov(_KnownComponent):
     """A drift of bounded variance, ḋ = −d/τ + noise, which leaves zero at its start.
 
     Its variance grows as std² (1 − e^(−2t/τ)). `value` is its mean, zero; the plant adds the random
@@ -275,7 +320,6 @@ class GaussMarkov(_CompiledComponent):
     """
 
     kind: ClassVar[str] = "gauss_markov"
-    code: ClassVar[int] = GAUSS_MARKOV
     std: float = 0.1
     time_constant: float = 20.0
     start: float = 0.0
@@ -287,7 +331,7 @@ class GaussMarkov(_CompiledComponent):
 
 
 @dataclass(frozen=True)
-class StuckSensor(_CompiledComponent):
+class StuckSensor(_KnownComponent):
     """The measured value freezes at the start and stays for a while; it adds nothing.
 
     Attributes:
@@ -296,7 +340,6 @@ class StuckSensor(_CompiledComponent):
     """
 
     kind: ClassVar[str] = "stuck"
-    code: ClassVar[int] = STUCK
     start: float = 30.0
     duration: float = 1.0
 
@@ -305,9 +348,13 @@ class StuckSensor(_CompiledComponent):
         if not self.duration >= 0.0:
             raise ModelError(f"stuck duration: expected at least 0 s, got {self.duration!r}")
 
+    def holds(self, times: Array) -> Flags:
+        """Return whether the measured value is held at times, shape (samples,)."""
+        return (self.start <= times) & (times < self.start + self.duration)
+
 
 @dataclass(frozen=True)
-class Pulses(_CompiledComponent):
+class Pulses(_KnownComponent):
     """d = a for a while from the start on, again and again, or once.
 
     Attributes:
@@ -318,7 +365,6 @@ class Pulses(_CompiledComponent):
     """
 
     kind: ClassVar[str] = "pulses"
-    code: ClassVar[int] = _PULSES
     amplitude: float = 0.5
     start: float = 8.0
     duration: float = 1.5
@@ -327,6 +373,10 @@ class Pulses(_CompiledComponent):
     def __post_init__(self) -> None:
         check_each(non_negative, self, "duration", "interval", prefix="pulses ")
         super().__post_init__()
+
+    def _at(self, times: Array) -> Array:
+        is_on = recurs(times - self.start, self.duration, self.interval)
+        return np.where(is_on, self.amplitude, 0.0)
 
 
 KINDS: dict[str, Component] = {
@@ -362,98 +412,13 @@ def parse_kinds(kinds: str) -> tuple[str, ...]:
     return names
 
 
-def excitation_row(excitation: Excitation) -> Array | None:
-    """Return the row of an excitation, None if its torque is not that of this module."""
-    if not isinstance(excitation, _CompiledExcitation):
-        return None
-    known = type(excitation).torque is _CompiledExcitation.torque
-    return _row(excitation.code, excitation) if known else None
-
-
-def component_row(component: Component) -> Array | None:
-    """Return the row of a component, None if its value is not that of this module."""
-    if not isinstance(component, _CompiledComponent):
-        return None
-    known = type(component).value is _CompiledComponent.value
-    return _row(component.code, component) if known else None
-
-
-def _row(code: int, signal: Any) -> Array:
-    """Return the code and the numbers of a signal, of a subclass those it inherits."""
-    row = np.zeros(ROW)
-    row[0] = code
-    for place, item in enumerate(fields(signal)[: ROW - 1], 1):
-        row[place] = getattr(signal, item.name)
-    return row
-
-
-@compiled
-def torque_at(row: Array, time: float) -> float:
-    """Return the torque [N m] of an excitation's row at a time [s]."""
-    code, a, b, c, d = int(row[0]), float(row[1]), float(row[2]), float(row[3]), float(row[4])
-    if code == _SINE:
-        return a * sine(b * time)
-    if code == _MULTISINE:
-        spacing = (c - b) / max(1.0, d - 1.0)
-        total = 0.0
-        for i in range(int(d)):
-            total += sine((b + i * spacing) * time - math.pi * i * (i + 1) / d)
-        return a / math.sqrt(d) * total
-    if code == _SQUARE:
-        return a if (b * time / math.tau) % 1.0 < 0.5 else -a
-    if code == _CHIRP:
-        within = time % d
-        return a * sine((b + 0.5 * ((c - b) / d) * within) * within)
-    return a if code == _CONSTANT else 0.0
-
-
-@compiled
-def disturbance_at(rows: Array, time: float) -> float:
-    """Return what components add at a time [s], without drifts and stuck sensors [rad]."""
-    total = 0.0
-    for place in range(rows.shape[0]):
-        total += _value_at(rows[place], time)
-    return total
-
-
-@compiled
-def _value_at(row: Array, time: float) -> float:
-    code, a, b, c, d = int(row[0]), float(row[1]), float(row[2]), float(row[3]), float(row[4])
-    if code == _BIAS_STEP:
-        return a if time >= b else 0.0
-    if code == _SINUSOID:
-        return a * sine(b * (time - c) + d) if time - c >= 0.0 else 0.0
-    if code == _RAMP:
-        return a * max(0.0, time - b)
-    if code == _TWO_TONE:
-        return a * (sine(2.0 * time) + cosine(3.0 * time)) if time >= b else 0.0
-    if code == _PULSES:
-        return a if recurs(time - b, c, d) else 0.0
-    return 0.0
-
-
-@compiled
-def recurs(time: float, duration: float, interval: float) -> bool:
-    """Return whether a time [s] is in the first seconds of an interval, or of time itself if 0."""
+def recurs(times: Array, duration: float, interval: float) -> Flags:
+    """Return whether times [s] are in the first seconds of an interval, or of time itself if 0."""
     # The margin keeps a sample that lies on a border on its side, whatever % rounds to.
-    since = time + 1e-9
-    if since < 0.0:
-        return False
-    return (since % interval if interval > 0.0 else since) < duration
+    since = times + 1e-9
+    return (since >= 0.0) & ((since % interval if interval > 0.0 else since) < duration)
 
 
-@compiled
-def is_stuck(rows: Array, time: float) -> bool:
-    """Return whether one of the components holds the measured value at a time [s]."""
-    for place in range(rows.shape[0]):
-        if int(rows[place, 0]) == STUCK:
-            start, duration = float(rows[place, 1]), float(rows[place, 2])
-            if start <= time < start + duration:
-                return True
-    return False
-
-
-@compiled
 def markov_step(period: float, time_constant: float) -> tuple[float, float]:
     """Return what multiplies a Gauss–Markov process of unit variance, and a normal number, added.
 
@@ -461,3 +426,21 @@ def markov_step(period: float, time_constant: float) -> tuple[float, float]:
     """
     decay = exponential(-period / time_constant)
     return decay, math.sqrt(1.0 - decay * decay)
+
+
+def _at_once(formula: Callable[[Array], Array], times: Array) -> Array:
+    """Evaluate a formula, whose numbers may be too large for a sine, without a warning."""
+    with np.errstate(all="ignore"):
+        return formula(times)
+
+
+def _sine(angles: Array) -> Array:
+    """Return the sines of angles that are not used otherwise."""
+    native.take_sines(angles)
+    return angles
+
+
+def _cosine(angles: Array) -> Array:
+    """Return the cosines of angles that are not used otherwise."""
+    native.take_cosines(angles)
+    return angles

@@ -9,45 +9,21 @@ millisecond, with inputs and scheduled signals held from a sample to the next.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Integers, as_matrix, check_names, non_negative, positive
-from tsobs_ros.compiled import compiled, compiled_nogil
+from tsobs_ros.checks import Array, as_matrix, check_names, non_negative, positive
+from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.memberships import rule_weights
-from tsobs_ros.model.stepping import record_type
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.simulation.integrator import LONGEST_SUBSTEP
 from tsobs_ros.simulation.motion import Motion
 from tsobs_ros.simulation.plant import PlantScenario, SimulatedOutput
 from tsobs_ros.simulation.series import Series, Span
-from tsobs_ros.simulation.signals import Excitation, NoTorque, torque_at
+from tsobs_ros.simulation.signals import Excitation, NoTorque
 from tsobs_ros.simulation.streams import RandomStream, Source
-
-_STEPS = record_type([("rate", np.float64), ("substeps", np.int64), ("substep", np.float64)])
-
-
-class Rules(NamedTuple):
-    """The rules of a system, for compiled code.
-
-    Attributes:
-        rates: [Aᵢ Bᵢ], shape (r, n, n + m).
-        outputs: Cᵢ, shape (r, p, n).
-        shapes: Codes of the memberships, shape (r, q).
-        parameters: Of the memberships, shape (r, q, 4).
-        premise: Z, shape (q, n).
-        schedule: Z_s, shape (q, s).
-    """
-
-    rates: Array
-    outputs: Array
-    shapes: Integers
-    parameters: Array
-    premise: Array
-    schedule: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,23 +156,35 @@ class SystemMotion(Motion):
         block: int,
         fed_back: tuple[tuple[int, int], ...] = (),
     ) -> None:
-        coded = model.rule_base.coded
-        # Copies, since compiled code knows arrays that may not be written as another type.
-        self._rules = Rules(
-            np.array(rates),
-            np.array(model.rule_outputs),
-            coded.shapes.copy(),
-            coded.parameters.copy(),
-            np.array(model.premise),
-            np.array(model.schedule),
+        coded, n = model.rule_base.coded, model.state_count
+        self._sizes = np.array(
+            [
+                n,
+                model.input_count,
+                model.schedule.shape[1],
+                model.C.shape[0],
+                *coded.shapes.shape,
+            ],
+            np.int64,
         )
         substeps = max(1, math.ceil(1.0 / rate / LONGEST_SUBSTEP - 1e-9))
-        self._steps = np.zeros(1, _STEPS)
-        self._steps[0] = rate, substeps, 1.0 / rate / substeps
-        self._strengths = np.sqrt(densities / rate / substeps)
-        kicks = substeps * states.shape[1] if densities.any() else 0
+        record = np.zeros(1, record_type(native.simulated_system_layout(self._sizes)))
+        for name, value in {
+            "substeps": substeps,
+            "substep": 1.0 / rate / substeps,
+            "rates": rates.reshape(-1, rates.shape[2]),
+            "outputs": model.rule_outputs.reshape(-1, n),
+            "shapes": coded.shapes.ravel(),
+            "parameters": coded.parameters.reshape(-1, 4),
+            "premise": model.premise,
+            "schedule": model.schedule,
+            "strengths": np.sqrt(densities / rate / substeps),
+        }.items():
+            record[name] = value
+        self._numbers, self._outputs = record.view(np.float64), model.rule_outputs
+        kicks = substeps * n if densities.any() else 0
         signals = model.input_count + model.schedule.shape[1]
-        super().__init__(seeds, states, kicks, signals, 0, block)
+        super().__init__(seeds, states, kicks, signals, 0, rate, block)
         self._fed_back = fed_back
 
     @property
@@ -206,7 +194,7 @@ class SystemMotion(Motion):
 
     def known_outputs(self) -> Array:
         """Return the present true values of the outputs that are fed back, shape (runs, p)."""
-        C = self._rules.outputs
+        C = self._outputs
         values = np.zeros((len(self.states), C.shape[1]))
         for _, output in self._fed_back:
             # Term by term: a product of matrices has other last bits for another number of runs.
@@ -216,105 +204,17 @@ class SystemMotion(Motion):
 
     def move(self, span: Span, series: Series) -> None:
         """Write the next samples of every run and move on; see `Motion.move`."""
-        _move_systems(
-            self._steps,
-            self._rules,
-            self._strengths,
-            self.excitations,
+        runs, samples = len(self.states), span.samples
+        states = np.empty((runs, samples, self.states.shape[1]))
+        truths = np.empty((runs, samples, self._outputs.shape[1]))
+        native.simulate_systems(
+            self._sizes,
+            self._numbers,
+            np.ascontiguousarray(span.of(series.inputs)),
+            np.ascontiguousarray(span.drawn_for(self.kicks)),
             self.states,
-            self.kicks,
-            span,
-            series,
+            states,
+            truths,
         )
-
-
-@compiled_nogil
-def _move_systems(
-    steps: Any,
-    rules: Rules,
-    strengths: Array,
-    excitations: Array,
-    present: Array,
-    kicks: Array,
-    span: Span,
-    series: Series,
-) -> None:
-    """Move every system, sample by sample; see `Motion.move`."""
-    n, p, signals = present.shape[1], rules.outputs.shape[1], excitations.shape[0]
-    substeps, h = int(steps[0].substeps), float(steps[0].substep)
-    z, weights = np.empty(rules.premise.shape[0]), np.empty(rules.rates.shape[0])
-    start, middle, slope, total = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    held = np.empty(signals)
-    for step in range(span.samples):
-        draw, place = span.drawn + step, span.place + step
-        time = (span.start + step) / float(steps[0].rate)
-        for run in range(present.shape[0]):
-            state = present[run]
-            for item in range(signals):
-                if not series.given[item]:
-                    series.inputs[run, place, item] = torque_at(excitations[item], time)
-                held[item] = series.inputs[run, place, item]
-            weigh(rules, state, held, z, weights)
-            for row in range(n):
-                series.states[run, place, row] = state[row]
-            for row in range(p):
-                series.truths[run, place, row] = blended(rules.outputs, weights, row, state, held)
-            for substep in range(substeps):
-                for row in range(n):
-                    start[row] = middle[row] = state[row]
-                    total[row] = 0.0
-                for stage in range(4):
-                    weigh(rules, middle, held, z, weights)
-                    for row in range(n):
-                        slope[row] = blended(rules.rates, weights, row, middle, held)
-                    for row in range(n):
-                        total[row] += slope[row] if stage == 0 or stage == 3 else 2.0 * slope[row]
-                        middle[row] = start[row] + (h if stage == 2 else 0.5 * h) * slope[row]
-                for row in range(n):
-                    state[row] = start[row] + h / 6.0 * total[row]
-                    if kicks.shape[2] > 0:
-                        state[row] += strengths[row] * float(kicks[run, draw, substep * n + row])
-
-
-@compiled
-def weigh(rules: Rules, state: Array, held: Array, z: Array, weights: Array) -> None:
-    """Write the weights of the rules at a state, and the premise variables.
-
-    Args:
-        rules: The system's.
-        state: x, shape (n,).
-        held: Inputs and scheduled signals, shape (m + s,).
-        z: Z x + Z_s s, written, shape (q,).
-        weights: h(z), written, shape (r,).
-    """
-    offset = held.shape[0] - rules.schedule.shape[1]
-    for row in range(z.shape[0]):
-        value = 0.0
-        for item in range(state.shape[0]):
-            value += rules.premise[row, item] * state[item]
-        for item in range(rules.schedule.shape[1]):
-            value += rules.schedule[row, item] * held[offset + item]
-        z[row] = value
-    rule_weights(rules.shapes, rules.parameters, z, weights)
-
-
-@compiled
-def blended(matrices: Array, weights: Array, row: int, state: Array, held: Array) -> float:
-    """Return a row of Σ hᵢ Mᵢ [x; u].
-
-    Args:
-        matrices: Mᵢ, shape (r, rows, n) or (r, rows, n + m).
-        weights: h, shape (r,).
-        row: Its number.
-        state: x, shape (n,).
-        held: u and more, shape (m or more,).
-    """
-    n, total = state.shape[0], 0.0
-    for rule in range(matrices.shape[0]):
-        value = 0.0
-        for item in range(n):
-            value += matrices[rule, row, item] * state[item]
-        for item in range(matrices.shape[2] - n):
-            value += matrices[rule, row, n + item] * held[item]
-        total += weights[rule] * value
-    return total
+        span.of(series.states)[...] = states
+        span.of(series.truths)[...] = truths

@@ -1,0 +1,204 @@
+/* Copyright 2026 The tsobs_ros contributors
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "simulate.h"
+
+#include <string.h>
+
+#include "flow.h"
+#include "trigonometry.h"
+
+/* Speed below which Coulomb friction is proportional to the speed [rad/s]. */
+#define CREEP 0.01
+
+/* Return Coulomb friction of a level, a torque [N m] or a deceleration [rad/s2]. */
+static double rub(double level, double speed)
+{
+    const double share = speed / CREEP;
+    if (!(level > 0.0)) {
+        return 0.0;
+    }
+    return level * (share < -1.0 ? -1.0 : share > 1.0 ? 1.0 : share);
+}
+
+/* Write the slope of an arm's state x, (4), by the motor's drive and the link's brake [rad/s2]. */
+static void arm_slope(
+    const simulated_arm *arm, const double *x, double drive, double brake, double *slope)
+{
+    const double twist = x[2] - x[0];
+    slope[0] = x[1];
+    slope[1] = *arm->link_spring * twist - *arm->gravity * sine(x[0]) - *arm->link_drag * x[1] -
+               rub(*arm->link_rub, x[1]) - brake;
+    slope[2] = x[3];
+    slope[3] = drive - *arm->motor_spring * twist - *arm->motor_drag * x[3] -
+               rub(*arm->motor_rub, x[3]);
+}
+
+/* Write a state that lies a time along a slope, x + t k. */
+static void reach(const double *x, double time, const double *slope, double *result)
+{
+    for (int i = 0; i < 4; i++) {
+        result[i] = x[i] + time * slope[i];
+    }
+}
+
+/* Move an arm's state x, (4), by one integration step. */
+static void step_arm(const simulated_arm *arm, double drive, double brake, double *x)
+{
+    const double h = *arm->substep;
+    double a[4], b[4], c[4], d[4], at[4];
+    arm_slope(arm, x, drive, brake, a);
+    reach(x, 0.5 * h, a, at);
+    arm_slope(arm, at, drive, brake, b);
+    reach(x, 0.5 * h, b, at);
+    arm_slope(arm, at, drive, brake, c);
+    reach(x, h, c, at);
+    arm_slope(arm, at, drive, brake, d);
+    for (int i = 0; i < 4; i++) {
+        x[i] += h / 6.0 * (a[i] + 2.0 * (b[i] + c[i]) + d[i]);
+    }
+}
+
+/* Turn pushes on motor and link into the torques that an arm without friction and payload would
+ * need: less friction, and on the link less what turns the payload and holds it,
+ * dJ q1'' + dmgl sin q1. */
+static void less_friction_and_payload(const simulated_arm *arm, const double *x, double *torques)
+{
+    const double push = torques[1], inertia = *arm->added_inertia, weight = *arm->added_gravity;
+    torques[0] = torques[0] - *arm->motor_viscous * x[3] - rub(*arm->motor_coulomb, x[3]);
+    torques[1] = push - *arm->link_viscous * x[1] - rub(*arm->link_coulomb, x[1]);
+    if (inertia > 0.0 || weight > 0.0) {
+        const double pull = *arm->gravity * sine(x[0]);
+        double speeding = *arm->link_spring * (x[2] - x[0]) - pull - *arm->link_drag * x[1];
+        speeding -= rub(*arm->link_rub, x[1]);
+        speeding += push / *arm->link_inertia;
+        torques[1] -= inertia * speeding + weight * sine(x[0]);
+    }
+}
+
+void simulate_arms(
+    const simulated_arm *arms, const int64_t *carried, const double *inputs, const double *kicks,
+    double *present, double *states, double *torques, long runs, long samples)
+{
+    for (long run = 0; run < runs; run++) {
+        double *x = present + 4 * run;
+        for (long k = 0; k < samples; k++) {
+            const simulated_arm *arm = &arms[carried[k]];
+            /* Subtracted, so that a push of zero changes no bit, the sign of a zero included. */
+            const double drive =
+                *inputs++ / *arm->motor_inertia - (0.0 - torques[0]) / *arm->motor_inertia;
+            const double brake = (0.0 - torques[1]) / *arm->link_inertia;
+            memcpy(states, x, 4 * sizeof *x);
+            less_friction_and_payload(arm, x, torques);
+            for (int64_t step = 0; step < *arm->substeps; step++) {
+                step_arm(arm, drive, brake, x);
+                if (kicks != NULL) {
+                    x[1] += *arm->link_kick * *kicks++;
+                    x[3] += *arm->motor_kick * *kicks++;
+                }
+            }
+            states += 4;
+            torques += 2;
+        }
+    }
+}
+
+/* Write the weights of a system's rules at a state x and inputs and scheduled signals `held`. */
+static void weigh(
+    const simulated_system *system, const system_sizes *s, const double *x, const double *held)
+{
+    for (long row = 0; row < s->premises; row++) {
+        double value = 0.0;
+        for (long i = 0; i < s->n; i++) {
+            value += system->premise[row * s->n + i] * x[i];
+        }
+        for (long i = 0; i < s->scheduled; i++) {
+            value += system->schedule[row * s->scheduled + i] * held[s->m + i];
+        }
+        system->z[row] = value;
+    }
+    rule_weights(
+        system->shapes, system->parameters, system->z, system->weights, s->rules, s->premises);
+}
+
+/* Write sum h_i M_i [x; u] for matrices M_i (rows, n + m), with weights h. */
+static void blend(
+    const double *matrices, const double *weights, const system_sizes *s, long rows, long m,
+    const double *x, const double *u, double *result)
+{
+    const long width = s->n + m;
+    for (long row = 0; row < rows; row++) {
+        result[row] = 0.0;
+        for (long rule = 0; rule < s->rules; rule++) {
+            const double *line = matrices + (rule * rows + row) * width;
+            double value = 0.0;
+            for (long i = 0; i < s->n; i++) {
+                value += line[i] * x[i];
+            }
+            for (long i = 0; i < m; i++) {
+                value += line[s->n + i] * u[i];
+            }
+            result[row] += weights[rule] * value;
+        }
+    }
+}
+
+/* Move a system's state x by one integration step. */
+static void step_system(
+    const simulated_system *system, const system_sizes *s, const double *held, double *x)
+{
+    const double h = *system->substep;
+    for (long i = 0; i < s->n; i++) {
+        system->start[i] = x[i];
+        system->total[i] = 0.0;
+    }
+    for (int stage = 0; stage < 4; stage++) {
+        const double share = stage == 0 || stage == 3 ? 1.0 : 2.0;
+        const double time = stage == 2 ? h : 0.5 * h;
+        weigh(system, s, x, held);
+        blend(system->rates, system->weights, s, s->n, s->m, x, held, system->slope);
+        for (long i = 0; i < s->n; i++) {
+            system->total[i] += share * system->slope[i];
+            x[i] = system->start[i] + time * system->slope[i];
+        }
+    }
+    for (long i = 0; i < s->n; i++) {
+        x[i] = system->start[i] + h / 6.0 * system->total[i];
+    }
+}
+
+void simulate_systems(
+    const simulated_system *system, const system_sizes *s, const double *inputs,
+    const double *kicks, double *present, double *states, double *truths, long runs, long samples)
+{
+    for (long run = 0; run < runs; run++) {
+        double *x = present + s->n * run;
+        for (long k = 0; k < samples; k++) {
+            memcpy(states, x, (size_t)s->n * sizeof *x);
+            weigh(system, s, x, inputs);
+            blend(system->outputs, system->weights, s, s->p, 0, x, inputs, truths);
+            for (int64_t step = 0; step < *system->substeps; step++) {
+                step_system(system, s, inputs, x);
+                for (long i = 0; kicks != NULL && i < s->n; i++) {
+                    x[i] += system->strengths[i] * *kicks++;
+                }
+            }
+            inputs += s->m + s->scheduled;
+            states += s->n;
+            truths += s->p;
+        }
+    }
+}
+
+void gauss_markov(
+    double decay, double strength, double *present, double *series, long runs, long samples)
+{
+    for (long run = 0; run < runs; run++) {
+        double now = present[run];
+        for (long k = 0; k < samples; k++, series++) {
+            now = decay * now + strength * *series;
+            *series = now;
+        }
+        present[run] = now;
+    }
+}
