@@ -94,7 +94,7 @@ class Sensors:
             self._streams += [(normal, self._noise[output]), (uniform, self._luck[output])]
         # Of Student's t, with as many numbers a sample as its degrees of freedom.
         self._tails: list[tuple[RandomStream, Array] | None] = [None] * count
-        # True values before the next sample, one more than the latency has samples; or not known.
+        # True values of the last samples, as many as the latency has; None if not known.
         self._past: list[Array | None] = [None] * count
         self._last, self._frozen = np.zeros((2, count, runs))
         self._was_stuck, self._was_lost = np.zeros((2, count), np.bool_)
