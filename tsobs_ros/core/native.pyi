@@ -148,6 +148,7 @@ def advance_all(
 
     No covariance is moved if there are no numbers of it; y is read by integrated observers only.
     """
+
 def simulated_arm_layout() -> Layout: ...
 def simulated_system_layout(sizes: Counts, /) -> Layout: ...
 def simulate_arms(
