@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag, expm
 
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, ramp, sinusoid
 from tsobs_ros.model.flow import ArmFlow, ForceFlow, GapFlow, ProcessNoise, slope_range
-from tsobs_ros.model.linear_flow import LinearFlow, cut_into_steps
+from tsobs_ros.model.linear_flow import LinearFlow
+from tsobs_ros.model.prediction import flow_record
 from tsobs_ros.model.uncertainty import ARM_DIRECTIONS, arm_uncertainty
 
 Array = NDArray[np.float64]
@@ -95,7 +97,7 @@ def slope_by_differences(flow: ArmFlow, x: Array, u: Array, duration: float) -> 
 
 def cut(flow: ArmFlow, duration: float) -> list[float]:
     """Return the lengths of the steps that a duration is taken in [s]."""
-    whole, rest = cut_into_steps(duration, flow.period)
+    whole, rest = native.cut_into_steps(duration, flow.period)
     return [flow.period] * whole + [rest] * (rest > 0.0)
 
 
@@ -457,3 +459,51 @@ def test_output_and_slopes_of_the_augmented_state() -> None:
     assert (flow.slope_matrix(0.3) == expected).all()
     for x_max, lowest in ((0.5, math.cos(0.5)), (math.pi / 2, 0.0), (math.pi, -1.0), (7.0, -1.0)):
         assert slope_range(x_max) == (pytest.approx(lowest, abs=1e-15), 1.0)
+
+
+def test_records_that_are_none_and_arrays_that_are_too_short_are_refused() -> None:
+    flow = shipped()
+    record, n = flow_record(flow).view(np.float64), flow.state_count
+    scratch, none = np.empty(native.flow_scratch_size(*flow.sizes())), np.empty(0)
+    x, u = np.zeros(n), np.zeros(1)
+
+    def advance(model: Array = record, held: Array = u, duration: float = 0.01) -> None:
+        native.advance_all(model, x, none, none, none, none, held, duration, scratch)
+
+    advance()
+    for wrong in (none, record[:-1], np.zeros_like(record)):
+        with pytest.raises(ValueError, match="advance_all: flow: expected the record of a model"):
+            advance(wrong)
+    with pytest.raises(ValueError, match="advance_all: u: expected at least 1 numbers, got 0"):
+        advance(held=none)
+    for duration in (-0.01, math.nan, math.inf, 1e300):
+        with pytest.raises(ValueError, match="advance_all: duration"):
+            advance(duration=duration)
+    with pytest.raises(ValueError, match="flow_layout: inputs: expected at most m"):
+        native.flow_layout(4, 1, 2, 1, 0, 4, 0, 0)
+
+
+@PROPERTY
+@given(FLOWS, st.data())
+def test_the_regressor_is_the_slope_of_the_estimate_in_the_parameters(
+    flow: ArmFlow, data: st.DataObject
+) -> None:
+    names = data.draw(st.lists(st.sampled_from([*ARM_DIRECTIONS]), unique=True, min_size=1))
+    uncertainty = arm_uncertainty(flow.arm, dict.fromkeys(names, 0.1))
+    n, k, x = flow.state_count, len(names), draw_state(data, flow)
+    record = flow_record(flow, uncertainty).view(np.float64)
+    scratch, none = np.empty(native.flow_scratch_size(*flow.sizes(k))), np.empty(0)
+    u, duration = np.array([0.7]), 1.3 * flow.period
+
+    def moved(theta: Array) -> tuple[Array, Array]:
+        after, upsilon = x.copy(), np.zeros((k, n))
+        native.advance_all(record, after, upsilon, none, theta, none, u, duration, scratch)
+        return after, upsilon
+
+    for place in range(k):
+        shift = 1e-5 * np.eye(k)[place]
+        expected = (moved(shift)[0] - moved(-shift)[0]) / 2e-5
+        size = 1.0 + np.abs(x).max() + np.abs(expected).max()
+        np.testing.assert_allclose(
+            moved(np.zeros(k))[1][place], expected, rtol=1e-5, atol=1e-9 * size
+        )

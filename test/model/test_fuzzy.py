@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.fuzzy import SHAPES, Membership, RuleBase, membership, weights_and_slopes
-from tsobs_ros.model.memberships import rule_weights, rule_weights_and_slopes
 
 Array = NDArray[np.float64]
 NUMBERS = st.floats(-5.0, 5.0)
@@ -231,8 +231,8 @@ def test_single_premises_have_the_bits_of_a_batch() -> None:
     r = MIXED.rule_count
     weights, same, slopes = np.empty(r), np.empty(r), np.empty((r, 2))
     for place, one in enumerate(z):
-        rule_weights(*MIXED.coded, one, weights)
-        rule_weights_and_slopes(*MIXED.coded, one, same, slopes)
+        native.weights_of_each(*MIXED.coded, one, weights, r, 2)
+        native.weights_and_slopes_of_each(*MIXED.coded, one, same, slopes, r, 2)
         assert weights.tobytes() == same.tobytes() == batch[place].tobytes()
         assert slopes.tobytes() == all_slopes[place].tobytes()
     assert (batch == MIXED.weights(z)).all()
@@ -243,7 +243,8 @@ def test_single_premises_have_the_bits_of_a_batch() -> None:
 )
 def test_where_no_rule_fires_compiled_weights_are_not_numbers(rule: Membership, z: float) -> None:
     weights, slopes = np.zeros(1), np.zeros((1, 1))
-    rule_weights_and_slopes(*RuleBase(((rule,),)).coded, np.array([z]), weights, slopes)
+    coded = RuleBase(((rule,),)).coded
+    native.weights_and_slopes_of_each(*coded, np.array([z]), weights, slopes, 1, 1)
     assert np.isnan([weights, slopes[0]]).all()
 
 

@@ -1,8 +1,7 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Small matrices in compiled loops against NumPy, in arrays that have room for more."""
+"""Small matrices in compiled loops against NumPy."""
 
-import math
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tsobs_ros.core import native
 from tsobs_ros.model import matrices
 
 Array = NDArray[np.float64]
@@ -19,75 +19,53 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def drawn(seed: int) -> Any:
-    """Return what makes arrays with room for more, full of NaN there, and their part in use."""
+    """Return what makes random arrays of some size."""
     rng = np.random.default_rng(seed)
 
-    def make(*shape: int) -> tuple[Array, Array]:
-        room = np.full([size + int(rng.integers(0, 3)) for size in shape], math.nan)
-        part = room[tuple(map(slice, shape))]
-        part[...] = rng.standard_normal(shape) * 10.0 ** rng.integers(-3, 4)
-        return room, part
+    def make(*shape: int) -> Array:
+        return rng.standard_normal(shape) * 10.0 ** rng.integers(-3, 4)
 
     return make
 
 
-def square(part: Array, least: float = 0.0) -> None:
-    """Make a symmetric matrix without negative eigenvalues out of any."""
-    part[...] = part @ part.T
-    part[...] += least * np.trace(part) * np.eye(len(part))
-
-
-@pytest.mark.parametrize("width", [8, 12, 16])
-def test_padded_products_have_the_bits_of_those_without_room(width: int) -> None:
-    rng, n = np.random.default_rng(width), width - 3
-    a, b, plain, padded = (np.zeros((width, width)) for _ in range(4))
-    a[:n, :n], b[:] = rng.standard_normal((n, n)), rng.standard_normal((width, width))
-    matrices.multiply(a, b, plain, n, n, n)
-    matrices.multiply_padded(a, b, padded, n, width)
-    assert padded[:n, :n].tobytes() == plain[:n, :n].tobytes()
+def square(matrix: Array, least: float = 0.0) -> Array:
+    """Return a symmetric matrix without negative eigenvalues made of any."""
+    product = matrix @ matrix.T
+    return np.asarray(product + least * np.trace(product) * np.eye(len(matrix)))
 
 
 @given(SEEDS, SIZES, SIZES, SIZES)
 def test_products_are_those_of_numpy(seed: int, rows: int, inner: int, columns: int) -> None:
     make = drawn(seed)
-    (a, A), (b, B), (s, S), (x, X) = (
-        make(rows, inner), make(inner, columns), make(inner, inner), make(inner)
+    A, B, S, W = (
+        make(rows, inner), make(inner, columns), square(make(inner, inner)), make(rows, rows)
     )  # fmt: skip
-    (w, W), (scratch, _), (vector, V) = make(rows, rows), make(rows, inner), make(rows)
-    result, R = make(rows, columns)
-    square(S)
-    square(W)
+    W = square(W)
     close = {"rtol": 1e-11, "atol": 1e-11 * (np.abs(A).max() ** 2 * np.abs(S).max() + 1e-3)}
-
-    matrices.multiply(a, b, result, rows, inner, columns)
-    np.testing.assert_allclose(R, A @ B, rtol=1e-11, atol=1e-13 * np.abs(A).max() * np.abs(B).max())
-    matrices.apply(a, x, vector, rows, inner)
-    np.testing.assert_allclose(V, A @ X, rtol=1e-11, atol=1e-13 * np.abs(A).max() * np.abs(X).max())
-    assert matrices.dot(x, x, inner) == pytest.approx(X @ X, rel=1e-12)
-    assert matrices.quadratic(s, x, inner) == pytest.approx(X @ S @ X, rel=1e-9)
+    result = np.empty((rows, columns))
+    native.multiply(A, B, result, rows, inner, columns)
+    size = np.abs(A).max() * np.abs(B).max()
+    np.testing.assert_allclose(result, A @ B, rtol=1e-11, atol=1e-13 * size)
+    assert matrices.product(A, B).tobytes() == result.tobytes()
 
     expected = A @ S @ A.T + W
-    matrices.congruence(a, s, w, scratch, w, rows, inner)
-    np.testing.assert_allclose(W, expected, **close)
-    assert (W == W.T).all()
-    np.testing.assert_allclose(matrices.product(A, B), A @ B, **close | {"atol": 1e-3})
+    assert matrices.congruent(A, S, W).tolist() == matrices.congruent(A, S, W).T.tolist()
+    np.testing.assert_allclose(matrices.congruent(A, S, W), expected, **close)
     np.testing.assert_allclose(matrices.congruent(A, S), A @ S @ A.T, **close)
+    if rows == inner:
+        native.congruence(A, S, W, np.empty((rows, inner)), S, rows, inner)
+        np.testing.assert_allclose(S, expected, **close)
 
 
 @given(SEEDS, SIZES, SIZES)
 def test_solutions_are_those_of_numpy(seed: int, n: int, columns: int) -> None:
     make = drawn(seed)
-    (s, S), (b, B), (factor, _), (result, X) = (
-        make(n, n),
-        make(n, columns),
-        make(n, n),
-        make(n, columns),
-    )
-    square(S, least=1e-3)
-    matrices.solve(s, b, factor, result, n, columns)
+    S, B = square(make(n, n), least=1e-3), make(n, columns)
+    X = np.empty((n, columns))
+    native.solve(S, B, np.empty((n, n)), X, n, columns)
     expected = np.linalg.solve(S, B)
     np.testing.assert_allclose(X, expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max())
-    matrices.solve(s, b, factor, b, n, columns)
+    native.solve(S, B, np.empty((n, n)), B, n, columns)
     assert (B == X).all()
     unit = np.abs(np.linalg.inv(S)).max()
     np.testing.assert_allclose(matrices.inverse(S), np.linalg.inv(S), rtol=1e-8, atol=1e-10 * unit)
@@ -97,9 +75,7 @@ def test_solutions_are_those_of_numpy(seed: int, n: int, columns: int) -> None:
 def test_josephs_form_is_positive_for_any_gain(seed: int, n: int, p: int) -> None:
     """Also with more outputs than states."""
     make = drawn(seed)
-    (_, C), (_, R), (_, S), (_, K) = make(p, n), make(p, p), make(n, n), make(n, p)
-    square(R)
-    square(S)
+    C, R, S, K = make(p, n), square(make(p, p)), square(make(n, n)), make(n, p)
     closed = np.eye(n) - K @ C
     expected = closed @ S @ closed.T + K @ R @ K.T
     after = matrices.joseph(C, R, S, K)
@@ -111,14 +87,11 @@ def test_josephs_form_is_positive_for_any_gain(seed: int, n: int, p: int) -> Non
 
 @given(SEEDS, st.integers(1, 6), st.floats(0.0, 10.0))
 def test_pivots_find_what_the_smallest_eigenvalue_does(seed: int, n: int, level: float) -> None:
-    make = drawn(seed)
-    (s, S), (bound, B), (scratch, _) = make(n, n), make(n, n), make(n, n)
-    square(S)
-    B[...] = level * np.eye(n)
+    S, B, scratch = square(drawn(seed)(n, n)), level * np.eye(n), np.empty((n, n))
     smallest = float(np.linalg.eigvalsh(S)[0])
     if abs(smallest - level) > 1e-9 * (1.0 + np.abs(S).max()):
-        assert matrices.is_below(bound, s, scratch, n) == (smallest > level)
-        assert not matrices.is_below(s, bound, scratch, n) or n == 1 or smallest <= level
+        assert native.is_below(B, S, scratch, n) == (smallest > level)
+        assert not native.is_below(S, B, scratch, n) or n == 1 or smallest <= level
 
 
 @pytest.mark.parametrize(
@@ -134,9 +107,19 @@ def test_pivots_find_what_the_smallest_eigenvalue_does(seed: int, n: int, level:
     ],
 )
 def test_zero_is_no_negative_eigenvalue_and_nan_none_at_all(matrix: Array, verdict: bool) -> None:
-    assert matrices.is_nonnegative(matrix.copy(), 2) is verdict
+    assert native.is_below(np.zeros((2, 2)), matrix, np.empty((2, 2)), 2) is verdict
 
 
 @pytest.mark.parametrize("matrix", [np.zeros((2, 2)), np.ones((2, 2)), np.full((2, 2), np.nan)])
 def test_a_singular_matrix_has_no_finite_inverse(matrix: Array) -> None:
     assert not np.isfinite(matrices.inverse(matrix)).all()
+
+
+def test_too_short_arrays_and_impossible_sizes_are_refused() -> None:
+    four, three = np.zeros(4), np.zeros(3)
+    with pytest.raises(ValueError, match="multiply: result: expected at least 4 numbers, got 3"):
+        native.multiply(four, four, three, 2, 2, 2)
+    with pytest.raises(ValueError, match="solve: n: expected a size of 0 to 4096, got -1"):
+        native.solve(four, four, four, four, -1, 1)
+    with pytest.raises(ValueError, match="joseph_form: scratch"):
+        native.joseph_form(four, four, four, four, four, four, 2, 2)
