@@ -59,9 +59,11 @@ class LinearFlow:
         self.reach = STRETCH * period / max(1.0, STRETCH * turn)
         self._n, self._m = B.shape
         self.series = np.zeros((MAX_TERMS, self._n * (2 * self._n + self._m)))
-        rows = (np.array(each, np.float64, order="C") for each in (A, B, W))
-        scratch = np.empty(self._n * (4 * self._n + 2 * self._m))
-        self.terms = native.fill_series(*rows, self.reach, self.series, scratch, self._n, self._m)
+        drift, forced, density = (np.array(each, np.float64, order="C") for each in (A, B, W))
+        n, m, scratch = self._n, self._m, np.empty(self._n * (4 * self._n + 2 * self._m))
+        self.terms = native.fill_series(
+            drift, forced, density, self.reach, self.series, scratch, n, m
+        )
         if not all(np.isfinite(part).all() for part in self.over(period)):
             raise ModelError(
                 f"flow: every entry over a step of {period:.4g} s must be finite; "
