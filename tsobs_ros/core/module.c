@@ -154,6 +154,7 @@ static int module_exec(PyObject *module)
         scores_methods,
         estimator_methods,
         simulate_methods,
+        history_methods,
     };
     size_t i;
     memory_type = (PyTypeObject *)PyType_FromSpec(&memory_spec);

@@ -174,3 +174,85 @@ def simulate_systems(
 def gauss_markov(decay: float, strength: float, present: Numbers, series: Numbers, /) -> None: ...
 def take_sines(angles: Numbers, /) -> None: ...
 def take_cosines(angles: Numbers, /) -> None: ...
+def history_layout() -> Layout: ...
+def history_scratch_size(model: Numbers, slots: int, /) -> int: ...
+def history_is_sound(
+    model: Numbers, memory: Numbers, ring: Numbers, scratch: Numbers, /
+) -> bool: ...
+def history_offer(
+    model: Numbers,
+    memory: Numbers,
+    ring: Numbers,
+    scratch: Numbers,
+    stamps: Counts,
+    y: Numbers,
+    u: Numbers,
+    now: int,
+    outcomes: Counts,
+    output_codes: Counts,
+    innovations: Numbers,
+    expected_std: Numbers,
+    /,
+) -> None: ...
+def history_estimate(
+    model: Numbers,
+    memory: Numbers,
+    ring: Numbers,
+    scratch: Numbers,
+    stamp: int,
+    row: Numbers,
+    /,
+) -> bool: ...
+def history_follow(
+    model: Numbers,
+    memory: Numbers,
+    ring: Numbers,
+    scratch: Numbers,
+    stamps: Counts,
+    y: Numbers,
+    u: Numbers,
+    rows: Numbers,
+    /,
+) -> None: ...
+def history_copy(
+    model: Numbers,
+    memory: Numbers,
+    ring: Numbers,
+    scratch: Numbers,
+    other_model: Numbers,
+    other_memory: Numbers,
+    other_ring: Numbers,
+    other_scratch: Numbers,
+    /,
+) -> None: ...
+def history_forget(model: Numbers, memory: Numbers, ring: Numbers, scratch: Numbers, /) -> None: ...
+def replay_advance(
+    model: Numbers,
+    memory: Numbers,
+    ring: Numbers,
+    scratch: Numbers,
+    stamps: Counts,
+    y: Numbers,
+    u: Numbers,
+    evidence: Counts,
+    begins: Counts,
+    tick_stamps: Counts,
+    now: Counts,
+    min_known: Counts,
+    max_known: Counts,
+    reset_after: Counts,
+    estimates: Numbers,
+    outcomes: Counts,
+    output_codes: Counts,
+    innovations: Numbers,
+    expected_std: Numbers,
+    ticks_of_use: Counts,
+    newest: Counts,
+    there: Counts,
+    counts: Counts,
+    rows: Numbers,
+    begin: int,
+    end: int,
+    stale_after: int,
+    /,
+) -> int: ...

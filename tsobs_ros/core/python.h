@@ -55,7 +55,7 @@ extern PyMethodDef messages_methods[];
 extern PyMethodDef faults_methods[];
 extern PyMethodDef scores_methods[];
 extern PyMethodDef estimator_methods[];
-extern PyMethodDef estimator_methods[];
 extern PyMethodDef simulate_methods[];
+extern PyMethodDef history_methods[];
 
 #endif

@@ -1,0 +1,451 @@
+/* Copyright 2026 The tsobs_ros contributors
+ * SPDX-License-Identifier: Apache-2.0
+ */
+#include "history.h"
+
+#include <math.h>
+#include <string.h>
+
+static const double NANOSECONDS = 1e9;
+
+/* --- the ring --- */
+
+/* Return where the numbers of a state are, given its place from the oldest on. */
+static double *numbers_at(const tracker *t, int64_t place)
+{
+    const int64_t slot = (*t->h.first + place) % (t->slots - SPARE);
+    return t->ring + (size_t)slot * t->state_size;
+}
+
+/* Return the state at a place from the oldest on. */
+static state state_at(const tracker *t, int64_t place)
+{
+    state found;
+    state_bind(&found, &t->m.s, numbers_at(t, place));
+    return found;
+}
+
+/* Return the stamp of a state at a place from the oldest on [ns]; it is its first number. */
+static int64_t stamp_at(const tracker *t, int64_t place)
+{
+    return *(const int64_t *)(const void *)numbers_at(t, place);
+}
+
+/* Return the numbers of the state in a gap, and of the one that is read. */
+static double *coasted_numbers(const tracker *t)
+{
+    return t->ring + (size_t)(t->slots - 2) * t->state_size;
+}
+
+static double *shown_numbers(const tracker *t)
+{
+    return t->ring + (size_t)(t->slots - 1) * t->state_size;
+}
+
+static void copy_state(const tracker *t, const double *from, double *to)
+{
+    memcpy(to, from, t->state_size * sizeof *to);
+}
+
+int64_t newest_stamp(const tracker *t)
+{
+    return *t->h.length > 0 ? stamp_at(t, *t->h.length - 1) : 0;
+}
+
+/* Return the number of states in the ring before a stamp [ns]. */
+static int64_t count_before(const tracker *t, int64_t stamp)
+{
+    int64_t low = 0, high = *t->h.length;
+    while (low < high) {
+        const int64_t middle = (low + high) / 2;
+        if (stamp_at(t, middle) < stamp) {
+            low = middle + 1;
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}
+
+const char *tracker_bind(tracker *view, const tracker_memory *given)
+{
+    rewind_sizes sizes;
+    if (model_view(given->model, given->model_length, &view->m) < 0) {
+        return "model: expected a model record";
+    }
+    if (given->memory_length != history_size(NULL)) {
+        return "memory: expected the record of a history";
+    }
+    history_bind(&view->h, NULL, given->memory);
+    view->memory = given->memory;
+    view->ring = given->ring;
+    view->state_size = state_size(&view->m.s);
+    view->slots = (int64_t)(given->ring_length / view->state_size);
+    if (given->ring_length % view->state_size != 0 || view->slots < SPARE + 3) {
+        return "ring: expected states of the model";
+    }
+    if (*view->h.max_steps < 1 || *view->h.max_steps > view->slots - SPARE - 2) {
+        return "memory: expected max_steps that the ring has states for";
+    }
+    if (*view->h.first < 0 || *view->h.first >= view->slots - SPARE || *view->h.length < 0 ||
+        *view->h.length > *view->h.max_steps + 1 || (*view->h.has_base & ~(int64_t)1) != 0 ||
+        *view->h.length < *view->h.has_base) {
+        return "memory: expected places in the ring";
+    }
+    if (*view->h.span < 0 || *view->h.future < 0 || *view->h.restart_after < 0) {
+        return "memory: expected times of at least 0";
+    }
+    sizes.s = &view->m.s;
+    sizes.slots = view->slots;
+    if (given->scratch_length < rewind_scratch_size(&sizes)) {
+        return "scratch: expected more room";
+    }
+    rewind_scratch_bind(&view->later, &sizes, given->scratch);
+    correction_bind(&view->effect, &view->m.s, view->later.effect);
+    readout_bind(&view->said, &view->m.s, view->later.said);
+    work_bind(&view->scratch, &view->m.s, view->later.work);
+    return NULL;
+}
+
+int are_states_sound(const tracker *t)
+{
+    int64_t slot;
+    for (slot = 0; slot < t->slots; slot++) {
+        state each;
+        state_bind(&each, &t->m.s, t->ring + (size_t)slot * t->state_size);
+        if (!state_is_sound(&t->m, &each)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* --- measurements --- */
+
+/* Return whether an output and all inputs are numbers, but for a torque, which is judged. */
+static int is_readable(const tracker *t, const double *y, const double *u)
+{
+    int has_output = 0, has_inputs = 1;
+    int64_t i;
+    for (i = 0; i < t->m.s.p; i++) {
+        has_output |= isfinite(y[i]) != 0;
+    }
+    for (i = 0; i < t->m.s.m; i++) {
+        has_inputs &= isfinite(u[i]) != 0;
+    }
+    return has_output && (has_inputs || *t->m.torque_limit > 0.0);
+}
+
+/* Return why a measurement cannot be used, or USED. */
+static int64_t refusal(
+    const tracker *t, int64_t stamp, const double *y, const double *u, int64_t now)
+{
+    const int64_t newest = newest_stamp(t);
+    int64_t place;
+    if (!is_readable(t, y, u)) {
+        return NON_FINITE;
+    }
+    if (stamp <= 0) {
+        return ZERO_STAMP;
+    }
+    if (stamp - *t->h.future > now) {
+        return FROM_FUTURE;
+    }
+    if (*t->h.length == 0 || stamp > newest) {
+        return USED;
+    }
+    if (stamp < newest - *t->h.span || (*t->h.has_base != 0 && stamp <= stamp_at(t, 0))) {
+        return TOO_OLD;
+    }
+    place = count_before(t, stamp);
+    return place < *t->h.length && stamp_at(t, place) == stamp ? DUPLICATE : USED;
+}
+
+/* Correct a state by a measurement, from the initial one if it starts; start over, and count that,
+ * if the state is not finite. */
+static void correct_or_start(
+    tracker *t, double *numbers, state *at, const double *y, const double *u, int starts,
+    int64_t *restarts, int64_t *failures)
+{
+    const int64_t p = t->m.s.p;
+    int attempt;
+    for (attempt = 0; attempt < 2; attempt++) {
+        double total = 0.0;
+        int64_t i, j;
+        if (starts) {
+            copy_state(t, t->m.initial, numbers);
+        }
+        take_torque(&t->m, at, u);
+        correct(&t->m, at, y, &t->effect);
+        for (i = 0; i < p; i++) {
+            if (isfinite(y[i])) {
+                total += t->effect.innovation[i];
+            }
+            for (j = 0; j < p; j++) {
+                total += t->effect.innovation_covariance[i * p + j];
+            }
+        }
+        if (attempt > 0 || isfinite(total)) {
+            return;
+        }
+        starts = 1;
+        *restarts += 1;
+        *failures += 1;
+    }
+}
+
+/* Forget what is out of reach of a late measurement, and what is too much. */
+static void forget_oldest(tracker *t, int64_t stamp)
+{
+    history *h = &t->h;
+    for (;;) {
+        const int64_t steps = *h->length - *h->has_base;
+        const int has_expired = stamp_at(t, *h->has_base) < stamp - *h->span;
+        if (!has_expired && steps <= *h->max_steps) {
+            return;
+        }
+        *h->forgotten += has_expired ? 0 : 1;
+        if (*h->has_base != 0) {
+            *h->first = (*h->first + 1) % (t->slots - SPARE);
+            *h->length -= 1;
+        }
+        *h->has_base = 1;
+    }
+}
+
+/* Predict to a measurement from the newest state, correct, and remember; return the outcome. */
+static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double *u)
+{
+    history *h = &t->h;
+    double *numbers = numbers_at(t, *h->length);
+    int64_t gated = 0, implausible = 0, restarts = 0, failures = 0, code, i;
+    int starts = *h->length == 0, is_used = 0;
+    state at = state_at(t, *h->length);
+    if (!starts) {
+        const state last = state_at(t, *h->length - 1);
+        gated = *last.gated;
+        implausible = *last.implausible;
+        restarts = *last.restarts;
+        failures = *last.failures;
+        if (stamp - *last.stamp > *h->restart_after) {
+            starts = 1;
+            restarts += 1;
+        } else {
+            const double duration = (double)(stamp - *last.stamp) / NANOSECONDS;
+            copy_state(t, numbers_at(t, *h->length - 1), numbers);
+            predict(&t->m, &at, last.held, duration, 0, &t->scratch);
+        }
+    }
+    correct_or_start(t, numbers, &at, y, u, starts, &restarts, &failures);
+    code = *at.torque_unknown != 0 ? IMPLAUSIBLE_TORQUE : USED;
+    for (i = 0; i < t->m.s.p; i++) {
+        is_used |= t->effect.weight[i] > 0.0;
+    }
+    if (!is_used) {
+        code = GATED;
+    }
+    *at.stamp = stamp;
+    memcpy(at.u, u, (size_t)t->m.s.m * sizeof *u);
+    *at.gated = gated + (code == GATED);
+    *at.implausible = implausible + (code == IMPLAUSIBLE_TORQUE);
+    *at.restarts = restarts;
+    *at.failures = failures;
+    *h->length += 1;
+    *h->generation += 1;
+    forget_oldest(t, stamp);
+    return code;
+}
+
+/* Keep the measurements from a place on, to be used again; return how many they are. */
+static int64_t set_aside(tracker *t, int64_t place)
+{
+    const size_t p = (size_t)t->m.s.p, m = (size_t)t->m.s.m;
+    const int64_t late = *t->h.length - place;
+    int64_t j;
+    for (j = 0; j < late; j++) {
+        const state step = state_at(t, place + j);
+        t->later.stamps[j] = *step.stamp;
+        memcpy(t->later.y + (size_t)j * p, step.y, p * sizeof *step.y);
+        memcpy(t->later.u + (size_t)j * m, step.u, m * sizeof *step.u);
+    }
+    *t->h.length = place;
+    return late;
+}
+
+/* Write what became of a measurement that was not refused. */
+static void write_outcome(
+    const tracker *t, const double *y, int64_t code, const outcomes *written, int64_t i)
+{
+    const int64_t p = t->m.s.p;
+    int64_t j;
+    written->codes[i] = code;
+    for (j = 0; j < p; j++) {
+        const double variance = t->effect.innovation_covariance[j * p + j];
+        const int64_t used = t->effect.weight[j] > 0.0 ? USED : GATED;
+        written->output_codes[i * p + j] = isfinite(y[j]) ? used : NON_FINITE;
+        written->innovations[i * p + j] = t->effect.innovation[j];
+        written->expected_std[i * p + j] = variance >= 0.0 ? sqrt(variance) : NAN;
+    }
+}
+
+void offer(tracker *t, const measurements *given, int64_t now, const outcomes *written)
+{
+    const int64_t p = t->m.s.p, m = t->m.s.m;
+    /* In a rewind: how many measurements were set aside, and how many of them were used again. */
+    int64_t late = 0, again = 0, i = 0, j;
+    while (i < given->count || again < late) {
+        /* One that is older than its predecessor waits until a rewind is over. */
+        const int is_repeated =
+            again < late && (i >= given->count || given->stamps[i] > t->later.stamps[again] ||
+                             given->stamps[i] < newest_stamp(t));
+        int64_t stamp, code;
+        const double *y, *u;
+        if (is_repeated) {
+            step_to(t, t->later.stamps[again], t->later.y + again * p, t->later.u + again * m);
+            again++;
+            continue;
+        }
+        stamp = given->stamps[i];
+        y = given->y + i * p;
+        u = given->u + i * m;
+        code = refusal(t, stamp, y, u, now);
+        if (code == USED && again < late && stamp == t->later.stamps[again]) {
+            code = DUPLICATE;
+        }
+        if (code != USED) {
+            t->h.refused[code] += 1;
+            written->codes[i] = code;
+            for (j = 0; j < p; j++) {
+                written->output_codes[i * p + j] = code;
+            }
+            i++;
+            continue;
+        }
+        if (again >= late && *t->h.length > 0 && stamp < newest_stamp(t)) {
+            late = set_aside(t, count_before(t, stamp));
+            again = 0;
+        }
+        *t->h.rewinds += again < late;
+        *t->h.accepted += 1;
+        write_outcome(t, y, step_to(t, stamp, y, u), written, i);
+        i++;
+    }
+}
+
+/* --- estimates --- */
+
+/* Predict from a state at a place into the one that is read, over a time [s].
+ *
+ * Whole periods of a gap are remembered from one call to the next; without that every call in a
+ * long gap would predict through the whole gap again. */
+static void coast(tracker *t, int64_t place, double duration)
+{
+    history *h = &t->h;
+    const double period = *t->m.period;
+    const double *held = state_at(t, place).held;
+    const int64_t whole = duration > 2.0 * period ? (int64_t)floor(duration / period) : 0;
+    const int is_memorable = place == *h->length - 1;
+    int64_t taken = 0;
+    double *numbers = shown_numbers(t);
+    double rest;
+    state shown;
+    state_bind(&shown, &t->m.s, numbers);
+    if (is_memorable && *h->coasted_generation == *h->generation && *h->coasted_periods > 0 &&
+        *h->coasted_periods <= whole) {
+        copy_state(t, coasted_numbers(t), numbers);
+        taken = *h->coasted_periods;
+    } else {
+        copy_state(t, numbers_at(t, place), numbers);
+    }
+    while (taken < whole) {
+        /* First two at once, so that it is no regular step for the estimator. */
+        const int64_t periods = taken == 0 ? 2 : 1;
+        predict(&t->m, &shown, held, (double)periods * period, 0, &t->scratch);
+        taken += periods;
+    }
+    if (whole > 0 && is_memorable) {
+        copy_state(t, numbers, coasted_numbers(t));
+        *h->coasted_periods = whole;
+        *h->coasted_generation = *h->generation;
+    }
+    rest = duration - (double)whole * period;
+    if (rest > 0.0) {
+        predict(&t->m, &shown, held, rest, 1, &t->scratch);
+    }
+}
+
+int estimate_at(tracker *t, int64_t stamp, double *row)
+{
+    int64_t place = *t->h.length - 1, elapsed;
+    double remaining;
+    int is_inside;
+    long end;
+    state shown;
+    if (*t->h.length > 0 && stamp < newest_stamp(t)) {
+        place = count_before(t, stamp + 1) - 1;
+    }
+    if (place < 0) {
+        return 0;
+    }
+    elapsed = stamp - stamp_at(t, place);
+    if (elapsed > *t->h.restart_after) {
+        return 0;
+    }
+    remaining = (double)elapsed / NANOSECONDS;
+    if (elapsed > 0) {
+        coast(t, place, remaining);
+        state_bind(&shown, &t->m.s, shown_numbers(t));
+    } else {
+        shown = state_at(t, place);
+    }
+    read_out(&t->m, &shown, &t->said, &t->scratch);
+    if (*t->said.finite == 0) {
+        *t->h.bad_outputs += 1;
+        return 0;
+    }
+    is_inside = fabs(t->said.state[0]) <= *t->h.x_max;
+    if (!is_inside && (*t->said.basis <= BASIS_LEARNT || *shown.certified != 0)) {
+        *t->said.basis = BASIS_OUTSIDE;
+    }
+    end = write_row(&t->m, &t->said, row);
+    row[end] = is_inside;
+    row[end + 1] = remaining;
+    return 1;
+}
+
+void follow(tracker *t, const measurements *given, double *rows)
+{
+    const int64_t p = t->m.s.p, m = t->m.s.m, width = row_width(&t->m.s) + EXTRA;
+    int64_t i;
+    for (i = 0; i < given->count; i++) {
+        const double *y = given->y + i * p, *u = given->u + i * m;
+        if (is_readable(t, y, u)) {
+            *t->h.accepted += 1;
+            step_to(t, given->stamps[i], y, u);
+        } else {
+            t->h.refused[NON_FINITE] += 1;
+        }
+        estimate_at(t, given->stamps[i], rows + i * width);
+    }
+}
+
+/* --- the whole --- */
+
+void copy_history(const tracker *from, tracker *to)
+{
+    int64_t place;
+    memcpy(to->memory, from->memory, history_size(NULL) * sizeof *to->memory);
+    for (place = 0; place < *from->h.length; place++) {
+        copy_state(from, numbers_at(from, place), numbers_at(to, place));
+    }
+    copy_state(from, coasted_numbers(from), coasted_numbers(to));
+}
+
+void forget(tracker *t)
+{
+    history *h = &t->h;
+    if (*h->length > 0) {
+        *h->bad_outputs += *state_at(t, *h->length - 1).failures;
+    }
+    *h->first = *h->length = *h->has_base = *h->coasted_periods = 0;
+}

@@ -1,0 +1,129 @@
+/* Copyright 2026 The tsobs_ros contributors
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * The history of an estimator: a ring of states, one after each measurement.
+ *
+ * A late measurement is put in its place by rewinding to the state before it, so the estimate
+ * equals, bit for bit, the one that arrival in order would have given. However many are late, one
+ * rewind serves all that come together: the cost is one pass over the history.
+ */
+#ifndef TSOBS_HISTORY_H
+#define TSOBS_HISTORY_H
+
+#include "estimator.h"
+#include "outcomes.h"
+
+enum {
+    SPARE = 2, /* states at the end of a ring: one in a gap, and one that is read */
+    EXTRA = 2  /* numbers of `estimate_at` behind those of `write_row` */
+};
+
+/* What a history needs besides its ring.
+ *
+ * first, length: of the states in the ring. has_base: whether the first of them is only kept to
+ * rewind to. generation: count of changes. coasted_periods: whole periods of a gap, after the
+ * newest measurement at `coasted_generation`, for which there is a state. accepted to refused:
+ * counts, the last by outcome. span: how far back a late measurement may reach [ns]. future: how
+ * far ahead of the clock a stamp may lie [ns]. restart_after: the longest gap [ns]. max_steps: the
+ * largest number of measurements. x_max: half width of the certificate's domain. */
+#define HISTORY_FIELDS(F, s)          \
+    F(COUNT, first, 1, 1)             \
+    F(COUNT, length, 1, 1)            \
+    F(COUNT, has_base, 1, 1)          \
+    F(COUNT, generation, 1, 1)        \
+    F(COUNT, coasted_generation, 1, 1) \
+    F(COUNT, coasted_periods, 1, 1)   \
+    F(COUNT, accepted, 1, 1)          \
+    F(COUNT, rewinds, 1, 1)           \
+    F(COUNT, forgotten, 1, 1)         \
+    F(COUNT, bad_outputs, 1, 1)       \
+    F(COUNTS, refused, OUTCOMES, 1)   \
+    F(COUNT, span, 1, 1)              \
+    F(COUNT, future, 1, 1)            \
+    F(COUNT, restart_after, 1, 1)     \
+    F(COUNT, max_steps, 1, 1)         \
+    F(NUMBER, x_max, 1, 1)
+LAYOUT_DECLARE(history, HISTORY_FIELDS, void)
+
+/* Scratch of a history: records of a step, and in a rewind the measurements after the late one, to
+ * be used again, of which there are as many as states at most. */
+typedef struct {
+    const estimator_sizes *s;
+    int64_t slots;
+} rewind_sizes;
+#define REWIND_FIELDS(F, z)                         \
+    F(VECTOR, effect, correction_size(z->s), 1)     \
+    F(VECTOR, said, readout_size(z->s), 1)          \
+    F(VECTOR, work, work_size(z->s), 1)             \
+    F(COUNTS, stamps, z->slots, 1)                  \
+    F(MATRIX, y, z->slots, z->s->p)                 \
+    F(MATRIX, u, z->slots, z->s->m)
+LAYOUT_DECLARE(rewind_scratch, REWIND_FIELDS, rewind_sizes)
+
+/* An estimator with its history, a view of four memories. */
+typedef struct {
+    model m;
+    history h;
+    double *memory, *ring;
+    int64_t slots;     /* states in the ring, the spare ones included */
+    size_t state_size; /* numbers of each */
+    rewind_scratch later;
+    correction effect;
+    readout said;
+    work scratch;
+} tracker;
+
+/* Memories of a tracker, and their lengths in numbers. */
+typedef struct {
+    double *model, *memory, *ring, *scratch;
+    size_t model_length, memory_length, ring_length, scratch_length;
+} tracker_memory;
+
+/* Bind a view. Return NULL, or what is wrong with a memory: a length, or a place in it. */
+const char *tracker_bind(tracker *view, const tracker_memory *given);
+
+/* Return whether the numbers of all states in a ring that serve as places are within their fields;
+ * they are unless somebody else has written them. */
+int are_states_sound(const tracker *t);
+
+/* Measurements, n of them. stamps: [ns]. y: NaN of an output that is missing, (n, p). u: inputs
+ * from each measurement until the next one, (n, m). */
+typedef struct {
+    int64_t count;
+    const int64_t *stamps;
+    const double *y, *u;
+} measurements;
+
+/* What becomes of them. codes: outcomes, (n,). output_codes: those of each output, of a measurement
+ * that is used USED, GATED, or NON_FINITE of one that is missing, (n, p). innovations: y - C x of
+ * those that are used, NaN if missing, (n, p). expected_std: 1 sigma expected of each, (n, p). */
+typedef struct {
+    int64_t *codes, *output_codes;
+    double *innovations, *expected_std;
+} outcomes;
+
+/* Use measurements, or refuse them; now: time on the clock of the stamps [ns]. They may be in any
+ * order; in ascending order of stamps, late ones cost one rewind in all. */
+void offer(tracker *t, const measurements *given, int64_t now, const outcomes *written);
+
+/* Write the estimate at a stamp [ns]; return whether there is one.
+ *
+ * There is none before the first measurement, too long after the last, or if it is not finite,
+ * which is counted. The row is that of `write_row`, and behind it whether the state is in the
+ * certificate's domain, and the time since the newest measurement before it [s]. */
+int estimate_at(tracker *t, int64_t stamp, double *row);
+
+/* Use measurements in ascending order of stamps, later than any before, those that are finite, and
+ * write the estimate at each where there is one, as of `estimate_at`. */
+void follow(tracker *t, const measurements *given, double *rows);
+
+/* Copy a history to memories of the same sizes, without the states that it has forgotten. */
+void copy_history(const tracker *from, tracker *to);
+
+/* Forget all measurements, but not the counts. */
+void forget(tracker *t);
+
+/* Return the newest stamp [ns], 0 if there is none. */
+int64_t newest_stamp(const tracker *t);
+
+#endif
