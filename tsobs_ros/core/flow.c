@@ -36,7 +36,7 @@ flow flow_view(const double *memory)
     return view;
 }
 
-/* Return whether the sizes that the first counts of a record state are possible and belong together. */
+/* Return whether the sizes in the first counts of a record are possible and belong together. */
 static int sizes_are_valid(const int64_t *counts)
 {
     const int64_t kind = counts[0], n = counts[1], m = counts[2], inputs = counts[3];
@@ -261,7 +261,7 @@ static void turn_weights(
     }
 }
 
-/* Write what enters x (`rate`) and Y (`entering`) besides the linear flow, and its Jacobian in x. */
+/* Write what enters x (`rate`) and Y (`entering`) besides the linear flow, and its Jacobian. */
 static void enter(
     const flow *f, const double *x, const double *upsilon, const double *theta, const double *u,
     double *rate, double *entering, double *jacobian, flow_scratch *work)
@@ -299,7 +299,7 @@ static void enter(
 }
 
 /* Move the covariance by the error's map over a step of a T-S system, with Jacobians N1, N2:
- * e+ = Phi [Phi + T N2 Phi (I + (T/2) N1)] e + Phi (I + T N2) n1 + n2. Overwrites both Jacobians. */
+ * e+ = Phi [Phi + T N2 Phi (I + (T/2) N1)] e + Phi (I + T N2) n1 + n2. Overwrites both. */
 static void carry_system(
     long n, const linear_step *step, double duration, double *N1, double *N2, flow_scratch *work)
 {

@@ -17,7 +17,8 @@
 
 /* Codes of the shapes. Their parameters, in this order; the rest of the four is not read:
  * LINEAR: zero, one. TRAPEZOID: left, top_left, top_right, right. GAUSSIAN: centre, width.
- * SINE_UPPER, SINE_LOWER: half_width, sin(half_width)/half_width. SQUARE, SQUARE_REST: half_width. */
+ * SINE_UPPER, SINE_LOWER: half_width, sin(half_width)/half_width.
+ * SQUARE, SQUARE_REST: half_width. */
 enum {
     SHAPE_ALWAYS,
     SHAPE_LINEAR,
@@ -102,8 +103,8 @@ typedef struct {
 /* kind: KIND_... . period to noise: the linear flow with its nominal step (half a step of a T-S
  * system); turned: phi transposed. gravity_gain and effects: of an arm; has_unknown, motor_torque,
  * link_torque: whether it has unknown torques, and the states that make them up. deviations and
- * directions: [A B] of each rule less the mean, and their change by each parameter, of a T-S system,
- * whose premise variables are premise x + schedule (scheduled signals). shapes, parameters: its
+ * directions: [A B] of each rule less the mean, and their change by each parameter, of a T-S
+ * system, whose premise variables are premise x + schedule (scheduled signals). shapes, parameters: its
  * memberships. max_step to U: of an integrated observer, whose premises are its first outputs. */
 #define FLOW_FIELDS(FIELD, s)                                                      \
     FIELD(COUNT, kind, 1, 1)                                                       \
@@ -175,9 +176,9 @@ flow flow_view(const double *memory);
 
 /* Move the estimate x, Y and the error covariance over a time, in place.
  *
- * x has n numbers. `upsilon` (k rows; NULL if k is 0) and `covariance` (n rows; NULL if it is not to
- * be moved) have rows of `width` >= n numbers, of which n are in use. `theta` has k numbers, `u` the
- * m signals held over the time; `y`, the p outputs in use, is read for KIND_INTEGRATED only.
+ * x has n numbers. `upsilon` (k rows; NULL if k is 0) and `covariance` (n rows; NULL if it is not
+ * to be moved) have rows of `width` >= n numbers, of which n are in use. `theta` has k numbers,
+ * `u` the m signals held over the time; `y`, the p outputs in use, is read for KIND_INTEGRATED only.
  * duration: at least 0 [s]. `scratch` has flow_scratch_size numbers for the sizes of the model. */
 void advance(
     const flow *f, double *x, double *upsilon, double *covariance, long width, const double *theta,

@@ -66,8 +66,8 @@ void congruence(
     const double *a, long a_width, const double *s, long s_width, const double *added,
     double *scratch, double *result, long result_width, long rows, long inner);
 
-/* Write (I - K C) S (I - K C)' + K R K', symmetric and positive for any gain K (n, p), for C (p, n),
- * R (p, p) and S (n, n). `scratch` has 3 n max(n, p) numbers, `result` may be S. */
+/* Write (I - K C) S (I - K C)' + K R K', symmetric and positive for any gain K (n, p), for
+ * C (p, n), R (p, p) and S (n, n). `scratch` has 3 n max(n, p) numbers, `result` may be S. */
 void joseph_form(
     const double *C, long C_width, const double *R, const double *S, long S_width,
     const double *gain, double *scratch, double *result, long result_width, long n, long p);
@@ -82,8 +82,8 @@ int is_nonnegative(double *s, long n);
 
 /* Write s^-1 b into `result`, which may be b (n, columns), for a symmetric positive definite s.
  *
- * By s = L D L', so that a 1 x 1 system is one division. `factor` (n, n) is scratch. What comes of a
- * singular s is not finite. */
+ * By s = L D L', so that a 1 x 1 system is one division. `factor` (n, n) is scratch. What comes of
+ * a singular s is not finite. */
 void solve(
     const double *s, const double *b, double *factor, double *result, long n, long columns);
 

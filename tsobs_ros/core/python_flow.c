@@ -47,8 +47,7 @@ static int is_duration(const char *function, double duration, double period)
         return 1;
     }
     PyErr_Format(
-        PyExc_ValueError, "%s: duration: expected a finite number of at least 0, not too many periods",
-        function);
+        PyExc_ValueError, "%s: duration: expected at least 0 and at most 9e15 periods", function);
     return 0;
 }
 
@@ -304,7 +303,8 @@ static PyObject *bind_advance_all(PyObject *module, PyObject *const *given, Py_s
 }
 
 PyMethodDef flow_methods[] = {
-    BINDING("grades_and_slopes", bind_grades_and_slopes, "Write the grade at every z and its slope."),
+    BINDING(
+        "grades_and_slopes", bind_grades_and_slopes, "Write the grade at every z and its slope."),
     BINDING(
         "weights_and_slopes_of_each", bind_weights_and_slopes_of_each,
         "Write the rules' weights at every z, and their slopes."),
@@ -312,9 +312,9 @@ PyMethodDef flow_methods[] = {
     BINDING("normalise_each", bind_normalise_each, "Divide grades by their sum."),
     BINDING("fill_series", bind_fill_series, "Write Taylor coefficients and return their number."),
     BINDING("flow_over", bind_flow_over, "Write the linear flow over a duration."),
-    BINDING("cut_into_steps", bind_cut_into_steps, "Return nominal steps and the last one's length."),
+    BINDING("cut_into_steps", bind_cut_into_steps, "Return nominal steps and a last one's length."),
     BINDING("flow_layout", bind_flow_layout, "Return the fields of a model's record."),
     BINDING("flow_scratch_size", bind_flow_scratch_size, "Return the numbers of a step's scratch."),
-    BINDING("advance_all", bind_advance_all, "Move states, regressors and covariances over a time."),
+    BINDING("advance_all", bind_advance_all, "Move states, regressors and covariances."),
     {NULL, NULL, 0, NULL},
 };
