@@ -1,24 +1,31 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Every number is the same to the last bit on any CPU, compiled or interpreted.
+"""Every number is the same to the last bit on any CPU, whatever compiler built the core.
 
 Libraries choose other loops for other CPUs, and other last bits come of them. Environments here
-have them choose as they would there, each in a process of its own.
+have them choose as they would there, each in a process of its own. Compilers order and join
+operations in other ways; builds here are those of each at several levels.
 """
 
 import os
+import shutil
 import subprocess
 import sys
+import sysconfig
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import tsobs_ros as ts
 
+ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """
-import hashlib, sys
+import other_build
+import hashlib, os, sys
 from pathlib import Path
 import numpy as np
 import tsobs_ros as ts
@@ -26,6 +33,9 @@ from tsobs_ros.estimation.estimator import certified_estimator
 from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions
 from tsobs_ros.methods import FILTERS, METHODS, make_runner
 
+from tsobs_ros.core import native
+
+assert os.environ.get("TSOBS_NATIVE", native.__file__) == native.__file__
 folder = Path(sys.argv[1])
 
 def show(name, record):
@@ -72,18 +82,34 @@ CORES: tuple[str, ...] = ("Haswell", "Nehalem", "Prescott")
 if "TSOBS_OTHER_CPU" in os.environ:
     CORES = (*CORES, "SkylakeX", "Zen", "Sandybridge")
 ENVIRONMENTS = {
-    **{
-        core: {"OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": str(1 + number % 2)}
-        for number, core in enumerate(CORES)
-    },
-    "interpreter": {"NUMBA_DISABLE_JIT": "1"},
+    core: {"OPENBLAS_CORETYPE": core, "OPENBLAS_NUM_THREADS": str(1 + number % 2)}
+    for number, core in enumerate(CORES)
 }
 ENVIRONMENTS["Prescott"]["NPY_DISABLE_CPU_FEATURES"] = "FEATURES"
 ENVIRONMENTS["Nehalem"]["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F,-FMA4"
-if "TSOBS_OTHER_CPU" in os.environ:
-    # It has to compile everything, which takes a minute.
-    ENVIRONMENTS["generic CPU"] = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-CONFIG = Path(__file__).resolve().parents[1] / "config"
+CONFIG = ROOT / "config"
+COMPILERS = tuple(filter(shutil.which, ("gcc", "clang")))
+# As setup.py has them, but for the level; and no warning is left.
+FLAGS = (
+    *("-std=c99", "-ffp-contract=off", "-fno-math-errno", "-fvisibility=hidden"),
+    *("-Wall", "-Wextra", "-Werror", "-DPy_LIMITED_API=0x030B0000", "-fPIC", "-shared"),
+)
+
+
+def has_avx2() -> bool:
+    """Return whether the CPU has the instructions of -march=haswell."""
+    path = Path("/proc/cpuinfo")
+    return path.exists() and {"avx2", "fma", "bmi2"} <= set(path.read_text("ascii").split())
+
+
+def builds() -> Iterator[Any]:
+    """Yield a compiler and its level for each build; all but the first are slow."""
+    levels = [["-O0"], ["-O2"], *([["-O3", "-march=haswell"]] if has_avx2() else [])]
+    for compiler in COMPILERS:
+        for level in levels:
+            first = compiler == COMPILERS[0] and level == levels[-1]
+            marks = () if first else pytest.mark.slow
+            yield pytest.param(compiler, level, id=" ".join([compiler, *level]), marks=marks)
 
 
 @pytest.fixture(scope="module")
@@ -116,9 +142,10 @@ def numbers_of(folder: Path, environment: dict[str, str]) -> str:
     if "NPY_DISABLE_CPU_FEATURES" in environment:
         features = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
         environment = {**environment, "NPY_DISABLE_CPU_FEATURES": " ".join(features)}
+    paths = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", PROGRAM, folder],
-        env={**os.environ, **environment},
+        env={**os.environ, "PYTHONPATH": paths.strip(os.pathsep), **environment},
         capture_output=True,
         text=True,
     )
@@ -126,20 +153,38 @@ def numbers_of(folder: Path, environment: dict[str, str]) -> str:
     return done.stdout
 
 
-def test_all_numbers_are_the_same_bits_whatever_the_cpu(folder: Path) -> None:
-    reference = numbers_of(folder, {})
-    assert len(set(reference.split()[2::3])) > 8
+@pytest.fixture(scope="module")
+def reference(folder: Path) -> str:
+    """What the installed core computes here."""
+    numbers = numbers_of(folder, {})
+    assert len(set(numbers.split()[2::3])) > 8
+    return numbers
+
+
+def differing(numbers: str, reference: str) -> list[str]:
+    return sorted(set(numbers.splitlines()) - set(reference.splitlines()))
+
+
+def test_all_numbers_are_the_same_bits_whatever_the_cpu(folder: Path, reference: str) -> None:
     with ThreadPoolExecutor(2) as pool:
-        found = dict(
-            zip(
-                ENVIRONMENTS,
-                pool.map(lambda one: numbers_of(folder, one), ENVIRONMENTS.values()),
-                strict=True,
-            )
-        )
-    differing = {
-        name: sorted(set(numbers.splitlines()) - set(reference.splitlines()))
-        for name, numbers in found.items()
-        if numbers != reference
-    }
-    assert differing == {}
+        found = pool.map(lambda one: numbers_of(folder, one), ENVIRONMENTS.values())
+        others = {
+            name: differing(numbers, reference)
+            for name, numbers in zip(ENVIRONMENTS, found, strict=True)
+            if numbers != reference
+        }
+    assert others == {}
+
+
+@pytest.mark.parametrize(("compiler", "level"), list(builds()))
+def test_all_numbers_are_the_same_bits_whatever_the_compiler(
+    compiler: str, level: list[str], folder: Path, reference: str, tmp_path: Path
+) -> None:
+    library, sources = tmp_path / "native.so", (ROOT / "tsobs_ros" / "core").glob("*.c")
+    include = f"-I{sysconfig.get_path('include')}"
+    command = [compiler, *FLAGS, *level, include, *map(str, sorted(sources)), "-lm", "-o", library]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    numbers = numbers_of(folder, {"TSOBS_NATIVE": str(library)})
+    assert differing(numbers, reference) == []
+    assert numbers == reference
