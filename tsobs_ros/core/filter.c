@@ -80,8 +80,10 @@ int model_view(double *memory, size_t length, model *view)
     if (*view->jump_budget > MAX_JUMP_BUDGET) {
         return -1;
     }
-    /* Torques are those of an arm. */
-    return (*view->torque_limit > 0.0 || *view->torque_doubt > 0.0) && !is_arm(view) ? -1 : 0;
+    /* Torques with a limit are the first input; those that are doubted are an arm's. */
+    return (*view->torque_limit > 0.0 && s->m < 1) || (*view->torque_doubt > 0.0 && !is_arm(view))
+               ? -1
+               : 0;
 }
 
 int state_is_sound(const model *m, const state *at)

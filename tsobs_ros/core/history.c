@@ -109,15 +109,16 @@ const char *tracker_bind(tracker *view, const tracker_memory *given)
 
 int are_states_sound(const tracker *t)
 {
-    int64_t slot;
-    for (slot = 0; slot < t->slots; slot++) {
-        state each;
-        state_bind(&each, &t->m.s, t->ring + (size_t)slot * t->state_size);
+    int64_t place;
+    state each;
+    for (place = 0; place < *t->h.length; place++) {
+        each = state_at(t, place);
         if (!state_is_sound(&t->m, &each)) {
             return 0;
         }
     }
-    return 1;
+    state_bind(&each, &t->m.s, coasted_numbers(t));
+    return *t->h.coasted_periods <= 0 || state_is_sound(&t->m, &each);
 }
 
 /* --- measurements --- */
