@@ -23,7 +23,7 @@ from tsobs_ros.estimation.baselines import (
     proportional_integral_matrix,
 )
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.history import GATED
+from tsobs_ros.estimation.history import EXTRA, GATED
 from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.estimation.records import Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
@@ -171,6 +171,29 @@ def test_an_ekf_puts_late_samples_in_their_place(learns: bool) -> None:
     assert rows[-1].tolist() == ends[0].tolist()
     assert outcomes[late == 100] == GATED
     assert (codes[:, 0] == outcomes).all()
+
+
+def test_an_ekf_refuses_what_its_sizes_do_not_fit() -> None:
+    ekf = make_ekf(load_design(config_path(SHIPPED_DESIGN)))
+    stamps, y = np.arange(1, 4), np.zeros((3, 1))
+    results = (np.zeros(3, np.int64), np.zeros((3, 1), np.int64), y.copy(), y.copy())
+    newest, rows = np.zeros(1, np.int64), np.zeros((1, ekf.row_width + EXTRA))
+
+    def advance(ends: int, rows: Array, u: Array) -> None:
+        ticks = (stamps[-1:], stamps[-1:], np.array([ends]), np.array([-1]))
+        ekf.advance(ticks, (stamps, y, u), results, newest, rows)
+
+    advance(3, rows, np.zeros(3))
+    assert newest[0] == 3
+    with pytest.raises(ValueError, match="kalman_advance: ends: expected at most 3"):
+        advance(4, rows, np.zeros(3))
+    with pytest.raises(ValueError, match="kalman_advance: rows: expected at least"):
+        advance(3, rows[:, :-1].copy(), np.zeros(3))
+    with pytest.raises(ValueError, match="kalman_advance: u: expected at least 3 numbers, got 2"):
+        advance(3, rows, np.zeros(2))
+    ekf.memory["length"] = -1
+    with pytest.raises(ValueError, match="kalman_advance: memory: its ring is damaged"):
+        advance(3, rows, np.zeros(3))
 
 
 def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
