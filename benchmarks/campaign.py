@@ -60,7 +60,7 @@ def _parts(campaign: Campaign) -> dict[str, float]:
         names = ("draw", "simulate", "observe", "score", "random numbers alone")
         for name, spent in zip(names, np.diff(marks).tolist(), strict=True):
             times.setdefault(name, []).append(spent / samples)
-    # The first turn compiles.
+    # The first turn loads what the others find loaded.
     return {name: float(np.median(each[1:])) for name, each in times.items()}
 
 

@@ -72,7 +72,7 @@ def fuzz(name: str, target: Target, inputs: int, seed: int, folder: Path, keep: 
     """
     outcome, random_ = Outcome(name), random.Random(f"{seed} {name}")
     path = folder / target.file_name
-    for seed_file in target.seeds:  # what is compiled on first use is so before it counts
+    for seed_file in target.seeds:  # what is loaded on first use is so before it counts
         path.write_bytes(seed_file)
         with suppress(TsobsError):
             target.read(path)

@@ -30,7 +30,7 @@ from tsobs_ros.bag.estimate_topics import STATES, TOPICS
 from tsobs_ros.design.file import save_design
 from tsobs_ros.design.record import Design
 
-_START_TIMEOUT = 300.0  # the first start compiles
+_START_TIMEOUT = 60.0
 _STOP_TIMEOUT = 15.0
 _DRAIN_PERIOD = 0.05
 _DEPTH = 5000

@@ -118,7 +118,7 @@ def _use(arguments: list[str]) -> dict[str, float]:
 def _memory(folder: Path, design: Design, seconds: float) -> dict[str, dict[str, float]]:
     """Return the use of each command that goes through a bag and its estimates."""
     bag, live = str(folder / "bag"), str(folder / "live")
-    # What is compiled at first use takes memory that it does not take again.
+    # What is loaded at first use takes memory that it does not take again.
     first = folder / "first"
     _record(first, design, 10.0)
     _use(["estimate", str(first), "--output", str(folder / "of_first")])

@@ -84,7 +84,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         bag = Path(folder, "bag")
         count = repeat(options.bag, bag, 60.0 * options.minutes)
-        # Once for what is compiled at first use.
+        # Once for what is loaded at first use.
         report(options.bag, Path(folder, "first"))
         used = report(bag, Path(folder, "report"))
     text = (
