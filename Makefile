@@ -59,7 +59,8 @@ sanitize: $(VENV)/.test ## Test the compiled core with sanitizers (CC=…, SANIT
 	  runtime="$$($(CC) -print-file-name=$$name)"; \
 	  if [ -f "$$runtime" ]; then break; fi; \
 	done; \
-	build=($(CC) -std=c99 -ffp-contract=off -fno-math-errno $(SANITIZE) -fPIC -shared); \
+	build=($(CC) -std=c99 -ffp-contract=off -fno-math-errno -fvisibility=hidden $(SANITIZE) \
+	  -fPIC -shared); \
 	if [ ! -f "$$runtime" ] \
 	  || ! echo 'int probe;' | "$${build[@]}" -x c - -o build/sanitize/probe.so 2> /dev/null; then \
 	  echo "skipped: $(CC) has no address and undefined-behaviour sanitizers" >&2; \
