@@ -16,7 +16,8 @@
  * integers. From the list come the C view of a record (a pointer to each field), the function that
  * binds a view to memory, and the table from which Python makes the NumPy type of the same record.
  * So the layout is written once. Memory belongs to the caller, and copying a record is copying its
- * numbers. A record in a record is a MATRIX with a row of `other_size(s)` numbers for each.
+ * numbers. A record in a record is a VECTOR of `other_size(s)` numbers, or, of some,
+ * a MATRIX with a row for each.
  */
 #ifndef TSOBS_LAYOUT_H
 #define TSOBS_LAYOUT_H

@@ -269,3 +269,47 @@ def kalman_advance(
     newest: Any, rows: Any, /,
 ) -> None:  # fmt: skip
     """Use samples and estimate, tick by tick."""
+
+def estimator_layouts(
+    n: int,
+    width: int,
+    plant: int,
+    p: int,
+    m: int,
+    k: int,
+    n_gap: int,
+    t: int,
+    bank: int,
+    flow_size: int,
+    gap_size: int,
+    bank_size: int,
+    scratch: int,
+    /,
+) -> dict[str, list[tuple[str, str, int, int]]]:
+    """Return the fields of each of an estimator's records, by its name; see estimator.h."""
+
+def estimator_correct(model: Any, states: Any, y: Any, corrections: Any, /) -> None:
+    """Use one measurement (p) for each state, in place, and write its effect."""
+
+def estimator_predict(
+    model: Any, states: Any, u: Any, duration: float, between_samples: bool, work: Any, /
+) -> None:
+    """Predict each state over a time [s] with its inputs (m), in place."""
+
+def estimator_read(model: Any, states: Any, readouts: Any, work: Any, /) -> None:
+    """Write the estimate of each state."""
+
+def estimator_observe(
+    model: Any,
+    states: Any,
+    y: Any,
+    u: Any,
+    duration: float,
+    samples: int,
+    correction: Any,
+    readout: Any,
+    work: Any,
+    rows: Any,
+    /,
+) -> None:
+    """Step each state through its samples (samples, p), and write a row after each."""

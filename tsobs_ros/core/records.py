@@ -16,14 +16,17 @@ def record_type(layout: Layout, inner: Mapping[str, "np.dtype[Any]"] | None = No
 
     Args:
         layout: Of its fields.
-        inner: Types of the fields that are records themselves, one per row.
+        inner: Types of the fields that are records themselves: a MATRIX has one per row, a VECTOR
+            is a single one.
     """
     nested = inner or {}
     fields: list[tuple[Any, ...]] = []
     for name, kind, rows, columns in layout:
         number = np.int64 if kind.startswith("COUNT") else np.float64
         if name in nested:
-            fields.append((name, nested[name], (rows,)))
+            fields.append(
+                (name, nested[name], (rows,)) if kind == "MATRIX" else (name, nested[name])
+            )
         elif kind in ("NUMBER", "COUNT"):
             fields.append((name, number))
         else:

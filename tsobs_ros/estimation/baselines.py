@@ -39,8 +39,8 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import Always, RuleBase
 from tsobs_ros.model.matrices import product
-from tsobs_ros.model.prediction import fill_matrix, flow_record
-from tsobs_ros.model.stepping import INTEGRATED, Room
+from tsobs_ros.model.prediction import FlowSizes, fill_matrix, flow_record, flow_type
+from tsobs_ros.model.stepping import INTEGRATED
 from tsobs_ros.model.uncertainty import Uncertainty
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
@@ -141,13 +141,16 @@ def integrated_estimator(
     rules, n, p = Y.shape
     shape = Shape(n, len(scale), p, U.shape[2])
     base = rule_base or RuleBase(((Always(),),))
-    room = Room.fitting(n, p, shape.m, 0, rules, base.premise_count)
-    model = new_model(room, shape, positive("period", period))
-    one, flow = model[0], model[0]["flow"]
-    sizes = {"n": n, "p": p, "m": shape.m, "plant": shape.plant, "rules": rules}
-    for name, size in {**sizes, "kind": INTEGRATED, "premises": base.premise_count}.items():
-        flow[name] = size
-    flow["period"], flow["max_step"], flow["gravity_gain"] = period, max_step, gravity_gain
+    sizes = FlowSizes(n, shape.m, shape.m, p, 0, shape.plant, rules, base.premise_count)
+    flow = np.zeros(1, flow_type(sizes))
+    for name, number in {
+        **sizes._asdict(),
+        "kind": INTEGRATED,
+        "period": positive("period", period),
+        "max_step": max_step,
+        "gravity_gain": gravity_gain,
+    }.items():
+        flow[name] = number
     shapes, parameters = base.coded
     for name, values in (
         ("F", F),
@@ -156,14 +159,16 @@ def integrated_estimator(
         ("shapes", shapes),
         ("parameters", parameters),
     ):
-        fill_matrix(flow[name], values)
+        fill_matrix(flow[0][name], values)
+    model = new_model(shape, period, flow)
+    one = model[0]
     direct = np.zeros((p, p)) if D is None else D
     for name, values in (("C", C), ("D", direct), ("R", measurement_covariance), ("scale", scale)):
         fill_matrix(one[name], values)
     if disturbance is not None:
         fill_matrix(one["disturbance_map"], disturbance[0])
         fill_matrix(one["disturbance_direct"], disturbance[1])
-    return Estimator(shape, room, model, bounded=False, disturbed=disturbance is not None)
+    return Estimator(shape, model, bounded=False, disturbed=disturbance is not None)
 
 
 def place_single_output(A: Array, C: Array, poles: ArrayLike) -> Array:

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The step-by-step estimator: pure functions of states, over the compiled steps."""
+"""The step-by-step estimator: pure functions of states, over the steps of the compiled core."""
 
 from typing import Any, NamedTuple
 
@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, non_negative
-from tsobs_ros.compiled import compiled, compiled_nogil
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation import state as records
-from tsobs_ros.estimation import steps
 from tsobs_ros.estimation.hypotheses import Alternative, alternatives, enter_alternatives
 from tsobs_ros.estimation.options import (
     AdaptationOptions,
@@ -22,11 +21,8 @@ from tsobs_ros.estimation.options import (
 )
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import CONDITIONS, Shape
-from tsobs_ros.estimation.torque import take_torque
 from tsobs_ros.model.flow import ArmFlow, GapFlow
-from tsobs_ros.model.matrices import has_finite
-from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix
-from tsobs_ros.model.stepping import Room
+from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix, flow_record
 from tsobs_ros.model.uncertainty import Uncertainty
 
 PERIOD_TOLERANCE = 0.1
@@ -39,8 +35,8 @@ For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes 
 class State:
     """All that an estimator remembers, or a batch of such states; it is not changed by a step.
 
-    The fields of `estimation.state.state_type` are attributes, and those of `sensor_type` with an
-    axis of the outputs; of a batch with the batch's axis in front. Two states are equal if their
+    The fields of core/estimator.h's state are attributes, and those of its sensors with an axis of
+    the outputs; of a batch with the batch's axis in front. Two states are equal if their
     bytes are.
 
     Attributes:
@@ -69,8 +65,8 @@ class State:
     __hash__ = None  # type: ignore[assignment]
 
     def _numbers(self, of_records: Record, name: str) -> list[Any]:
-        """Return a field of records and of their sensors, without the room that is not in use."""
-        sensors = of_records["sensors"][:, : self.shape.p]
+        """Return a field of records and of their sensors, of the states in use."""
+        sensors = of_records["sensors"]
         found = [
             self.shape.trim(name, values[name]) if values is of_records else values[name]
             for values in (of_records, sensors)
@@ -166,27 +162,24 @@ class Estimator:
     those to compare with.
 
     Args:
-        shape: Sizes in use.
-        room: Sizes that the records have room for.
+        shape: Sizes.
         model: Model record, shape (1,).
         bounded: Whether estimates have bounds.
         disturbed: Whether a disturbance is estimated.
 
     Attributes:
-        shape: Sizes in use.
-        room: Sizes that the records have room for.
+        shape: Sizes.
         model: Model record, shape (1,).
         bounded: Whether estimates have bounds.
         disturbed: Whether a disturbance is estimated.
-        row_parts: Places of a readout's numbers in a row of `steps.write_row`.
+        row_parts: Places of a readout's numbers in a row, as the core writes it.
         row_width: Length of a row.
     """
 
-    def __init__(
-        self, shape: Shape, room: Room, model: Record, *, bounded: bool, disturbed: bool
-    ) -> None:
-        self.shape, self.room, self.model = shape, room, model
+    def __init__(self, shape: Shape, model: Record, *, bounded: bool, disturbed: bool) -> None:
+        self.shape, self.model = shape, model
         self.bounded, self.disturbed = bounded, disturbed
+        self._types = records.types_of_model(model)
         self._work = self.new_work()
         self.row_parts, self.row_width = self._rows_layout()
 
@@ -210,21 +203,20 @@ class Estimator:
 
     def new_work(self) -> Record:
         """Return a scratch record, for a thread of its own."""
-        return np.zeros(1, records.work_type(self.room))
+        return np.zeros(1, self._types.work)
 
     def new_corrections(self, count: int = 1) -> Record:
         """Return records for the effects of samples."""
-        return np.zeros(count, records.correction_type(self.room))
+        return np.zeros(count, self._types.correction)
 
     def new_readouts(self, count: int = 1) -> Record:
         """Return records for estimates."""
-        return np.zeros(count, records.readout_type(self.room))
+        return np.zeros(count, self._types.readout)
 
     def new_states(self, count: int) -> Record:
         """Return records of states before any measurement."""
-        states = np.empty(count, self.model.dtype["initial"])
-        states[:] = self.model["initial"][0]
-        return states
+        numbers = np.tile(self.model["initial"].reshape(1).view(np.float64), count)
+        return numbers.view(self._types.state)
 
     def initial(self, batch: tuple[int, ...] = ()) -> State:
         """Return the state before any measurement: zero estimate, wide covariance."""
@@ -245,7 +237,9 @@ class Estimator:
         """
         after, samples = state.copy(), as_rows("y", y, state.batch, (self.shape.p,))
         corrections = self.new_corrections(len(after.records))
-        correct_each(self.model, after.records, samples, corrections)
+        native.estimator_correct(
+            *map(_numbers_of, (self.model, after.records)), samples, _numbers_of(corrections)
+        )
         fields = ("innovation", "innovation_covariance", "gain", "weight")
         return after, Correction(
             *(_shaped(corrections, name, self.shape, state.batch) for name in fields)
@@ -277,15 +271,19 @@ class Estimator:
     ) -> State:
         non_negative("duration", duration)
         after, inputs = state.copy(), as_rows("u", u, state.batch, (self.shape.m,))
-        predict_each(
-            self.model, after.records, inputs, float(duration), between_samples, self._work
+        native.estimator_predict(
+            *map(_numbers_of, (self.model, after.records)),
+            inputs,
+            duration,
+            between_samples,
+            _numbers_of(self._work),
         )
         return after
 
     def readout(self, state: State) -> Readout:
         """Return the estimate and its bounds in physical units."""
         readouts = self.new_readouts(len(state.records))
-        read_each(self.model, state.records, readouts, self._work)
+        native.estimator_read(*map(_numbers_of, (self.model, state.records, readouts, self._work)))
         values = {
             name: _shaped(readouts, name, self.shape, state.batch) for name in Readout._fields
         }
@@ -324,15 +322,14 @@ class Estimator:
         states = self.initial((len(samples),)) if start is None else start.copy()
         if states.batch != (len(samples),):
             raise ModelError(f"start: expected a batch of {(len(samples),)}, got {states.batch}")
-        observe_each(
-            self.model,
-            states.records,
+        scratch = (self.new_corrections(), self.new_readouts(), self.new_work())
+        native.estimator_observe(
+            *map(_numbers_of, (self.model, states.records)),
             samples,
             inputs,
             length,
-            self.new_corrections(),
-            self.new_readouts(),
-            self.new_work(),
+            samples.shape[1],
+            *map(_numbers_of, scratch),
             rows,
         )
         return Readout(
@@ -418,6 +415,7 @@ def certified_estimator(
             a system that is no arm, or the uncertainty is of another model.
     """
     n, p = flow.state_count, flow.output_matrix.shape[0]
+    R = as_matrix("R", measurement_covariance, (p, p))
     k = 0 if uncertainty is None else uncertainty.count
     gap_flow = None
     if non_negative("torque_rate", torque_rate):
@@ -431,17 +429,19 @@ def certified_estimator(
     shape = Shape(n, len(scale), p, flow.input_count, k, wide, len(flow.torque_map))
     bank: list[Alternative | None] = []
     if isinstance(flow, ArmFlow):
-        bank = alternatives(flow, np.diag(measurement_covariance).copy())
-    widest = max(n, wide, *(each.flow.state_count for each in bank if each))
-    room = Room.fitting(widest, p, shape.m, k, *flow.rule_counts)
-    model = records.new_model(room, shape, flow.period)
+        bank = alternatives(flow, np.diag(R).copy())
+    model = records.new_model(
+        shape,
+        flow.period,
+        flow_record(flow, uncertainty),
+        None if gap_flow is None else flow_record(gap_flow, uncertainty),
+        [None if each is None else flow_record(each.flow, uncertainty) for each in bank],
+    )
     one = model[0]
-    flow.fill(one["flow"], uncertainty)
     if gap_flow is not None:
-        gap_flow.fill(one["gap"], uncertainty)
         one["rate_variance"] = gap_flow.rate_variance
     if bank:
-        enter_alternatives(one, bank, uncertainty)
+        enter_alternatives(one, bank)
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period
     one["longest"] = (1.0 + PERIOD_TOLERANCE) * flow.period
     fill_matrix(one["disturbed"], flow.disturbance.H.any(axis=1))
@@ -459,74 +459,21 @@ def certified_estimator(
     gain = certified._replace(
         K=as_matrix("K", certified.K, (n, p)), X=as_matrix("X", certified.X, (n, n))
     )
-    R = as_matrix("R", measurement_covariance, (p, p))
     records.enter_gain(one, gain, R, gain_mode)
     if uncertainty is not None and k:
         options = adaptation or AdaptationOptions()
         records.enter_adaptation(one, uncertainty.limits, options, covered)
-    return Estimator(shape, room, model, bounded=True, disturbed=True)
+    return Estimator(shape, model, bounded=True, disturbed=True)
 
 
 def copy_records(source: Record) -> Record:
     """Return a copy of some records, faster than NumPy, which copies field by field."""
-    target = np.empty(len(source), source.dtype)
-    _copy_each(source, target)
-    return target
+    return _numbers_of(source).copy().view(source.dtype)
 
 
-@compiled
-def _copy_each(source: Any, target: Any) -> None:
-    for i in range(len(source)):
-        target[i] = source[i]
-
-
-@compiled
-def correct_each(models: Any, states: Any, y: Array, corrections: Any) -> None:
-    """Use one measurement for each state, shape (states, p), in place."""
-    for i in range(len(states)):
-        steps.correct(models[0], states[i], y[i], corrections[i])
-
-
-@compiled
-def predict_each(
-    models: Any, states: Any, u: Array, duration: float, between_samples: bool, work: Any
-) -> None:
-    """Predict each state over a time [s] with its inputs, shape (states, m), in place."""
-    for i in range(len(states)):
-        steps.predict(models[0], states[i], u[i], duration, between_samples, work[0])
-
-
-@compiled
-def read_each(models: Any, states: Any, readouts: Any, work: Any) -> None:
-    """Write the estimate of each state."""
-    for i in range(len(states)):
-        steps.read(models[0], states[i], readouts[i], work[0])
-
-
-@compiled_nogil
-def observe_each(
-    models: Any,
-    states: Any,
-    y: Array,
-    u: Array,
-    duration: float,
-    corrections: Any,
-    readouts: Any,
-    work: Any,
-    rows: Array,
-) -> None:
-    """Step each state through its samples and write a row after each; see `Estimator.observe`."""
-    model = models[0]
-    for run in range(len(states)):
-        for sample in range(y.shape[1]):
-            if sample > 0:
-                held = states[run].held[:]
-                steps.predict(model, states[run], held, duration, bool(0), work[0])
-            take_torque(model, states[run], u[run, sample])
-            if has_finite(y[run, sample], model.p):
-                steps.correct(model, states[run], y[run, sample], corrections[0])
-            steps.read(model, states[run], readouts[0], work[0])
-            steps.write_row(model, readouts[0], rows[run, sample])
+def _numbers_of(some: Record) -> Array:
+    """Return the numbers of records, shape (numbers,), the same memory."""
+    return some.view(np.float64)
 
 
 def _shaped(array: Record, name: str, shape: Shape, batch: tuple[int, ...]) -> Any:

@@ -3,20 +3,23 @@
 """Records of an estimator: its state, its model, and what it says.
 
 A state is all that an estimator remembers. Copying it is copying a record, two are equal if their
-bytes are, an array of them is a batch, a history or a checkpoint. The shapes of its fields depend
-on the numbers of states n, outputs p, inputs m and parameters k. Flags are integers, 0 or 1.
+bytes are, an array of them is a batch, a history or a checkpoint. core/estimator.h lists and
+explains the fields of all records. Their shapes depend on the numbers of states n, outputs p,
+inputs m and parameters k. Flags are integers, 0 or 1.
 """
 
 import math
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.estimation.hypotheses import ALTERNATIVES
 from tsobs_ros.estimation.options import (
-    MAX_JUMP_BUDGET,
     AdaptationOptions,
     CertifiedGain,
     GainMode,
@@ -24,12 +27,10 @@ from tsobs_ros.estimation.options import (
     TorqueLimits,
 )
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.estimation.repeats import REPEAT_FIELDS
-from tsobs_ros.model import stepping
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.matrices import congruent, inverse, joseph
-from tsobs_ros.model.prediction import Record, fill_matrix
-from tsobs_ros.model.stepping import Room, flow_type, record_type
+from tsobs_ros.model.prediction import FlowSizes, Record, fill_matrix, flow_type
+from tsobs_ros.model.stepping import ARM
 from tsobs_ros.model.trigonometry import exponential
 
 WINDOW = 24
@@ -53,7 +54,7 @@ OPEN, RICCATI, CERTIFIED = 0, 1, 2
 
 
 class Shape(NamedTuple):
-    """Sizes of an estimator that are in use.
+    """Sizes of an estimator.
 
     Attributes:
         n: Number of augmented states.
@@ -74,397 +75,137 @@ class Shape(NamedTuple):
     t: int = 0
 
     def trim(self, name: str, values: Any) -> Any:
-        """Return a field's numbers, shape (records, ...), without the room that is not in use."""
-        sizes = tuple(getattr(self, size) for size in _SIZES.get(name, ()))
-        return values[(slice(None), *map(slice, sizes))]
+        """Return a field's numbers, shape (records, ...), of the n states only.
+
+        Behind them there may be room for those in a gap, or of an alternative.
+        """
+        return values[(slice(None), *map(slice, self._wide.get(name, ())))]
+
+    @property
+    def _wide(self) -> dict[str, tuple[int, ...]]:
+        n = self.n
+        square = dict.fromkeys(("covariance", "X", "P", "posterior"), (n, n))
+        return {"x": (n,), "response": (n,), "upsilon": (self.k, n), "gain": (n, self.p), **square}
 
 
-_SIZES: dict[str, tuple[str, ...]] = {
-    "x": ("n",),
-    "covariance": ("n", "n"),
-    "theta": ("k",),
-    "gamma": ("k", "k"),
-    "upsilon": ("k", "n"),
-    "gram": ("k", "k"),
-    "pending": ("k",),
-    "anchor": ("k",),
-    "gain": ("n", "p"),
-    "sensors": ("p",),
-    "innovation_covariance": ("p", "p"),
-    "state": ("plant",),
-    "state_bound": ("plant",),
-    "parameters": ("k",),
-    "parameter_bound": ("k",),
-    "u": ("m",),
-    "held": ("m",),
-    "response": ("n",),
-    **dict.fromkeys(
-        (
-            "y",
-            "weight",
-            "innovation",
-            "disturbance",
-            "disturbance_rate",
-            "disturbance_bound",
-            "designed_disturbance",
-            "designed_bound",
-        ),
-        ("p",),
-    ),
-    **dict.fromkeys(("torque_disturbance", "torque_disturbance_bound"), ("t",)),
-}
+class Sizes(NamedTuple):
+    """Sizes of an estimator's records, in the order of the compiled core.
 
-MAX_TORQUES = 2
-"""Torques that a readout has room for: of the motor and of the link."""
-
-
-@cache
-def sensor_type() -> np.dtype[Any]:
-    """Return the type of what is remembered of one output.
-
-    recent, sizes, calm: its newest innovations in sigmas and in units, and the coloured power
-    before each, the newest of `watched` last. leap: by how much they lean after a jump. nis,
-    magnitude, coloured_power: averages of r², |r| and the product of neighbours. noise_scale: size
-    of the white noise relative to the design's; scale_age: time it has been learnt for [s];
-    previous, paired: the innovation before and its kind; since: time since the last sample [s].
-    slow: low-passed innovation in sigmas; slow_power: power of it relative to a white one's.
-    jump_ages, jump_count: of its jumps since a start; jumped: whether the newest sample shows one,
-    or that all trust in it is lost. excluded: whether the other outputs contradict it.
-    Then the fields of `repeats.REPEAT_FIELDS`, and counts.
+    Attributes:
+        n: See `Shape`.
+        width: The most states of n, of a gap and of the alternatives.
+        plant: See `Shape`.
+        p: See `Shape`.
+        m: See `Shape`.
+        k: See `Shape`.
+        n_gap: Number of augmented states in a gap.
+        t: See `Shape`.
+        bank: Number of alternatives.
+        flow_size: Length of the record of the design's flow.
+        gap_size: Of the flow in a gap.
+        bank_size: Of the longest flow of an alternative.
+        scratch: Numbers of scratch that their steps need.
     """
-    number, count = np.float64, np.int64
-    return record_type(
-        [
-            ("recent", number, (WINDOW,)),
-            ("sizes", number, (WINDOW,)),
-            ("calm", number, (WINDOW,)),
-            ("watched", count),
-            ("in_a_row", count),
-            ("nis", number),
-            ("magnitude", number),
-            ("noise_scale", number),
-            ("scale_age", number),
-            ("previous", number),
-            ("leap", number),
-            ("paired", count),
-            ("since", number),
-            ("coloured_power", number),
-            ("slow", number),
-            ("slow_power", number),
-            ("jump_ages", number, (MAX_JUMP_BUDGET,)),
-            ("jump_count", count),
-            ("jumped", count),
-            ("excluded", count),
-            *REPEAT_FIELDS,
-            ("gated", count),
-            ("missing", count),
-        ]
-    )
+
+    n: int
+    width: int
+    plant: int
+    p: int
+    m: int
+    k: int
+    n_gap: int
+    t: int
+    bank: int
+    flow_size: int
+    gap_size: int
+    bank_size: int
+    scratch: int
+
+
+class Types(NamedTuple):
+    """Types of an estimator's records, with the names of core/estimator.h."""
+
+    state: "np.dtype[Any]"
+    correction: "np.dtype[Any]"
+    readout: "np.dtype[Any]"
+    work: "np.dtype[Any]"
+    model: "np.dtype[Any]"
 
 
 @cache
-def alternative_type(room: Room) -> np.dtype[Any]:
-    """Return the type of a filter under another hypothesis.
+def types_of(sizes: Sizes) -> Types:
+    """Return the types of an estimator's records; flows of a model are plain numbers."""
+    layouts = native.estimator_layouts(*sizes)
+    plain = {name: record_type(layouts[name]) for name in ("sensor", "alternative")}
+    state = record_type(
+        layouts["state"], {"sensors": plain["sensor"], "alternatives": plain["alternative"]}
+    )
+    others = {name: record_type(layouts[name]) for name in ("correction", "readout", "work")}
+    alternatives = record_type(layouts["alternative_model"])
+    model = record_type(layouts["model"], {"initial": state, "alternatives": alternatives})
+    return Types(state=state, **others, model=model)
 
-    x, covariance, upsilon: as of the estimator, with states of its own behind the design's. score:
-    logarithm of its likelihood relative to the best. nis: one-second average of the squares of its
-    innovations in sigmas. variances: expected of the newest innovations.
+
+def types_of_model(model: Record) -> Types:
+    """Return the types of the records that belong to a model record."""
+    return types_of(Sizes(*(int(model[name][0]) for name in Sizes._fields)))
+
+
+def new_model(
+    shape: Shape,
+    period: float,
+    flow: Record,
+    gap: Record | None = None,
+    bank: Sequence[Record | None] = (),
+) -> Record:
+    """Return a model record with sizes, flows and a period, whose other numbers are zero.
+
+    Args:
+        shape: Sizes of the estimator.
+        period: Nominal sampling period [s].
+        flow: The design's prediction model, a record, shape (1,).
+        gap: The same in a gap; None if the torque is held there.
+        bank: Those of the alternatives, in the order of `Hypothesis`, None for those that have no
+            use; empty if there are none.
+
+    Returns:
+        The model record, shape (1,).
     """
-    n, p, _, k = room[:4]
-    number = np.float64
-    return record_type(
-        [
-            ("x", number, (n,)),
-            ("covariance", number, (n, n)),
-            ("upsilon", number, (k, n)),
-            ("score", number),
-            ("nis", number),
-            ("variances", number, (p,)),
-        ]
+    flows = [flow] if gap is None else [flow, gap]
+    flows += [each for each in bank if each is not None]
+    counts = [int(each["n"][0]) for each in flows]
+    scratch = [
+        native.flow_scratch_size(*(int(each[name][0]) for name in FlowSizes._fields))
+        for each in flows
+    ]
+    lengths = [each.dtype.itemsize // 8 for each in flows]
+    known = 1 if gap is None else 2
+    sizes = Sizes(
+        n=shape.n,
+        width=max(counts),
+        plant=shape.plant,
+        p=shape.p,
+        m=shape.m,
+        k=shape.k,
+        n_gap=shape.gap,
+        t=shape.t,
+        bank=ALTERNATIVES if bank else 0,
+        flow_size=lengths[0],
+        gap_size=sum(lengths[1:known]),
+        bank_size=max(lengths[known:], default=0),
+        scratch=max(scratch),
     )
-
-
-@cache
-def state_type(room: Room) -> np.dtype[Any]:
-    """Return the type of a state.
-
-    stamp, y, u: of the newest sample [ns], a missing output is NaN. sample: the newest of each
-    output. held: inputs in use, those of the newest sample with plausible ones; torque_age: time
-    since that [s]; torque_unknown: whether it is not the newest. torque_change to distrust: of
-    `torque`, as what was suspected of it, and since when.
-    x: estimate in design coordinates. covariance: of its error; the certificate's bound while
-    `certified`. While `in_gap` both have the unknown torque's states too. late: whether it is read
-    after the stamp at which the next sample was due. settling: least time with Riccati gains left
-    [s]. corrected: whether a sample was used since the last prediction. cause: code of the `Basis`
-    of that covariance.
-
-    theta, gamma, upsilon (by rows), gram, age: of the adaptation. pending: change of theta that is
-    used once it is significant. anchor, pass_age [s], passes: where the present pass of learning
-    began, how long it takes, and how many there were. theta_before, pending_before, gamma_before:
-    of two earlier samples, the older one last; kept: samples until the next are kept. centre,
-    spread: mean and variance of x over some seconds. relearned: used part of the budget of
-    learning; resting: whether it is used up. pinned: time for which a parameter has been at its
-    limit [s]; strained: time for which innovations have contradicted the model [s]. pause: time for
-    which the adaptation rests after a jump [s].
-
-    sensors: of the outputs, see `sensor_type`. nis, coloured_power, noise_scale, slow_power: the
-    largest of theirs. since: time since the last sample [s]. doubt: time for which nothing is
-    certified [s]; doubted: code of the `Basis` meanwhile. watch_age: time since a start [s]. awake,
-    awake_time [s]: of the alternatives, which are in the order of `Hypothesis`. hypothesis: its
-    code. score: of the design. The others are counts.
-    """
-    n, p, m, k = room[:4]
-    number, count = np.float64, np.int64
-    return record_type(
-        [
-            ("stamp", count),
-            ("y", number, (p,)),
-            ("sample", number, (p,)),
-            ("u", number, (m,)),
-            ("held", number, (m,)),
-            ("torque_age", number),
-            ("torque_unknown", count),
-            ("torque_change", number),
-            ("torque_step", number),
-            ("step_age", number),
-            ("departure", number),
-            ("response", number, (n,)),
-            ("evidence", number),
-            ("distrust", number),
-            ("x", number, (n,)),
-            ("covariance", number, (n, n)),
-            ("settling", number),
-            ("certified", count),
-            ("late", count),
-            ("corrected", count),
-            ("in_gap", count),
-            ("theta", number, (k,)),
-            ("gamma", number, (k, k)),
-            ("upsilon", number, (k, n)),
-            ("gram", number, (k, k)),
-            ("pending", number, (k,)),
-            ("significant", count),
-            ("anchor", number, (k,)),
-            ("pass_age", number),
-            ("passes", count),
-            ("theta_before", number, (2, k)),
-            ("pending_before", number, (2, k)),
-            ("gamma_before", number, (2, k, k)),
-            ("kept", count),
-            ("centre", number, (n,)),
-            ("spread", number, (n,)),
-            ("cause", count),
-            ("age", number),
-            ("sensors", sensor_type(), (p,)),
-            ("nis", number),
-            ("coloured_power", number),
-            ("noise_scale", number),
-            ("slow_power", number),
-            ("since", number),
-            ("strained", number),
-            ("doubt", number),
-            ("doubted", count),
-            ("resting", count),
-            ("relearned", number),
-            ("awake", count),
-            ("awake_time", number),
-            ("hypothesis", count),
-            ("score", number),
-            ("alternatives", alternative_type(room), (ALTERNATIVES,)),
-            ("watch_age", number),
-            ("pause", number),
-            ("pinned", number),
-            ("outliers", count),
-            ("jumps", count),
-            ("losses", count),
-            ("adaptation_resets", count),
-            ("gated", count),
-            ("implausible", count),
-            ("restarts", count),
-            ("failures", count),
-        ]
-    )
-
-
-@cache
-def correction_type(room: Room) -> np.dtype[Any]:
-    """Return the type of a sample's effect, with scratch numbers of the same step."""
-    n, p, _, k = room[:4]
-    number, wide = np.float64, max(n, p)
-    return record_type(
-        [
-            ("innovation", number, (p,)),
-            ("innovation_covariance", number, (p, p)),
-            ("gain", number, (n, p)),
-            ("weight", number, (p,)),
-            ("known", number, (p, p)),
-            ("explained", number, (p, p)),
-            ("omega", number, (p, k)),
-            ("cross", number, (p, k)),
-            ("factor", number, (p, p)),
-            ("crossed", number, (p, n)),
-            ("turned", number, (p, k)),
-            ("shift", number, (k, 1)),
-            ("scaled", number, (k, 1)),
-            ("root", number, (k, k)),
-            ("nothing", number, (wide, wide)),
-            ("squares", number, (3, n, wide)),
-        ]
-    )
-
-
-@cache
-def readout_type(room: Room) -> np.dtype[Any]:
-    """Return the type of an estimate in physical units; see `Readout` for the fields.
-
-    finite: whether all numbers are.
-    """
-    number, count = np.float64, np.int64
-    n, p, _, k = room[:4]
-    return record_type(
-        [
-            ("state", number, (n,)),
-            ("state_bound", number, (n,)),
-            ("disturbance", number, (p,)),
-            ("disturbance_rate", number, (p,)),
-            ("disturbance_bound", number, (p,)),
-            ("parameters", number, (k,)),
-            ("parameter_bound", number, (k,)),
-            ("designed_disturbance", number, (p,)),
-            ("designed_bound", number, (p,)),
-            ("torque_disturbance", number, (MAX_TORQUES,)),
-            ("torque_disturbance_bound", number, (MAX_TORQUES,)),
-            ("basis", count),
-            ("parameters_valid", count),
-            ("noise_scale", number),
-            ("coloured_power", number),
-            ("learning", count),
-            ("hypothesis", count),
-            ("finite", count),
-        ]
-    )
-
-
-@cache
-def work_type(room: Room) -> np.dtype[Any]:
-    """Return the type of a prediction's scratch numbers."""
-    return record_type(
-        [
-            ("flow", stepping.work_type(room)),
-            ("square", np.float64, (room.n, room.n)),
-            ("small", np.float64, (room.k, room.k)),
-        ]
-    )
-
-
-@cache
-def alternative_model_type(room: Room) -> np.dtype[Any]:
-    """Return the type of a hypothesis' model.
-
-    n: number of its states, the last of them a torque; 0 if it is not considered. C: outputs.
-    variances: of the white noise of one sample of each. added: initial variances of its own states.
-    prior: by how much its score must exceed the design's. hysteresis: by how much less, once it is
-    selected.
-    """
-    number = np.float64
-    return record_type(
-        [
-            ("flow", flow_type(room)),
-            ("n", np.int64),
-            ("C", number, (room.p, room.n)),
-            ("variances", number, (room.p,)),
-            ("prior", number),
-            ("hysteresis", number),
-            ("added", number, (room.n,)),
-        ]
-    )
-
-
-@cache
-def model_type(room: Room) -> np.dtype[Any]:
-    """Return the type of a model: flows, output, gains, bounds, options and the initial state."""
-    n, p, _, k = room[:4]
-    number, count = np.float64, np.int64
-    return record_type(
-        [
-            ("flow", flow_type(room)),
-            ("gap", flow_type(room)),
-            ("alternatives", alternative_model_type(room), (ALTERNATIVES,)),
-            ("has_alternatives", count),
-            ("initial", state_type(room)),
-            ("n", count),
-            ("plant", count),
-            ("p", count),
-            ("m", count),
-            ("k", count),
-            ("n_gap", count),
-            ("t", count),
-            ("period", number),
-            ("shortest", number),
-            ("longest", number),
-            ("late_factor", number),
-            ("rate_variance", number),
-            ("torque_limit", number),
-            ("torque_rate_limit", number),
-            ("torque_spread", number),
-            ("torque_doubt", number),
-            ("gain_mode", count),
-            ("C", number, (p, n)),
-            ("D", number, (p, p)),
-            ("R", number, (p, p)),
-            ("K", number, (n, p)),
-            ("X", number, (n, n)),
-            ("P", number, (n, n)),
-            ("posterior", number, (n, n)),
-            ("innovation_covariance", number, (p, p)),
-            ("scale", number, (n,)),
-            ("disturbance_map", number, (p, n)),
-            ("disturbance_direct", number, (p, p)),
-            ("rate_map", number, (p, n)),
-            ("torque_map", number, (MAX_TORQUES, n)),
-            ("disturbed", count, (p,)),
-            ("state_std", number, (n,)),
-            ("disturbance_std", number, (p,)),
-            ("torque_std", number, (MAX_TORQUES,)),
-            ("limits", number, (k,)),
-            ("theta_variance", number),
-            ("motion_share", number),
-            ("random_walk", number),
-            ("significance", number),
-            ("pass_time", number),
-            ("pass_reach", number),
-            ("adaptation_start", number),
-            ("memory", number),
-            ("excitation", number),
-            ("covered", count),
-            ("supervised", count),
-            ("gate", number),
-            ("reject", number),
-            ("jump_std", number, (p,)),
-            ("jump_duration", number),
-            ("jump_quiet", number),
-            ("jump_budget", count),
-            ("jump_budget_window", number),
-            ("lost", number),
-            ("stuck_samples", count),
-            ("disturbance_limit", number, (p,)),
-            ("strain", number),
-            ("relearn_budget", count),
-            ("relearn_time", number),
-            ("second_share", number),
-            ("magnitude_share", number),
-            ("sign_share", number),
-            ("sign_power_share", number),
-            ("score_fade", number),
-        ]
-    )
-
-
-def new_model(room: Room, shape: Shape, period: float) -> Record:
-    """Return a model record with sizes and a period, whose other numbers are zero, shape (1,)."""
-    model = np.zeros(1, model_type(room))
-    for name, size in zip(("n", "plant", "p", "m", "k", "n_gap", "t"), shape, strict=True):
+    model = np.zeros(1, types_of(sizes).model)
+    for name, size in sizes._asdict().items():
         model[name] = size
+    model["flow"][0] = flow.view(np.float64)
+    if gap is not None:
+        model["gap"][0] = gap.view(np.float64)
+    for place, each in enumerate(bank):
+        if each is not None:
+            model["alternatives"]["flow"][0, place, : each.dtype.itemsize // 8] = each.view(
+                np.float64
+            )
     model["period"] = period
     model["initial"]["cause"] = Basis.STARTING
     sensors = model["initial"]["sensors"]
@@ -520,27 +261,35 @@ def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, cove
     model["excitation"] = options.excitation
     gamma = np.eye(len(limits)) * model["theta_variance"]
     fill_matrix(model["initial"]["gamma"], gamma)
-    for before in model["initial"]["gamma_before"]:
-        fill_matrix(before, gamma)
+    model["initial"]["gamma_before"] = gamma.ravel()
 
 
 def enter_supervision(model: Any, options: SupervisionOptions) -> None:
     """Enter when to react, and how strongly, into one model record."""
+    flow = _flow_of(model)
+    is_arm = flow["kind"] == ARM
     for name, value in vars(options).items():
         model[name] = value
     model["supervised"] = 1
     for i in range(int(model["p"])):
         row = model["C"][i]
-        if not (model["flow"]["kind"] == stepping.ARM and (row[LINK_ANGLE] or row[MOTOR_ANGLE])):
+        if not (is_arm and (row[LINK_ANGLE] or row[MOTOR_ANGLE])):
             # The options are for angles; another output has a unit of its own.
             model["jump_std"][i] *= math.sqrt(model["R"][i, i]) / _ANGLE_STD
             model["disturbance_limit"][i] = math.inf
-    # The step of the torque whose effect over a sample is a third of the certified bound.
-    n, flow = int(model["n"]), model["flow"]
-    effect = congruent(flow["gamma"][:n, :1].T, model["P"][:n, :n]).item()
-    if flow["kind"] == stepping.ARM and effect > 0.0:
-        model["torque_doubt"] = 1.0 / (3.0 * math.sqrt(effect))
+    if is_arm:
+        # The step of the torque whose effect over a sample is a third of the certified bound.
+        n = int(model["n"])
+        effect = congruent(flow["gamma"][:n, :1].T, model["P"][:n, :n]).item()
+        model["torque_doubt"] = 1.0 / (3.0 * math.sqrt(effect)) if effect > 0.0 else 0.0
     # Shares of a sample in the averages over one second, and over half a second.
     period = float(model["period"])
     model["second_share"] = 1.0 - exponential(-period)
     model["magnitude_share"] = 1.0 - exponential(-2.0 * period)
+
+
+def _flow_of(model: Any) -> Any:
+    """Return the record of the design's flow in one model record; its sizes follow its kind."""
+    numbers = model["flow"]
+    sizes = numbers[1 : 1 + len(FlowSizes._fields)].view(np.int64)
+    return numbers.view(flow_type(FlowSizes(*sizes.tolist())))[0]
