@@ -18,15 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from tsobs_ros.checks import Array, check_each, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, State, copy_records
-from tsobs_ros.estimation.history import (
-    EXTRA,
-    REASONS,
-    SPARE,
-    estimate_at,
-    follow,
-    memory_type,
-    offer,
-)
+from tsobs_ros.estimation.history import EXTRA, REASONS, History
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Basis,
@@ -103,17 +95,13 @@ class Tracker:
     Attributes:
         estimator: The step functions.
         options: Limits.
-        memory: Record of `history.memory_type`, shape (1,).
-        ring: States after the last measurements.
+        history: States after the last measurements, and counts.
     """
 
     def __init__(self, estimator: Estimator, options: TrackerOptions) -> None:
         self.estimator = estimator
         self.options = options
-        self.memory: Record = np.zeros(1, memory_type(estimator.room))
-        self.ring: Record = np.zeros(
-            options.max_steps + 2 + SPARE, estimator.model.dtype["initial"]
-        )
+        self.history = History(estimator, options.max_steps)
         shape = estimator.shape
         self._one = (
             np.zeros(1, np.int64),
@@ -123,6 +111,16 @@ class Tracker:
             np.zeros((1, shape.p), np.int64),
         )
         self.reset()
+
+    @property
+    def memory(self) -> Record:
+        """Counts and limits, a record that core/history.h describes, shape (1,)."""
+        return self.history.memory
+
+    @property
+    def ring(self) -> Record:
+        """States after the last measurements."""
+        return self.history.ring
 
     def reset(self) -> None:
         """Forget everything; afterwards the tracker is as a new one."""
@@ -139,16 +137,14 @@ class Tracker:
     @property
     def newest(self) -> int | None:
         """Stamp of the newest measurement in use [ns], None before the first."""
-        last = self._last
-        return None if last is None else int(last["stamp"])
+        return self.history.newest or None
 
     @property
     def state(self) -> State | None:
         """The state after the newest measurement, None before the first."""
-        last = self._last
-        if last is None:
+        if self.history.last is None:
             return None
-        place = self._place_of_last
+        place = self.history.place_of_last
         return State(copy_records(self.ring[place : place + 1]), self.estimator.shape)
 
     @property
@@ -179,12 +175,14 @@ class Tracker:
     @property
     def restarts(self) -> int:
         """Number of restarts after a gap or a numerical failure."""
-        return 0 if self._last is None else int(self._last["restarts"])
+        last = self.history.last
+        return 0 if last is None else int(last["restarts"])
 
     @property
     def failures(self) -> int:
         """Number of numerical failures: states or outputs that were not finite."""
-        inner = 0 if self._last is None else int(self._last["failures"])
+        last = self.history.last
+        inner = 0 if last is None else int(last["failures"])
         return int(self.memory["bad_outputs"][0]) + inner
 
     @property
@@ -196,7 +194,7 @@ class Tracker:
     @property
     def output_counts(self) -> tuple[dict[str, int], ...]:
         """Numbers of samples of each output that were gated, and that were missing."""
-        last = self._last
+        last = self.history.last
         if last is None:
             return ({"gated": 0, "missing": 0},) * self.estimator.shape.p
         sensors = last["sensors"][: self.estimator.shape.p]
@@ -225,18 +223,8 @@ class Tracker:
         # Arrays that are kept: making them would take longer than the estimator does.
         stamps[0], sample[0], inputs[0], codes[0] = stamp, y, u, 0
         innovation, expected_std = np.empty(sample.shape), np.empty(sample.shape)
-        offer(
-            self.estimator.model,
-            self.memory,
-            self.ring,
-            stamps,
-            sample,
-            inputs,
-            now,
-            codes,
-            output_codes,
-            innovation,
-            expected_std,
+        self.history.offer(
+            stamps, sample, inputs, now, codes, output_codes, innovation, expected_std
         )
         reason = REASONS[codes.item()]
         return reason or Innovation(stamp, innovation[0], expected_std[0])
@@ -268,7 +256,7 @@ class Tracker:
         if not ascending:
             order = np.argsort(times, kind="stable")
             times, samples, inputs = times[order], samples[order], inputs[order]
-        offer(self.estimator.model, self.memory, self.ring, times, samples, inputs, now, *outcomes)
+        self.history.offer(times, samples, inputs, now, *outcomes)
         if not ascending:
             for each in outcomes:
                 each[order] = each.copy()
@@ -286,7 +274,7 @@ class Tracker:
 
         Returns:
             Rows, NaN where there is no estimate, shape (N, width); `Estimator.row_parts` has the
-            places of their numbers. The last two of a row are those of `history.estimate_at`.
+            places of their numbers. The last two of a row are those of `History.estimate_at`.
 
         Raises:
             ModelError: The arrays have other shapes, or the stamps do not ascend.
@@ -295,9 +283,8 @@ class Tracker:
         after = self.newest or 0
         if not (np.diff(times, prepend=after) > 0).all():
             raise ModelError(f"stamps: expected them to ascend from {after} ns on")
-        there = np.zeros(len(times), np.bool_)
-        rows = np.full((len(times), self.estimator.row_width + EXTRA), np.nan)
-        follow(self.estimator.model, self.memory, self.ring, times, samples, inputs, there, rows)
+        rows = np.full((len(times), self.history.row_width), np.nan)
+        self.history.follow(times, samples, inputs, rows)
         return rows
 
     def _prepared(
@@ -320,8 +307,8 @@ class Tracker:
             None before the first measurement, too long after the last, or if the estimate is not
             finite, which is counted.
         """
-        row = np.empty(self.estimator.row_width + EXTRA)
-        if not estimate_at(self.estimator.model, self.memory, self.ring, stamp, row):
+        row = np.empty(self.history.row_width)
+        if not self.history.estimate_at(stamp, row):
             return None
         basis, valid, scale, coloured, learning, hypothesis, in_domain, age = row[
             -len(CONDITIONS) - EXTRA :
@@ -361,7 +348,7 @@ class Tracker:
         """Go on from a checkpoint of a tracker with the same estimator and options.
 
         Raises:
-            ModelError: Its records are of other sizes.
+            ModelError: Its records are of other sizes, or none of this estimator.
         """
         for name, mine, other in (
             ("memory", self.memory, checkpoint.memory),
@@ -372,8 +359,20 @@ class Tracker:
                     f"checkpoint: expected a {name} of {mine.shape[0]} records of "
                     f"{mine.dtype.itemsize} bytes, got {other.shape[0]} of {other.dtype.itemsize}"
                 )
-        self.memory[:] = checkpoint.memory
-        self.ring[:] = checkpoint.ring
+        before = self.checkpoint()
+        self._take(checkpoint)
+        try:
+            is_sound = self.history.is_sound
+        except ValueError:
+            is_sound = False
+        if not is_sound:
+            self._take(before)
+            raise ModelError("checkpoint: expected the numbers of this estimator")
+
+    def _take(self, checkpoint: Checkpoint) -> None:
+        # Structured arrays are copied field by field, which takes far longer.
+        for mine, other in zip((self.memory, self.ring), checkpoint, strict=True):
+            mine.view(np.float64)[:] = np.ascontiguousarray(other).view(np.float64)
 
     def copy(self) -> "Tracker":
         """Return a tracker that goes on from here by itself."""
@@ -382,18 +381,9 @@ class Tracker:
         return other
 
     @property
-    def _place_of_last(self) -> int:
-        memory = self.memory[0]
-        return int((memory["first"] + memory["length"] - 1) % (len(self.ring) - SPARE))
-
-    @property
-    def _last(self) -> "np.void | None":
-        return self.ring[self._place_of_last] if self.memory["length"][0] else None
-
-    @property
     def _judged(self) -> dict[RejectReason, int]:
         """Numbers of measurements that the estimator itself refused, wholly or in part."""
-        last = self._last
+        last = self.history.last
         if last is None:
             return {}
         return {

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""One tracker over ticks and samples, in compiled code that lets other threads of Python run.
+"""One tracker over ticks and samples; other threads of Python can run meanwhile.
 
 Each tick uses the samples that it includes, in the order of their stamps, and estimates. If an
 observer was recorded, its output decides which samples it received:
@@ -9,7 +9,7 @@ observer was recorded, its output decides which samples it received:
 * of the others, those with which the estimate is the recorded one: alternatives are tried;
 * none from before a restart, which shows in an innovation that only an observer without a past has.
 
-The compiled loop stops at ticks with anything to decide, which are few.
+The loop of core/replay.c stops at ticks with anything to decide, which are few.
 """
 
 from enum import Enum, auto
@@ -19,17 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled_nogil
 from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.history import (
     CORRECTING,
     EXTRA,
     USED,
-    copy_history,
-    estimate_at,
-    forget,
-    newest_stamp,
-    offer,
 )
 from tsobs_ros.estimation.tracker import Tracker
 
@@ -235,18 +229,20 @@ class Pass:
         Args:
             begin: The first tick.
             end: The tick after the last.
-            rows: Estimates as `history.estimate_at` writes them, written where `results.there` is
+            rows: Estimates as `History.estimate_at` writes them, written where `results.there` is
                 1 and else undefined, shape (end − begin, width).
         """
-        tracker, tick = self._tracker, begin
+        tick = begin
+        samples, ticks = self.samples, self._ticks
         while tick < end:
-            tick = _advance(
-                tracker.estimator.model,
-                tracker.memory,
-                tracker.ring,
-                self.samples,
-                self._ticks,
-                self.results,
+            tick = self._tracker.history.advance(
+                samples.stamps,
+                samples.y,
+                samples.u,
+                samples.evidence,
+                samples.begins,
+                *ticks,
+                *self.results,
                 rows[tick - begin :],
                 tick,
                 end,
@@ -276,7 +272,7 @@ class Pass:
         )
         if reset_after >= 0:
             self._take(reset_after, tick, now, _Choice.UNUSED)
-            forget(self._tracker.memory, self._tracker.ring)
+            self._tracker.history.forget()
         begin, before = self.taken, counts.copy()
         uncertain = [
             arrived
@@ -340,7 +336,7 @@ class Pass:
             self._leave_out(place)
         if samples.begins[place] and not self._has_recorded_innovation(place):
             _copy(self._spare[1], tracker)
-            forget(tracker.memory, tracker.ring)
+            tracker.history.forget()
             self._offer(tracker, place, now)
 
     def _leave_out(self, place: int) -> None:
@@ -359,10 +355,7 @@ class Pass:
 
     def _offer(self, tracker: Tracker, place: int, now: int) -> None:
         own, samples, results = slice(place, place + 1), self.samples, self.results
-        offer(
-            tracker.estimator.model,
-            tracker.memory,
-            tracker.ring,
+        tracker.history.offer(
             samples.stamps[own],
             samples.y[own],
             samples.u[own],
@@ -380,7 +373,7 @@ class Pass:
         self.results.there[tick] = (
             newest > 0
             and stamp - newest <= self._stale_after
-            and estimate_at(tracker.estimator.model, tracker.memory, tracker.ring, stamp, row)
+            and tracker.history.estimate_at(stamp, row)
         )
 
 
@@ -448,78 +441,5 @@ def new_pass(tracker: Tracker | KalmanFilter, *args: Any, **options: Any) -> Pas
     return made
 
 
-@compiled_nogil
-def _advance(
-    model: Any,
-    memory: Any,
-    ring: Any,
-    samples: Samples,
-    ticks: Ticks,
-    results: Results,
-    rows: Array,
-    begin: int,
-    end: int,
-    stale_after: int,
-) -> int:
-    """Make the ticks from one up to another, as far as there is nothing to decide.
-
-    Args:
-        model: Model record of the tracker, shape (1,).
-        memory: Its memory record, shape (1,).
-        ring: Its states.
-        samples: The samples.
-        ticks: The ticks.
-        results: Written at the ticks and their samples.
-        rows: The estimates, written from the first row on.
-        begin: The first tick.
-        end: The tick after the last.
-        stale_after: Age of the newest sample after which nothing is estimated [ns].
-
-    Returns:
-        The first tick that was not made, or not finished.
-    """
-    counts = results.counts
-    for tick in range(begin, end):
-        taken, known, stamp = counts[_TAKEN], ticks.min_known[tick], ticks.stamps[tick]
-        decided = ticks.reset_after[tick] < 0 and taken == counts[_OFFERED]
-        for place in range(taken, known):
-            if samples.evidence[place] != CERTAIN or samples.begins[place] != 0:
-                decided = False
-        if not decided:
-            return tick
-        if known > taken:
-            offer(
-                model,
-                memory,
-                ring,
-                samples.stamps[taken:known],
-                samples.y[taken:known],
-                samples.u[taken:known],
-                ticks.now[tick],
-                results.outcomes[taken:known],
-                results.output_codes[taken:known],
-                results.innovations[taken:known],
-                results.expected_std[taken:known],
-            )
-            results.ticks_of_use[taken:known] = tick
-            counts[:] = known
-        newest, row = newest_stamp(memory[0], ring), rows[tick - begin]
-        results.newest[tick] = newest
-        there = newest > 0 and stamp - newest <= stale_after
-        if there:
-            there = estimate_at(model, memory, ring, stamp, row)
-        results.there[tick] = there
-        if ticks.max_known[tick] > known:
-            # More may have been used, if the estimate is not the recorded one.
-            if not there or len(ticks.estimates) == 0:
-                return tick
-            width = ticks.estimates.shape[1]
-            for i in range(width):
-                recorded = ticks.estimates[tick, i]
-                if row[i] != recorded and (2 * i < width or recorded == recorded):
-                    return tick
-    return end
-
-
 def _copy(source: Tracker, target: Tracker) -> None:
-    copy_history(source.memory, source.ring, target.memory, target.ring)
+    source.history.copy_to(target.history)

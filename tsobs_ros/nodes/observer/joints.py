@@ -21,7 +21,7 @@ from tsobs_ros.estimation.faults import (
     new_watches,
 )
 from tsobs_ros.estimation.health import LastMinute, Phase, Status, phase_of
-from tsobs_ros.estimation.history import CORRECTING, GATED, USED, offer
+from tsobs_ros.estimation.history import CORRECTING, GATED, USED
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
@@ -139,21 +139,11 @@ class ObservedJoint:
             that was not used, shape (N, p).
         """
         self.received += len(stamps)
-        tracker, codes = self.tracker, np.zeros(len(stamps), np.int64)
+        codes = np.zeros(len(stamps), np.int64)
         output_codes = np.zeros(y.shape, np.int64)
         innovations, expected_std = np.empty((2, *y.shape))
-        offer(
-            tracker.estimator.model,
-            tracker.memory,
-            tracker.ring,
-            stamps,
-            y,
-            u,
-            now,
-            codes,
-            output_codes,
-            innovations,
-            expected_std,
+        self.tracker.history.offer(
+            stamps, y, u, now, codes, output_codes, innovations, expected_std
         )
         # A column of one and a row of one are the same numbers.
         by_output = [
