@@ -226,14 +226,16 @@ def score(
     claims = np.zeros((count, len(CLAIMS), len(quantities), 4))
     claimed = np.zeros((count, len(CLAIMS)), np.int64)
     reach = np.zeros(count)
-    given = (runs.times, runs.physical, runs.disturbances, runs.torque_disturbances)
     native.scores_add_up(
         kept,
         places,
         jumps,
         _CLAIM_OF,
         width - EXTRA - len(CONDITIONS) + CONDITIONS.index("basis"),
-        *map(np.ascontiguousarray, given),
+        np.ascontiguousarray(runs.times),
+        np.ascontiguousarray(runs.physical),
+        np.ascontiguousarray(runs.disturbances),
+        np.ascontiguousarray(runs.torque_disturbances),
         _last_measured(runs.measurements),
         np.ascontiguousarray(observed.rows),
         settled,

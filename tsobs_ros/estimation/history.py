@@ -68,12 +68,11 @@ class History:
         self.ring: Record = np.zeros(max_steps + 2 + SPARE, estimator.new_states(0).dtype)
         self.row_width = estimator.row_width + EXTRA
         model = estimator.model.view(np.float64)
-        scratch = np.zeros(native.history_scratch_size(model, len(self.ring)))
-        self._records: tuple[native.Memory, ...] = tuple(
-            map(
-                native.Memory,
-                (model, self.memory.view(np.float64), self.ring.view(np.float64), scratch),
-            )
+        self._records = (
+            native.Memory(model),
+            native.Memory(self.memory.view(np.float64)),
+            native.Memory(self.ring.view(np.float64)),
+            native.Memory(np.zeros(native.history_scratch_size(model, len(self.ring)))),
         )
 
     @property

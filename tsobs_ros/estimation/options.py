@@ -114,7 +114,7 @@ class SupervisionOptions:
         jump_budget_window: [s].
         lost: Half-second average of |r| beyond which the estimate is given up.
         stuck_samples: From so many repetitions of the very same value on that count, see
-            `estimation.repeats`, samples of the sensor are not used; 0: never.
+            core/repeats.h, samples of the sensor are not used; 0: never.
         disturbance_limit: The estimated disturbance is kept within so much [rad]; beyond π the arm
             and its sensor turned together look the same.
         strain: Innovations that contradict the model by a coloured power above 1, or a parameter
