@@ -540,7 +540,7 @@ def _torques(torque: Any, times: Array, inputs: int) -> Array:
 def _columns_of(
     rows: Array, estimator: Estimator | KalmanFilter, outputs: tuple[int, ...]
 ) -> dict[str, Any]:
-    """Return the fields of `Estimates` that are in rows of `history.estimate_at`."""
+    """Return the fields of `Estimates` that are in rows of `History.estimate_at`."""
     columns: dict[str, Any] = {}
     torques = estimator.shape.t
     for name, shape in (

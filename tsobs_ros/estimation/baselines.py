@@ -251,7 +251,7 @@ class KalmanFilter:
         model: Record of its numbers, as kalman.h lays it out, shape (1,).
         memory: Record of what it remembers, shape (1,).
         row_parts: Places of an estimate's fields in a row, as of an `Estimator`.
-        row_width: Length of a row without what `history.estimate_at` adds.
+        row_width: Length of a row without what `History.estimate_at` adds.
         shape: Its sizes.
         lacking: The fields of a row that it has nothing for.
     """

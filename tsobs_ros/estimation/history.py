@@ -23,15 +23,11 @@ REASONS = (None, *RejectReason)
 """Reasons of rejection by their codes; 0 is a measurement that was used."""
 
 USED = 0
-NON_FINITE, DUPLICATE, TOO_OLD, FROM_FUTURE, GATED, ZERO_STAMP, IMPLAUSIBLE_TORQUE = (
+NON_FINITE, GATED, IMPLAUSIBLE_TORQUE = (
     REASONS.index(reason)
     for reason in (
         RejectReason.NON_FINITE,
-        RejectReason.DUPLICATE,
-        RejectReason.TOO_OLD,
-        RejectReason.FROM_FUTURE,
         RejectReason.GATED,
-        RejectReason.ZERO_STAMP,
         RejectReason.IMPLAUSIBLE_TORQUE,
     )
 )

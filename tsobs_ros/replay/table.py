@@ -95,7 +95,7 @@ class EstimateTable:
         Args:
             joint: Index of the joint.
             ticks: m of them.
-            rows: See `history.estimate_at`, shape (m, width).
+            rows: See `History.estimate_at`, shape (m, width).
             there: Whether a row is an estimate, shape (m,).
             parts: Places of an estimate's fields in a row.
         """
