@@ -66,9 +66,7 @@ for file in ("elastic_joint_fixed.design.yaml", "elastic_joint.design.yaml"):
             method=method, settle_time=0.2, supervision=SupervisionOptions(jump_quiet=0.0)
         )
         runner = make_runner(design, settings)
-        parts = runner.numbers if method in FILTERS else [runner.estimator.model]
-        for number, each in enumerate(parts):
-            show(f"model {method} {number}", each)
+        show(f"model {method}", (runner if method in FILTERS else runner.estimator).model)
         found = ts.estimate(design, *np.load(folder / "arrays.npy"), settings=settings)
         show(f"arrays {method}", found)
         if method in FILTERS:  # the same steps, slow where they are interpreted
