@@ -23,6 +23,8 @@ covariance starts again. Late samples are put in their place. No observer here
 has a certificate.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -349,9 +351,10 @@ class KalmanFilter:
             rows: The estimates, written where there are any, shape (m, row_width + EXTRA).
         """
         records = (self.model, self._flow, self.memory, self._scratch)
-        arrays = [record.view(np.float64) for record in records]
+        arrays: list[NDArray[Any]] = [record.view(np.float64) for record in records]
         arrays += map(np.ascontiguousarray, (*ticks, *samples))
-        native.kalman_advance(*arrays, *results, newest, rows)
+        arrays += (*results, newest, rows)
+        native.kalman_advance(*arrays)
 
     def follow(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
         """Use samples one after the other, and return the estimates at their stamps.
