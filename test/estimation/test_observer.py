@@ -17,6 +17,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from tsobs_ros.core.native import WINDOW
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
@@ -27,7 +28,6 @@ from tsobs_ros.estimation.estimator import (
     certified_estimator,
 )
 from tsobs_ros.estimation.options import CertifiedGain, GainMode, SupervisionOptions
-from tsobs_ros.estimation.state import WINDOW
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Plant, Scenario

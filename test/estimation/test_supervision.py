@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from tsobs_ros.core.native import MAX_JUMP_BUDGET, WINDOW
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, Readout, State, certified_estimator
-from tsobs_ros.estimation.options import MAX_JUMP_BUDGET, CertifiedGain, SupervisionOptions
+from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.estimation.state import WINDOW
 from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import simulate

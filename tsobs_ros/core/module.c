@@ -3,6 +3,7 @@
  *
  * The extension module `tsobs_ros.core.native`: the C library for Python, arrays by buffer.
  */
+#include "estimator.h"
 #include "python.h"
 
 /* --- Memory: an array whose address is looked up once, as that takes longer than a step --- */
@@ -144,6 +145,21 @@ PyObject *fields_as_list(const layout_field *fields, size_t count)
 
 /* --- the module --- */
 
+/* Numbers of the core that Python needs, too. */
+static const struct {
+    const char *name;
+    long value;
+} constants[] = {
+    {"KIND_ARM", KIND_ARM},
+    {"KIND_SYSTEM", KIND_SYSTEM},
+    {"KIND_INTEGRATED", KIND_INTEGRATED},
+    {"GAIN_RICCATI", GAIN_RICCATI},
+    {"GAIN_CERTIFIED", GAIN_CERTIFIED},
+    {"WINDOW", WINDOW},
+    {"MAX_JUMP_BUDGET", MAX_JUMP_BUDGET},
+    {"ALTERNATIVES", ALTERNATIVES},
+};
+
 static int module_exec(PyObject *module)
 {
     PyMethodDef *const tables[] = {
@@ -161,6 +177,11 @@ static int module_exec(PyObject *module)
     memory_type = (PyTypeObject *)PyType_FromSpec(&memory_spec);
     if (memory_type == NULL || PyModule_AddObjectRef(module, "Memory", (PyObject *)memory_type) < 0) {
         return -1;
+    }
+    for (i = 0; i < sizeof constants / sizeof constants[0]; i++) {
+        if (PyModule_AddIntConstant(module, constants[i].name, constants[i].value) < 0) {
+            return -1;
+        }
     }
     for (i = 0; i < sizeof tables / sizeof tables[0]; i++) {
         if (PyModule_AddFunctions(module, tables[i]) < 0) {

@@ -7,6 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+KIND_ARM: int
+KIND_SYSTEM: int
+KIND_INTEGRATED: int
+GAIN_RICCATI: int
+GAIN_CERTIFIED: int
+WINDOW: int
+MAX_JUMP_BUDGET: int
+ALTERNATIVES: int
+
 class Memory:
     """An array's address, looked up once; the array must stay as it is."""
 

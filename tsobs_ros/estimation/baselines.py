@@ -42,7 +42,6 @@ from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import Always, RuleBase
 from tsobs_ros.model.matrices import product
 from tsobs_ros.model.prediction import FlowSizes, fill_matrix, flow_record, flow_type
-from tsobs_ros.model.stepping import INTEGRATED
 from tsobs_ros.model.uncertainty import Uncertainty
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
@@ -147,7 +146,7 @@ def integrated_estimator(
     flow = np.zeros(1, flow_type(sizes))
     for name, number in {
         **sizes._asdict(),
-        "kind": INTEGRATED,
+        "kind": native.KIND_INTEGRATED,
         "period": positive("period", period),
         "max_step": max_step,
         "gravity_gain": gravity_gain,

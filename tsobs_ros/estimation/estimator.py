@@ -54,7 +54,7 @@ class State:
     def __getattr__(self, name: str) -> Any:
         if name in State.__slots__:  # of a copy that is still being made
             raise AttributeError(name)
-        values = self._numbers(self.records, name)[0]
+        values = self._fields(self.records, name)[0]
         return values.reshape(*self.batch, *values.shape[1:]) if self.batch else values[0]
 
     def __eq__(self, other: object) -> bool:
@@ -64,7 +64,7 @@ class State:
 
     __hash__ = None  # type: ignore[assignment]
 
-    def _numbers(self, of_records: Record, name: str) -> list[Any]:
+    def _fields(self, of_records: Record, name: str) -> list[Any]:
         """Return a field of records and of their sensors, of the states in use."""
         sensors = of_records["sensors"]
         found = [
@@ -85,7 +85,7 @@ class State:
         """Return the state with some fields replaced, its own and those of its sensors."""
         copy = self.copy()
         for name, value in values.items():
-            for target in self._numbers(copy.records, name):
+            for target in self._fields(copy.records, name):
                 target[...] = np.reshape(value, target.shape) if self.batch else value
         return copy
 
@@ -238,7 +238,7 @@ class Estimator:
         after, samples = state.copy(), as_rows("y", y, state.batch, (self.shape.p,))
         corrections = self.new_corrections(len(after.records))
         native.estimator_correct(
-            *map(_numbers_of, (self.model, after.records)), samples, _numbers_of(corrections)
+            _numbers(self.model), _numbers(after.records), samples, _numbers(corrections)
         )
         fields = ("innovation", "innovation_covariance", "gain", "weight")
         return after, Correction(
@@ -272,18 +272,21 @@ class Estimator:
         non_negative("duration", duration)
         after, inputs = state.copy(), as_rows("u", u, state.batch, (self.shape.m,))
         native.estimator_predict(
-            *map(_numbers_of, (self.model, after.records)),
+            _numbers(self.model),
+            _numbers(after.records),
             inputs,
             duration,
             between_samples,
-            _numbers_of(self._work),
+            _numbers(self._work),
         )
         return after
 
     def readout(self, state: State) -> Readout:
         """Return the estimate and its bounds in physical units."""
         readouts = self.new_readouts(len(state.records))
-        native.estimator_read(*map(_numbers_of, (self.model, state.records, readouts, self._work)))
+        native.estimator_read(
+            _numbers(self.model), _numbers(state.records), _numbers(readouts), _numbers(self._work)
+        )
         values = {
             name: _shaped(readouts, name, self.shape, state.batch) for name in Readout._fields
         }
@@ -322,14 +325,16 @@ class Estimator:
         states = self.initial((len(samples),)) if start is None else start.copy()
         if states.batch != (len(samples),):
             raise ModelError(f"start: expected a batch of {(len(samples),)}, got {states.batch}")
-        scratch = (self.new_corrections(), self.new_readouts(), self.new_work())
         native.estimator_observe(
-            *map(_numbers_of, (self.model, states.records)),
+            _numbers(self.model),
+            _numbers(states.records),
             samples,
             inputs,
             length,
             samples.shape[1],
-            *map(_numbers_of, scratch),
+            _numbers(self.new_corrections()),
+            _numbers(self.new_readouts()),
+            _numbers(self.new_work()),
             rows,
         )
         return Readout(
@@ -468,10 +473,10 @@ def certified_estimator(
 
 def copy_records(source: Record) -> Record:
     """Return a copy of some records, faster than NumPy, which copies field by field."""
-    return _numbers_of(source).copy().view(source.dtype)
+    return _numbers(source).copy().view(source.dtype)
 
 
-def _numbers_of(some: Record) -> Array:
+def _numbers(some: Record) -> Array:
     """Return the numbers of records, shape (numbers,), the same memory."""
     return some.view(np.float64)
 

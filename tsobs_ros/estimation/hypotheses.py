@@ -22,13 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array
+from tsobs_ros.core import native
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.model.flow import ArmFlow, ForceFlow
 from tsobs_ros.model.prediction import Flow, fill_matrix
-from tsobs_ros.model.trigonometry import exponential
-
-ALTERNATIVES = len(Hypothesis) - 1
-"""Hypotheses besides the design, in the order of `Hypothesis`."""
 
 FORCES = (0.01, 0.05)
 """1σ of the torques of the two forces, relative to the gravity torque."""
@@ -97,7 +94,7 @@ def alternatives(flow: ArmFlow, variances: Array) -> list[Alternative | None]:
     flows[_COLOURED - 1] = ForceFlow(flow, forces[_COLOURED - 1], FORCE_TIME, stds, COLOUR_TIME)
     flows[_DRIFT - 1] = ForceFlow(drifting, forces[_DRIFT - 1], FORCE_TIME)
     own: list[tuple[float, ...]] = [(force,) for force in forces]
-    whites = [variances] * ALTERNATIVES
+    whites = [variances] * native.ALTERNATIVES
     whites[_COLOURED - 1] = variances * WHITE_SHARE
     own[_COLOURED - 1] = (*stds, *own[_COLOURED - 1])
     numbers = zip(flows, whites, own, _PRIORS, _HYSTERESES, strict=True)
@@ -121,6 +118,6 @@ def enter_alternatives(model: Any, bank: list[Alternative | None]) -> None:
         record["n"] = n
         record["prior"], record["hysteresis"] = assumed.prior, assumed.hysteresis
     period = float(model["period"])
-    model["sign_share"] = 1.0 - exponential(-period / _SIGN_TIME)
-    model["sign_power_share"] = 1.0 - exponential(-period / _SIGN_POWER_TIME)
-    model["score_fade"] = exponential(-period / _SCORE_TIME)
+    model["sign_share"] = 1.0 - native.exponential(-period / _SIGN_TIME)
+    model["sign_power_share"] = 1.0 - native.exponential(-period / _SIGN_POWER_TIME)
+    model["score_fade"] = native.exponential(-period / _SCORE_TIME)

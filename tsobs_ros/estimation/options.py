@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from tsobs_ros.checks import Array, check_each, non_negative, positive
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 
 TORQUE_RATE = 1.0
 """Default 1σ of an arm's torque rate in a gap [N m/s]."""
-
-MAX_JUMP_BUDGET = 32
-"""Jumps that a state has room for."""
 
 
 class GainMode(enum.Enum):
@@ -142,9 +140,9 @@ class SupervisionOptions:
         check_each(positive, self, *limits)
         jumps = ("jump_std", "jump_duration", "jump_quiet", "jump_budget", "jump_budget_window")
         check_each(non_negative, self, *jumps, "stuck_samples", "relearn_budget")
-        if self.jump_budget > MAX_JUMP_BUDGET:
+        if self.jump_budget > native.MAX_JUMP_BUDGET:
             raise ModelError(
-                f"jump_budget: expected at most {MAX_JUMP_BUDGET}, got {self.jump_budget!r}"
+                f"jump_budget: expected at most {native.MAX_JUMP_BUDGET}, got {self.jump_budget!r}"
             )
         if not self.reject >= self.gate:
             raise ModelError(

@@ -18,7 +18,6 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
-from tsobs_ros.estimation.hypotheses import ALTERNATIVES
 from tsobs_ros.estimation.options import (
     AdaptationOptions,
     CertifiedGain,
@@ -30,11 +29,6 @@ from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.matrices import congruent, inverse, joseph
 from tsobs_ros.model.prediction import FlowSizes, Record, fill_matrix, flow_type
-from tsobs_ros.model.stepping import ARM
-from tsobs_ros.model.trigonometry import exponential
-
-WINDOW = 24
-"""Innovations that are looked at together for a jump."""
 
 CONDITIONS = (
     "basis",
@@ -48,9 +42,6 @@ CONDITIONS = (
 
 _ANGLE_STD = 0.028
 """1σ of the angle's noise that the default of `jump_std` is for [rad]."""
-
-OPEN, RICCATI, CERTIFIED = 0, 1, 2
-"""Gains of a sample: none, as it is held while the observer is integrated, or one of these."""
 
 
 class Shape(NamedTuple):
@@ -189,7 +180,7 @@ def new_model(
         k=shape.k,
         n_gap=shape.gap,
         t=shape.t,
-        bank=ALTERNATIVES if bank else 0,
+        bank=native.ALTERNATIVES if bank else 0,
         flow_size=lengths[0],
         gap_size=sum(lengths[1:known]),
         bank_size=max(lengths[known:], default=0),
@@ -233,7 +224,9 @@ def enter_gain(
     C, H, T = (model[name][:, :n] for name in ("C", "disturbance_map", "torque_map"))
     C, H = C[:p], H[:p]
     model["late_factor"] = certified.late
-    model["gain_mode"] = CERTIFIED if gain_mode is GainMode.CERTIFIED else RICCATI
+    model["gain_mode"] = (
+        native.GAIN_CERTIFIED if gain_mode is GainMode.CERTIFIED else native.GAIN_RICCATI
+    )
     for name, matrix in (
         ("X", X),
         ("K", K),
@@ -253,7 +246,7 @@ def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, cove
     fill_matrix(model["limits"], limits)
     model["covered"] = covered
     model["theta_variance"] = options.initial_std * options.initial_std
-    model["motion_share"] = 1.0 - exponential(-0.5 * float(model["period"]))
+    model["motion_share"] = 1.0 - native.exponential(-0.5 * float(model["period"]))
     model["significance"] = options.significance
     model["pass_time"], model["pass_reach"] = options.pass_time, 0.5
     model["random_walk"] = options.random_walk_density
@@ -267,7 +260,7 @@ def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, cove
 def enter_supervision(model: Any, options: SupervisionOptions) -> None:
     """Enter when to react, and how strongly, into one model record."""
     flow = _flow_of(model)
-    is_arm = flow["kind"] == ARM
+    is_arm = flow["kind"] == native.KIND_ARM
     for name, value in vars(options).items():
         model[name] = value
     model["supervised"] = 1
@@ -284,8 +277,8 @@ def enter_supervision(model: Any, options: SupervisionOptions) -> None:
         model["torque_doubt"] = 1.0 / (3.0 * math.sqrt(effect)) if effect > 0.0 else 0.0
     # Shares of a sample in the averages over one second, and over half a second.
     period = float(model["period"])
-    model["second_share"] = 1.0 - exponential(-period)
-    model["magnitude_share"] = 1.0 - exponential(-2.0 * period)
+    model["second_share"] = 1.0 - native.exponential(-period)
+    model["magnitude_share"] = 1.0 - native.exponential(-2.0 * period)
 
 
 def _flow_of(model: Any) -> Any:

@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix, non_negative, positive
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import (
     LINK_ANGLE,
@@ -38,7 +39,6 @@ from tsobs_ros.model.arm import (
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
 from tsobs_ros.model.prediction import Flow, fill_common, fill_matrix, require_directions
-from tsobs_ros.model.stepping import ARM
 from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
 from tsobs_ros.model.vertices import (
     KickCorner,
@@ -195,7 +195,7 @@ class ArmFlow(Flow):
     def fill(self, record: Any, uncertainty: Uncertainty | None = None) -> None:
         """Enter the model's numbers into one record; see `Flow`."""
         fill_common(record, self, self.linear, self.period, uncertainty)
-        record["kind"], record["plant"] = ARM, 4
+        record["kind"], record["plant"] = native.KIND_ARM, 4
         record["gravity_gain"] = self.arm.gravity_gain
         for name, torque in (
             ("motor_torque", self.motor_torque),

@@ -19,16 +19,13 @@ from numpy.typing import ArrayLike
 from tsobs_ros.checks import Array, Integers, finite, positive
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.memberships import (
-    ALWAYS,
-    GAUSSIAN,
-    LINEAR,
-    SINE_LOWER,
-    SINE_UPPER,
-    SQUARE,
-    SQUARE_REST,
-    TRAPEZOID,
-)
+
+ALWAYS, LINEAR, TRAPEZOID, GAUSSIAN, SINE_UPPER, SINE_LOWER, SQUARE, SQUARE_REST = range(8)
+"""Codes of the shapes. Their parameters, in this order; the rest of the four is not read:
+
+LINEAR: zero, one. TRAPEZOID: left, top_left, top_right, right. GAUSSIAN: centre, width.
+SINE_UPPER, SINE_LOWER: half_width, sin(half_width)/half_width. SQUARE, SQUARE_REST: half_width.
+"""
 
 MembershipFunction = Callable[[Array], Array]
 """Grade in [0, ∞) of one premise variable, evaluated elementwise on an array."""

@@ -13,10 +13,8 @@ import math
 import numpy as np
 
 from tsobs_ros.checks import Array
-from tsobs_ros.compiled import compiled
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.matrices import congruence, copy, multiply
 
 MAX_TERMS = 60
 """Rows of a series; those behind `LinearFlow.terms` are zero."""
@@ -79,86 +77,6 @@ class LinearFlow:
             self.series, self.terms, self.reach, duration, phi, gamma, noise, scratch, n, m
         )
         return phi, gamma, noise
-
-
-@compiled
-def flow_over(
-    series: Array,
-    terms: int,
-    reach: float,
-    duration: float,
-    phi: Array,
-    gamma: Array,
-    noise: Array,
-    squares: Array,
-    forced: Array,
-    values: Array,
-    n: int,
-    m: int,
-    with_noise: bool,
-) -> None:
-    """Write Φ, Γ and, if wanted, Q over `duration` [s] from a series.
-
-    Args:
-        series: Of a `LinearFlow`.
-        terms: Of the same.
-        reach: Of the same [s].
-        duration: At least 0 [s].
-        phi: Φ, shape (n, n).
-        gamma: Γ, shape (n, m).
-        noise: Q, shape (n, n).
-        squares: Scratch, shape (2, n, n).
-        forced: Scratch, shape (n, m).
-        values: Scratch, shape (n (2n + m),).
-        n: Number of states.
-        m: Number of inputs.
-        with_noise: Whether Q is wanted, which is a third of the work.
-    """
-    doublings, step = 0, duration
-    while step > reach:
-        doublings += 1
-        step *= 0.5
-    # Horner's rule.
-    count = n * (2 * n + m) if with_noise else n * (n + m)
-    for place in range(count):
-        values[place] = 0.0
-    for back in range(terms):
-        row = terms - 1 - back
-        for place in range(count):
-            values[place] = values[place] * step + series[row, place]
-    for i in range(n):
-        for j in range(n):
-            phi[i, j] = values[n * i + j]
-        for j in range(m):
-            gamma[i, j] = values[n * n + m * i + j]
-        for j in range(n if with_noise else 0):
-            noise[i, j] = values[n * (n + m) + n * i + j]
-    first, second = squares[0], squares[1]
-    for _ in range(doublings):
-        multiply(phi, gamma, forced, n, n, m)
-        for i in range(n):
-            for j in range(m):
-                gamma[i, j] += forced[i, j]
-        if with_noise:
-            congruence(phi, noise, noise, first, second, n, n)
-            copy(second, noise, n, n)
-        multiply(phi, phi, first, n, n, n)
-        copy(first, phi, n, n)
-
-
-@compiled
-def cut_into_steps(duration: float, period: float) -> tuple[int, float]:
-    """Return the number of nominal steps in `duration` [s] and the length of a last one [s].
-
-    The last one is 0 or up to 1.25 periods long.
-    """
-    whole = math.floor(duration / period)
-    rest = duration - whole * period
-    if rest < 0.0:
-        whole, rest = whole - 1, rest + period
-    if whole > 0 and 0.0 < rest <= (STRETCH - 1.0) * period:
-        whole, rest = whole - 1, rest + period
-    return whole, rest
 
 
 def _norm(A: Array) -> float:

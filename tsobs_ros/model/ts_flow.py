@@ -30,11 +30,11 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from tsobs_ros.checks import Array, as_matrix, positive
+from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
 from tsobs_ros.model.prediction import Flow, fill_common, fill_matrix, require_directions
-from tsobs_ros.model.stepping import SYSTEM
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty
 
@@ -160,7 +160,7 @@ class TSFlow(Flow):
         """Enter the model's numbers into one record; see `Flow`."""
         model = self.model
         fill_common(record, self, self._linear, 0.5 * self.period, uncertainty)
-        record["kind"], record["plant"] = SYSTEM, model.state_count
+        record["kind"], record["plant"] = native.KIND_SYSTEM, model.state_count
         shapes, parameters = model.rule_base.coded
         for name, values in (
             ("deviations", self.deviations),

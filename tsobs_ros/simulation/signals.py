@@ -21,7 +21,6 @@ import numpy as np
 from tsobs_ros.checks import Array, Flags, check_each, finite, non_negative, positive
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.trigonometry import exponential
 
 
 class Excitation(ABC):
@@ -424,7 +423,7 @@ def markov_step(period: float, time_constant: float) -> tuple[float, float]:
 
     So it is moved on by a period [s], by the exact discretisation.
     """
-    decay = exponential(-period / time_constant)
+    decay = native.exponential(-period / time_constant)
     return decay, math.sqrt(1.0 - decay * decay)
 
 

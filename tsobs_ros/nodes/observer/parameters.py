@@ -5,11 +5,11 @@
 import math
 from dataclasses import dataclass
 
+from tsobs_ros.core import native
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.events import COAST_AFTER, STALE_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
 from tsobs_ros.estimation.options import (
-    MAX_JUMP_BUDGET,
     TORQUE_RATE,
     GainMode,
     SupervisionOptions,
@@ -144,7 +144,10 @@ class ObserverParameters(ManagedParameters):
             2.5, "No jump is looked for so soon after a start", unit="s", minimum=0.0, maximum=600.0
         ),
         jump_budget=parameter(
-            8, "Jumps within 20 s before they are ignored", minimum=0, maximum=MAX_JUMP_BUDGET
+            8,
+            "Jumps within 20 s before they are ignored",
+            minimum=0,
+            maximum=native.MAX_JUMP_BUDGET,
         ),
         lost=parameter(
             6.0, "Average innovation in sigma that gives the estimate up", minimum=1.0, maximum=1e3
