@@ -42,7 +42,8 @@ int sizes_are_sound(const int64_t *numbers)
         }
     }
     return s.n >= 1 && s.width >= s.n && s.width >= s.n_gap && s.plant >= 1 && s.plant <= s.n
-           && (s.n_gap == 0 || s.n_gap >= s.n + 2) && (s.bank == 0 || s.bank == ALTERNATIVES);
+           && (s.n_gap == 0 || s.n_gap >= s.n + 2) && (s.n_gap == 0) == (s.gap_size == 0)
+           && (s.bank == 0 || s.bank == ALTERNATIVES);
 }
 
 /* Return whether the model is one of an arm: four states of the plant, and the torque. */
