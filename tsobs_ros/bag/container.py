@@ -35,6 +35,12 @@ MESSAGE = struct.Struct("<BQHIQQ")
 
 MESSAGE_OPCODE = int(Opcode.MESSAGE)
 
+CHUNK_HEAD = struct.Struct("<BQQQQII")
+"""The start of a chunk: opcode, length, first and last log time, size, checksum, size of a name."""
+
+INDEX_HEAD = struct.Struct("<BQHI")
+"""The start of a message index: opcode, length, channel, size of its entries."""
+
 MAX_SIZE = 2**28
 """The largest record and chunk content that is read, bytes; larger ones are damage."""
 
@@ -49,7 +55,6 @@ RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 # More than there can be schemas and channels.
 _MAX_OTHERS = 2**18
 _MESSAGE_BODY_SIZE = MESSAGE.size - RECORD.size
-_CHUNK_HEAD = struct.Struct("<BQQQQII")
 _MAX_CHUNK_HEAD_SIZE = 80
 _CHUNK_INDEX = struct.Struct("<QQQQI")
 _CHUNK_INDEX_REST = 28
@@ -378,26 +383,45 @@ def _bare_spans(stream: IO[bytes], rank: int, end: int) -> Iterator[Span]:
         start = following
 
 
+def read_chunk(stream: IO[bytes], span: Span) -> tuple[bytes, Chunk]:
+    """Return the record of a chunk as it is in a file, and the same as the library has it.
+
+    Raises:
+        RecordError: There is no chunk at the place of one, or a damaged one.
+    """
+    _require_size(span)
+    stream.seek(span.offset)
+    record = stream.read(span.size)
+    try:
+        chunk, data_at, size = chunk_head(record[:_MAX_CHUNK_HEAD_SIZE])
+        if size != span.size:
+            raise RecordError("the index states another size")
+    except RecordError as error:
+        raise RecordError(f"at byte {span.offset}: {error}") from error
+    chunk.data = record[data_at:]
+    return record, chunk
+
+
 def read_span(stream: IO[bytes], span: Span) -> tuple[bytes, bool]:
     """Return the records in a span of a file, and whether a checksum covers them.
 
     Raises:
         RecordError: They are damaged, or there is no chunk at the place of one.
     """
-    if span.size > MAX_SIZE:
-        raise RecordError(f"{span.size} bytes at byte {span.offset}, too many to read")
-    stream.seek(span.offset)
     if not span.is_chunk:
+        _require_size(span)
+        stream.seek(span.offset)
         return stream.read(span.size), False
+    _, chunk = read_chunk(stream, span)
     try:
-        chunk, data_at, size = chunk_head(stream.read(_MAX_CHUNK_HEAD_SIZE))
-        if size != span.size:
-            raise RecordError("the index states another size")
-        stream.seek(span.offset + data_at)
-        chunk.data = stream.read(size - data_at)
         return chunk_records(chunk), chunk.uncompressed_crc != 0
     except RecordError as error:
         raise RecordError(f"at byte {span.offset}: {error}") from error
+
+
+def _require_size(span: Span) -> None:
+    if span.size > MAX_SIZE:
+        raise RecordError(f"{span.size} bytes at byte {span.offset}, too many to read")
 
 
 def has_checksum(stream: IO[bytes], span: Span) -> bool:
@@ -419,12 +443,12 @@ def chunk_head(head: bytes) -> tuple[Chunk, int, int]:
         RecordError: There is no chunk, or one of more than `MAX_SIZE` bytes.
     """
     try:
-        opcode, length, start, end, size, crc, name_size = _CHUNK_HEAD.unpack_from(head)
-        name = head[_CHUNK_HEAD.size : _CHUNK_HEAD.size + name_size].decode("ascii")
-        (data_size,) = struct.unpack_from("<Q", head, _CHUNK_HEAD.size + name_size)
+        opcode, length, start, end, size, crc, name_size = CHUNK_HEAD.unpack_from(head)
+        name = head[CHUNK_HEAD.size : CHUNK_HEAD.size + name_size].decode("ascii")
+        (data_size,) = struct.unpack_from("<Q", head, CHUNK_HEAD.size + name_size)
     except (struct.error, UnicodeDecodeError) as error:
         raise RecordError("there is no chunk") from error
-    data_at = _CHUNK_HEAD.size + name_size + 8
+    data_at = CHUNK_HEAD.size + name_size + 8
     if opcode != Opcode.CHUNK or data_at + data_size != RECORD.size + length:
         raise RecordError("there is no chunk, or it states two sizes")
     if length > MAX_SIZE:

@@ -25,6 +25,7 @@ from mcap.records import Channel, Chunk, McapRecord, Metadata
 from mcap.stream_reader import StreamReader
 
 from tsobs_ros.bag.container import (
+    INDEX_HEAD,
     MAGIC,
     MAX_SIZE,
     MESSAGE,
@@ -34,9 +35,6 @@ from tsobs_ros.bag.container import (
     chunk_head,
     chunk_records,
 )
-
-INDEX_HEAD = struct.Struct("<BQHI")
-"""The start of a message index: opcode, length, channel and size of its entries in bytes."""
 
 INDEX_ENTRY = struct.Struct("<QQ")
 """An entry of a message index: log time and place in the chunk."""

@@ -172,8 +172,8 @@ class _Template:
 
     def pack_all(
         self, stamps: NDArray[np.int64], position: Array, velocity: Array, effort: Array
-    ) -> list[bytes]:
-        """Return many messages with these numbers, each of as many as the lengths say."""
+    ) -> NDArray[np.uint8]:
+        """Return many messages, a row each, of as many numbers as the lengths say."""
         size = self._struct.size
         rows = np.zeros(len(stamps), self._dtype(size))
         rows["header"] = np.frombuffer(self._header, np.uint8)
@@ -181,8 +181,7 @@ class _Template:
         rows["constant"] = np.frombuffer(self._constant, np.uint8)
         rows["velocities"], rows["efforts"] = self._lengths[1:]
         rows["position"], rows["velocity"], rows["effort"] = position, velocity, effort
-        data = rows.tobytes()
-        return [data[begin : begin + size] for begin in range(0, len(data), size)]
+        return rows.view(np.uint8).reshape(len(rows), size)
 
     def _dtype(self, size: int) -> np.dtype[Any]:
         integer, unsigned, double = (self._order + kind for kind in ("i4", "u4", "f8"))
@@ -260,6 +259,22 @@ class JointStateEncoder:
             position: Shape (m, joints), or (m, 0) or (1, 0) for none.
             velocity: As `position`.
             effort: As `position`.
+
+        Raises:
+            MessageError: A stamp does not fit into a message.
+        """
+        rows = self.encode_rows(stamps, position, velocity, effort)
+        data, size = rows.tobytes(), rows.shape[1]
+        return [data[begin : begin + size] for begin in range(0, len(data), size)]
+
+    def encode_rows(
+        self,
+        stamps: NDArray[np.int64],
+        position: Array = _NO_VALUES,
+        velocity: Array = _NO_VALUES,
+        effort: Array = _NO_VALUES,
+    ) -> NDArray[np.uint8]:
+        """Return the messages of `encode_all` as rows of bytes, shape (m, size).
 
         Raises:
             MessageError: A stamp does not fit into a message.

@@ -121,21 +121,33 @@ def split_rows(records: bytes, key: int, topics: Mapping[int, int]) -> Rows | No
     Returns:
         The messages; None if a record is cut off, malformed or of an unknown channel.
     """
-    # Memory that nothing is written to costs nothing.
-    found = np.empty((_FIELDS, len(records) // MESSAGE.size), np.int64)
-    count = native.messages_split(records, found)
-    if count < 0:
+    found = split_fields(records)
+    if found is None:
         return None
-    found = found[:, :count]
     channels = np.unique(found[0])
     numbers = np.array([topics.get(channel, -2) for channel in channels.tolist()], np.int64)
     if (numbers == -2).any():
         return None
-    of_topic = numbers[np.searchsorted(channels, found[0])] if count else found[0]
+    of_topic = numbers[np.searchsorted(channels, found[0])] if found.size else found[0]
     wanted = of_topic >= 0
     log_times, publish_times, begins, sizes = found[1:, wanted]
     chunks = np.full(len(log_times), key, np.int64)
     return Rows(of_topic[wanted], log_times, publish_times, chunks, begins, sizes)
+
+
+def split_fields(records: bytes) -> Integers | None:
+    """Return channel, log time, publish time, first byte and size of each message, shape (5, n).
+
+    Args:
+        records: As for `split_rows`.
+
+    Returns:
+        The fields; None if a record is cut off or malformed.
+    """
+    # Memory that nothing is written to costs nothing.
+    found = np.empty((_FIELDS, len(records) // MESSAGE.size), np.int64)
+    count = native.messages_split(records, found)
+    return None if count < 0 else found[:, :count]
 
 
 def gather(rows: Rows, records: Mapping[int, Bytes], size: int) -> Bytes:

@@ -23,6 +23,7 @@ from mcap.records import Channel, Chunk, DataEnd, McapRecord, Schema
 
 from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.container import (
+    INDEX_HEAD,
     MAGIC,
     MAX_SIZE,
     MESSAGE,
@@ -34,7 +35,7 @@ from tsobs_ros.bag.container import (
     chunk_records,
     read_summary,
 )
-from tsobs_ros.bag.damaged_file import INDEX_HEAD, parse_record
+from tsobs_ros.bag.damaged_file import parse_record
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     FILE_NAME,

@@ -2,21 +2,28 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writing bags: a folder of MCAP files with a metadata.yaml, as `ros2 bag record -s mcap` does."""
 
+import itertools
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
-from typing import Any, Self, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
-from mcap.exceptions import UnsupportedCompressionError
-from mcap.writer import LIBRARY_IDENTIFIER, CompressionType, Writer
+import numpy as np
+from mcap.records import Channel, Schema
+from numpy.typing import NDArray
 
 from tsobs_ros import __version__
+from tsobs_ros.bag.container import MESSAGE, MESSAGE_OPCODE, RECORD
+from tsobs_ros.bag.copying import RecordedChunk
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
+from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter, Records
+from tsobs_ros.bag.message_rows import pieces
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     BagMetadata,
@@ -31,15 +38,41 @@ from tsobs_ros.errors import BagWriteError
 
 LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
-COMPRESSIONS: Mapping[str, CompressionType] = {
-    "none": CompressionType.NONE,
-    "lz4": CompressionType.LZ4,
-    "zstd": CompressionType.ZSTD,
-}
 _TIME_LIMIT_NS = EMPTY_START_NS
 
 Message: TypeAlias = tuple[str, str, bytes, int, int]
 """A `BagMessage` as a plain tuple, whose class would cost more than the rest of it."""
+
+
+class MessageSeries(NamedTuple):
+    """Messages of a topic that have the same size, n of them.
+
+    Attributes:
+        topic: The topic.
+        type: Its type.
+        log_times: ns since the epoch, shape (n,).
+        publish_times: ns since the epoch, shape (n,).
+        data: In CDR, shape (n, size).
+    """
+
+    topic: str
+    type: str
+    log_times: NDArray[np.int64]
+    publish_times: NDArray[np.int64]
+    data: NDArray[np.uint8]
+
+    def take(self, chosen: NDArray[Any] | slice) -> "MessageSeries":
+        """Return some of the messages."""
+        times = self.log_times[chosen], self.publish_times[chosen]
+        return MessageSeries(self.topic, self.type, *times, self.data[chosen])
+
+    def messages(self) -> list[Message]:
+        """Return them one by one."""
+        count, size = self.data.shape
+        data = self.data.tobytes()
+        each = [data[size * place : size * (place + 1)] for place in range(count)]
+        times = self.log_times.tolist(), self.publish_times.tolist()
+        return [(self.topic, self.type, *one) for one in zip(each, *times, strict=True)]
 
 
 class _BagFile:
@@ -51,43 +84,47 @@ class _BagFile:
 
     def __init__(self, path: Path, compression: str, metadata: BagMetadata) -> None:
         self.path = path
-        self.message_count = 0
         self._finished = False
         self._failure: OSError | None = None
-        self._start_ns = EMPTY_START_NS
-        self._end_ns = 0
         self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
+        self._schemas: dict[tuple[str, ...], int] = {}
         try:
-            # Buffered: the writer hands over a record in several pieces.
             self._stream = path.open("xb")
         except OSError as error:
             raise BagWriteError(f"{path}: cannot create it: {error}") from error
         # In this order: on a full disk closing fails as well, and that is the same error.
         with self._writing(), ExitStack() as undo:
             undo.callback(self._stream.close)
-            # Any: the library annotates its methods only in part.
-            self._writer: Any = Writer(self._stream, CHUNK_SIZE, COMPRESSIONS[compression])
-            self._writer.start("ros2", f"{LIBRARY} {__version__}; {LIBRARY_IDENTIFIER}")
+            library = f"{LIBRARY} {__version__}"
+            self._writer = FileWriter(self._stream, library, compression, CHUNK_SIZE)
             self._add_metadata(metadata)
             self._stream.flush()
             undo.pop_all()
 
-    def add_topic(self, topic: TopicInfo) -> None:
+    @property
+    def message_count(self) -> int:
+        return self._writer.message_count
+
+    def add_topic(self, topic: TopicInfo, ids: tuple[int, int] | None = None) -> None:
         definition = topic.definition
         assert definition is not None
+        writer = self._writer
+        channel_id, schema_id = ids or (0, 0)
         with self._writing():
-            if (schema := self._schemas.get(topic.type)) is None:
-                schema = self._writer.register_schema(
-                    topic.type, definition.encoding, definition.text.encode()
-                )
-                self._schemas[topic.type] = schema
+            described = topic.type, definition.encoding, definition.text
+            if described not in self._schemas:
+                id_ = _free(schema_id, writer.schemas)
+                data = definition.text.encode()
+                writer.add_schema(Schema(id_, data, definition.encoding, topic.type))
+                self._schemas[described] = id_
             metadata = {
                 "offered_qos_profiles": profiles_to_yaml(topic.qos_profiles),
                 "topic_type_hash": topic.type_hash,
             }
-            channel = self._writer.register_channel(topic.name, "cdr", schema, metadata)
-            self._channels[topic.name] = channel
+            id_ = _free(channel_id, writer.channels)
+            schema_id = self._schemas[described]
+            writer.add_channel(Channel(id_, topic.name, "cdr", metadata, schema_id))
+            self._channels[topic.name] = id_
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         # As `_writing` does it, at a tenth of its cost.
@@ -98,29 +135,44 @@ class _BagFile:
         except OSError as error:
             self._failure = error
             raise self._cannot_write(error) from error
-        self.message_count += 1
-        if log_time_ns < self._start_ns:
-            self._start_ns = log_time_ns
-        if log_time_ns > self._end_ns:
-            self._end_ns = log_time_ns
 
     def write_all(self, messages: Sequence[Message]) -> None:
-        """Write some messages, at least one, at a fraction of the cost of `write`."""
-        add, channels, count = self._writer.add_message, self._channels, 0
+        """Write some messages at a fraction of the cost of `write`."""
+        add, channels = self._writer.add_message, self._channels
         with self._writing():
-            try:
-                for topic, _, data, log_time_ns, publish_time_ns in messages:
-                    add(channels[topic], log_time_ns, data, publish_time_ns)
-                    count += 1
-            finally:
-                self.message_count += count
-                times = [message[3] for message in messages[:count]]
-                self._start_ns = min([self._start_ns, *times])
-                self._end_ns = max([self._end_ns, *times])
+            for topic, _, data, log_time_ns, publish_time_ns in messages:
+                add(channels[topic], log_time_ns, data, publish_time_ns)
+
+    def write_series(self, series: Sequence[MessageSeries]) -> None:
+        """Write the messages of some series in order of log time."""
+        with self._writing():
+            self._writer.add_records(packed([(self._channels[one.topic], one) for one in series]))
+
+    def copy(self, chunk: RecordedChunk, topics: Mapping[int, str]) -> Counter[str]:
+        """Copy what a chunk has of some topics, and return the number of messages of each.
+
+        Args:
+            chunk: The chunk.
+            topics: Those to copy, by their channels.
+        """
+        ids = {channel: self._channels[topic] for channel, topic in topics.items()}
+        with self._writing():
+            if chunk.can_stay(ids, self._writer.channels, self._writer.schemas):
+                self._writer.add_chunk(chunk.record, chunk.chunk, chunk.messages)
+                channels = chunk.messages.channels
+            else:
+                picked = chunk.pick(ids)
+                channels = picked.channels
+                if len(channels):
+                    self._writer.add_records_as_chunk(picked)
+        names = {self._channels[topic]: topic for topic in topics.values()}
+        found = np.unique(channels, return_counts=True)
+        each = zip(*(column.tolist() for column in found), strict=True)
+        return Counter({names[channel]: number for channel, number in each})
 
     def duration_with(self, log_time_ns: int) -> int:
         """Return the file's duration, ns, if a message of this log time were in it too."""
-        return max(self._end_ns, log_time_ns) - min(self._start_ns, log_time_ns)
+        return max(self._writer.end, log_time_ns) - min(self._writer.start, log_time_ns)
 
     @property
     def size(self) -> int:
@@ -128,8 +180,10 @@ class _BagFile:
         return self._stream.tell()
 
     def info(self) -> FileMetadata:
-        duration = self._end_ns - self._start_ns if self.message_count else 0
-        return FileMetadata(self.path.name, self._start_ns, duration, self.message_count)
+        if not self.message_count:
+            return FileMetadata(self.path.name)
+        start, end = self._writer.start, self._writer.end
+        return FileMetadata(self.path.name, start, end - start, self.message_count)
 
     def flush(self) -> None:
         """Hand all messages so far to the operating system: they survive a kill."""
@@ -157,8 +211,6 @@ class _BagFile:
             os.fsync(self._stream.fileno())
 
     def _add_metadata(self, metadata: BagMetadata) -> None:
-        # In the order of writing: the library would write it before the chunk in progress.
-        self._writer.flush()
         self._writer.add_metadata("rosbag2", {"serialized_metadata": metadata.to_yaml()})
 
     @contextmanager
@@ -178,8 +230,9 @@ class _BagFile:
             yield
         except OSError as error:
             raise self._cannot_write(error) from error
-        except UnsupportedCompressionError as error:
-            raise BagWriteError(f"{self.path}: {error}: its library is not installed") from error
+        except ModuleNotFoundError as error:
+            text = f"the library of its compression is not installed: {error}"
+            raise BagWriteError(f"{self.path}: {text}") from error
 
     def _cannot_write(self, reason: OSError) -> BagWriteError:
         return BagWriteError(f"{self.path}: cannot write it: {reason}")
@@ -257,6 +310,7 @@ class BagWriter:
         qos_profiles: Iterable[QosProfile] = (),
         *,
         definition: MessageDefinition | None = None,
+        ids: tuple[int, int] | None = None,
     ) -> None:
         """Register a topic before its first message.
 
@@ -268,6 +322,7 @@ class BagWriter:
             type: The message type, `package/msg/Type`.
             qos_profiles: What its publishers offer.
             definition: Its definition; the installed one by default.
+            ids: Channel and schema that it has in the file, if they are free.
 
         Raises:
             BagWriteError: The type is not installed, the topic has another type already, or the
@@ -283,7 +338,7 @@ class BagWriter:
         definition = definition or find_definition(type)
         qos = tuple(qos_profiles)
         topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
-        self._file.add_topic(topic)
+        self._file.add_topic(topic, ids)
         self._counts[name] = 0
         self._topics[name] = topic
 
@@ -340,6 +395,64 @@ class BagWriter:
             return
         self._file.write_all(messages)
         for topic, count in counts.items():
+            self._counts[topic] += count
+
+    def write_series(self, series: Sequence[MessageSeries]) -> None:
+        """Append messages in order of log time, equal ones in order of the series.
+
+        Args:
+            series: Messages of registered topics.
+
+        Raises:
+            BagWriteError: As for `write`.
+        """
+        series = [one for one in series if len(one.data)]
+        times = [each for one in series for each in one[2:4]]
+        if (
+            self._closed
+            or self._is_limited
+            or self._on_split is not None
+            or not {one.topic for one in series} <= self._topics.keys()
+            or not all(each.min() >= 0 and each.max() < _TIME_LIMIT_NS for each in times)
+        ):
+            messages = [message for one in series for message in one.messages()]
+            self.write_all(sorted(messages, key=itemgetter(3)))
+        elif series:
+            self._file.write_series(series)
+            for one in series:
+                self._counts[one.topic] += len(one.data)
+
+    def copy(self, chunk: RecordedChunk, topics: Mapping[int, str]) -> None:
+        """Copy what a chunk of another bag has of some topics.
+
+        The chunk is copied as it is if everything in it is wanted, with the channels and schemas
+        of this bag, and a checksum covers it. Else messages are copied: to a chunk of their own, or
+        one by one if files have limits.
+
+        Args:
+            chunk: The chunk.
+            topics: Those to copy, all registered, by their channels.
+
+        Raises:
+            BagWriteError: As for `write`.
+        """
+        data, channels, log_times, begins, ends = chunk.messages
+        wanted = np.isin(channels, list(topics))
+        times = log_times[wanted], chunk.publish_times[wanted]
+        if (
+            self._closed
+            or self._is_limited
+            or self._on_split is not None
+            or not set(topics.values()) <= self._topics.keys()
+            or not all(min(each, default=0) >= 0 for each in times)
+        ):
+            content = data.tobytes()
+            columns = (each[wanted].tolist() for each in (channels, begins, ends))
+            for channel, begin, end, log_time, publish_time in zip(*columns, *times, strict=True):
+                message = content[begin + MESSAGE.size : end]
+                self.write(topics[channel], message, int(log_time), int(publish_time))
+            return
+        for topic, count in self._file.copy(chunk, topics).items():
             self._counts[topic] += count
 
     def flush(self) -> None:
@@ -478,3 +591,57 @@ class BagWriter:
     def _check_open(self) -> None:
         if self._closed:
             raise BagWriteError(f"{self.path}: the bag is closed")
+
+
+def _free(wanted: int, taken: Mapping[int, object]) -> int:
+    """Return an id that is not taken: the wanted one, if it is any, else the next one."""
+    if wanted and wanted not in taken:
+        return wanted
+    return next(id_ for id_ in itertools.count(len(taken) + 1) if id_ not in taken)
+
+
+def packed(series: Sequence[tuple[int, MessageSeries]]) -> Records:
+    """Return the records of messages in order of log time, equal ones in order of the series.
+
+    Args:
+        series: Messages, with their channels.
+    """
+    log_times = np.concatenate([one.log_times for _, one in series])
+    sizes = np.array([one.data.shape for _, one in series])
+    lengths = np.repeat(MESSAGE.size + sizes[:, 1], sizes[:, 0])
+    order = np.argsort(log_times, kind="stable")
+    ends = np.cumsum(lengths[order])
+    begins = ends - lengths[order]
+    place = np.empty(len(order), np.int64)
+    place[order] = begins
+    records = np.empty(int(ends[-1]), np.uint8)
+    channels = np.empty(len(order), np.int64)
+    at = 0
+    for channel, one in series:
+        own = slice(at, at + len(one.data))
+        at = own.stop
+        rows = np.empty(len(one.data), _record_type(one.data.shape[1]))
+        length = MESSAGE.size - RECORD.size + one.data.shape[1]
+        rows["opcode"], rows["length"], rows["channel"] = MESSAGE_OPCODE, length, channel
+        rows["sequence"] = 0
+        rows["log_time"], rows["publish_time"] = one.log_times, one.publish_times
+        rows["data"] = one.data
+        size = rows.itemsize
+        pieces(records, size)[place[own]] = rows.view(f"V{size}")
+        channels[own] = channel
+    return Records(records, channels[order], log_times[order], begins, ends)
+
+
+def _record_type(size: int) -> np.dtype[Any]:
+    """Return the type of the record of a message with so many bytes of data."""
+    return np.dtype(
+        [
+            ("opcode", "u1"),
+            ("length", "<u8"),
+            ("channel", "<u2"),
+            ("sequence", "<u4"),
+            ("log_time", "<u8"),
+            ("publish_time", "<u8"),
+            ("data", "u1", (size,)),
+        ]
+    )

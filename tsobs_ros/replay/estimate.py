@@ -7,12 +7,10 @@ of what they cost one by one.
 """
 
 import os
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import chain, repeat
-from operator import itemgetter
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +24,7 @@ from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import JointSeries, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
-from tsobs_ros.bag.writer import BagWriter, Message
+from tsobs_ros.bag.writer import BagWriter, Message, MessageSeries
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
@@ -37,6 +35,7 @@ from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.fit import check_unit_of_angles
 from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
 from tsobs_ros.replay.log import LogSource
+from tsobs_ros.replay.output import EstimateBag
 from tsobs_ros.replay.places import Layout, Places, places_of
 from tsobs_ros.replay.replay import Replay
 from tsobs_ros.replay.schedule import Schedule
@@ -48,7 +47,6 @@ _OF_BAGS = (".mcap", ".yaml", ".db3")
 
 _BLOCK = 4096
 _LATCHED = QosProfile(durability="transient_local", depth=1)
-_log_time = itemgetter(3)
 
 
 @dataclass(frozen=True)
@@ -192,7 +190,7 @@ class Run:
         self.table = EstimateTable(count, window.samples.count, self._shapes)
         self.replay.enter(self.samples, self.schedule, self.table, window.recorded, dropped)
 
-    def restarts(self, window: Window) -> list[Message]:
+    def restarts(self, window: Window) -> list[MessageSeries]:
         """Return the messages of the start and of the restarts, those recorded if there are any."""
         if window.restarts is not None:
             at, numbers = _Times.of(window.restarts), window.restarts.values
@@ -208,7 +206,7 @@ class Run:
 
     def blocks(
         self, window: Window, progress: Callable[[int], None], *, encode: bool
-    ) -> Iterator[list[Message]]:
+    ) -> Iterator[list[MessageSeries]]:
         """Run the observer block by block of a window's ticks, and yield the messages of each.
 
         Args:
@@ -244,7 +242,7 @@ class Run:
             return int(self.replay.use(taken + waiting // 2).stop)
         return taken
 
-    def _published(self, ticks: slice, taken: slice, *, encode: bool) -> list[Message]:
+    def _published(self, ticks: slice, taken: slice, *, encode: bool) -> list[MessageSeries]:
         """Return the messages of some ticks, and of the innovations of the samples taken there."""
         table = self.table
         publish = self._publisher.messages if encode else _no_messages
@@ -421,26 +419,18 @@ def run_all(
     own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
     definition = next(own, None) or find_definition(JOINT_STATE)
     with BagWriter(output, custom_data={"estimated from": str(source.path)}) as writer:
-        for one in () if estimates_only else source.topics:
-            writer.add_topic(one.name, one.type, one.qos_profiles, definition=one.definition)
+        bag = EstimateBag(source, writer, estimates_only=estimates_only)
         for name in chain.from_iterable(run.topics for run in runs):
             writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)
         for run in runs:
             writer.add_topic(run.record_topic, STRING, [_LATCHED], definition=_text_definition())
-        recorded = iter(()) if estimates_only else source.messages()
-        waiting: list[Message] = [run.record() for run in runs]
+        # First of all, so that they come first among the messages of their time.
+        writer.write_all([run.record() for run in runs])
         for window in runs[0].windows.over(runs):
-            waiting += chain.from_iterable(run.restarts(window) for run in runs)
-            for horizon, messages in _blocks(runs, window, progress, encode=True):
-                for message in recorded:
-                    waiting.append(message)
-                    if message[3] >= horizon:
-                        break
-                waiting += messages
-                waiting.sort(key=_log_time)
-                end = bisect_left(waiting, horizon, key=_log_time)
-                writer.write_all(waiting[:end])
-                del waiting[:end]
+            bag.add(chain.from_iterable(run.restarts(window) for run in runs))
+            for horizon, made in _blocks(runs, window, progress, encode=True):
+                bag.add(made)
+                bag.write(horizon)
             after_window()
 
 
@@ -453,7 +443,7 @@ def _text_definition() -> MessageDefinition:
 
 def _blocks(
     runs: Sequence[Run], window: Window, progress: Callable[[int], None], *, encode: bool
-) -> Iterator[tuple[float, list[Message]]]:
+) -> Iterator[tuple[float, list[MessageSeries]]]:
     """Yield the messages of all runs in a window block by block.
 
     Each comes with the log time that the messages of later blocks have at least [ns].
@@ -465,15 +455,15 @@ def _blocks(
         together = iter(lambda: list(pool.map(_next, own)), [None] * len(own))
         for number, blocks in enumerate(together, 1):
             following = times[min(number * _BLOCK, window.ticks) :][:1].tolist()
-            messages = [message for block in blocks for message in block or ()]
-            yield min([window.horizon, *following]), messages
+            made = [series for block in blocks for series in block or ()]
+            yield min([window.horizon, *following]), made
 
 
-def _next(blocks: Iterator[list[Message]]) -> list[Message] | None:
+def _next(blocks: Iterator[list[MessageSeries]]) -> list[MessageSeries] | None:
     return next(blocks, None)
 
 
-def _no_messages(*_: object) -> list[Message]:
+def _no_messages(*_: object) -> list[MessageSeries]:
     return []
 
 
@@ -528,7 +518,7 @@ class _Publisher:
     def topics(self) -> tuple[str, ...]:
         return tuple(self._prefix + name for name in self._names)
 
-    def messages(self, topic: str, at: _Times, values: Array) -> list[Message]:
+    def messages(self, topic: str, at: _Times, values: Array) -> list[MessageSeries]:
         """Return messages of the entries that have a number in each.
 
         Args:
@@ -536,7 +526,7 @@ class _Publisher:
             at: Times of the messages.
             values: In the order of `places_of`, NaN for none, shape (m, J, width).
         """
-        messages: list[Message] = []
+        messages: list[MessageSeries] = []
         if topic not in self._layouts:
             return messages
         layout = self._layouts[topic]
@@ -547,8 +537,8 @@ class _Publisher:
         for entries, rows in _alike(present):
             chosen = at.take(rows)
             data = layout.encode(chosen.stamps, values[rows], entries)
-            times = (chosen.log_times.tolist(), chosen.publish_times.tolist())
-            messages += zip(repeat(self._prefix + topic), repeat(JOINT_STATE), data, *times)
+            name, times = self._prefix + topic, chosen[1:]
+            messages.append(MessageSeries(name, JOINT_STATE, *times, data))
         return messages
 
 

@@ -17,6 +17,7 @@ from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile, TopicInfo
 from tsobs_ros.bag.reader import BagMessage
+from tsobs_ros.bag.writer import MessageSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import LogError
@@ -313,9 +314,9 @@ class LogSource(Source):
             for joint, (p, m) in enumerate(widths):
                 own = y[:, joint, :p], u[:, joint, :m]
                 values[:, joint, : p + m] = np.hstack(own)
-            data = layout.encode(samples.stamps, values)
-            for one, time in zip(data, samples.log_times.tolist(), strict=True):
-                yield BagMessage(f"/{MEASUREMENTS}", JOINT_STATE, one, time, time)
+            times, data = samples.log_times, layout.encode(samples.stamps, values)
+            series = MessageSeries(f"/{MEASUREMENTS}", JOINT_STATE, times, times, data)
+            yield from map(BagMessage._make, series.messages())
 
 
 class _LogClock:

@@ -92,8 +92,8 @@ class Layout:
 
     def encode(
         self, stamps: NDArray[np.int64], values: Array, entries: Sequence[int] | None = None
-    ) -> list[bytes]:
-        """Return messages of some entries; fields in which none of them has a place are empty.
+    ) -> NDArray[np.uint8]:
+        """Return messages of some entries, a row each; fields in which none has a place are empty.
 
         Args:
             stamps: Of the headers [ns], shape (m,).
@@ -104,7 +104,7 @@ class Layout:
         if chosen not in self._encoders:
             self._encoders[chosen] = JointStateEncoder([self._names[entry] for entry in chosen])
         numbers = (self._numbers(field, chosen, values) for field in _FIELDS)
-        return self._encoders[chosen].encode_all(stamps, *numbers)
+        return self._encoders[chosen].encode_rows(stamps, *numbers)
 
     def _numbers(self, field: Field, entries: Sequence[int], values: Array) -> Array:
         columns = [self._columns[field][entry] for entry in entries]

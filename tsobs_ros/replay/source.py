@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag import estimate_topics as topics
+from tsobs_ros.bag.copying import ChunkCopy
 from tsobs_ros.bag.joint_series import (
     JointSeries,
     Times,
@@ -359,6 +360,10 @@ class Source(ABC):
     def messages(self) -> Iterator[BagMessage]:
         """Yield the messages of `topics` in order of log time, up to any damage."""
 
+    def chunks(self) -> ChunkCopy | None:
+        """Return what copies the messages of `topics` chunk by chunk; None if nothing can."""
+        return None
+
     def truth(self, size: int | None = None) -> Iterator[Truth]:
         """Yield the recorded truth in parts of some messages; in one part if None."""
         return iter(())
@@ -448,6 +453,11 @@ class BagSource(Source):
     def messages(self) -> Iterator[BagMessage]:
         names = [topic.name for topic in self.topics]
         return until_damage(self._reader.messages(names), self._damaged)
+
+    def chunks(self) -> ChunkCopy | None:
+        # Of a damaged bag the messages before the damage are wanted, and no others.
+        found = ChunkCopy(self._reader, [topic.name for topic in self.topics])
+        return found if self.damage is None and found.is_sound(self.topic) else None
 
     def truth(self, size: int | None = None) -> Iterator[Truth]:
         there = self._there({name: name for name in topics.TRUTH})
