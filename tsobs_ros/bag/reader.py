@@ -3,7 +3,7 @@
 """Reading bags: a folder with its metadata.yaml, or a single MCAP file."""
 
 import math
-from bisect import bisect_left, bisect_right
+from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
@@ -391,40 +391,38 @@ def _in_log_order(spans: Iterable[Span], load: _Load) -> Iterator[BagMessage]:
     Each span is loaded when its first message may be due.
     """
     ordered = sorted(spans, key=lambda span: (span.start, span.rank, span.offset))
-    # Those that are due after the start of the next span, in a heap with their order.
-    waiting: list[tuple[int, int, int, int, BagMessage]] = []
+    # Spans with messages that are due after the start of the next one, in a heap by the first of
+    # them: its time, what orders the spans, its place, all messages, and what they take.
+    waiting: list[tuple[int, int, int, int, list[BagMessage], int]] = []
     held = 0
     for span, following in pairwise(chain[Span | None](ordered, (None,))):
         assert span is not None
+        horizon = math.inf if following is None else following.start
         messages = load(span)
-        end = len(messages)
-        if following is not None:
-            end = bisect_left(messages, following.start, key=_LOG_TIME)
-        if waiting:
-            due = []
-            while waiting and (following is None or waiting[0][0] < following.start):
-                due.append(heappop(waiting))
-            held -= sum(_size(entry[-1]) for entry in due)
-            first = bisect_right(messages, due[-1][0], 0, end, key=_LOG_TIME) if due else 0
-            due += _entries(span, messages, 0, first)
-            yield from (entry[-1] for entry in sorted(due))
-            yield from messages[first:end]
+        end = bisect_left(messages, horizon, key=_LOG_TIME)
+        due = [(span.rank, span.offset, messages[:end])]
+        while waiting and waiting[0][0] < horizon:
+            _, rank, offset, first, others, size = heappop(waiting)
+            last = bisect_left(others, horizon, first, key=_LOG_TIME)
+            due.append((rank, offset, others[first:last]))
+            if last < len(others):
+                entry = others[last].log_time, rank, offset, last, others, size
+                heappush(waiting, entry)
+            else:
+                held -= size
+        if len(due) > 1:
+            # Sorting is merging, as each is in order.
+            due.sort(key=itemgetter(0, 1))
+            yield from sorted(chain.from_iterable(each for *_, each in due), key=_LOG_TIME)
         else:
             yield from messages[:end]
-        for entry in _entries(span, messages, end, len(messages)):
-            heappush(waiting, entry)
-            held += _size(entry[-1])
+        if end < len(messages):
+            size = sum(map(_size, messages))
+            held += size
+            first_time = messages[end].log_time
+            heappush(waiting, (first_time, span.rank, span.offset, end, messages, size))
         if held > MAX_HELD:
             raise BagReadError(OVERLAPPING)
-
-
-def _entries(
-    span: Span, messages: list[BagMessage], start: int, end: int
-) -> Iterator[tuple[int, int, int, int, BagMessage]]:
-    """Yield a span's messages with what orders them: no two are alike before the message."""
-    for number in range(start, end):
-        message = messages[number]
-        yield message.log_time, span.rank, span.offset, number, message
 
 
 def _size(message: BagMessage) -> int:
