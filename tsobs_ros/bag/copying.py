@@ -25,7 +25,7 @@ from tsobs_ros.bag.container import (
 from tsobs_ros.bag.damaged_file import parse_record
 from tsobs_ros.bag.file_writer import Records
 from tsobs_ros.bag.message_rows import Integers, split_fields
-from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.reader import MAX_MESSAGES, TOO_MANY_MESSAGES, BagReader
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.files import open_regular
 
@@ -134,6 +134,8 @@ def read_recorded(reader: BagReader, span: Span) -> RecordedChunk:
         found = split_fields(data)
         if found is None:
             raise RecordError("its content is not whole records")
+        if found.shape[1] > MAX_MESSAGES:
+            raise RecordError(TOO_MANY_MESSAGES)
         channels, log_times, publish_times, begins, sizes = found
         known = reader.summaries[span.rank].channels
         if unknown := sorted(set(np.unique(channels).tolist()) - known.keys()):

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.container import MESSAGE, RECOVER_HINT, RecordError, split_messages
-from tsobs_ros.bag.reader import MAX_HELD, MAX_MESSAGES, OBJECT_SIZE, OVERLAPPING, BagReader
+from tsobs_ros.bag.reader import (
+    MAX_HELD,
+    MAX_MESSAGES,
+    OBJECT_SIZE,
+    OVERLAPPING,
+    TOO_MANY_MESSAGES,
+    BagReader,
+)
 from tsobs_ros.core import native
 from tsobs_ros.errors import BagReadError
 
@@ -107,7 +114,7 @@ def _check(data: bytes, channels: Mapping[int, int]) -> None:
         if channel not in channels:
             raise RecordError(f"a message is of channel {channel}, which is not described")
         if count > MAX_MESSAGES:
-            raise RecordError(f"a chunk has more than {MAX_MESSAGES} messages, too many to read")
+            raise RecordError(TOO_MANY_MESSAGES)
 
 
 def split_rows(records: bytes, key: int, topics: Mapping[int, int]) -> Rows | None:

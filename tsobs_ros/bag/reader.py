@@ -51,6 +51,8 @@ _LOG_TIME = itemgetter(3)
 MAX_MESSAGES = 2**20
 """The largest number of messages of a chunk: as objects they take 300 MB."""
 
+TOO_MANY_MESSAGES = f"a chunk has more than {MAX_MESSAGES} messages, too many to read"
+
 MAX_HELD = 2**29
 """The largest size of messages that wait for later chunks, or are the last of a topic, bytes."""
 
@@ -381,7 +383,7 @@ def _messages(records: bytes, channels: Mapping[int, tuple[str, str] | None]) ->
     except KeyError as error:
         raise RecordError(f"a message is of channel {error}, which is not described") from error
     if next(found, None):
-        raise RecordError(f"a chunk has more than {MAX_MESSAGES} messages, too many to read")
+        raise RecordError(TOO_MANY_MESSAGES)
     return messages
 
 

@@ -1,0 +1,341 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Chunks copied from bag to bag: every reader gives the same messages in the same order."""
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag2 import Reader as RosbagsReader
+
+from tsobs_ros.bag import BagMessage, BagReader, BagWriter, QosProfile
+from tsobs_ros.bag.copying import ChunkCopy
+from tsobs_ros.bag.metadata import profiles_to_yaml
+from tsobs_ros.bag.verification import verify
+from tsobs_ros.errors import BagReadError, BagWriteError
+
+BYTES = "std_msgs/msg/UInt64"
+TEXT = "uint64 data\n"
+QOS = profiles_to_yaml([QosProfile()])
+TOPICS = "/a", "/b", "/c"
+
+Entry = tuple[str, int]
+"""Topic and log time; the rest follows from them and the place."""
+
+entries = st.lists(st.tuples(st.sampled_from(TOPICS), st.integers(0, 60)), max_size=40)
+
+
+def message(number: int) -> bytes:
+    return b"\0\1\0\0" + number.to_bytes(8, "little")
+
+
+def write_mcap(
+    path: Path,
+    written: list[Entry],
+    *,
+    chunk_size: int = 200,
+    compression: str = "zstd",
+    topics: tuple[str, ...] = TOPICS,
+    skipped: int = 0,
+    **options: Any,
+) -> Path:
+    """Write a file as somebody else's writer may do."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as stream:
+        writer: Any = Writer(stream, chunk_size, CompressionType[compression.upper()], **options)
+        writer.start("ros2", "somebody else")
+        for _ in range(skipped):
+            writer.register_schema("std_msgs/msg/Other", "ros2msg", b"uint8 data\n")
+        schema = writer.register_schema(BYTES, "ros2msg", TEXT.encode())
+        metadata = {"offered_qos_profiles": QOS, "topic_type_hash": "RIHS01_0"}
+        ids: dict[str, int] = {}
+        for topic in topics:
+            ids[topic] = writer.register_channel(topic, "cdr", schema, metadata)
+        for number, (topic, time) in enumerate(written):
+            writer.add_message(ids[topic], time, message(number), 1000 + number)
+        writer.finish()
+    return path
+
+
+def write_bag(path: Path, written: list[Entry], **options: Any) -> Path:
+    """Write a bag as the recorder does; `flush_every` so many messages a chunk ends."""
+    flush_every = options.pop("flush_every", 10)
+    with BagWriter(path, **options) as writer:
+        for topic in TOPICS:
+            writer.add_topic(topic, BYTES, [QosProfile()])
+        for number, (topic, time) in enumerate(written):
+            writer.write(topic, message(number), time, 1000 + number)
+            if number % flush_every == flush_every - 1:
+                writer.flush()
+    return path
+
+
+def copy(source: Path, target: Path, topics: tuple[str, ...], **options: Any) -> Path:
+    """Copy in steps of time, as an estimation does, with a message made in each."""
+    reader = BagReader(source)
+    chunks = ChunkCopy(reader, topics)
+    with BagWriter(target, **options) as writer:
+        for name in topics:
+            one = reader.topics[name]
+            writer.add_topic(
+                name, one.type, one.qos_profiles, definition=one.definition, ids=chunks.ids(name)
+            )
+        writer.add_topic("/made", BYTES, [QosProfile()])
+        for horizon in (15.0, 30.0, math.inf):
+            chunks.up_to(horizon, writer)
+            time = 60 if horizon == math.inf else int(horizon) - 1
+            writer.write("/made", message(0), time, time)
+    return target
+
+
+def copied(path: Path) -> list[BagMessage]:
+    return [one for one in BagReader(path).messages() if one.topic != "/made"]
+
+
+def chunks_of(path: Path) -> Iterator[bytes]:
+    """Yield the content of the chunks as it is in a file."""
+    with path.open("rb") as stream:
+        for record in StreamReader(stream, emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                yield record.data
+
+
+def check(source: Path, target: Path, topics: tuple[str, ...]) -> None:
+    """Compare what readers give of both bags, and check the new one."""
+    expected = [one for one in BagReader(source).messages() if one.topic in topics]
+    assert copied(target) == expected
+    made = list(BagReader(target).messages())
+    # A message that was made comes behind the recorded ones of its time.
+    assert [one for one in made if one.log_time == 60][-1:][0].topic == "/made"
+    verification = verify(target)
+    assert verification.holds, verification.text()
+    assert verification.unchecked == 0
+    with RosbagsReader(target) as rosbags:
+        assert sorted((c.topic, time, data) for c, time, data in rosbags.messages()) == sorted(
+            (one.topic, one.log_time, one.data) for one in made
+        )
+    each = []
+    for file in BagReader(target).files:
+        with file.open("rb") as stream:
+            found = make_reader(stream, validate_crcs=True).iter_messages()
+            each += [(c.topic, m.data, m.log_time, m.publish_time) for _, c, m in found]
+    order = [(one[0], one[2], *one[3:]) for one in made]
+    assert sorted(each) == sorted(order)
+    assert [one[2] for one in each] == sorted(one[2] for one in each)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    entries,
+    st.sampled_from(["none", "lz4", "zstd"]),
+    st.sampled_from([TOPICS, ("/a", "/c"), ("/b",)]),
+    st.integers(1, 12),
+)
+def test_readers_give_what_was_recorded(
+    written: list[Entry], compression: str, topics: tuple[str, ...], flush_every: int
+) -> None:
+    with TemporaryDirectory() as folder:
+        bag = write_bag(
+            Path(folder) / "bag", written, compression=compression, flush_every=flush_every
+        )
+        check(bag, copy(bag, Path(folder) / "new", topics), topics)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    entries,
+    st.sampled_from(["none", "lz4", "zstd"]),
+    st.sampled_from([TOPICS, ("/a", "/c"), ("/b",)]),
+    st.integers(0, 2),
+    st.integers(1, 400),
+    st.booleans(),
+)
+def test_readers_give_what_others_recorded(
+    written: list[Entry],
+    compression: str,
+    topics: tuple[str, ...],
+    skipped: int,
+    chunk_size: int,
+    is_checked: bool,
+) -> None:
+    with TemporaryDirectory() as folder:
+        file = write_mcap(
+            Path(folder) / "other.mcap",
+            written,
+            compression=compression,
+            skipped=skipped,
+            chunk_size=chunk_size,
+            enable_crcs=is_checked,
+        )
+        check(file, copy(file, Path(folder) / "new", topics), topics)
+
+
+WRITTEN = [(TOPICS[k % 3], k) for k in range(60)]
+
+
+def stay(source: Path, target: Path) -> tuple[int, int]:
+    """Return how many chunks there are, and how many of these are in the new bag as they are."""
+    files = BagReader(target).files
+    new = {data for file in files for data in chunks_of(file)}
+    old = [data for file in BagReader(source).files for data in chunks_of(file)]
+    return len(old), sum(data in new for data in old)
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_chunks_of_which_all_is_wanted_are_copied_as_they_are(
+    tmp_path: Path, compression: str
+) -> None:
+    bag = write_bag(tmp_path / "bag", WRITTEN, compression=compression)
+    new = copy(bag, tmp_path / "new", TOPICS)
+    check(bag, new, TOPICS)
+    assert stay(bag, new) == (6, 6)
+
+
+# What is wanted, how it was written, and how many chunks there are and have the same bytes after.
+OTHERS: dict[str, tuple[tuple[str, ...], dict[str, Any], tuple[int, int]]] = {
+    "as others write it": (TOPICS, {"chunk_size": 500}, (6, 6)),
+    "schemas with other ids": (TOPICS, {"skipped": 2}, (13, 12)),
+    "messages that nobody wants": (("/a", "/b"), {"chunk_size": 500}, (6, 0)),
+    "no checksums": (TOPICS, {"enable_crcs": False}, (13, 12)),
+    "no message indexes": (TOPICS, {"index_types": IndexType.CHUNK}, (13, 13)),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_of_other_chunks_the_messages_are_picked_out(tmp_path: Path, kind: str) -> None:
+    topics, options, expected = OTHERS[kind]
+    file = write_mcap(tmp_path / "other.mcap", WRITTEN, **options)
+    new = copy(file, tmp_path / "new", topics)
+    check(file, new, topics)
+    assert stay(file, new) == expected
+
+
+def test_chunks_with_clashing_ids_are_copied_with_the_ids_of_the_new_bag(tmp_path: Path) -> None:
+    file = write_mcap(tmp_path / "other.mcap", WRITTEN)
+    reader = BagReader(file)
+    chunks = ChunkCopy(reader, TOPICS)
+    with BagWriter(tmp_path / "new") as writer:
+        for topic in reversed(TOPICS):
+            writer.add_topic(topic, BYTES, [QosProfile()])
+        writer.add_topic("/made", BYTES, [QosProfile()])
+        chunks.up_to(math.inf, writer)
+        writer.write("/made", message(0), 60, 60)
+    check(file, tmp_path / "new", TOPICS)
+    # That of the middle one is the same.
+    assert stay(file, tmp_path / "new")[1] < 10
+
+
+def test_two_channels_of_a_topic_become_one(tmp_path: Path) -> None:
+    file = write_mcap(tmp_path / "other.mcap", WRITTEN, topics=("/b", *TOPICS, "/a"))
+    new = copy(file, tmp_path / "new", TOPICS)
+    check(file, new, TOPICS)
+
+
+def test_several_files_are_copied_too(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", WRITTEN, max_duration_ns=20)
+    assert len(BagReader(bag).files) == 3
+    new = copy(bag, tmp_path / "new", TOPICS)
+    check(bag, new, TOPICS)
+    assert stay(bag, new) == (8, 8)
+
+
+def test_into_files_with_limits_messages_are_copied_one_by_one(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", WRITTEN)
+    new = copy(bag, tmp_path / "new", TOPICS, max_duration_ns=20)
+    check(bag, new, TOPICS)
+    assert len(BagReader(new).files) > 1
+
+
+def test_chunks_are_copied_up_to_a_time_with_all_in_front_of_them(tmp_path: Path) -> None:
+    """In the order of the file, which decides between messages of the same time."""
+    times = [50, 51, 10, 11, 70, 71]
+    bag = write_bag(tmp_path / "bag", [("/a", time) for time in times], flush_every=2)
+    chunks = ChunkCopy(BagReader(bag), ["/a"])
+    with BagWriter(tmp_path / "new") as writer:
+        writer.add_topic("/a", BYTES, [QosProfile()])
+        counts = []
+        for horizon in (10.0, 11.0, 60.0, 71.0, math.inf):
+            chunks.up_to(horizon, writer)
+            counts.append(writer.message_count)
+    assert counts == [0, 4, 4, 6, 6]
+
+
+def damage_data(file: Path) -> None:
+    data = bytearray(file.read_bytes())
+    place = data.index(message(30))
+    data[place + 4] ^= 1
+    file.write_bytes(data)
+
+
+def forget_a_channel(file: Path) -> None:
+    """Make a message one of a channel that nobody has described; nobody checks it."""
+    data = bytearray(file.read_bytes())
+    place = data.index(message(30))
+    data[place - 22 : place - 20] = b"\x09\x00"
+    file.write_bytes(data)
+
+
+def cut_a_record(file: Path) -> None:
+    data = bytearray(file.read_bytes())
+    place = data.index(message(30))
+    data[place - 30] += 1
+    file.write_bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("damage", "options", "match"),
+    [
+        (damage_data, {}, r"the file is damaged: at byte \d+: .*checksum"),
+        (forget_a_channel, {"enable_crcs": False}, "channel 9, which is not described"),
+        (cut_a_record, {"enable_crcs": False}, "not whole records"),
+    ],
+)
+def test_a_damaged_chunk_is_not_copied(
+    tmp_path: Path, damage: Callable[[Path], None], options: dict[str, Any], match: str
+) -> None:
+    file = write_mcap(tmp_path / "other.mcap", WRITTEN, compression="none", **options)
+    chunks = ChunkCopy(BagReader(file), TOPICS)
+    assert chunks.is_sound("/none")
+    damage(file)
+    assert not chunks.is_sound("/none")
+    with pytest.raises(BagReadError, match=match):
+        copy(file, tmp_path / "new", TOPICS)
+    kept = copied(tmp_path / "new")
+    assert [one.log_time for one in kept] == list(range(len(kept)))
+    assert 20 < len(kept) <= 30
+    assert verify(tmp_path / "new").holds
+
+
+def test_what_has_been_read_is_not_read_again_to_look_for_damage(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", [("/a", 1), ("/b", 2)], flush_every=1, compression="none")
+    file = bag / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[data.index(message(1)) + 4] ^= 2
+    file.write_bytes(data)
+    assert not ChunkCopy(BagReader(file), TOPICS).is_sound("/a")
+    assert ChunkCopy(BagReader(file), TOPICS).is_sound("/b")
+
+
+def test_messages_outside_of_chunks_are_nothing_to_copy_by_chunks(tmp_path: Path) -> None:
+    file = write_mcap(tmp_path / "other.mcap", WRITTEN, use_chunking=False)
+    assert not ChunkCopy(BagReader(file), TOPICS).is_sound("/a")
+
+
+def test_times_that_cannot_be_stored_and_unknown_topics_are_refused(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", WRITTEN)
+    reader = BagReader(bag)
+    with BagWriter(tmp_path / "new") as writer:
+        with pytest.raises(BagWriteError, match="topic /a has not been added"):
+            ChunkCopy(reader, ["/a"]).up_to(math.inf, writer)
+        writer.add_topic("/a", BYTES)
+    with pytest.raises(BagWriteError, match="the bag is closed"):
+        ChunkCopy(reader, ["/a"]).up_to(math.inf, writer)

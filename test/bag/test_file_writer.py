@@ -1,0 +1,129 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Files of our writer: byte for byte those of the library."""
+
+from collections.abc import Callable
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.records import Channel, Schema
+from mcap.writer import CompressionType, Writer
+
+from tsobs_ros.bag.file_writer import COMPRESSIONS, FileWriter
+from tsobs_ros.bag.writer import MessageSeries, packed
+
+CHUNK_SIZE = 400
+TIMES = st.integers(0, 2**63 - 1)
+MESSAGES = st.tuples(st.integers(1, 3), TIMES, st.binary(max_size=150), TIMES)
+STEPS = st.lists(
+    st.one_of(MESSAGES, st.just("flush"), st.just("metadata"), st.just("topic")), max_size=40
+)
+
+
+def by_library(compression: str, steps: Callable[[Any], None]) -> bytes:
+    stream = BytesIO()
+    writer = Writer(stream, CHUNK_SIZE, CompressionType[compression.upper()])
+    writer.start("ros2", "a library")
+    steps(writer)
+    writer.finish()
+    return stream.getvalue()
+
+
+def by_ours(compression: str, steps: Callable[[FileWriter], None]) -> bytes:
+    stream = BytesIO()
+    writer = FileWriter(stream, "a library", compression, CHUNK_SIZE)
+    steps(writer)
+    writer.finish()
+    return stream.getvalue()
+
+
+@settings(max_examples=150)
+@given(STEPS, st.sampled_from(COMPRESSIONS))
+def test_a_file_has_the_bytes_that_the_library_writes(steps: list[Any], compression: str) -> None:
+    def library(writer: Any) -> None:
+        def topic() -> None:
+            writer.register_schema("a/msg/B", "ros2msg", b"text")
+            writer.register_channel("/t", "cdr", 1, {"a": "b"})
+
+        run(writer, topic)
+
+    def ours(writer: FileWriter) -> None:
+        def topic() -> None:
+            id_ = len(writer.channels) + 1
+            writer.add_schema(Schema(id_, b"text", "ros2msg", "a/msg/B"))
+            writer.add_channel(Channel(id_, "/t", "cdr", {"a": "b"}, 1))
+
+        run(writer, topic)
+
+    def run(writer: Any, topic: Callable[[], None]) -> None:
+        for _ in range(3):
+            topic()
+        for step in steps:
+            if step == "flush":
+                writer.flush()
+            elif step == "metadata":
+                writer.flush()  # the library puts it before the chunk in progress
+                writer.add_metadata("rosbag2", {"key": "value"})
+            elif step == "topic":
+                topic()
+            else:
+                writer.add_message(*step)
+
+    assert by_ours(compression, ours) == by_library(compression, library)
+
+
+@st.composite
+def series(draw: st.DrawFn) -> list[tuple[int, MessageSeries]]:
+    found = []
+    for _ in range(draw(st.integers(1, 4))):
+        count, size = draw(st.integers(1, 12)), draw(st.integers(0, 500))
+        numbers = np.array(
+            draw(st.lists(TIMES, min_size=2 * count, max_size=2 * count)), np.int64
+        ).reshape(2, count)
+        data = np.arange(count * size, dtype=np.uint8).reshape(count, size)
+        found.append((draw(st.integers(1, 3)), MessageSeries("/t", "a/msg/B", *numbers, data)))
+    return found
+
+
+@settings(max_examples=100)
+@given(series(), series(), st.sampled_from(COMPRESSIONS))
+def test_arrays_of_messages_are_written_as_one_by_one(
+    first: list[Any], second: list[Any], compression: str
+) -> None:
+    def together(writer: FileWriter) -> None:
+        for each in (first, second):
+            writer.add_records(packed(each))
+
+    def one_by_one(writer: Any) -> None:
+        for each in (first, second):
+            messages = [(channel, *one) for channel, own in each for one in own.messages()]
+            for channel, _, _, data, log_time, publish_time in sorted(messages, key=lambda m: m[4]):
+                writer.add_message(channel, log_time, data, publish_time)
+
+    assert by_ours(compression, together) == by_library(compression, one_by_one)
+
+
+def test_some_of_a_series_are_a_series() -> None:
+    times = np.array([3, 4, 5])
+    one = MessageSeries(
+        "/t", "a/msg/B", times, times + 10, np.arange(6, dtype=np.uint8).reshape(3, 2)
+    )
+    assert one.take(times != 4).messages() == [
+        ("/t", "a/msg/B", b"\0\1", 3, 13),
+        ("/t", "a/msg/B", b"\4\5", 5, 15),
+    ]
+
+
+def test_descriptions_that_wait_for_a_message_stand_before_a_whole_chunk() -> None:
+    times = np.ones((2, 1), np.int64)
+    records = packed([(1, MessageSeries("/t", "a/msg/B", *times, np.zeros((1, 1), np.uint8)))])
+
+    def steps(writer: FileWriter) -> None:
+        writer.add_schema(Schema(1, b"text", "ros2msg", "a/msg/B"))
+        writer.add_records_as_chunk(records)
+
+    data = by_ours("none", steps)
+    assert 0 < data.index(b"text") < data.index(records.data.tobytes())

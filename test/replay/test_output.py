@@ -1,0 +1,228 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""New bags of estimates: recorded chunks copied as they are, or message by message, alike."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.writer import CompressionType, IndexType, Writer
+
+from tsobs_ros.bag import BagMessage, BagReader, BagWriter
+from tsobs_ros.bag.copying import ChunkCopy
+from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateEncoder
+from tsobs_ros.bag.verification import verify
+from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.errors import BagReadError
+from tsobs_ros.replay.source import BagSource
+
+TRUTH = "/ground_truth/joint_states"
+TEXT = f"\n{80 * '='}\n".join(
+    [
+        "std_msgs/Header header\nstring[] name\n"
+        "float64[] position\nfloat64[] velocity\nfloat64[] effort",
+        "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id",
+        "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
+    ]
+)
+
+Message = tuple[str, bytes, int]
+
+
+def with_truth(messages: list[Message]) -> list[Message]:
+    """Add some truth, which a recorder receives a moment before a measurement, or at once."""
+    encode = JointStateEncoder(["elbow_link", "elbow_motor"])
+    found = []
+    for number, one in enumerate(messages):
+        truth = encode(one[2], [0.1, 0.2], [0.3, 0.4])
+        found += [(TRUTH, truth, one[2] - 1000 * (number % 2)), one]
+    return found
+
+
+def write_bag(path: Path, messages: list[Message], size: int = 40, **options: Any) -> Path:
+    """Write JointStates as the recorder does, so many messages a chunk."""
+    with BagWriter(path, **options) as writer:
+        for number, (topic, data, time) in enumerate(messages):
+            writer.add_topic(topic, JOINT_STATE)
+            writer.write(topic, data, time, time - 10)
+            if number % size == size - 1:
+                writer.flush()
+    return path
+
+
+def write_mcap(path: Path, messages: list[Message], **options: Any) -> Path:
+    """Write JointStates as somebody else's writer may do."""
+    with path.open("wb") as stream:
+        writer: Any = Writer(stream, 10_000, CompressionType.LZ4, **options)
+        writer.start("ros2", "somebody else")
+        schema = writer.register_schema(JOINT_STATE, "ros2msg", TEXT.encode())
+        ids: dict[str, int] = {}
+        for topic, data, time in messages:
+            if topic not in ids:
+                ids[topic] = writer.register_channel(topic, "cdr", schema, {})
+            writer.add_message(ids[topic], time, data, time - 10)
+        writer.finish()
+    return path
+
+
+@pytest.fixture
+def copies(monkeypatch) -> list[int]:
+    """Return the numbers of the chunks that are copied; empty if messages are."""
+    counts: list[int] = []
+    up_to = ChunkCopy.up_to
+
+    def counted(self: ChunkCopy, horizon: float, writer: BagWriter) -> None:
+        up_to(self, horizon, writer)
+        if horizon == float("inf"):
+            counts.append(len(self.spans))
+
+    monkeypatch.setattr(ChunkCopy, "up_to", counted)
+    return counts
+
+
+@pytest.fixture
+def both(estimate, tmp_path, monkeypatch) -> Callable[..., list[BagMessage]]:
+    """Estimate into two bags, one as it comes and one message by message; compare them."""
+
+    def run(bag: Path, **options: Any) -> list[BagMessage]:
+        estimate(bag, output="new", **options)
+        monkeypatch.setattr(BagSource, "chunks", lambda _: None)
+        estimate(bag, output="one_by_one", **options)
+        new, other = (BagReader(tmp_path / name) for name in ("new", "one_by_one"))
+        assert new.topics == other.topics
+        messages = list(new.messages())
+        assert messages == list(other.messages())
+        for name in ("new", "one_by_one"):
+            verification = verify(tmp_path / name)
+            assert verification.holds, verification.text()
+        return messages
+
+    return run
+
+
+@pytest.mark.parametrize("options", [{}, {"rate": 130.0}, {"window": 128}])
+def test_a_bag_is_copied_by_its_chunks(arms, both, copies, tmp_path, options) -> None:
+    written = with_truth(arms.messages(300))
+
+    messages = both(write_bag(tmp_path / "bag", written), **options)
+
+    assert copies == [15]
+    recorded = [(m.topic, m.data, m.log_time) for m in messages if "observer" not in m.topic]
+    assert recorded == sorted(written, key=lambda one: one[2])
+    # What is made of a measurement comes behind it, but what it is made with in front.
+    assert [one.topic for one in messages[:2]] == ["/observer/design", TRUTH]
+    topics = [m.topic for m in messages if m.log_time == arms.messages(100)[-1][2]]
+    if "rate" not in options:
+        assert topics.index("/joint_measurements") < topics.index("/observer/joint_states")
+
+
+def test_chunks_with_live_estimates_lose_these(arms, both, copies, estimate, tmp_path) -> None:
+    estimate(write_bag(tmp_path / "bag", with_truth(arms.messages(200))), output="live")
+    live = [
+        (one.topic, one.data, one.log_time)
+        for one in BagReader(tmp_path / "live").messages()
+        if not one.topic.endswith("design")
+    ]
+
+    messages = both(write_bag(tmp_path / "recorded", live))
+
+    assert copies
+    assert [one.data for one in messages if one.topic.endswith("observer/joint_states")] == [
+        data for topic, data, _ in live if topic.endswith("observer/joint_states")
+    ]
+
+
+def test_files_of_a_split_bag_are_copied_by_their_chunks(arms, both, copies, tmp_path) -> None:
+    bag = write_bag(tmp_path / "bag", with_truth(arms.messages(300)), max_duration_ns=500_000_000)
+    assert len(BagReader(bag).files) == 3
+    both(bag)
+    assert copies
+
+
+@pytest.mark.parametrize("options", [{}, {"enable_crcs": False}, {"index_types": IndexType.CHUNK}])
+def test_a_file_of_others_is_copied_by_its_chunks(arms, both, copies, tmp_path, options) -> None:
+    file = write_mcap(tmp_path / "other.mcap", with_truth(arms.messages(200)), **options)
+    both(file)
+    assert copies
+
+
+def test_messages_outside_of_chunks_are_copied_one_by_one(arms, both, copies, tmp_path) -> None:
+    file = write_mcap(tmp_path / "other.mcap", with_truth(arms.messages(100)), use_chunking=False)
+    assert len(both(file)) > 500
+    assert not copies
+
+
+def damaged(path: Path, messages: list[Message], topic: str) -> Path:
+    """Write a bag, and change a byte of a topic's messages in the middle of it."""
+    bag = write_bag(path, messages, size=1, compression="none")
+    file = bag / f"{path.name}_0.mcap"
+    data = bytearray(file.read_bytes())
+    middle = [one[1] for one in messages if one[0] == topic][len(messages) // 4]
+    data[data.index(middle) + 60] ^= 1
+    file.write_bytes(data)
+    return bag
+
+
+@pytest.mark.parametrize("topic", [TRUTH, "/joint_measurements"])
+def test_a_damaged_bag_is_copied_one_by_one_up_to_the_damage(
+    arms, estimate, copies, tmp_path, topic
+) -> None:
+    written = with_truth(arms.messages(200))
+    source = BagSource(damaged(tmp_path / "bag", written, topic))
+
+    run = estimate(source, output="new")
+
+    assert "damaged" in str(source.damage)
+    assert not copies
+    assert verify(tmp_path / "new").holds
+    topics = BagReader(tmp_path / "new").topics
+    assert topics[TRUTH].count in (100, 101)
+    # Damage in the truth costs no estimates.
+    used = 200 if topic == TRUTH else 100
+    assert run.replay.used == topics["/observer/joint_states"].count == used
+
+
+def test_damage_that_comes_while_a_bag_is_copied_ends_the_copy(
+    arms, estimate, tmp_path, monkeypatch
+) -> None:
+    bag = write_bag(tmp_path / "bag", with_truth(arms.messages(200)), size=1, compression="none")
+    source = BagSource(bag)
+    is_sound = ChunkCopy.is_sound
+
+    def and_then_not(self: ChunkCopy, checked: str) -> bool:
+        sound = is_sound(self, checked)
+        place = self.spans[200].offset + 80
+        data = bytearray((bag / "bag_0.mcap").read_bytes())
+        data[place] ^= 1
+        (bag / "bag_0.mcap").write_bytes(data)
+        return sound
+
+    monkeypatch.setattr(ChunkCopy, "is_sound", and_then_not)
+    estimate(source, output="new")
+
+    assert "damaged" in str(source.damage)
+    assert verify(tmp_path / "new").holds
+    counts = {name: one.count for name, one in BagReader(tmp_path / "new").topics.items()}
+    assert counts[TRUTH] + counts["/joint_measurements"] == 200
+
+
+def test_a_file_without_summary_has_to_be_recovered(arms, tmp_path) -> None:
+    file = write_mcap(
+        tmp_path / "other.mcap",
+        arms.messages(5),
+        index_types=IndexType.NONE,
+        use_statistics=False,
+        repeat_channels=False,
+        repeat_schemas=False,
+        use_summary_offsets=False,
+    )
+    with pytest.raises(BagReadError, match="no index; 'tsobs bag recover'"):
+        BagSource(file)
+
+
+def test_a_compression_that_nobody_knows_is_damage(arms, tmp_path) -> None:
+    file = write_mcap(tmp_path / "other.mcap", arms.messages(5), enable_crcs=False)
+    file.write_bytes(file.read_bytes().replace(b"lz4", b"lzx"))
+    with pytest.raises(BagReadError, match="compression 'lzx' is not known"):
+        BagSource(file, joints=["elbow"]).observe([ArmRequest()])
