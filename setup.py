@@ -96,7 +96,9 @@ setup(
     distclass=AmentDistribution,
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/page.css", "report/page.js", "core/*.h", "core/*.pyi"]},
+    package_data={
+        NAME: ["py.typed", "report/page.css", "report/page.js", "core/*.h", "core/*.pyi"]
+    },
     ext_modules=[extension()],
     data_files=data_files(),
     zip_safe=False,
@@ -106,7 +108,6 @@ setup(
         "scipy",
         "pyyaml",
         "msgspec>=0.18.5",  # the first with wheels for Python 3.12
-        "numba>=0.59",  # the first for Python 3.12
         "mcap>=1.5",
         "zstandard",
         "lz4",

@@ -352,19 +352,8 @@ def tsobs() -> list[str]:
     return executable("tsobs")
 
 
-@pytest.fixture(scope="session")
-def compiled() -> None:
-    """Compile what nodes need, so that none of them takes a minute to start in its test."""
-    from tsobs_ros.nodes.observer.joints import observed_joints, rehearse
-    from tsobs_ros.nodes.observer.parameters import ObserverParameters
-    from tsobs_ros.simulation.plant import Plant, Scenario
-
-    rehearse(observed_joints(ObserverParameters()))
-    Plant(Scenario())
-
-
 @pytest.fixture
-def ros_process(ros: Ros, compiled: None) -> Iterator[Callable[..., RosProcess]]:
+def ros_process(ros: Ros) -> Iterator[Callable[..., RosProcess]]:
     """Start executables on this test's domain; whatever is left is killed after the test.
 
     `prefix` is a command that runs the executable, such as a shell that sets limits first.

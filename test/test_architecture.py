@@ -15,7 +15,6 @@ PACKAGE = Path(__file__).resolve().parents[1] / "tsobs_ros"
 # What each part of the package may import of the others; all may import COMMON.
 COMMON = {
     "checks",
-    "compiled",
     "core",
     "errors",
     "files",
@@ -90,7 +89,6 @@ HOME: dict[str, set[str]] = {
     "matplotlib": {"report", "paper"},
     "plotly": {"report"},
     "pyarrow": {"campaign", "report"},
-    "numba": {"compiled"},
     "distributed": {"campaign"},
     "dask": {"campaign"},
     "rich": {"cli"},

@@ -138,7 +138,7 @@ def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:
     ("module", "advice"),
     [
         ("cvxpy.error", "cvxpy is not installed: {} -m pip install cvxpy clarabel"),
-        ("mcap", "mcap is not installed: {} -m pip install 'numba>=0.59' scipy"),
+        ("mcap", "mcap is not installed: {} -m pip install scipy pyyaml"),
         ("rclpy.node", "rclpy is not installed: source ROS 2 Jazzy, or {} -m pip install 'ros-"),
         ("colour", None),
         (None, None),

@@ -260,7 +260,6 @@ def test_the_commands_of_a_page_run(
     page: Path,
     folder: Path,
     ros: Any,
-    compiled: None,
     benchmark: Callable[[str], ModuleType],
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],

@@ -12,14 +12,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-_BASE = ("numba>=0.59", "scipy", "pyyaml", "msgspec>=0.18.5", "mcap>=1.5", "zstandard", "lz4")
+_BASE = ("scipy", "pyyaml", "msgspec>=0.18.5", "mcap>=1.5", "zstandard", "lz4")
 _DESIGN = ("cvxpy", "clarabel")
 _REPORT = ("matplotlib", "plotly", "tqdm", "mcap-ros2-support")
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "rclpy": ("ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"),
-    **dict.fromkeys(
-        ("numpy", "numba", "scipy", "yaml", "msgspec", "mcap", "zstandard", "lz4"), _BASE
-    ),
+    **dict.fromkeys(("numpy", "scipy", "yaml", "msgspec", "mcap", "zstandard", "lz4"), _BASE),
     **dict.fromkeys(("cvxpy", "clarabel"), _DESIGN),
     **dict.fromkeys(("matplotlib", "plotly", "tqdm", "mcap_ros2"), _REPORT),
     "pyarrow": ("pyarrow", "mcap-ros2-support"),
@@ -91,10 +89,6 @@ class MessageError(TsobsError, ValueError):
 
 class NodeError(TsobsError, RuntimeError):
     """A node cannot start or go on, for a reason its user can act on."""
-
-
-class InterruptionError(NodeError):
-    """A signal came before a node had started; the process ends cleanly."""
 
 
 def printable(text: str, newline: str = r"\n") -> str:

@@ -48,7 +48,6 @@ def run(name: str) -> int:
     exit_code: int = runtime.run(module.create, stop=stop)
     stop.ignore_further()
     runtime.limit_time_left(_FINALISE_TIMEOUT)
-    runtime.leave_compiler_behind(exit_code)
     return exit_code
 
 

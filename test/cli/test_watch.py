@@ -101,7 +101,7 @@ class Terminal:
 
 
 @pytest.fixture
-def arm(ros: Any, compiled: None) -> None:
+def arm(ros: Any) -> None:
     """An arm with a sensor that is wrong from the start, and its observer."""
     settings = {
         plant_simulator: {

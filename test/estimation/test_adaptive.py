@@ -3,7 +3,6 @@
 """Filter and adaptation against their formulas in NumPy, with derivatives by complex steps."""
 
 import math
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
@@ -237,15 +236,8 @@ def estimator_of(system: System, R: Array, start: Array, bound: Array) -> Estima
 SYSTEMS: dict[str, Callable[[], System]] = {
     "arm": Arm,
     "two outputs of one state": lambda: Blend(1, per_channel([clean(), bias(1e-3)]), 2, 2),
-    "beyond the least room": lambda: Blend(
-        9, per_channel([bias(1e-3), clean(), gauss_markov(), bias(1e-2)]), 6, 5
-    ),
+    "many": lambda: Blend(9, per_channel([bias(1e-3), clean(), gauss_markov(), bias(1e-2)]), 6, 5),
 }
-
-
-if "TSOBS_OTHER_CPU" not in os.environ:
-    # What is compiled for other sizes takes half a minute.
-    del SYSTEMS["beyond the least room"]
 
 
 @pytest.mark.parametrize("name", SYSTEMS)

@@ -2,12 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What arm and sensor are taken for, if they are not as designed, and what is published then."""
 
-import hashlib
-import os
-import subprocess
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,12 +22,6 @@ SCALE = np.array([0.226, 0.60, 0.355, 0.464])
 SECOND = 200
 SEEDS = (5, 6, 7)
 DESIGN = load_design(config_path(SHIPPED_DESIGN))
-PROGRAM = f"""
-import sys
-sys.path[:0] = [{str(Path(__file__).resolve().parents[2])!r}, {str(Path(__file__).parent)!r}]
-import test_hypotheses
-print(test_hypotheses.digest())
-"""
 
 
 @cache
@@ -151,27 +140,3 @@ def test_late_samples_change_no_bit_while_a_hypothesis_is_selected() -> None:
         assert np.asarray(getattr(first, name)).tobytes() == (
             np.asarray(getattr(second, name)).tobytes()
         )
-
-
-def digest() -> str:
-    """Return a digest of some steps with all alternatives awake and selected in turn."""
-    run = simulate(SCENARIOS["friction"], [1], 0.5)
-    made, parts = estimator(), []
-    for selected in Hypothesis:
-        start = made.initial((1,)).changed(
-            slow_power=9.0, age=20.0, pass_age=20.0, settling=0.0, hypothesis=selected
-        )
-        readout = made.observe(run.measurements[:, :12], run.torques[:, :12], start=start)
-        parts += [np.asarray(values, np.float64).tobytes() for values in readout]
-    return hashlib.sha256(b"".join(parts)).hexdigest()
-
-
-def test_the_same_bits_interpreted() -> None:
-    printed = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    assert printed.stdout.split() == [digest()]

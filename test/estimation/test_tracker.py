@@ -3,7 +3,6 @@
 """Estimates are a function of the measurements and the stamp, however and whenever they came."""
 
 import itertools
-import os
 import subprocess
 import sys
 from collections import Counter
@@ -304,10 +303,7 @@ def test_a_batch_of_the_wrong_shape_is_refused_and_an_empty_one_changes_nothing(
     assert probes(one) == before
 
 
-@pytest.mark.parametrize("environment", [{}, {"NUMBA_DISABLE_JIT": "1"}])
-def test_a_checkpoint_goes_on_with_the_same_bits_in_another_process(
-    environment: dict[str, str], tmp_path: Path
-) -> None:
+def test_a_checkpoint_goes_on_with_the_same_bits_in_another_process(tmp_path: Path) -> None:
     first, last = [sample(k, offset=0.3 * (k == 30)) for k in range(40)], [*range(44, 60), 41]
     original = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
     offer_all(original, first)
@@ -337,7 +333,6 @@ def test_a_checkpoint_goes_on_with_the_same_bits_in_another_process(
     process = subprocess.run(
         [sys.executable, "-c", code, tmp_path],
         cwd=Path(__file__).parent,
-        env={**os.environ, **environment},
         capture_output=True,
         text=True,
     )

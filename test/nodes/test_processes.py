@@ -245,30 +245,6 @@ def test_a_signal_during_the_start_ends_cleanly(
         assert BagReader(bag).message_count == 0
 
 
-@pytest.mark.parametrize("name", ["observer", "plant_simulator"])
-def test_a_signal_while_compiling_ends_cleanly_and_the_next_start_compiles_the_rest(
-    ros_process: Process, tmp_path: Path, name: str
-) -> None:
-    environment = {"NUMBA_CACHE_DIR": str(tmp_path)}
-    process = ros_process(name, environment=environment)
-    process.wait_for_line("compiling", TIMEOUT)
-    process.signal(signal.SIGINT)
-    finished = process.finish(TIMEOUT)
-    check_clean(finished)
-    assert "compiled in" not in finished.stdout + finished.stderr
-    if name == "observer":
-        return  # the rest of it takes long
-
-    process = ros_process(name, environment=environment)
-    process.wait_for_line("compiled in", TIMEOUT)
-    end({process: signal.SIGTERM})
-
-    process = ros_process(name, environment=environment)
-    process.wait_for_line("started", TIMEOUT)
-    end({process: signal.SIGTERM})
-    assert "compil" not in process.output
-
-
 def children(pid: int) -> list[int]:
     tasks = Path(f"/proc/{pid}/task").glob("*/children")
     return [int(child) for task in tasks for child in task.read_text().split()]

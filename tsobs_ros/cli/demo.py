@@ -39,9 +39,7 @@ RECORDED_TOPICS = (
 ADAPTIVE_TOPICS = tuple(f"/observer/{name}" for name in PARAMETER_TOPICS)
 """Published only if the design calls parameters uncertain."""
 
-# The first start on a machine compiles the estimator, which takes up to a minute or two.
-_START_TIMEOUT = 240.0
-_SLOW_START = 5.0
+_START_TIMEOUT = 60.0  # a second or two, on a machine that is busy with much else
 _STOP_TIMEOUT = 15.0
 _POLL = 0.05
 
@@ -146,19 +144,7 @@ def _record(
             if "/observer/" in topic or topic == MARKERS
         ]
         others = [observer, recorder, drawn]
-        said: list[float] = []
-
-        def say_once(elapsed: float) -> None:
-            if elapsed > _SLOW_START and not said:
-                said.append(elapsed)
-                print("compiling the estimator, once on a machine", file=sys.stderr)
-
-        _until(
-            lambda: recorder.has_printed(*own),
-            others,
-            "the recorder to be ready",
-            show_progress=say_once,
-        )
+        _until(lambda: recorder.has_printed(*own), others, "the recorder to be ready")
         plant = start(
             "plant_simulator",
             {

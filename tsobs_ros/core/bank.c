@@ -262,7 +262,7 @@ void predict_alternatives(
             continue;
         }
         other.covariance[force * width + force] += wider;
-        advance(
+        flow_advance(
             &m->bank_flows[i], other.x, other.upsilon, other.covariance, width, at->theta, at->y,
             u, duration, scratch->flow);
     }

@@ -421,7 +421,7 @@ void predict(
     if (in_gap && *at->in_gap == 0) {
         enter_gap(m, at);
     }
-    advance(
+    flow_advance(
         in_gap ? &m->gap_flow : &m->design_flow, at->x, at->upsilon,
         simple ? NULL : at->covariance, width, at->theta, at->sample, u, duration, scratch->flow);
     *at->in_gap = in_gap;

@@ -484,7 +484,7 @@ static void move(
     }
 }
 
-void advance(
+void flow_advance(
     const flow *f, double *x, double *upsilon, double *covariance, long width, const double *theta,
     const double *y, const double *u, double duration, double *scratch)
 {

@@ -180,7 +180,7 @@ flow flow_view(const double *memory);
  * to be moved) have rows of `width` >= n numbers, of which n are in use. `theta` has k numbers,
  * `u` the m signals held over the time; `y`, the p outputs in use, is read for KIND_INTEGRATED only.
  * duration: at least 0 [s]. `scratch` has flow_scratch_size numbers for the sizes of the model. */
-void advance(
+void flow_advance(
     const flow *f, double *x, double *upsilon, double *covariance, long width, const double *theta,
     const double *y, const double *u, double duration, double *scratch);
 

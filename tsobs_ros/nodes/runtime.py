@@ -19,7 +19,6 @@ which loses early SIGTERMs and sometimes raises inside take. A flag that the loo
 """
 
 import gc
-import os
 import re
 import signal
 import sys
@@ -40,16 +39,13 @@ from rclpy.executors import (
 )
 from rclpy.signals import SignalHandlerOptions
 
-from tsobs_ros.errors import InterruptionError, TsobsError, printable
+from tsobs_ros.errors import TsobsError, printable
 from tsobs_ros.nodes.ticker import Ticking
 from tsobs_ros.stop import StopFlag
 
 EXPECTED = (TsobsError, OSError, NameValidationException)
 """What a user can mend; the second comes of files, the last of a joint or a topic that ROS cannot
 name."""
-
-COMPILER = "compiler"
-"""Name of a thread that may be left behind while it compiles."""
 
 # A signal does not wake the executor: the longest time until an idle process notices one [s].
 _SPIN_TIMEOUT = 0.2
@@ -96,8 +92,8 @@ def run(
         if not stop():
             nodes += _as_sequence(create())
             _spin(nodes, stop)
-    except (ExternalShutdownException, ShutdownException, InterruptionError):
-        pass  # the context was shut down from outside, or a signal came early: a clean end
+    except (ExternalShutdownException, ShutdownException):
+        pass  # the context was shut down from outside: a clean end
     except EXPECTED as error:
         exit_code = _report(str(error))
     except BaseException:
@@ -120,16 +116,6 @@ def limit_time_left(seconds: float) -> None:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGALRM])
     signal.setitimer(signal.ITIMER_REAL, seconds)
-
-
-def leave_compiler_behind(exit_code: int) -> None:
-    """End the process without the interpreter's shutdown if a thread is still compiling.
-
-    It would crash in a library that is being unloaded under it.
-    """
-    if any(thread.name == COMPILER for thread in threading.enumerate()):
-        _flush()
-        os._exit(exit_code)
 
 
 def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:

@@ -3,7 +3,6 @@
 """One joint of the observer node: its design, its tracker and its monitors."""
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -221,20 +220,6 @@ class ObservedJoint:
             torque_disturbance_bound=_NOTHING,
             parameters_valid=False,
         )
-
-
-def rehearse(joints: Sequence[ObservedJoint]) -> None:
-    """Run everything that is compiled on joints that have no past yet; they have none after it."""
-    for joint in joints:
-        shape = joint.tracker.estimator.shape
-        y, u = np.zeros((1, shape.p)), np.zeros((1, shape.m))
-        period = round(joint.loaded.design.request.period * NANOSECONDS)
-        for place in (1, 2, 4, 3, 3):  # one of them late, one twice
-            stamp = NANOSECONDS + place * period
-            joint.offer(np.array([stamp]), y, u, stamp + period)
-        for ahead in (0.5, 10.0):
-            joint.estimate(stamp + round(ahead * period), hold=False)
-        joint.reset()
 
 
 def observed_joints(

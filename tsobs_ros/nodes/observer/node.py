@@ -24,7 +24,6 @@ from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import warning
-from tsobs_ros.nodes.compiling import compile_ahead
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import LATCHED, DiagnosticsPublisher
@@ -35,7 +34,7 @@ from tsobs_ros.nodes.observer.io import (
     EstimatePublisher,
     MeasurementReader,
 )
-from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints, rehearse
+from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.ticker import Ticker
 
@@ -74,7 +73,6 @@ class Observer(ManagedNode[ObserverParameters]):
         """Load the designs and make everything."""
         parameters = self.parameters
         self._joints = observed_joints(parameters, self.resolve_topic_name("joint_measurements"))
-        compile_ahead(self, lambda: rehearse(self._joints))
         self._resets = 0
         self._reported_failures = 0
         self._enabled = True

@@ -19,7 +19,6 @@ from rclpy.duration import Duration
 
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.model.arm import SIDES
-from tsobs_ros.nodes.compiling import compile_ahead
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.topics import SamplePublisher, TorqueCommands
@@ -64,7 +63,6 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
     def configure(self) -> None:
         """Make the arm at t = 0 with its topics and services."""
         self._settings = parameters = self.parameters
-        compile_ahead(self, lambda: plants_of(parameters))
         self._publish_sample = SamplePublisher(self, parameters)
         self._commands = TorqueCommands(self, parameters)
         self.offer_triggers({"reset": self._reset})
