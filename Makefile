@@ -7,7 +7,8 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-SOURCES := setup.py setup.cfg pyproject.toml package.xml $(wildcard config/*.yaml examples/*.py)
+SOURCES := setup.py setup.cfg pyproject.toml package.xml \
+  $(wildcard config/*.yaml examples/*.py tsobs_ros/core/*.[ch])
 # Everything that the README shows; the tests need more.
 EXTRAS := design,report,export,campaign,watch
 # The NumPy that a ROS found was built for; another one breaks its messages.
@@ -94,6 +95,7 @@ figures: $(VENV)/.test ## Make the figures of the site again
 
 clean: ## Remove the virtual environment and everything built
 	rm -rf $(VENV) build install log dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -f tsobs_ros/core/*.so
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/.demo: $(SOURCES) | $(BIN)/python

@@ -3,10 +3,13 @@
 """Build tsobs_ros, for colcon as an ament_python package and for pip as a wheel."""
 
 import re
+import shutil
 import sys
 from pathlib import Path
 
 from setuptools import Distribution, Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
+from setuptools.errors import CCompilerError
 
 NAME = "tsobs_ros"
 EXECUTABLES = {
@@ -17,6 +20,7 @@ EXECUTABLES = {
     "visualizer": "tsobs_ros.executables:visualizer",
     "tsobs": "tsobs_ros.cli.main:main",
 }
+INSTALL = "apt install build-essential python3-dev"
 LAUNCHER = """#!/bin/sh
 exec "$(dirname -- "$(readlink -f -- "$0")")/../../bin/{name}" "$@"
 """
@@ -26,6 +30,41 @@ class AmentDistribution(Distribution):
     """Keeps data files in editable wheels, which ask for `has_data` and drop them without it."""
 
     has_data = Distribution.has_data_files
+
+
+class CoreBuilder(build_ext):
+    """Ends a build that fails with one line that says what to install."""
+
+    def build_extension(self, ext: Extension) -> None:
+        """Compile the core, or exit."""
+        try:
+            super().build_extension(ext)
+        except CCompilerError as error:
+            sys.exit(f"{NAME}: building the compiled core failed: {self._reason(error)}")
+
+    def _reason(self, error: Exception) -> str:
+        compiler = self.compiler.compiler_so[0]
+        if shutil.which(compiler) is None:
+            return f"no C compiler found ({compiler}); install one, e.g. `{INSTALL}`"
+        if not self._compiles("int nothing;"):
+            return f"the C compiler {compiler} does not work; install one, e.g. `{INSTALL}`"
+        if not self._compiles("#include <Python.h>"):
+            version = "{}.{}".format(*sys.version_info)
+            return (
+                f"no Python.h found, of the headers of Python {version}; install them, e.g. "
+                f"`apt install python{version}-dev`"
+            )
+        return f"{error}; what {compiler} says is above"
+
+    def _compiles(self, text: str) -> bool:
+        source = Path(self.build_temp, "probe.c")
+        source.parent.mkdir(parents=True, exist_ok=True)
+        source.write_text(f"{text}\n", encoding="utf-8")
+        try:
+            self.compiler.compile([str(source)])
+        except CCompilerError:
+            return False
+        return True
 
 
 def version() -> str:
@@ -68,7 +107,7 @@ def data_files() -> list[tuple[str, list[str]]]:
 
 
 def extension() -> Extension:
-    """Declare the compiled core: strict IEEE arithmetic, one binary for all Pythons from 3.11 on."""
+    """Declare the compiled core: strict IEEE arithmetic, one binary for all Pythons."""
     core = Path(NAME, "core")
     return Extension(
         f"{NAME}.core.native",
@@ -79,7 +118,8 @@ def extension() -> Extension:
             *("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno"),
             *("-Wall", "-Wextra", "-fvisibility=hidden"),
         ],
-        py_limited_api=True,
+        libraries=["m"],
+        py_limited_api=True,  # from 3.11 on; setup.cfg names the wheel so
     )
 
 
@@ -97,9 +137,10 @@ setup(
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
-        NAME: ["py.typed", "report/page.css", "report/page.js", "core/*.h", "core/*.pyi"]
+        NAME: ["py.typed", "report/page.css", "report/page.js", "core/*.[ch]", "core/*.pyi"]
     },
     ext_modules=[extension()],
+    cmdclass={"build_ext": CoreBuilder},
     data_files=data_files(),
     zip_safe=False,
     # Never rclpy: a sourced ROS provides it without pip's knowledge, and wheels would outrank it.

@@ -28,7 +28,7 @@ DATA = f"{STEM}.data/data"
 def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy what a build needs, since it writes next to the sources."""
     copy = tmp_path_factory.mktemp("sources")
-    ignored = shutil.ignore_patterns("__pycache__")
+    ignored = shutil.ignore_patterns("__pycache__", "*.so")
     for name in ("tsobs_ros", "config", "examples", "resource", *VIEWS):
         shutil.copytree(ROOT / name, copy / name, ignore=ignored)
     for name in ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE", "README.md"):
@@ -75,11 +75,74 @@ def test_a_wheel_carries_the_whole_package(wheel: ZipFile) -> None:
     files = {
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "tsobs_ros").rglob("*")
-        if path.is_file() and "__pycache__" not in path.parts
+        if path.is_file() and path.suffix != ".so" and "__pycache__" not in path.parts
     }
 
     assert files - set(wheel.namelist()) == set()
+    assert "tsobs_ros/core/native.abi3.so" in wheel.namelist()
+    assert "tsobs_ros/core/layout.h" in files
     assert not [name for name in wheel.namelist() if name.startswith("test")]
+
+
+def test_one_wheel_is_for_all_pythons(wheel: ZipFile) -> None:
+    assert wheel.filename is not None
+    assert "-cp311-abi3-" in wheel.filename
+
+
+@pytest.mark.parametrize(
+    ("compiler", "reason"),
+    [
+        ("no_such_compiler", "no C compiler found (no_such_compiler); install one, e.g. `apt "),
+        ("false", "the C compiler false does not work; install one, e.g. `apt install build-ess"),
+        ("without_headers", "no Python.h found, of the headers of Python 3."),
+    ],
+)
+def test_a_core_that_cannot_be_built_is_one_line_that_says_what_to_install(
+    sources: Path, tmp_path: Path, compiler: str, reason: str
+) -> None:
+    script = tmp_path / "without_headers"
+    script.write_text(
+        '#!/bin/sh\nfor each; do shift; case "$each" in -I*) ;; *) set -- "$@" "$each";; esac\n'
+        'done\nexec cc "$@"\n'
+    )
+    script.chmod(0o755)
+    done = subprocess.run(
+        [sys.executable, "setup.py", "-q", "build_ext", "--build-temp", tmp_path, "--force"],
+        cwd=sources,
+        env={**os.environ, "CC": compiler, "PATH": f"{tmp_path}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+    assert done.returncode == 1
+    line = done.stderr.splitlines()[-1]
+    assert line.startswith(f"tsobs_ros: building the compiled core failed: {reason}")
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("code", "error"),
+    [
+        ("import tsobs_ros; tsobs_ros.load_design", "ModuleNotFoundError: "),
+        ("from tsobs_ros.executables import observer; exit(observer())", "error: "),
+    ],
+)
+def test_sources_that_are_not_built_say_how_to_build_them(
+    sources: Path, tmp_path: Path, code: str, error: str
+) -> None:
+    shutil.copytree(
+        sources / "tsobs_ros", tmp_path / "tsobs_ros", ignore=shutil.ignore_patterns("*.so")
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith(
+        f"{error}tsobs_ros.core.native is not built: in the folder with setup.py, "
+        f"{sys.executable} -m pip install -e ."
+    )
 
 
 def test_rclpy_is_never_required(wheel: ZipFile) -> None:

@@ -25,6 +25,8 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "distributed": ("distributed", "pyarrow"),
 }
 """Modules that may be missing, each with what to install then."""
+CORE = "tsobs_ros.core.native"
+"""The compiled core, which is missing where the sources were only copied."""
 
 
 class TsobsError(Exception):
@@ -117,8 +119,13 @@ def missing_library(name: str | None) -> str | None:
         name: Name of the module, as a ModuleNotFoundError has it.
 
     Returns:
-        One line; None if the module belongs to no library of the package.
+        One line; None if the module is not the core and belongs to no library of the package.
     """
+    if name == CORE:
+        return (
+            f"{CORE} is not built: in the folder with setup.py, "
+            f"{sys.executable} -m pip install -e . (or colcon build); it takes a C compiler"
+        )
     module = (name or "").partition(".")[0]
     if module not in LIBRARIES:
         return None
