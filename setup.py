@@ -6,6 +6,7 @@ import re
 import shutil
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from setuptools import Distribution, Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
@@ -57,13 +58,13 @@ class CoreBuilder(build_ext):
         return f"{error}; what {compiler} says is above"
 
     def _compiles(self, text: str) -> bool:
-        source = Path(self.build_temp, "probe.c")
-        source.parent.mkdir(parents=True, exist_ok=True)
-        source.write_text(f"{text}\n", encoding="utf-8")
-        try:
-            self.compiler.compile([str(source)])
-        except CCompilerError:
-            return False
+        with TemporaryDirectory() as folder:
+            source = Path(folder, "probe.c")
+            source.write_text(f"{text}\n", encoding="utf-8")
+            try:
+                self.compiler.compile([str(source)], output_dir=folder)
+            except CCompilerError:
+                return False
         return True
 
 
@@ -127,7 +128,8 @@ setup(
     name=NAME,
     version=version(),
     description="State and sensor-disturbance estimation for a robot arm with an elastic joint",
-    long_description=Path("README.md").read_text(encoding="utf-8"),
+    # `colcon build --symlink-install` runs a link to this file, and has no link to that one.
+    long_description=Path(__file__).resolve().with_name("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
     author="The tsobs_ros contributors",
