@@ -24,12 +24,13 @@ from scipy.linalg import block_diag
 
 import tsobs_ros as ts
 from tsobs_ros.checks import Array
+from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.baselines import THETA_WANDER
-from tsobs_ros.estimation.estimator import Estimator, correct_each, predict_each, read_each
+from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.records import NANOSECONDS, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_ekf, make_tracker
@@ -143,15 +144,22 @@ def _pure(estimator: Estimator, y: Array, u: Array) -> Step:
 
 def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
     """Return the step by the calls that the pure functions make, in place."""
-    model, states, period = estimator.model, estimator.new_states(1), estimator.period
-    corrections, readouts = estimator.new_corrections(), estimator.new_readouts()
-    work = estimator.new_work()
-    samples, inputs = [row[np.newaxis] for row in y], [row[np.newaxis] for row in u]
+    records = (
+        estimator.model,
+        estimator.new_states(1),
+        estimator.new_corrections(),
+        estimator.new_readouts(),
+        estimator.new_work(),
+    )
+    model, states, corrections, readouts, work = (
+        native.Memory(each.view(np.float64)) for each in records
+    )
+    samples, inputs, period = list(y), list(u), estimator.period
 
     def step(sample: int) -> None:
-        correct_each(model, states, samples[sample], corrections)
-        predict_each(model, states, inputs[sample], period, False, work)
-        read_each(model, states, readouts, work)
+        native.estimator_correct(model, states, samples[sample], corrections)
+        native.estimator_predict(model, states, inputs[sample], period, False, work)
+        native.estimator_read(model, states, readouts, work)
 
     return step
 

@@ -83,7 +83,7 @@ def test_every_figure_is_shown_and_made_by_a_command() -> None:
 def test_messages_of_the_troubleshooting_page_are_those_of_the_package() -> None:
     """Each piece of two words and more, between what varies, stands in the sources."""
     page = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
-    sources = [ROOT / "Makefile", *(ROOT / "tsobs_ros").rglob("*.py")]
+    sources = [ROOT / "Makefile", ROOT / "setup.py", *(ROOT / "tsobs_ros").rglob("*.py")]
     text = " ".join(path.read_text(encoding="utf-8") for path in sources)
     text = re.sub(r'"\s*f?"', "", text)
     shown = re.findall(r"`([^`]+)`", re.sub(r"```.*?```", "", page, flags=re.DOTALL))

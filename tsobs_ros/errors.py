@@ -123,7 +123,7 @@ def missing_library(name: str | None) -> str | None:
     """
     if name == CORE:
         return (
-            f"{CORE} is not built: in the folder with setup.py, "
+            "tsobs_ros.core.native is not built: in the folder with setup.py, "
             f"{sys.executable} -m pip install -e . (or colcon build); it takes a C compiler"
         )
     module = (name or "").partition(".")[0]
