@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Small matrices in compiled loops against NumPy."""
+"""The small matrices of the compiled core against NumPy."""
 
 from typing import Any
 

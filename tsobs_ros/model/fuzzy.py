@@ -187,7 +187,7 @@ class Membership:
 
     @property
     def coded(self) -> tuple[float, float, float, float]:
-        """The parameters for the compiled functions, filled up with zeros."""
+        """The parameters for the compiled core, filled up with zeros."""
         a, b, c, d = (*self.parameters().values(), 0.0, 0.0, 0.0, 0.0)[:4]
         return a, b, c, d
 

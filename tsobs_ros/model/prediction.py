@@ -142,7 +142,7 @@ class Flow(ABC):
         """Enter the model's numbers into one record of `flow_type`, zero before.
 
         Args:
-            record: With room for the model.
+            record: Of the model's sizes.
             uncertainty: Parameters θ that the step takes in.
 
         Raises:
@@ -255,7 +255,7 @@ def fill_common(
     record["m"], record["k"] = model.input_count, 0 if uncertainty is None else uncertainty.count
     record["rules"], record["premises"] = model.rule_counts
     record["period"], record["terms"], record["reach"] = model.period, linear.terms, linear.reach
-    record["series"][:, : linear.series.shape[1]] = linear.series
+    record["series"] = linear.series
     phi, gamma, noise = linear.over(nominal)
     record["inputs"] = gamma.shape[1]
     for name, matrix in (("phi", phi), ("turned", phi.T), ("gamma", gamma), ("noise", noise)):

@@ -450,7 +450,7 @@ def _blocks(
     """
     times = window.schedule.log_times
     own = [run.blocks(window, progress, encode=encode) for run in runs]
-    # Compiled code of several observers runs at once.
+    # The core runs for several observers at once.
     with ThreadPoolExecutor(min(len(runs), os.cpu_count() or 1)) as pool:
         together = iter(lambda: list(pool.map(_next, own)), [None] * len(own))
         for number, blocks in enumerate(together, 1):
