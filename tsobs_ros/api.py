@@ -92,6 +92,7 @@ class Estimates:
         parameter_bound: 1σ of each, shape (n, k).
         parameters_valid: Whether the motion was rich enough for them to be relied on, shape (n,).
         basis: What the bounds rest on, codes of `tsobs_ros.estimation.records.Basis`, shape (n,).
+        claimed: Whether the bounds are claimed to hold, shape (n,).
         noise_scale: Size of the sensor's noise relative to the design's, at least 1, shape (n,).
         coloured_power: Mean product of neighbouring innovations relative to their expected power;
             about 0 if the model is right, shape (n,).
@@ -116,6 +117,7 @@ class Estimates:
     parameter_bound: Array
     parameters_valid: Flags
     basis: Array
+    claimed: Flags
     noise_scale: Array
     coloured_power: Array
     learning: Array
@@ -470,6 +472,7 @@ def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
         parameters=table.parameters[:, joint],
         parameter_bound=table.parameter_bounds[:, joint],
         basis=table.condition("basis")[:, joint],
+        claimed=table.condition("claimed")[:, joint] == 1.0,
         parameters_valid=table.condition("parameters_valid")[:, joint] == 1.0,
         noise_scale=table.condition("noise_scale")[:, joint],
         coloured_power=table.condition("coloured_power")[:, joint],

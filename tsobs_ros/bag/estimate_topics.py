@@ -39,6 +39,7 @@ CONDITIONS = (
     "noise_scale",
     "coloured_power",
     "basis",
+    "claimed",
     "learning",
     "hypothesis",
     "measurement_age",

@@ -26,7 +26,14 @@ from tsobs_ros.simulation.plant import Trajectories
 CLAIMS: Mapping[str, tuple[Basis, ...]] = {
     "certified": (Basis.CERTIFIED,),
     "learnt": (Basis.LEARNT,),
-    "covariance": (Basis.STARTING, Basis.GAP, Basis.JUMP, Basis.TORQUE, Basis.HYPOTHESIS),
+    "covariance": (
+        Basis.COVARIANCE,
+        Basis.STARTING,
+        Basis.GAP,
+        Basis.JUMP,
+        Basis.TORQUE,
+        Basis.HYPOTHESIS,
+    ),
     "none": (Basis.CONTRADICTED, Basis.OUTSIDE),
 }
 """What a bound is said to be by its basis: the certificate's, the certificate's but for the learnt

@@ -1,389 +1,764 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * A bank of hypotheses about what the design lacks, each an extended Kalman filter.
+ * The bank: the hypotheses together.
  *
- * The certified gain answers slow innovations at once, so a low-passed one stays small if the model
- * is right, and grows if the arm is pushed by a force that the model lacks, long before single
- * innovations look odd. Noise that is alike from sample to sample shows in the product of
- * neighbours. Either sign wakes the alternatives, which begin from the estimate.
+ * Each sample is weighed by every hypothesis, and adds the logarithm of its likelihood to their
+ * scores. A sample that the best one takes for an outlier may be that, or the first of something
+ * new: then forks of the best one suppose that the sensor jumped, that the arm was hit, or that it
+ * was put elsewhere, and so does one whenever the torque steps that the arm did not get the step.
+ * The samples that follow decide; a fork that stays the best takes its parent's place.
  *
- * They take theta and Gamma of the estimator, with a regressor of their own. The logarithm of each
- * innovation's likelihood adds up to a score that is forgotten slowly. The best hypothesis is
- * selected, if its score exceeds the design's clearly; its estimate and covariance are published.
- * The estimator goes on as designed meanwhile. While the design is selected and the signs are gone,
- * the bank sleeps and costs nothing.
+ * While nothing contradicts the design, it is alone, and the others sleep.
  */
-#include "filter.h"
+#include "bank.h"
 
-/* What the selected design gains, and how far a score can fall behind the best. */
-#define HYSTERESIS 1.0
-#define MAX_SCORE 9.0
+#include <string.h>
 
-/* Powers of the slow and of the coloured innovations, either of which wakes the bank. */
-#define WAKING_SLOW 0.7
-#define WAKING_COLOUR 0.3
+#include "repeats.h"
 
-/* The same below which both let it sleep. */
-#define CALM_SLOW 0.5
-#define CALM_COLOUR 0.2
+/* The noise's scale is kept above it, so that it grows in seconds if a quiet sensor gets noisy. */
+#define LEAST_SCALE 0.5
 
-/* Times from a start to the earliest waking, from there to a selection, and to sleep [s]. */
-#define SETTLED 4.0
-#define SURE_TIME 1.0
-#define LEAST_TIME 5.0
+/* Innovations are neighbours if at most so many periods lie between them. */
+#define NEIGHBOURS 10.0
 
-/* Ages of learning, and of learning again, before which theta may be wrong [s]. */
-#define LEARNT 10.0
-#define PASS 2.5
+/* Median of a normal variable's size. */
+#define MEDIAN 0.6745
 
-/* The largest innovation that counts [sigma], and the white power above which none does. */
-#define CLIP 3.0
-#define MAX_WHITE 2.0
+/* Kinds of an innovation for the noise's scale, 0 for none. */
+enum { REGULAR = 1, OUTLIER = 2 };
 
-/* Coloured powers: of coloured noise as assumed, and the least that counts in its favour. */
-#define DESIGNED_COLOUR 0.6
-#define LEAST_COLOUR 0.05
+/* Frequencies that innovations are listened to at [rad/s]: the first, and the ratio of two. */
+#define FIRST_TONE 0.8
+#define TONE_RATIO 1.25
 
-/* A noise scale below it means that neighbours differ by less than white noise. */
-#define SMOOTH 0.8
+/* Time for which they are listened to [s], which is a trial's of a tone, too. */
+#define TONE_MEMORY 5.0
 
-/* Return whether an output's newest sample shows what arm and sensor are. */
-static int shows(const model *m, const state *at, long i)
+/* --- views --- */
+
+int sizes_are_sound(const int64_t *numbers)
 {
-    const sensor of = sensor_of(m, at, i);
-    const int stuck = 0 < *m->stuck_samples && *m->stuck_samples <= *of.repeats;
-    return m->s.p == 1 || (at->y[i] == at->y[i] && *of.excluded == 0 && !stuck);
+    const estimator_sizes s = sizes_of(numbers);
+    for (long i = 0; i < ESTIMATOR_SIZES; i++) {
+        if (numbers[i] < 0 || numbers[i] > (i < 8 ? 1000 : 1000000000)) {
+            return 0;
+        }
+    }
+    return s.n >= 1 && s.plant >= 1 && s.plant <= s.n
+           && (s.width == s.n || s.width >= s.n + 1 + (s.p > 2 ? s.p : 2))
+           && (s.hypotheses == 1 || (s.hypotheses == STANDING + FORKS && s.width > s.n));
 }
 
-/* Low-pass an output's innovation, scaled to a variance, and follow the power of that. */
-static void follow_slow(const model *m, sensor *of, double innovation, double variance)
+int model_view(double *memory, size_t length, model *view)
 {
-    const double share = *m->sign_share;
-    const double r = minimum(maximum(innovation / sqrt(variance), -CLIP), CLIP);
-    double slow;
-    *of->slow += share * (r - *of->slow);
-    slow = *of->slow * *of->slow * ((2.0 - share) / share);
-    *of->slow_power += *m->sign_power_share * (slow - *of->slow_power);
+    estimator_sizes *s = &view->s;
+    flow_sizes sizes;
+    if (length < ESTIMATOR_SIZES || !sizes_are_sound((const int64_t *)(void *)memory)) {
+        return -1;
+    }
+    *s = sizes_of((const int64_t *)(void *)memory);
+    if (model_numbers_size(s) != length) {
+        return -1;
+    }
+    MODEL_FIELDS(LAYOUT_BIND, s)
+    if (!flow_is_valid(view->flow, (size_t)s->flow_size)) {
+        return -1;
+    }
+    sizes = flow_sizes_of(view->flow);
+    view->design_flow = flow_view(view->flow);
+    return sizes.n == s->n && sizes.m == s->m && sizes.k == s->k && sizes.p <= s->p
+                   && flow_scratch_size(&sizes) <= (size_t)s->scratch
+                   && (*view->supervised == 0 || s->hypotheses > 1)
+                   && !(*view->torque_limit > 0.0 && s->m < 1)
+               ? 0
+               : -1;
 }
 
-/* Follow the slow innovations; return the logarithm of the sample's likelihood as designed. The
- * outputs are weighed one after the other, each given those before it. */
-static double weigh_design(const model *m, state *at, correction *effect)
+int state_is_sound(const model *m, const state *at)
 {
-    const long p = (long)m->s.p;
-    const double *expected = effect->innovation_covariance;
-    double *factor = effect->factor, *whitened = effect->whitened;
-    double likelihood = 0.0, power = -INFINITY;
-    long i, j, a;
-    for (i = 0; i < p; i++) {
-        sensor of = sensor_of(m, at, i);
-        double scale, variance, innovation, r;
-        if (!shows(m, at, i)) {
-            for (j = 0; j <= i; j++) {
-                factor[i * p + j] = 0.0;
-            }
-            whitened[i] = 0.0;
-            continue;
-        }
-        scale = maximum(*of.noise_scale, 1.0);
-        variance = scale * scale * expected[i * p + i];
-        innovation = effect->innovation[i];
-        follow_slow(m, &of, innovation, variance);
-        power = maximum(power, *of.slow_power);
-        for (j = 0; j < i; j++) {
-            const double other = maximum(*sensor_of(m, at, j).noise_scale, 1.0);
-            double entry = scale * other * expected[i * p + j];
-            for (a = 0; a < j; a++) {
-                entry -= factor[i * p + a] * factor[j * p + a];
-            }
-            factor[i * p + j] = factor[j * p + j] > 0.0 ? entry / factor[j * p + j] : 0.0;
-            innovation -= factor[i * p + j] * whitened[j];
-            variance -= factor[i * p + j] * factor[i * p + j];
-        }
-        factor[i * p + i] = sqrt(variance);
-        whitened[i] = innovation / factor[i * p + i];
-        r = minimum(maximum(whitened[i], -CLIP), CLIP);
-        likelihood += -0.5 * (r * r + logarithm(variance));
-    }
-    if (power >= 0.0) {
-        *at->slow_power = power;
-    }
-    return likelihood;
-}
-
-/* Correct an alternative by one output; return the logarithm of the sample's likelihood, and add
- * the square of its innovation in sigmas, clipped. */
-static double correct_by(
-    const model *m, state *at, long place, long output, correction *effect, double *total)
-{
-    const alternative_model *assumed = &m->hypotheses[place];
-    const alternative other = alternative_of(m, at, place);
-    const sensor of = sensor_of(m, at, output);
-    const long n = (long)*assumed->n, k = (long)m->s.k, width = (long)m->s.width;
-    const double *C = assumed->C + output * width;
-    double *crossed = effect->vectors, *gain = crossed + width, *omega = effect->turned;
-    double scale = maximum(*of.noise_scale, 1.0), weight = 1.0;
-    double known, variance, innovation, ratio;
-    long i, j, a;
-    if (place == COLOURED_NOISE - 1) {
-        /* The white scale is of differences, which coloured noise hardly has. */
-        scale *= sqrt(maximum(*of.coloured_power / DESIGNED_COLOUR, 1.0));
-    }
-    for (j = 0; j < n; j++) {
-        crossed[j] = 0.0;
-    }
-    for (i = 0; i < n; i++) {
-        for (j = 0; j < n; j++) {
-            crossed[j] += other.covariance[i * width + j] * C[i];
-        }
-    }
-    known = dot(C, crossed, n) + assumed->variances[output];
-    for (a = 0; a < k; a++) {
-        omega[a] = dot(C, other.upsilon + a * width, n);
-    }
-    variance = scale * scale * (known + quadratic(at->gamma, k, omega, k));
-    other.variances[output] = variance;
-    innovation = at->y[output] - dot(C, other.x, n);
-    ratio = innovation * innovation / variance;
-    if (ratio > *m->gate * *m->gate) {
-        weight = *m->gate * *m->gate / ratio;
-    }
-    for (i = 0; i < n; i++) {
-        gain[i] = crossed[i] / known;
-        other.x[i] += gain[i] * (weight * innovation);
-    }
-    for (i = 0; i < n; i++) {
-        double *row = other.covariance + i * width;
-        for (j = 0; j < n; j++) {
-            row[j] -= crossed[i] * crossed[j] / known;
-        }
-    }
-    for (a = 0; a < k; a++) {
-        for (i = 0; i < n; i++) {
-            other.upsilon[a * width + i] -= omega[a] * gain[i];
-        }
-    }
-    ratio = minimum(ratio, CLIP * CLIP);
-    *total += ratio;
-    return -0.5 * (ratio + logarithm(variance));
-}
-
-/* Correct an alternative by one output after the other. Return the logarithm of the sample's
- * likelihood, and write the mean square of its innovations in sigmas, each clipped. */
-static double correct_alternative(
-    const model *m, state *at, long place, correction *effect, double *ratio)
-{
-    double likelihood = 0.0, total = 0.0;
-    long count = 0, output;
-    for (output = 0; output < m->s.p; output++) {
-        if (shows(m, at, output)) {
-            likelihood += correct_by(m, at, place, output, effect, &total);
-            count += 1;
-        }
-    }
-    *ratio = total / (double)(count > 1 ? count : 1);
-    return likelihood;
-}
-
-/* Begin the alternatives from the estimate. */
-static void wake(const model *m, state *at)
-{
-    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
-    const double *bound = *at->certified != 0 ? m->posterior : at->covariance;
-    long i, a, b;
-    for (i = 0; i < ALTERNATIVES; i++) {
-        const alternative_model *assumed = &m->hypotheses[i];
-        const alternative other = alternative_of(m, at, i);
-        /* Whole rows, so that there is no trace of numbers that were not finite. */
-        for (a = 0; a < width; a++) {
-            other.x[a] = a < n ? at->x[a] : 0.0;
-            for (b = 0; b < width; b++) {
-                other.covariance[a * width + b] = 0.0;
-            }
-            other.covariance[a * width + a] = assumed->added[a];
-            for (b = 0; b < k; b++) {
-                other.upsilon[b * width + a] = a < n ? at->upsilon[b * width + a] : 0.0;
-            }
-        }
-        if (*assumed->n > 0) {
-            copy_rows(bound, other.covariance, n, n, width);
-        }
-        *other.score = 0.0;
-        *other.nis = 1.0;
-    }
-    *at->awake = 1;
-    *at->awake_time = 0.0;
-    *at->score = 0.0;
-}
-
-/* Take arm and sensor for what the design says, until there are new signs. */
-void bank_sleep(const model *m, state *at)
-{
-    long i;
-    *at->awake = 0;
-    *at->hypothesis = AS_DESIGNED;
-    *at->slow_power = 0.0;
-    for (i = 0; i < m->s.p; i++) {
-        const sensor of = sensor_of(m, at, i);
-        *of.slow = 0.0;
-        *of.slow_power = 0.0;
-    }
-}
-
-/* Take the selected hypothesis' estimate and covariance for those of the estimator. */
-void adopt(const model *m, state *at)
-{
-    const alternative chosen = alternative_of(m, at, (long)*at->hypothesis - 1);
-    const long n = (long)m->s.n;
-    copy_rows(chosen.x, at->x, 1, n, n);
-    copy_rows(chosen.covariance, at->covariance, n, n, (long)m->s.width);
-    *at->certified = 0;
-    *at->corrected = 1;
-    *at->in_gap = 0;
-}
-
-/* Predict the alternatives over a time [s]; the state is predicted over it, but not older yet. */
-void predict_alternatives(
-    const model *m, state *at, const double *u, double duration, work *scratch)
-{
-    const double begin = *at->torque_unknown != 0 ? *at->torque_age : *at->since;
-    const long width = (long)m->s.width;
-    double wider = 0.0;
-    long i;
-    if (*at->in_gap != 0 && isfinite(begin)) {
-        /* The known torque moves unseen. */
-        wider = *m->rate_variance * (2.0 * begin + duration) * duration;
-    }
-    for (i = 0; i < ALTERNATIVES; i++) {
-        const alternative other = alternative_of(m, at, i);
-        const long force = (long)*m->hypotheses[i].n - 1;
-        if (force < 0) {
-            continue;
-        }
-        other.covariance[force * width + force] += wider;
-        flow_advance(
-            &m->bank_flows[i], other.x, other.upsilon, other.covariance, width, at->theta, at->y,
-            u, duration, scratch->flow);
-    }
-    *at->awake_time += duration;
-}
-
-/* Return the hypothesis whose score is best by a clear margin. */
-static int64_t select_best(const model *m, const state *at)
-{
-    int64_t selected = AS_DESIGNED;
-    double most = *at->score;
-    long i;
-    if (*at->hypothesis == AS_DESIGNED) {
-        most += HYSTERESIS;
-    }
-    for (i = 0; i < ALTERNATIVES; i++) {
-        double value;
-        if (*m->hypotheses[i].n == 0) {
-            continue;
-        }
-        value = *alternative_of(m, at, i).score - *m->hypotheses[i].prior;
-        if (*at->hypothesis == i + 1) {
-            value += *m->hypotheses[i].hysteresis;
-        }
-        if (value > most) {
-            selected = i + 1;
-            most = value;
-        }
-    }
-    return selected;
-}
-
-/* Add to the scores of the alternatives, and make them relative to the best. Return whether they
- * are finite. */
-static int score_alternatives(
-    const model *m, state *at, correction *effect, double designed, int bursting, int smooth)
-{
-    /* A wrong theta looks like a force until it is learnt, and like noise if that is not small
-     * between neighbours. */
-    const int young = m->s.k > 0 && (*at->age < LEARNT || *at->pass_age < PASS)
-                      && !(0 < *at->hypothesis && *at->hypothesis <= STRONG_FORCE);
-    double best;
-    int finite = 1;
-    long i;
-    *at->score = *at->score * *m->score_fade + designed;
-    best = *at->score;
-    for (i = 0; i < ALTERNATIVES; i++) {
-        const alternative other = alternative_of(m, at, i);
-        const int coloured = i == COLOURED_NOISE - 1;
-        double gain, ratio;
-        if (*m->hypotheses[i].n == 0) {
-            continue;
-        }
-        gain = correct_alternative(m, at, i, effect, &ratio);
-        if (bursting || (young && !(smooth && coloured))) {
-            gain = designed;
-        }
-        if (coloured && *at->coloured_power < LEAST_COLOUR) {
-            /* Its white part is small, which is likely of any sensor quieter than designed. */
-            gain = minimum(gain, designed);
-        }
-        *other.nis += *m->second_share * (ratio - *other.nis);
-        *other.score = *other.score * *m->score_fade + gain;
-        finite = finite && isfinite(*other.score);
-        best = maximum(best, *other.score);
-    }
-    if (!finite) {
+    if (*at->best < 0 || *at->best >= m->s.hypotheses) {
         return 0;
     }
-    *at->score = maximum(*at->score - best, -MAX_SCORE);
-    for (i = 0; i < ALTERNATIVES; i++) {
-        const alternative other = alternative_of(m, at, i);
-        *other.score = maximum(*other.score - best, -MAX_SCORE);
+    for (long i = 0; i < m->s.hypotheses; i++) {
+        const hypothesis h = hypothesis_of(m, at, i);
+        if (*h.kind < 0 || *h.kind >= STANDING || *h.output < 0 || *h.output >= m->s.p
+            || *h.fork < 0 || *h.fork > MOVED || (*h.kind != AS_DESIGNED && m->s.width == m->s.n)) {
+            return 0;
+        }
     }
-    return 1;
+    return hypothesis_of(m, at, *at->best).live[0] != 0;
 }
 
-/* Weigh the hypotheses by one measurement, which the state is corrected by, and correct those that
- * are awake. */
-void weigh(const model *m, state *at, correction *effect)
+/* --- torques --- */
+
+void take_torque(const model *m, state *at, const double *u)
 {
-    const long p = (long)m->s.p;
-    int bursting, smooth = 1;
-    double designed;
-    long i;
-    for (i = 0; i < p; i++) {
-        if (shows(m, at, i)
-            && !(effect->innovation_covariance[i * p + i] > 0.0
-                 && isfinite(effect->innovation[i]))) {
+    if (*m->torque_limit > 0.0) {
+        const double step = u[0] - at->held[0];
+        /* A first torque has none before it: its age is infinite. Late samples and those of two
+         * sensors may be as close as can be. */
+        const double elapsed = larger(*at->torque_age, *m->period);
+        const double sudden = fabs(step - *at->torque_change);
+        if (!isfinite(u[0]) || !(fabs(u[0]) <= *m->torque_limit)
+            || fabs(step) > *m->torque_rate_limit * elapsed) {
+            *at->torque_unknown = 1;
             return;
         }
+        if (isfinite(*at->torque_age)) {
+            *at->torque_change = step;
+            if (*m->torque_doubt > 0.0 && minimum(fabs(step), sudden) > *m->torque_doubt) {
+                *at->torque_step = step;
+            }
+        }
     }
-    /* White noise that has just grown is not in the scale yet, and a jump not in the estimate. */
-    bursting = *at->nis - maximum(*at->coloured_power, 0.0) > MAX_WHITE;
-    if (*at->awake == 0 && (bursting || *at->pause > 0.0)) {
-        return;
+    for (long i = 0; i < m->s.m; i++) {
+        at->held[i] = u[i];
     }
-    designed = weigh_design(m, at, effect);
-    for (i = 0; i < p; i++) {
-        smooth = smooth && *sensor_of(m, at, i).noise_scale < SMOOTH;
+    *at->torque_unknown = 0;
+    *at->torque_age = 0.0;
+}
+
+/* Begin a time in which the torque is unknown, or forget what it was when it is known again. */
+static void open_torque(const model *m, const state *at, hypothesis *h, int unknown)
+{
+    const long n = (long)m->s.n, width = (long)m->s.width;
+    double *variance = h->covariance + n * width + n;
+    const double known = *h->kind == FORCE ? *m->force * *m->force : 0.0;
+    if (unknown) {
+        double spread = *m->torque_rate * *m->period;
+        if (*at->torque_unknown != 0) {
+            spread = maximum(minimum(*m->torque_rate * *at->torque_age, *m->torque_spread), spread);
+        }
+        leave_certified(m, h, BASIS_GAP);
+        *variance += spread * spread;
+    } else if (known == 0.0) {
+        for (long i = 0; i < width; i++) {
+            h->covariance[n * width + i] = 0.0;
+            h->covariance[i * width + n] = 0.0;
+        }
+        h->x[n] = 0.0;
+        for (long a = 0; a < m->s.k; a++) {
+            h->upsilon[a * width + n] = 0.0;
+        }
     }
-    if (*at->awake == 0) {
-        const int suspicious
-            = *at->slow_power > WAKING_SLOW || *at->coloured_power > WAKING_COLOUR;
-        /* They begin from an estimate that has settled. */
-        if (suspicious && *at->watch_age > SETTLED) {
-            wake(m, at);
+}
+
+/* --- copies --- */
+
+static double *numbers_of(const model *m, const state *at, long place)
+{
+    return at->hypotheses + (size_t)place * hypothesis_size(&m->s);
+}
+
+static void copy_hypothesis(const model *m, state *at, long from, long to)
+{
+    if (from != to) {
+        memcpy(
+            numbers_of(m, at, to), numbers_of(m, at, from),
+            hypothesis_size(&m->s) * sizeof(double));
+    }
+}
+
+/* Begin a standing hypothesis from the best one. */
+static void renew(const model *m, state *at, long kind)
+{
+    const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
+    const double frequency = *hypothesis_of(m, at, kind).frequency;
+    const double size = *hypothesis_of(m, at, kind).size;
+    const double std = sqrt(m->R[0]);
+    const int64_t output = *hypothesis_of(m, at, kind).output;
+    hypothesis h;
+    double variance = 0.0;
+    copy_hypothesis(m, at, (long)*at->best, kind);
+    h = hypothesis_of(m, at, kind);
+    leave_certified(m, &h, BASIS_STARTING);
+    *h.live = 1;
+    *h.kind = kind;
+    *h.fork = NO_FORK;
+    *h.score = -m->constants[FLOOR];
+    *h.age = 0.0;
+    *h.inlier = 1.0;
+    *h.frequency = frequency;
+    *h.size = size;
+    *h.output = output;
+    /* What the best one took for a part of the sensors is the disturbance's again. */
+    clear_auxiliary(m, &h, kind == FORCE ? n + 1 : n);
+    if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
+        h.covariance[n * width + n] = *m->force * *m->force;
+    }
+    switch (kind) {
+    case COLOURED_NOISE:
+        variance = std * std;
+        break;
+    case DRIFT:
+        variance = std * std * m->constants[DRIFT_SIZE] * m->constants[DRIFT_SIZE];
+        break;
+    case TONE:
+        variance = size * size;
+        break;
+    default:
+        break;
+    }
+    for (long j = 0; variance > 0.0 && j < (kind == TONE ? 2 : p); j++) {
+        h.covariance[(n + 1 + j) * width + n + 1 + j] = variance;
+    }
+}
+
+/* Whether a standing hypothesis has a use. */
+static int is_of_use(const model *m, const state *at, long kind)
+{
+    if (kind == FORCE) {
+        return *m->force > 0.0;
+    }
+    return kind != TONE || *hypothesis_of(m, at, kind).frequency > 0.0;
+}
+
+/* Consider all hypotheses for a while. */
+static void wake(const model *m, state *at)
+{
+    if (*at->awake <= 0.0) {
+        for (long kind = 0; kind < STANDING; kind++) {
+            if (kind != *at->best && is_of_use(m, at, kind)) {
+                renew(m, at, kind);
+            }
+        }
+    }
+    *at->awake = m->constants[AWAKE];
+}
+
+/* --- the sensors --- */
+
+/* Follow the size of white noise by the running median of neighbouring differences: a stochastic
+ * approximation in the logarithm of the scale. The variance is that of the innovations under the
+ * certified gain. */
+static void scale_noise(const model *m, sensor *of, double innovation, double variance)
+{
+    const double elapsed = *of->since;
+    const double limit = larger(*of->noise_scale, 1.0) * *m->gate;
+    const int64_t kind = fabs(innovation) > limit * sqrt(variance) ? OUTLIER : REGULAR;
+    /* An outlier and its neighbour show nothing; if most are outliers, the noise is larger. */
+    if (*of->paired == kind && elapsed <= NEIGHBOURS * *m->period) {
+        const double expected = sqrt(2.0 * variance) * MEDIAN;
+        const double rate = larger(20.0 / (1.0 + 20.0 * *of->scale_age), 1.0);
+        const double step = 1.0 + 0.5 * rate * elapsed;
+        if (fabs(innovation - *of->previous) > *of->noise_scale * expected) {
+            *of->noise_scale *= step;
+        } else {
+            *of->noise_scale = larger(*of->noise_scale / step, LEAST_SCALE);
+        }
+        *of->scale_age += elapsed;
+    }
+    *of->previous = innovation;
+    *of->paired = kind;
+}
+
+static int is_stuck(const model *m, const sensor *of)
+{
+    return 0 < *m->stuck_samples && *m->stuck_samples <= *of->repeats;
+}
+
+/* Look at the samples as the best hypothesis expects them: leave out those of stuck sensors, and
+ * follow the noise. */
+static void examine(const model *m, state *at, correction *effect)
+{
+    const hypothesis best = hypothesis_of(m, at, (long)*at->best);
+    double scale = -INFINITY;
+    weigh(m, at, &best, effect);
+    for (long i = 0; i < m->s.p; i++) {
+        sensor of = sensor_of(m, at, i);
+        const double innovation = effect->innovations[i];
+        if (effect->weight[i] > 0.0) {
+            const double designed = m->innovation_covariance[i * m->s.p + i];
+            count_repeats(
+                REPETITION_OF(&of), at->y[i], innovation, effect->variances[i],
+                m->R[i * m->s.p + i], 0.0);
+            *of.pull = *of.repeats > 0 ? *of.pull + innovation : 0.0;
+            if (is_stuck(m, &of)) {
+                effect->weight[i] = 0.0;
+            } else if (isfinite(innovation)) {
+                scale_noise(m, &of, innovation, designed);
+            }
+            scale = maximum(scale, *of.noise_scale);
+        }
+    }
+    if (scale > 0.0) {
+        *at->noise_scale = scale;
+    }
+}
+
+/* Add to the covariance what the samples of a sensor have done since it is stuck. */
+static void distrust_stuck(const model *m, const state *at, hypothesis *h, correction *effect)
+{
+    const long width = (long)m->s.width, p = (long)m->s.p;
+    for (long i = 0; i < p; i++) {
+        const sensor of = sensor_of(m, at, i);
+        const double variance = m->innovation_covariance[i * p + i];
+        if (!is_stuck(m, &of) || *of.repeats != *m->stuck_samples || at->y[i] != at->y[i]) {
+            continue;
+        }
+        leave_certified(m, h, BASIS_GAP);
+        for (long a = 0; a < m->s.n; a++) {
+            effect->crossed[a] = dot(m->C + i * width, m->X + a * width, (long)m->s.n) / variance;
+        }
+        for (long a = 0; a < m->s.n; a++) {
+            for (long b = 0; b < m->s.n; b++) {
+                h->covariance[a * width + b]
+                    += *of.pull * effect->crossed[a] * (*of.pull * effect->crossed[b]);
+            }
+        }
+    }
+}
+
+/* Listen for a tone in the design's innovations, and propose the loudest. */
+static void listen(const model *m, state *at, const correction *effect)
+{
+    const hypothesis tone = hypothesis_of(m, at, TONE);
+    double most = m->constants[TONE_SIGN], size = 0.0, frequency = 0.0;
+    long output = 0;
+    for (long i = 0; i < m->s.p; i++) {
+        const sensor of = sensor_of(m, at, i);
+        const double elapsed = larger(*of.since, *m->period);
+        const double share = share_of(elapsed, TONE_MEMORY);
+        double rate = FIRST_TONE, r;
+        if (!(effect->weight[i] > 0.0)) {
+            continue;
+        }
+        r = effect->innovations[i] / sqrt(effect->variances[i]);
+        r = minimum(maximum(r, -3.0), 3.0);
+        for (long j = 0; j < TONES; j++) {
+            double *z = of.tones + 2 * j, sin, cos, first, power;
+            sine_and_cosine(rate * elapsed, &sin, &cos);
+            first = z[0];
+            z[0] = (1.0 - share) * (cos * z[0] - sin * z[1]) + r;
+            z[1] = (1.0 - share) * (cos * z[1] + sin * first);
+            power = (z[0] * z[0] + z[1] * z[1]) * (2.0 - share) * share;
+            if (power > most) {
+                most = power;
+                frequency = rate;
+                output = i;
+                /* The filter follows a slow tone in part. */
+                size = 6.0 * share * sqrt((z[0] * z[0] + z[1] * z[1]) * effect->variances[i]);
+            }
+            rate *= TONE_RATIO;
+        }
+    }
+    if (frequency > 0.0 && *at->best != TONE
+        && (*tone.live == 0 || *tone.frequency == 0.0
+            || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > TONE_MEMORY))) {
+        *tone.frequency = frequency;
+        *tone.size = size;
+        *tone.output = output;
+        renew(m, at, TONE);
+    }
+}
+
+/* --- forks --- */
+
+/* Return a place for a fork: a free one, or that of the unlikeliest below a score; -1 if none. */
+static long place_for(const model *m, const state *at, double score)
+{
+    long found = -1;
+    for (long i = STANDING; i < m->s.hypotheses; i++) {
+        const hypothesis h = hypothesis_of(m, at, i);
+        if (*h.live == 0) {
+            return i;
+        }
+        if (i != *at->best && *h.score < score) {
+            found = i;
+            score = *h.score;
+        }
+    }
+    return found;
+}
+
+/* Open what a fork supposes to have changed at an outlier of an output. */
+static void open_fork(
+    const model *m, hypothesis *h, int64_t fork, long output, double innovation)
+{
+    const long n = (long)m->s.n, width = (long)m->s.width;
+    const double *map = m->disturbance_map + output * width;
+    double *P = h->covariance;
+    switch (fork) {
+    case JUMPED:
+        if (m->disturbed[output] == 0) { /* a sensor that lies */
+            if (*h->kind != DRIFT) {
+                clear_auxiliary(m, h, n);
+                *h->kind = DRIFT;
+            }
+            P[(n + 1 + output) * width + n + 1 + output] += innovation * innovation;
+            return;
+        }
+        for (long i = 0; i < n; i++) {
+            if (map[i] != 0.0) {
+                P[i * width + i] += innovation * innovation;
+            }
         }
         return;
+    case HIT: /* of what makes the innovation within a period, if the arm can be so fast */
+        for (long i = 1; i < 4; i += 2) {
+            const double needed = fabs(innovation) / *m->period / m->scale[i];
+            const double std = minimum(needed, m->domain[i]);
+            P[i * width + i] += std * std;
+        }
+        return;
+    default:
+        for (long i = 0; i < m->s.plant; i++) {
+            P[i * width + i] += m->domain[i] * m->domain[i];
+        }
     }
-    if (!score_alternatives(m, at, effect, designed, bursting, smooth)) {
-        bank_sleep(m, at);
+}
+
+/* Suppose that something happened at this sample, of which the best one takes an output for an
+ * outlier. */
+static void suppose(
+    const model *m, state *at, long parent, int64_t fork, long output, double likelihood,
+    double innovation, correction *effect)
+{
+    const double score = *hypothesis_of(m, at, parent).score - m->constants[FORK_PRICE];
+    const long place = place_for(m, at, score);
+    hypothesis h;
+    if (place < 0) {
         return;
     }
-    /* A jump or a loss of track is found sooner. */
-    if (*at->awake_time < SURE_TIME) {
-        return;
+    copy_hypothesis(m, at, parent, place);
+    h = hypothesis_of(m, at, place);
+    leave_certified(m, &h, fork == JUMPED ? BASIS_JUMP : BASIS_STARTING);
+    *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
+    *h.fork = fork;
+    *h.age = 0.0;
+    *h.inlier = 1.0;
+    open_fork(m, &h, fork, output, innovation);
+    *h.score = score - likelihood + correct_by(m, at, &h, output, 0, effect);
+    *h.corrected = 1;
+    if (!isfinite(*h.score)) {
+        *h.live = 0;
     }
-    *at->hypothesis = select_best(m, at);
-    if (*at->slow_power < CALM_SLOW && *at->coloured_power < CALM_COLOUR
-        && *at->hypothesis == AS_DESIGNED && *at->awake_time > LEAST_TIME) {
-        bank_sleep(m, at);
+}
+
+/* Suppose that the arm did not get the newest step of the torque. */
+static void suppose_no_step(const model *m, state *at)
+{
+    const long n = (long)m->s.n, width = (long)m->s.width;
+    const hypothesis best = hypothesis_of(m, at, (long)*at->best);
+    const double score = *best.score - m->constants[TORQUE_PRICE];
+    const long place = *m->force > 0.0 ? place_for(m, at, score) : -1;
+    hypothesis h;
+    if (place >= 0) {
+        copy_hypothesis(m, at, (long)*at->best, place);
+        h = hypothesis_of(m, at, place);
+        leave_certified(m, &h, BASIS_TORQUE);
+        if (*h.kind != FORCE) {
+            clear_auxiliary(m, &h, n);
+        }
+        *h.kind = FORCE;
+        *h.fork = TORQUE_LOST;
+        *h.cause = BASIS_TORQUE;
+        *h.age = 0.0;
+        *h.score = score;
+        h.x[n] -= *at->torque_step;
+        h.covariance[n * width + n] += *m->torque_doubt * *m->torque_doubt;
+    }
+    *at->torque_step = 0.0;
+}
+
+/* Count what a fork that takes its parent's place has found. */
+static void count_event(const state *at, int64_t fork)
+{
+    int64_t *const counts[] = {NULL, at->jumps, at->hits, at->wrong_torques, at->losses};
+    if (fork != NO_FORK) {
+        *counts[fork] += 1;
+    }
+}
+
+/* Let the best fork take its parent's place once it is sure, and let the others end. */
+static void select_forks(const model *m, state *at)
+{
+    for (long i = STANDING; i < m->s.hypotheses; i++) {
+        const hypothesis h = hypothesis_of(m, at, i);
+        if (*h.live == 0) {
+            continue;
+        }
+        if (i == *at->best) {
+            const long kind = (long)*h.kind;
+            const hypothesis parent = hypothesis_of(m, at, kind);
+            if (*parent.live == 0 || *h.age > m->constants[TRIAL]
+                || *parent.score < -0.5 * m->constants[FLOOR]) {
+                count_event(at, *h.fork);
+                *h.fork = NO_FORK;
+                copy_hypothesis(m, at, i, kind);
+                *h.live = 0;
+                *at->best = kind;
+            }
+        } else if (*h.score < -m->constants[FLOOR]
+                   || (*h.age > m->constants[LIFE] && *h.score < -m->constants[OCCAM])) {
+            *h.live = 0;
+        }
+    }
+}
+
+/* --- the bank --- */
+
+/* Make the scores relative to the best one, and find that. */
+static void compare(const model *m, state *at)
+{
+    double most = -INFINITY, best = -INFINITY;
+    for (long i = 0; i < m->s.hypotheses; i++) {
+        const hypothesis h = hypothesis_of(m, at, i);
+        if (*h.live != 0 && *h.score > most) {
+            most = *h.score;
+        }
+    }
+    for (long i = 0; i < m->s.hypotheses; i++) {
+        const hypothesis h = hypothesis_of(m, at, i);
+        double score;
+        if (*h.live == 0) {
+            continue;
+        }
+        *h.score -= most;
+        if (i < STANDING && *h.score < -m->constants[FLOOR]) {
+            *h.score = -m->constants[FLOOR];
+        }
+        score = *h.score - (*h.kind == AS_DESIGNED ? 0.0 : m->constants[OCCAM]);
+        if (score > best) {
+            best = score;
+            *at->best = i;
+        }
+    }
+}
+
+/* Return whether the innovations of a hypothesis contradict it. */
+static int shows_signs(const model *m, const hypothesis *h)
+{
+    return *h->slow_power > m->constants[SIGN_SLOW] || *h->colour > m->constants[SIGN_COLOUR];
+}
+
+/* Let the others sleep if the design has been the best without a sign for a while. */
+static void rest(const model *m, state *at, int signs)
+{
+    int alone = *at->best == AS_DESIGNED;
+    if (signs) {
+        *at->awake = m->constants[AWAKE];
+    }
+    for (long i = STANDING; i < m->s.hypotheses; i++) {
+        alone = alone && *hypothesis_of(m, at, i).live == 0;
+    }
+    if (alone && *at->awake <= 0.0) {
+        for (long i = 1; i < m->s.hypotheses; i++) {
+            *hypothesis_of(m, at, i).live = 0;
+        }
+        *hypothesis_of(m, at, TONE).frequency = 0.0;
+        for (long i = 0; i < m->s.p; i++) {
+            memset(sensor_of(m, at, i).tones, 0, 2 * TONES * sizeof(double));
+        }
+    }
+}
+
+/* Return whether the plant has moved by more than its bounds in the last seconds. At rest,
+ * regressors follow the noise of the estimate: what they show is false. */
+static int moves(const model *m, state *at, const hypothesis *h)
+{
+    const double share = *h->learning >= *m->adaptation_start ? share_of(*m->period, 2.0) : 1.0;
+    int moving = 0;
+    for (long i = 0; i < m->s.plant; i++) {
+        const double off = h->x[i] - at->centre[i];
+        const double least
+            = m->constants[MOVING] * larger(*at->noise_scale, 1.0) * m->state_std[i];
+        at->centre[i] += share * off;
+        at->spread[i] = (1.0 - share) * (at->spread[i] + share * off * off);
+        moving = moving || at->spread[i] > least * least;
+    }
+    return moving;
+}
+
+/* Remember the newest sample of each output, and use those that there are. */
+static void take_sample(const model *m, state *at, const double *y, correction *effect)
+{
+    for (long i = 0; i < m->s.p; i++) {
+        const int there = isfinite(y[i]) != 0;
+        at->y[i] = there ? y[i] : NAN;
+        effect->weight[i] = there ? 1.0 : 0.0;
+        if (there) {
+            at->sample[i] = y[i];
+        }
+    }
+}
+
+/* Write what the sample is to the best hypothesis, which is not corrected by it yet. */
+static void report(const model *m, const hypothesis *best, correction *effect)
+{
+    const long p = (long)m->s.p;
+    memset(effect->gain, 0, (size_t)(m->s.width * p) * sizeof(double));
+    for (long i = 0; i < p; i++) {
+        effect->innovation[i] = effect->innovations[i];
+        for (long j = 0; j < p; j++) {
+            effect->innovation_covariance[i * p + j]
+                = *best->certified != 0 ? m->innovation_covariance[i * p + j] : 0.0;
+        }
+        effect->innovation_covariance[i * p + i] = effect->variances[i];
+    }
+}
+
+/* Correct all hypotheses, and fork the best one where it takes samples for outliers. */
+static void correct_bank(const model *m, state *at, correction *effect)
+{
+    const long p = (long)m->s.p, parent = (long)*at->best;
+    int outliers = 0, signs;
+    hypothesis h = hypothesis_of(m, at, parent);
+    examine(m, at, effect);
+    weigh(m, at, &h, effect);
+    report(m, &h, effect);
+    *at->moving = moves(m, at, &h);
+    for (long i = 0; i < p; i++) {
+        outliers += effect->weight[i] > 0.0 && !effect->used[i];
+    }
+    signs = outliers > 0 || shows_signs(m, &h);
+    if (signs && *at->age > 0.0) {
+        wake(m, at);
+    }
+    if (*at->torque_step != 0.0) {
+        suppose_no_step(m, at);
+    }
+    for (long i = m->s.hypotheses - 1; i >= 0; i--) {
+        if (i == parent) {
+            continue;
+        }
+        h = hypothesis_of(m, at, i);
+        if (*h.live != 0) {
+            distrust_stuck(m, at, &h, effect);
+            weigh(m, at, &h, effect);
+            if (i == AS_DESIGNED && *at->awake > 0.0) {
+                listen(m, at, effect);
+                weigh(m, at, &h, effect);
+            }
+            *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
+        }
+    }
+    h = hypothesis_of(m, at, parent);
+    distrust_stuck(m, at, &h, effect);
+    weigh(m, at, &h, effect);
+    if (parent == AS_DESIGNED && *at->awake > 0.0) {
+        listen(m, at, effect);
+        weigh(m, at, &h, effect);
+    }
+    for (long i = 0; i < p; i++) {
+        if (effect->weight[i] > 0.0 && !effect->used[i]) {
+            effect->weight[i] = 0.0;
+        }
+    }
+    memset(effect->gain, 0, (size_t)(m->s.width * p) * sizeof(double));
+    *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
+    for (long i = 0; outliers > 0 && i < p; i++) {
+        const sensor of = sensor_of(m, at, i);
+        if (at->y[i] == at->y[i] && effect->weight[i] == 0.0 && !is_stuck(m, &of)) {
+            const double likelihood = effect->likelihoods[i];
+            const double innovation = effect->innovation[i];
+            suppose(m, at, parent, JUMPED, i, likelihood, innovation, effect);
+            if (*m->design_flow.kind == KIND_ARM) {
+                suppose(m, at, parent, HIT, i, likelihood, innovation, effect);
+            }
+            suppose(m, at, parent, MOVED, i, likelihood, innovation, effect);
+        }
+    }
+    *at->outliers += outliers > 0;
+    compare(m, at);
+    select_forks(m, at);
+    for (long kind = 0; kind < STANDING; kind++) {
+        h = hypothesis_of(m, at, kind);
+        if (*h.live != 0 && kind != *at->best
+            && (*h.inlier < m->constants[REJECTING] || !isfinite(*h.score) || !isfinite(h.x[0]))) {
+            renew(m, at, kind);
+        }
+    }
+    rest(m, at, signs);
+}
+
+void correct(const model *m, state *at, const double *y, correction *effect)
+{
+    const long p = (long)m->s.p;
+    if (*at->in_gap != 0 && *at->torque_unknown == 0) {
+        for (long i = 0; i < m->s.hypotheses; i++) {
+            hypothesis h = hypothesis_of(m, at, i);
+            if (*h.live != 0) {
+                open_torque(m, at, &h, 0);
+            }
+        }
+        *at->in_gap = 0;
+    }
+    take_sample(m, at, y, effect);
+    if (*m->supervised != 0) {
+        correct_bank(m, at, effect);
+    } else {
+        hypothesis h = hypothesis_of(m, at, 0);
+        weigh(m, at, &h, effect);
+        report(m, &h, effect);
+        correct_hypothesis(m, at, &h, moves(m, at, &h), effect);
+    }
+    *at->since = 0.0;
+    for (long i = 0; i < p; i++) {
+        const sensor of = sensor_of(m, at, i);
+        const int there = at->y[i] == at->y[i];
+        if (there) {
+            *of.since = 0.0;
+        }
+        if (effect->weight[i] == 0.0) {
+            *(there ? of.gated : of.missing) += 1;
+        }
+    }
+}
+
+/* The certified bound serves the whole interval to the next regular sample, and with `late_factor`
+ * a period beyond. */
+void predict(
+    const model *m, state *at, const double *u, double duration, int between_samples,
+    work *scratch)
+{
+    const double shortest = between_samples ? 0.0 : *m->shortest;
+    const int known = *at->torque_unknown == 0;
+    const int regular = shortest <= duration && duration <= *m->longest && known;
+    const hypothesis best = hypothesis_of(m, at, (long)*at->best);
+    const int is_late = between_samples && !regular && known && *best.certified != 0
+                        && *best.corrected != 0 && duration <= 2.0 * *m->period
+                        && *m->late_factor >= 1.0;
+    const int in_gap = *m->torque_rate > 0.0 && *m->gain_mode != GAIN_OPEN && !is_late
+                       && (*at->in_gap != 0 || !known || duration > *m->longest);
+    const double age = known ? *at->since : *at->torque_age;
+    const double forgotten = in_gap && isfinite(age) ? *m->torque_rate * *m->torque_rate
+                                                           * (2.0 * age + duration)
+                                                     : 0.0;
+    *at->late = is_late;
+    for (long i = 0; i < m->s.hypotheses; i++) {
+        hypothesis h = hypothesis_of(m, at, i);
+        int simple;
+        if (*h.live == 0 || (between_samples && *h.score < -m->constants[FLOOR] * 0.75)) {
+            continue;
+        }
+        simple = *m->gain_mode == GAIN_OPEN
+                 || (*h.certified != 0 && *h.corrected != 0 && (regular || is_late));
+        if (!simple) {
+            leave_certified(m, &h, BASIS_GAP);
+        }
+        if (in_gap && *at->in_gap == 0) {
+            open_torque(m, at, &h, 1);
+        }
+        predict_hypothesis(m, at, &h, u, duration, simple, forgotten, scratch);
+        if (!simple && !between_samples && !in_gap && *m->gain_mode == GAIN_CERTIFIED
+            && *h.kind == AS_DESIGNED && *h.settling <= 0.0
+            && is_below(
+                h.covariance, (long)m->s.width, m->X, (long)m->s.width, scratch->square,
+                (long)m->s.n)) {
+            *h.certified = 1;
+        }
+    }
+    *at->in_gap = in_gap;
+    if (!between_samples) {
+        *at->torque_age += duration;
+        *at->since += duration;
+        *at->age += duration;
+        *at->awake = maximum(0.0, *at->awake - duration);
+        for (long i = 0; i < m->s.p; i++) {
+            *sensor_of(m, at, i).since += duration;
+        }
     }
 }

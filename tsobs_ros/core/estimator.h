@@ -1,27 +1,23 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * The estimator: its records, and its steps in place on one state record.
+ * The estimator: a bank of hypotheses, each a filter and a weight.
  *
  *     correct:  x <- x + K (y - C x)        predict:  x <- flow(x, u, T)
  *
+ * All hypotheses are stepped by the same code and differ in numbers only. The weights follow Bayes'
+ * rule; what is published is the mixture. docs/estimator.md explains it.
+ *
  * A model record begins with its sizes, see `estimator_sizes`, so that `model_view` needs no other
- * arguments. Fields of n states have rows of `width` numbers, the most that the estimate, the one
- * in a gap or an alternative has; what is behind the states in use is left alone. All else is
- * dense. Flags are 0 or 1.
+ * arguments. Fields of n states have rows of `width` numbers: the design's states, and behind them
+ * the auxiliary ones, first the unknown torque, then parts of the sensors' disturbance. Flags are 0
+ * or 1.
  */
 #ifndef TSOBS_ESTIMATOR_H
 #define TSOBS_ESTIMATOR_H
 
 #include "flow.h"
 #include "layout.h"
-
-enum {
-    WINDOW = 24,          /* innovations of an output that are looked at together for a jump */
-    MAX_JUMP_BUDGET = 32, /* jumps that a sensor's record has room for */
-    ALTERNATIVES = 4,     /* hypotheses besides the design, in the order of `hypothesis` */
-    CONDITIONS = 6        /* numbers of a row that say what the others are worth */
-};
 
 /* Gains: none, as the observer is integrated, that of Riccati, or the certified one. */
 enum { GAIN_OPEN, GAIN_RICCATI, GAIN_CERTIFIED };
@@ -30,6 +26,7 @@ enum { GAIN_OPEN, GAIN_RICCATI, GAIN_CERTIFIED };
 enum {
     BASIS_CERTIFIED,
     BASIS_LEARNT,
+    BASIS_COVARIANCE,
     BASIS_STARTING,
     BASIS_GAP,
     BASIS_JUMP,
@@ -40,354 +37,342 @@ enum {
 };
 
 /* What the learning of parameters does. */
-enum { LEARNING_NONE, LEARNING_STARTING, LEARNING_ACTIVE, LEARNING_AFTER_JUMP, LEARNING_STRAINED };
+enum { LEARNING_NONE, LEARNING_STARTING, LEARNING_ACTIVE };
 
-/* What the estimate takes the arm and its sensor for. */
-enum { AS_DESIGNED, FORCE, STRONG_FORCE, COLOURED_NOISE, DRIFT };
+/* What a hypothesis takes the arm and its sensors for. The standing ones, in this order, are
+ * followed by room for forks. */
+enum {
+    AS_DESIGNED,
+    FORCE,          /* an unknown torque at the motor */
+    IMPERFECT,      /* a model that is wrong in ways that it does not say */
+    LOUD,           /* white noise that is larger than designed */
+    COLOURED_NOISE, /* noise that is alike from sample to sample */
+    DRIFT,          /* sensors that move away */
+    TONE,           /* a sensor that oscillates */
+    STANDING,
+    FORKS = 6
+};
+
+/* What a fork supposes to have happened at its first sample. */
+enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
+
+/* The constants of the bank: name, value, and what it is. All others are the design's, or options.
+ * docs/estimator.md gives the reason for each, and what half and twice of it do. */
+#define BANK_CONSTANTS(C)                                                                      \
+    C(FLOOR, 12.0, "how far a standing hypothesis may fall behind the best [nat]")             \
+    C(OCCAM, 2.5, "by how much another one has to be better than the design [nat]")            \
+    C(FORK_PRICE, 10.0, "prior of a jump, a hit or a lost arm at an outlier [nat]")            \
+    C(TORQUE_PRICE, 2.2, "prior of a torque step that the arm did not get [nat]")              \
+    C(TRIAL, 1.0, "age at which the best fork takes its parent's place [s]")                   \
+    C(LIFE, 3.0, "age to which other forks live [s]")                                          \
+    C(NOISE_FACTOR, 16.0, "variance of loud noise, by the design's")                           \
+    C(IMPERFECTION, 100.0, "process noise of an imperfect model, by the design's")             \
+    C(FORCE_SHARE, 0.03, "1 sigma of the unknown torque, by the reference torque")             \
+    C(FORCE_TIME, 1.0, "its correlation time [s]")                                             \
+    C(COLOUR_TIME, 0.05, "correlation time of coloured noise [s]")                             \
+    C(DRIFT_SIZE, 18.0, "1 sigma of a drift, by the sensor's noise")                           \
+    C(DRIFT_TIME, 10.0, "its correlation time [s]")                                            \
+    C(TONE_TIME, 20.0, "time for which a tone keeps its phase [s]")                            \
+    C(TONE_SIGN, 20.0, "power of an innovation's tone, by white noise's, that proposes one")   \
+    C(REJECTING, 0.3, "share of samples below which a filter starts again from the best")      \
+    C(SIGN_SLOW, 0.7, "power of slow innovations, by white noise's, that wakes the bank")      \
+    C(SIGN_COLOUR, 0.3, "product of neighbouring innovations that does")                       \
+    C(AWAKE, 5.0, "time from the last sign to sleep [s]")                                      \
+    C(SLOW_TIME, 0.4, "time constant of slow innovations [s]")                                 \
+    C(POWER_TIME, 5.0, "time constant of their power [s]")                                     \
+    C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
+    C(CURVED, 0.3, "share of a learnt distance by which regressors are wrong")                 \
+    C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
+
+#define BANK_CONSTANT_NAME(name, value, what) name,
+enum { BANK_CONSTANTS(BANK_CONSTANT_NAME) CONSTANTS };
+
+enum {
+    CONDITIONS = 7, /* numbers of a row that say what the others are worth */
+    TONES = 13      /* frequencies at which innovations are listened to */
+};
 
 /* Sizes of an estimator, the first numbers of its model record, as 64-bit integers. */
-#define ESTIMATOR_SIZES 13
+#define ESTIMATOR_SIZES 10
 typedef struct {
-    int64_t n;         /* augmented states */
-    int64_t width;     /* the most states of n, n_gap and the alternatives: length of rows */
-    int64_t plant;     /* of the plant's own states, the first */
-    int64_t p;         /* outputs */
-    int64_t m;         /* inputs and scheduled signals */
-    int64_t k;         /* learnt parameters */
-    int64_t n_gap;     /* augmented states in a gap, 0 if the torque is held there */
-    int64_t t;         /* torques that are estimated */
-    int64_t bank;      /* alternatives, ALTERNATIVES or 0 */
-    int64_t flow_size; /* numbers of the design's flow, */
-    int64_t gap_size;  /* of the flow in a gap, */
-    int64_t bank_size; /* of the longest flow of an alternative, */
-    int64_t scratch;   /* and of the scratch that they need */
+    int64_t n;          /* augmented states of the design */
+    int64_t width;      /* these and the auxiliary ones: length of rows */
+    int64_t plant;      /* of the plant's own states, the first */
+    int64_t p;          /* outputs */
+    int64_t m;          /* inputs and scheduled signals */
+    int64_t k;          /* learnt parameters */
+    int64_t t;          /* torques that are estimated */
+    int64_t hypotheses; /* 1, or STANDING + FORKS */
+    int64_t flow_size;  /* numbers of the flow, */
+    int64_t scratch;    /* and of the scratch that it needs */
 } estimator_sizes;
 
 /* Return the sizes that a model record's first numbers are, and whether they belong together. */
 static inline estimator_sizes sizes_of(const int64_t *numbers)
 {
-    const estimator_sizes s = {
-        numbers[0], numbers[1], numbers[2], numbers[3],  numbers[4],  numbers[5], numbers[6],
-        numbers[7], numbers[8], numbers[9], numbers[10], numbers[11], numbers[12]};
+    const estimator_sizes s = {numbers[0], numbers[1], numbers[2], numbers[3], numbers[4],
+                               numbers[5], numbers[6], numbers[7], numbers[8], numbers[9]};
     return s;
 }
 int sizes_are_sound(const int64_t *numbers);
 
 /* What is remembered of one output.
  *
- * recent, sizes, calm: its newest innovations in sigmas and in units, and the coloured power before
- * each, the newest of `watched` last. leap: by how much they lean after a jump. nis, magnitude,
- * coloured_power: averages of r^2, |r| and the product of neighbours. noise_scale: size of the
- * white noise relative to the design's; scale_age: time it has been learnt for [s]; previous,
- * paired: the innovation before and its kind; since: time since the last sample [s]. slow:
- * low-passed innovation in sigmas; slow_power: power of it relative to a white one's. jump_ages,
- * jump_count: of its jumps since a start; jumped: whether the newest sample shows one, or (2) that
- * all trust in it is lost. excluded: whether the other outputs contradict it.
+ * noise_scale: size of the white noise relative to the design's; scale_age: time it has been learnt
+ * for [s]; previous, paired: the innovation before and its kind; since: time since the last sample
+ * [s]. tones: what the design's innovations have of each frequency, cosine and sine. pull: sum of
+ * the innovations since the value repeats.
  *
  * Of repeats: value: the latest one, NaN before the first. step, rough: of the sensor, and of the
  * differences of its innovations, 0 before the first difference. before: innovation of the sample
  * before. nearest: least |y - C x| of the value. repeats: repetitions that count. Then counts. */
-#define SENSOR_FIELDS(F, s)                 \
-    F(VECTOR, recent, WINDOW, 1)            \
-    F(VECTOR, sizes, WINDOW, 1)             \
-    F(VECTOR, calm, WINDOW, 1)              \
-    F(COUNT, watched, 1, 1)                 \
-    F(COUNT, in_a_row, 1, 1)                \
-    F(NUMBER, nis, 1, 1)                    \
-    F(NUMBER, magnitude, 1, 1)              \
-    F(NUMBER, noise_scale, 1, 1)            \
-    F(NUMBER, scale_age, 1, 1)              \
-    F(NUMBER, previous, 1, 1)               \
-    F(NUMBER, leap, 1, 1)                   \
-    F(COUNT, paired, 1, 1)                  \
-    F(NUMBER, since, 1, 1)                  \
-    F(NUMBER, coloured_power, 1, 1)         \
-    F(NUMBER, slow, 1, 1)                   \
-    F(NUMBER, slow_power, 1, 1)             \
-    F(VECTOR, jump_ages, MAX_JUMP_BUDGET, 1) \
-    F(COUNT, jump_count, 1, 1)              \
-    F(COUNT, jumped, 1, 1)                  \
-    F(COUNT, excluded, 1, 1)                \
-    F(NUMBER, value, 1, 1)                  \
-    F(NUMBER, step, 1, 1)                   \
-    F(NUMBER, rough, 1, 1)                  \
-    F(NUMBER, before, 1, 1)                 \
-    F(NUMBER, nearest, 1, 1)                \
-    F(COUNT, repeats, 1, 1)                 \
-    F(COUNT, gated, 1, 1)                   \
+#define SENSOR_FIELDS(F, s)           \
+    F(NUMBER, noise_scale, 1, 1)      \
+    F(NUMBER, scale_age, 1, 1)        \
+    F(NUMBER, previous, 1, 1)         \
+    F(COUNT, paired, 1, 1)            \
+    F(NUMBER, since, 1, 1)            \
+    F(MATRIX, tones, TONES, 2)        \
+    F(NUMBER, pull, 1, 1)             \
+    F(NUMBER, value, 1, 1)            \
+    F(NUMBER, step, 1, 1)             \
+    F(NUMBER, rough, 1, 1)            \
+    F(NUMBER, before, 1, 1)           \
+    F(NUMBER, nearest, 1, 1)          \
+    F(COUNT, repeats, 1, 1)           \
+    F(COUNT, gated, 1, 1)             \
     F(COUNT, missing, 1, 1)
 LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
 
-/* A filter under another hypothesis.
+/* A hypothesis: a filter and a weight.
  *
- * x, covariance, upsilon: as of the estimator, with states of its own behind the design's. score:
- * logarithm of its likelihood relative to the best. nis: one-second average of the squares of its
- * innovations in sigmas. variances: expected of the newest innovations. */
-#define ALTERNATIVE_FIELDS(F, s)               \
-    F(VECTOR, x, s->width, 1)                  \
-    F(MATRIX, covariance, s->width, s->width)  \
-    F(MATRIX, upsilon, s->k, s->width)         \
-    F(NUMBER, score, 1, 1)                     \
-    F(NUMBER, nis, 1, 1)                       \
-    F(VECTOR, variances, s->p, 1)
-LAYOUT_DECLARE(alternative, ALTERNATIVE_FIELDS, estimator_sizes)
+ * live: whether it is considered. kind, fork: what it supposes. score: logarithm of its weight
+ * relative to the best. age: time since it began [s]; settling: least time with Riccati gains left
+ * [s]. certified: whether the certified gain serves, and the covariance is the certificate's bound;
+ * cause: basis of the bounds while it is not. corrected: whether a sample was used since the last
+ * prediction. x, covariance: estimate in design coordinates, and of its error.
+ *
+ * inlier: average of whether samples are used. previous, nis, colour, slow, slow_power: of the
+ * innovations in sigmas, the one before, averages of their squares and of the products of
+ * neighbours over a second, low-passed, and the power of that relative to white noise's.
+ *
+ * theta, gamma, upsilon (by rows), gram, learning: of the parameters, and the time they have been
+ * learnt for [s]. pending: change of theta that is used once it is significant. anchor, pass_age
+ * [s], passes: where the present pass of learning began, how long it takes, and how many there were.
+ *
+ * frequency [rad/s], size, output: of a tone. */
+#define HYPOTHESIS_FIELDS(F, s)               \
+    F(COUNT, live, 1, 1)                      \
+    F(COUNT, kind, 1, 1)                      \
+    F(COUNT, fork, 1, 1)                      \
+    F(NUMBER, score, 1, 1)                    \
+    F(NUMBER, age, 1, 1)                      \
+    F(NUMBER, settling, 1, 1)                 \
+    F(COUNT, certified, 1, 1)                 \
+    F(COUNT, cause, 1, 1)                     \
+    F(COUNT, corrected, 1, 1)                 \
+    F(VECTOR, x, s->width, 1)                 \
+    F(MATRIX, covariance, s->width, s->width) \
+    F(NUMBER, inlier, 1, 1)                   \
+    F(VECTOR, previous, s->p, 1)              \
+    F(NUMBER, nis, 1, 1)                      \
+    F(NUMBER, colour, 1, 1)                   \
+    F(VECTOR, slow, s->p, 1)                  \
+    F(NUMBER, slow_power, 1, 1)               \
+    F(VECTOR, theta, s->k, 1)                 \
+    F(MATRIX, gamma, s->k, s->k)              \
+    F(MATRIX, upsilon, s->k, s->width)        \
+    F(MATRIX, gram, s->k, s->k)               \
+    F(NUMBER, learning, 1, 1)                 \
+    F(VECTOR, pending, s->k, 1)               \
+    F(COUNT, significant, 1, 1)               \
+    F(VECTOR, anchor, s->k, 1)                \
+    F(NUMBER, pass_age, 1, 1)                 \
+    F(COUNT, passes, 1, 1)                    \
+    F(NUMBER, frequency, 1, 1)                \
+    F(NUMBER, size, 1, 1)                     \
+    F(COUNT, output, 1, 1)
+LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
 
 /* All that an estimator remembers.
  *
  * stamp, y, u: of the newest sample [ns], a missing output is NaN. sample: the newest of each
  * output. held: inputs in use, those of the newest sample with plausible ones; torque_age: time
- * since that [s]; torque_unknown: whether it is not the newest. torque_change to distrust: of the
- * torque's supervision, as what was suspected of it, and since when.
- * x: estimate in design coordinates. covariance: of its error; the certificate's bound while
- * `certified`. While `in_gap` both have the unknown torque's states too. late: whether it is read
- * after the stamp at which the next sample was due. settling: least time with Riccati gains left
- * [s]. corrected: whether a sample was used since the last prediction. cause: basis of that
- * covariance.
+ * since that [s]; torque_unknown: whether it is not the newest; torque_change, torque_step: the
+ * newest change of it, and one that the arm may not have got. late: whether it is read after the
+ * stamp at which the next sample was due.
  *
- * theta, gamma, upsilon (by rows), gram, age: of the adaptation. pending: change of theta that is
- * used once it is significant. anchor, pass_age [s], passes: where the present pass of learning
- * began, how long it takes, and how many there were. theta_before, pending_before, gamma_before:
- * of two earlier samples, the older one last; kept: samples until the next are kept. centre,
- * spread: mean and variance of x over some seconds. relearned: used part of the budget of learning;
- * resting: whether it is used up. pinned: time for which a parameter has been at its limit [s];
- * strained: time for which innovations have contradicted the model [s]. pause: time for which the
- * adaptation rests after a jump [s].
- *
- * sensors: of the outputs. nis, coloured_power, noise_scale, slow_power: the largest of theirs.
- * since: time since the last sample [s]. doubt: time for which nothing is certified [s]; doubted:
- * basis meanwhile. watch_age: time since a start [s]. awake, awake_time [s]: of the alternatives.
- * hypothesis: the selected one. score: of the design. The others are counts. */
-#define STATE_FIELDS(F, s)                               \
-    F(COUNT, stamp, 1, 1)                                \
-    F(VECTOR, y, s->p, 1)                                \
-    F(VECTOR, sample, s->p, 1)                           \
-    F(VECTOR, u, s->m, 1)                                \
-    F(VECTOR, held, s->m, 1)                             \
-    F(NUMBER, torque_age, 1, 1)                          \
-    F(COUNT, torque_unknown, 1, 1)                       \
-    F(NUMBER, torque_change, 1, 1)                       \
-    F(NUMBER, torque_step, 1, 1)                         \
-    F(NUMBER, step_age, 1, 1)                            \
-    F(NUMBER, departure, 1, 1)                           \
-    F(VECTOR, response, s->width, 1)                     \
-    F(NUMBER, evidence, 1, 1)                            \
-    F(NUMBER, distrust, 1, 1)                            \
-    F(VECTOR, x, s->width, 1)                            \
-    F(MATRIX, covariance, s->width, s->width)            \
-    F(NUMBER, settling, 1, 1)                            \
-    F(COUNT, certified, 1, 1)                            \
-    F(COUNT, late, 1, 1)                                 \
-    F(COUNT, corrected, 1, 1)                            \
-    F(COUNT, in_gap, 1, 1)                               \
-    F(VECTOR, theta, s->k, 1)                            \
-    F(MATRIX, gamma, s->k, s->k)                         \
-    F(MATRIX, upsilon, s->k, s->width)                   \
-    F(MATRIX, gram, s->k, s->k)                          \
-    F(VECTOR, pending, s->k, 1)                          \
-    F(COUNT, significant, 1, 1)                          \
-    F(VECTOR, anchor, s->k, 1)                           \
-    F(NUMBER, pass_age, 1, 1)                            \
-    F(COUNT, passes, 1, 1)                               \
-    F(MATRIX, theta_before, 2, s->k)                     \
-    F(MATRIX, pending_before, 2, s->k)                   \
-    F(MATRIX, gamma_before, 2, s->k * s->k)              \
-    F(COUNT, kept, 1, 1)                                 \
-    F(VECTOR, centre, s->width, 1)                       \
-    F(VECTOR, spread, s->width, 1)                       \
-    F(COUNT, cause, 1, 1)                                \
-    F(NUMBER, age, 1, 1)                                 \
-    F(MATRIX, sensors, s->p, sensor_size(s))             \
-    F(NUMBER, nis, 1, 1)                                 \
-    F(NUMBER, coloured_power, 1, 1)                      \
-    F(NUMBER, noise_scale, 1, 1)                         \
-    F(NUMBER, slow_power, 1, 1)                          \
-    F(NUMBER, since, 1, 1)                               \
-    F(NUMBER, strained, 1, 1)                            \
-    F(NUMBER, doubt, 1, 1)                               \
-    F(COUNT, doubted, 1, 1)                              \
-    F(COUNT, resting, 1, 1)                              \
-    F(NUMBER, relearned, 1, 1)                           \
-    F(COUNT, awake, 1, 1)                                \
-    F(NUMBER, awake_time, 1, 1)                          \
-    F(COUNT, hypothesis, 1, 1)                           \
-    F(NUMBER, score, 1, 1)                               \
-    F(MATRIX, alternatives, s->bank, alternative_size(s)) \
-    F(NUMBER, watch_age, 1, 1)                           \
-    F(NUMBER, pause, 1, 1)                               \
-    F(NUMBER, pinned, 1, 1)                              \
-    F(COUNT, outliers, 1, 1)                             \
-    F(COUNT, jumps, 1, 1)                                \
-    F(COUNT, losses, 1, 1)                               \
-    F(COUNT, adaptation_resets, 1, 1)                    \
-    F(COUNT, gated, 1, 1)                                \
-    F(COUNT, implausible, 1, 1)                          \
-    F(COUNT, restarts, 1, 1)                             \
+ * hypotheses: the filters. best: place of the likeliest. awake: time for which all are considered
+ * [s]. sensors: of the outputs. noise_scale: the largest of theirs. since: time since the last
+ * sample [s]. centre, spread: mean and variance of the plant's states over some seconds. The others
+ * are counts. */
+#define STATE_FIELDS(F, s)                                \
+    F(COUNT, stamp, 1, 1)                                 \
+    F(VECTOR, y, s->p, 1)                                 \
+    F(VECTOR, sample, s->p, 1)                            \
+    F(VECTOR, u, s->m, 1)                                 \
+    F(VECTOR, held, s->m, 1)                              \
+    F(NUMBER, torque_age, 1, 1)                           \
+    F(COUNT, torque_unknown, 1, 1)                        \
+    F(NUMBER, torque_change, 1, 1)                        \
+    F(NUMBER, torque_step, 1, 1)                          \
+    F(COUNT, late, 1, 1)                                  \
+    F(COUNT, in_gap, 1, 1)                                \
+    F(COUNT, best, 1, 1)                                  \
+    F(NUMBER, awake, 1, 1)                                \
+    F(MATRIX, sensors, s->p, sensor_size(s))              \
+    F(NUMBER, noise_scale, 1, 1)                          \
+    F(NUMBER, since, 1, 1)                                \
+    F(NUMBER, age, 1, 1)                                  \
+    F(VECTOR, centre, s->plant, 1)                        \
+    F(VECTOR, spread, s->plant, 1)                        \
+    F(COUNT, moving, 1, 1)                                \
+    F(MATRIX, hypotheses, s->hypotheses, hypothesis_size(s)) \
+    F(COUNT, outliers, 1, 1)                              \
+    F(COUNT, jumps, 1, 1)                                 \
+    F(COUNT, hits, 1, 1)                                  \
+    F(COUNT, wrong_torques, 1, 1)                         \
+    F(COUNT, losses, 1, 1)                                \
+    F(COUNT, gated, 1, 1)                                 \
+    F(COUNT, implausible, 1, 1)                           \
+    F(COUNT, restarts, 1, 1)                              \
     F(COUNT, failures, 1, 1)
 LAYOUT_DECLARE(state, STATE_FIELDS, estimator_sizes)
 
-/* A sample's effect, and behind `weight` scratch of the same step. The gain has a row of p numbers
- * for each state. */
-#define CORRECTION_FIELDS(F, s)                                             \
-    F(VECTOR, innovation, s->p, 1)                                          \
-    F(MATRIX, innovation_covariance, s->p, s->p)                            \
-    F(MATRIX, gain, s->width, s->p)                                         \
-    F(VECTOR, weight, s->p, 1)                                              \
-    F(MATRIX, known, s->p, s->p)                                            \
-    F(MATRIX, explained, s->p, s->p)                                        \
-    F(MATRIX, omega, s->p, s->k)                                            \
-    F(MATRIX, cross, s->p, s->k)                                            \
-    F(MATRIX, factor, s->p, s->p)                                           \
-    F(MATRIX, crossed, s->p, s->width)                                      \
-    F(MATRIX, turned, s->p, s->k)                                           \
-    F(VECTOR, whitened, s->p, 1)                                            \
-    F(VECTOR, shift, s->k, 1)                                               \
-    F(VECTOR, scaled, s->k, 1)                                              \
-    F(MATRIX, root, s->k, s->k)                                             \
-    F(MATRIX, vectors, 2, s->width)                                         \
-    F(MATRIX, squares, 3, s->width * (s->width > s->p ? s->width : s->p))
+/* A sample's effect on the likeliest hypothesis, and behind `weight` scratch of the same step. The
+ * gain has a row of p numbers for each state. */
+#define CORRECTION_FIELDS(F, s)             \
+    F(VECTOR, innovation, s->p, 1)          \
+    F(MATRIX, innovation_covariance, s->p, s->p) \
+    F(MATRIX, gain, s->width, s->p)         \
+    F(VECTOR, weight, s->p, 1)              \
+    F(VECTOR, innovations, s->p, 1)         \
+    F(VECTOR, variances, s->p, 1)           \
+    F(VECTOR, likelihoods, s->p, 1)         \
+    F(COUNTS, used, s->p, 1)                \
+    F(VECTOR, crossed, s->width, 1)         \
+    F(MATRIX, omega, s->p, s->k)            \
+    F(VECTOR, cross, s->k, 1)               \
+    F(VECTOR, scaled, s->k, 1)              \
+    F(MATRIX, root, s->k, s->k)
 LAYOUT_DECLARE(correction, CORRECTION_FIELDS, estimator_sizes)
 
 /* An estimate in physical units. finite: whether all numbers are. */
-#define READOUT_FIELDS(F, s)                    \
-    F(VECTOR, state, s->plant, 1)               \
-    F(VECTOR, state_bound, s->plant, 1)         \
-    F(VECTOR, disturbance, s->p, 1)             \
-    F(VECTOR, disturbance_rate, s->p, 1)        \
-    F(VECTOR, disturbance_bound, s->p, 1)       \
-    F(VECTOR, parameters, s->k, 1)              \
-    F(VECTOR, parameter_bound, s->k, 1)         \
-    F(VECTOR, designed_disturbance, s->p, 1)    \
-    F(VECTOR, designed_bound, s->p, 1)          \
-    F(VECTOR, torque_disturbance, s->t, 1)      \
+#define READOUT_FIELDS(F, s)                     \
+    F(VECTOR, state, s->plant, 1)                \
+    F(VECTOR, state_bound, s->plant, 1)          \
+    F(VECTOR, disturbance, s->p, 1)              \
+    F(VECTOR, disturbance_rate, s->p, 1)         \
+    F(VECTOR, disturbance_bound, s->p, 1)        \
+    F(VECTOR, parameters, s->k, 1)               \
+    F(VECTOR, parameter_bound, s->k, 1)          \
+    F(VECTOR, torque_disturbance, s->t, 1)       \
     F(VECTOR, torque_disturbance_bound, s->t, 1) \
-    F(COUNT, basis, 1, 1)                       \
-    F(COUNT, parameters_valid, 1, 1)            \
-    F(NUMBER, noise_scale, 1, 1)                \
-    F(NUMBER, coloured_power, 1, 1)             \
-    F(COUNT, learning, 1, 1)                    \
-    F(COUNT, hypothesis, 1, 1)                  \
+    F(COUNT, basis, 1, 1)                        \
+    F(COUNT, claimed, 1, 1)                      \
+    F(COUNT, parameters_valid, 1, 1)             \
+    F(NUMBER, noise_scale, 1, 1)                 \
+    F(NUMBER, coloured_power, 1, 1)              \
+    F(COUNT, learning, 1, 1)                     \
+    F(COUNT, hypothesis, 1, 1)                   \
     F(COUNT, finite, 1, 1)
 LAYOUT_DECLARE(readout, READOUT_FIELDS, estimator_sizes)
 
 /* Scratch of a prediction or a readout. */
-#define WORK_FIELDS(F, s)                 \
-    F(VECTOR, flow, s->scratch, 1)        \
-    F(MATRIX, square, s->width, s->width) \
-    F(MATRIX, small, s->k, s->k)          \
-    F(VECTOR, share, s->k, 1)             \
-    F(VECTOR, moved, s->width, 1)
+#define WORK_FIELDS(F, s)                            \
+    F(VECTOR, flow, s->scratch, 1)                   \
+    F(MATRIX, square, s->width, s->width)            \
+    F(MATRIX, tangents, s->width - s->n + 1, s->n)   \
+    F(VECTOR, drives, s->width - s->n + 1, 1)        \
+    F(VECTOR, inputs, s->m, 1)                       \
+    F(MATRIX, small, s->k, s->k)                     \
+    F(VECTOR, share, s->k, 1)                        \
+    F(VECTOR, functional, s->width, 1)               \
+    F(VECTOR, weights, s->hypotheses, 1)
 LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
 
-/* A hypothesis' model.
+/* A model: sizes, flow, the initial state, output, gains, bounds and options.
  *
- * flow: a record of its own sizes. n: number of its states, the last of them a torque; 0 if it is
- * not considered. C: outputs. variances: of the white noise of one sample of each. added: initial
- * variances of its own states. prior: by how much its score must exceed the design's. hysteresis:
- * by how much less, once it is selected. */
-#define ALTERNATIVE_MODEL_FIELDS(F, s)  \
-    F(VECTOR, flow, s->bank_size, 1)    \
-    F(COUNT, n, 1, 1)                   \
-    F(MATRIX, C, s->p, s->width)        \
-    F(VECTOR, variances, s->p, 1)       \
-    F(NUMBER, prior, 1, 1)              \
-    F(NUMBER, hysteresis, 1, 1)         \
-    F(VECTOR, added, s->width, 1)
-LAYOUT_DECLARE(alternative_model, ALTERNATIVE_MODEL_FIELDS, estimator_sizes)
-
-/* A model: sizes, flows, the initial state, output, gains, bounds and options. */
-#define MODEL_FIELDS(F, s)                                         \
-    F(COUNT, n, 1, 1)                                              \
-    F(COUNT, width, 1, 1)                                          \
-    F(COUNT, plant, 1, 1)                                          \
-    F(COUNT, p, 1, 1)                                              \
-    F(COUNT, m, 1, 1)                                              \
-    F(COUNT, k, 1, 1)                                              \
-    F(COUNT, n_gap, 1, 1)                                          \
-    F(COUNT, t, 1, 1)                                              \
-    F(COUNT, bank, 1, 1)                                           \
-    F(COUNT, flow_size, 1, 1)                                      \
-    F(COUNT, gap_size, 1, 1)                                       \
-    F(COUNT, bank_size, 1, 1)                                      \
-    F(COUNT, scratch, 1, 1)                                        \
-    F(VECTOR, flow, s->flow_size, 1)                               \
-    F(VECTOR, gap, s->gap_size, 1)                                 \
-    F(MATRIX, alternatives, s->bank, alternative_model_size(s))    \
-    F(VECTOR, initial, state_size(s), 1)                           \
-    F(NUMBER, period, 1, 1)                                        \
-    F(NUMBER, shortest, 1, 1)                                      \
-    F(NUMBER, longest, 1, 1)                                       \
-    F(NUMBER, late_factor, 1, 1)                                   \
-    F(NUMBER, rate_variance, 1, 1)                                 \
-    F(NUMBER, torque_limit, 1, 1)                                  \
-    F(NUMBER, torque_rate_limit, 1, 1)                             \
-    F(NUMBER, torque_spread, 1, 1)                                 \
-    F(NUMBER, torque_doubt, 1, 1)                                  \
-    F(COUNT, gain_mode, 1, 1)                                      \
-    F(MATRIX, C, s->p, s->width)                                   \
-    F(MATRIX, D, s->p, s->p)                                       \
-    F(MATRIX, R, s->p, s->p)                                       \
-    F(MATRIX, K, s->width, s->p)                                   \
-    F(MATRIX, X, s->width, s->width)                               \
-    F(MATRIX, P, s->width, s->width)                               \
-    F(MATRIX, posterior, s->width, s->width)                       \
-    F(MATRIX, innovation_covariance, s->p, s->p)                   \
-    F(VECTOR, scale, s->plant, 1)                                  \
-    F(MATRIX, disturbance_map, s->p, s->width)                     \
-    F(MATRIX, disturbance_direct, s->p, s->p)                      \
-    F(MATRIX, rate_map, s->p, s->width)                            \
-    F(MATRIX, torque_map, s->t, s->width)                          \
-    F(COUNTS, disturbed, s->p, 1)                                  \
-    F(VECTOR, state_std, s->width, 1)                              \
-    F(VECTOR, disturbance_std, s->p, 1)                            \
-    F(VECTOR, torque_std, s->t, 1)                                 \
-    F(VECTOR, limits, s->k, 1)                                     \
-    F(NUMBER, theta_variance, 1, 1)                                \
-    F(NUMBER, motion_share, 1, 1)                                  \
-    F(NUMBER, random_walk, 1, 1)                                   \
-    F(NUMBER, significance, 1, 1)                                  \
-    F(NUMBER, pass_time, 1, 1)                                     \
-    F(NUMBER, pass_reach, 1, 1)                                    \
-    F(NUMBER, adaptation_start, 1, 1)                              \
-    F(NUMBER, memory, 1, 1)                                        \
-    F(NUMBER, excitation, 1, 1)                                    \
-    F(COUNT, covered, 1, 1)                                        \
-    F(COUNT, supervised, 1, 1)                                     \
-    F(NUMBER, gate, 1, 1)                                          \
-    F(NUMBER, reject, 1, 1)                                        \
-    F(VECTOR, jump_std, s->p, 1)                                   \
-    F(NUMBER, jump_duration, 1, 1)                                 \
-    F(NUMBER, jump_quiet, 1, 1)                                    \
-    F(COUNT, jump_budget, 1, 1)                                    \
-    F(NUMBER, jump_budget_window, 1, 1)                            \
-    F(NUMBER, lost, 1, 1)                                          \
-    F(COUNT, stuck_samples, 1, 1)                                  \
-    F(VECTOR, disturbance_limit, s->p, 1)                          \
-    F(NUMBER, strain, 1, 1)                                        \
-    F(COUNT, relearn_budget, 1, 1)                                 \
-    F(NUMBER, relearn_time, 1, 1)                                  \
-    F(NUMBER, second_share, 1, 1)                                  \
-    F(NUMBER, magnitude_share, 1, 1)                               \
-    F(NUMBER, sign_share, 1, 1)                                    \
-    F(NUMBER, sign_power_share, 1, 1)                              \
-    F(NUMBER, score_fade, 1, 1)
+ * period to longest: of samples [s]. late_factor: of the certificate's bound for a period after the
+ * next sample was due. torque_rate: 1 sigma of the rate of a torque that is unknown [N m/s], 0 if
+ * it is held. torque_limit, torque_rate_limit: of plausible torques; torque_spread: 1 sigma of a
+ * torque of which nothing is known; torque_doubt: a step that matters. force: 1 sigma of an unknown
+ * force, 0 without a hypothesis of one. C to innovation_covariance: outputs and gains, in physical
+ * units from `scale` on. domain: 1 sigma of the plant's states where nothing is known of them.
+ * limits, theta_deviation: of the parameters. stuck_samples: repetitions of a stuck sensor. */
+#define MODEL_FIELDS(F, s)                         \
+    F(COUNT, n, 1, 1)                              \
+    F(COUNT, width, 1, 1)                          \
+    F(COUNT, plant, 1, 1)                          \
+    F(COUNT, p, 1, 1)                              \
+    F(COUNT, m, 1, 1)                              \
+    F(COUNT, k, 1, 1)                              \
+    F(COUNT, t, 1, 1)                              \
+    F(COUNT, hypothesis_count, 1, 1)               \
+    F(COUNT, flow_size, 1, 1)                      \
+    F(COUNT, scratch, 1, 1)                        \
+    F(VECTOR, flow, s->flow_size, 1)               \
+    F(VECTOR, initial, state_size(s), 1)           \
+    F(VECTOR, constants, CONSTANTS, 1)             \
+    F(NUMBER, period, 1, 1)                        \
+    F(NUMBER, shortest, 1, 1)                      \
+    F(NUMBER, longest, 1, 1)                       \
+    F(NUMBER, late_factor, 1, 1)                   \
+    F(NUMBER, torque_rate, 1, 1)                   \
+    F(NUMBER, torque_limit, 1, 1)                  \
+    F(NUMBER, torque_rate_limit, 1, 1)             \
+    F(NUMBER, torque_spread, 1, 1)                 \
+    F(NUMBER, torque_doubt, 1, 1)                  \
+    F(NUMBER, force, 1, 1)                         \
+    F(COUNT, gain_mode, 1, 1)                      \
+    F(MATRIX, C, s->p, s->width)                   \
+    F(MATRIX, D, s->p, s->p)                       \
+    F(MATRIX, R, s->p, s->p)                       \
+    F(MATRIX, K, s->width, s->p)                   \
+    F(MATRIX, X, s->width, s->width)               \
+    F(MATRIX, P, s->width, s->width)               \
+    F(MATRIX, posterior, s->width, s->width)       \
+    F(MATRIX, innovation_covariance, s->p, s->p)   \
+    F(VECTOR, scale, s->plant, 1)                  \
+    F(MATRIX, disturbance_map, s->p, s->width)     \
+    F(MATRIX, disturbance_direct, s->p, s->p)      \
+    F(MATRIX, rate_map, s->p, s->width)            \
+    F(MATRIX, torque_map, s->t, s->width)          \
+    F(COUNTS, disturbed, s->p, 1)                  \
+    F(VECTOR, state_std, s->width, 1)              \
+    F(VECTOR, disturbance_std, s->p, 1)            \
+    F(VECTOR, torque_std, s->t, 1)                 \
+    F(VECTOR, domain, s->plant, 1)                 \
+    F(VECTOR, limits, s->k, 1)                     \
+    F(VECTOR, theta_deviation, s->k, 1)            \
+    F(NUMBER, random_walk, 1, 1)                   \
+    F(NUMBER, significance, 1, 1)                  \
+    F(NUMBER, pass_time, 1, 1)                     \
+    F(NUMBER, adaptation_start, 1, 1)              \
+    F(NUMBER, memory, 1, 1)                        \
+    F(NUMBER, excitation, 1, 1)                    \
+    F(COUNT, covered, 1, 1)                        \
+    F(COUNT, supervised, 1, 1)                     \
+    F(NUMBER, gate, 1, 1)                          \
+    F(COUNT, stuck_samples, 1, 1)                  \
+    F(VECTOR, disturbance_limit, s->p, 1)
 LAYOUT_DECLARE(model_numbers, MODEL_FIELDS, estimator_sizes)
 
-/* View of a model record: its sizes, its numbers, and its flows. */
+/* View of a model record: its sizes, its numbers, and its flow. */
 typedef struct {
     estimator_sizes s;
-    flow design_flow, gap_flow, bank_flows[ALTERNATIVES];
-    alternative_model hypotheses[ALTERNATIVES];
+    flow design_flow;
     MODEL_FIELDS(LAYOUT_POINTER, unused)
 } model;
 
 /* Bind a view to a model record of so many numbers, which is only read. Return 0, or -1 if its
- * sizes do not belong to a record of this length. */
+ * sizes do not belong to a record of this length, or a number in it leads beyond its memory. */
 int model_view(double *memory, size_t length, model *view);
 
 /* Return whether the counts of a state that serve as places are within its fields. */
 int state_is_sound(const model *m, const state *at);
 
-/* Return what is remembered of an output, and the filter under a hypothesis (its code - 1). */
+/* Return what is remembered of an output, and a hypothesis. */
 static inline sensor sensor_of(const model *m, const state *at, long output)
 {
     sensor found;
@@ -395,10 +380,10 @@ static inline sensor sensor_of(const model *m, const state *at, long output)
     return found;
 }
 
-static inline alternative alternative_of(const model *m, const state *at, long place)
+static inline hypothesis hypothesis_of(const model *m, const state *at, long place)
 {
-    alternative found;
-    alternative_bind(&found, &m->s, at->alternatives + (size_t)place * alternative_size(&m->s));
+    hypothesis found;
+    hypothesis_bind(&found, &m->s, at->hypotheses + (size_t)place * hypothesis_size(&m->s));
     return found;
 }
 
@@ -422,11 +407,7 @@ long write_row(const model *m, const readout *said, double *row);
 
 static inline long row_width(const estimator_sizes *s)
 {
-    return (long)(2 * s->plant + 5 * s->p + 2 * s->k + 2 * s->t + CONDITIONS);
+    return (long)(2 * s->plant + 3 * s->p + 2 * s->k + 2 * s->t + CONDITIONS);
 }
-
-/* Set the estimate and the adaptation to those before any measurement; the rest stays. A state
- * before any measurement at all is a copy of `m->initial`, state_size(&m->s) numbers. */
-void restart(const model *m, state *at);
 
 #endif

@@ -1,479 +1,639 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * The steps of an estimator, each in place on one state record.
+ * One hypothesis: a filter along the estimate, whatever it supposes.
  *
  * The premise variable is the estimate itself; the flow's closed form of the T-S blend is exact on
- * the domain. One rule chooses the gain: the constant certified gain while the certificate's bound
- * X covers the error covariance, the Riccati (Kalman) gain along the estimate while it does not:
- * after a start, a reset or a missed sample. The hand-over rests on that covariance, which trusts
- * the initial one and is linearised along the estimate.
+ * the domain. The gain is that of Riccati (Kalman), or, as designed and once the certificate's bound
+ * X covers the error covariance, the constant certified one, until a sample is missing or late.
  *
- * An output that is missing, or far beyond reason, is left out. The certified gain is for all of
- * them together, so then the gain is that of Riccati for the others.
+ * Parameters are learnt by a filtered-regressor (two-stage) adaptive observer after Q. Zhang
+ * (2002): the regressor Upsilon = dx/dtheta is filtered through the observer's own error dynamics,
+ * so that the innovation is explained as e = Omega (theta - theta^) + noise with Omega = C Upsilon.
+ * A change of theta follows by recursive least squares, projected on its known bounds, and is used
+ * from when it is significant. What was learnt far from the truth, along wrong regressors, is learnt
+ * again.
  */
-#include "filter.h"
+#include "bank.h"
 
-/* --- views --- */
+#include <string.h>
 
-/* Bind a model's flow of n states, if it is a record for this estimator. Return 0 or -1. */
-static int bind_flow(
-    const double *memory, int64_t length, const estimator_sizes *s, int64_t n, flow *view)
+/* Innovations count up to so many sigmas in averages, so that outliers do not make them. */
+#define CLIP 5.0
+
+/* Correlation of neighbours that white noise has by chance, and the largest that is used. */
+#define WHITE 0.15
+#define ALIKE 0.9
+
+/* How often parameters are learnt again along better regressors, and from which distance on, by
+ * their 1 sigma. */
+#define PASSES 4
+#define PASS_REACH 0.5
+
+long states_in_use(const model *m, const hypothesis *h)
 {
-    flow_sizes sizes;
-    if (!flow_is_valid(memory, (size_t)length)) {
-        return -1;
+    const long n = (long)m->s.n;
+    if (m->s.width == m->s.n) {
+        return n;
     }
-    sizes = flow_sizes_of(memory);
-    *view = flow_view(memory);
-    return sizes.n == n && sizes.m == s->m && sizes.k == s->k && sizes.p <= s->p
-                   && flow_scratch_size(&sizes) <= (size_t)s->scratch
-               ? 0
-               : -1;
+    switch (*h->kind) {
+    case COLOURED_NOISE:
+    case DRIFT:
+        return n + 1 + (long)m->s.p;
+    case TONE:
+        return n + 3;
+    case FORCE:
+        return n + 1;
+    default:
+        return h->covariance[n * m->s.width + n] > 0.0 ? n + 1 : n;
+    }
 }
 
-int sizes_are_sound(const int64_t *numbers)
+long part_of(const model *m, const hypothesis *h, long output)
 {
-    const estimator_sizes s = sizes_of(numbers);
-    long i;
-    for (i = 0; i < ESTIMATOR_SIZES; i++) {
-        if (numbers[i] < 0 || numbers[i] > (i < 9 ? 1000 : 1000000000)) {
-            return 0;
+    const long first = (long)m->s.n + 1;
+    if (*h->kind == COLOURED_NOISE || *h->kind == DRIFT) {
+        return first + output;
+    }
+    return *h->kind == TONE && *h->output == output ? first : -1;
+}
+
+void clear_auxiliary(const model *m, hypothesis *h, long first)
+{
+    const long width = (long)m->s.width;
+    for (long i = first; i < width; i++) {
+        h->x[i] = 0.0;
+        for (long j = 0; j < width; j++) {
+            h->covariance[i * width + j] = 0.0;
+            h->covariance[j * width + i] = 0.0;
+        }
+        for (long j = 0; j < m->s.k; j++) {
+            h->upsilon[j * width + i] = 0.0;
         }
     }
-    return s.n >= 1 && s.width >= s.n && s.width >= s.n_gap && s.plant >= 1 && s.plant <= s.n
-           && (s.n_gap == 0 || s.n_gap >= s.n + 2) && (s.n_gap == 0) == (s.gap_size == 0)
-           && (s.bank == 0 || s.bank == ALTERNATIVES);
 }
 
-/* Return whether the model is one of an arm: four states of the plant, and the torque. */
-static int is_arm(const model *m)
+void leave_certified(const model *m, hypothesis *h, int64_t cause)
 {
-    return *m->design_flow.kind == KIND_ARM && m->s.n >= 4 && m->s.m >= 1;
-}
-
-int model_view(double *memory, size_t length, model *view)
-{
-    estimator_sizes *s = &view->s;
-    long i;
-    if (length < ESTIMATOR_SIZES || !sizes_are_sound((const int64_t *)(void *)memory)) {
-        return -1;
+    const long n = (long)m->s.n;
+    if (*h->certified != 0) {
+        copy_matrix(
+            *h->corrected != 0 ? m->posterior : m->X, m->s.width, h->covariance, m->s.width, n, n);
+        *h->certified = 0;
+        *h->cause = cause;
     }
-    *s = sizes_of((const int64_t *)(void *)memory);
-    if (model_numbers_size(s) != length) {
-        return -1;
-    }
-    MODEL_FIELDS(LAYOUT_BIND, s)
-    if (bind_flow(view->flow, s->flow_size, s, s->n, &view->design_flow) < 0
-        || (s->n_gap > 0 && bind_flow(view->gap, s->gap_size, s, s->n_gap, &view->gap_flow) < 0)) {
-        return -1;
-    }
-    for (i = 0; i < s->bank; i++) {
-        alternative_model *assumed = &view->hypotheses[i];
-        alternative_model_bind(
-            assumed, s, view->alternatives + (size_t)i * alternative_model_size(s));
-        if (*assumed->n != 0
-            && (*assumed->n > s->width
-                || bind_flow(assumed->flow, s->bank_size, s, *assumed->n, &view->bank_flows[i]) < 0)) {
-            return -1;
-        }
-    }
-    if (*view->jump_budget > MAX_JUMP_BUDGET) {
-        return -1;
-    }
-    /* Torques with a limit are the first input; those that are doubted are an arm's. */
-    return (*view->torque_limit > 0.0 && s->m < 1) || (*view->torque_doubt > 0.0 && !is_arm(view))
-               ? -1
-               : 0;
-}
-
-int state_is_sound(const model *m, const state *at)
-{
-    long i;
-    if (*at->hypothesis < 0 || *at->hypothesis > m->s.bank || (*at->awake != 0 && m->s.bank == 0)
-        || (*at->in_gap != 0 && m->s.n_gap == 0)) {
-        return 0;
-    }
-    if ((is_suspected(at) || *at->torque_step != 0.0) && !is_arm(m)) {
-        return 0;
-    }
-    for (i = 0; i < m->s.p; i++) {
-        const sensor of = sensor_of(m, at, i);
-        if (*of.watched < 0 || *of.watched > WINDOW || *of.jump_count < 0
-            || *of.jump_count > MAX_JUMP_BUDGET) {
-            return 0;
-        }
-    }
-    return 1;
 }
 
 /* --- correction --- */
 
-/* Remember the newest sample of each output, and use those that there are. */
-static void take_sample(const model *m, state *at, const double *y, correction *effect)
+/* Variance of the white noise of an output's sample. */
+static double white_of(const model *m, const state *at, const hypothesis *h, long output)
 {
-    long i;
-    for (i = 0; i < m->s.p; i++) {
-        const int there = isfinite(y[i]) != 0;
-        at->y[i] = there ? y[i] : NAN;
-        effect->weight[i] = there ? 1.0 : 0.0;
-        if (there) {
-            at->sample[i] = y[i];
-        }
+    const double scale = noise_of(m, at, output);
+    const double factor = *h->kind == LOUD ? m->constants[NOISE_FACTOR] : 1.0;
+    return m->R[output * m->s.p + output] * (scale * scale * factor);
+}
+
+/* Write Omega = C Upsilon of an output. */
+static void regress(const model *m, const hypothesis *h, long output, double *omega)
+{
+    const long width = (long)m->s.width, n = (long)m->s.n, place = part_of(m, h, output);
+    for (long a = 0; a < m->s.k; a++) {
+        const double *row = h->upsilon + a * width;
+        omega[a] = dot(m->C + output * width, row, n) + (place < 0 ? 0.0 : row[place]);
     }
 }
 
-static long count_used(const model *m, const correction *effect)
+/* Return the innovation of an output; write the variance of what the filter knows of it. */
+static double expect(
+    const model *m, const state *at, const hypothesis *h, long output, correction *effect,
+    double *known)
 {
-    long used = 0, i;
-    for (i = 0; i < m->s.p; i++) {
-        used += effect->weight[i] > 0.0;
-    }
-    return used;
-}
-
-/* Return whether every sensor is stuck. */
-static int is_stuck(const model *m, const state *at)
-{
-    int stuck = 1;
-    long i;
-    for (i = 0; i < m->s.p; i++) {
-        const sensor of = sensor_of(m, at, i);
-        stuck = stuck && 0 < *m->stuck_samples && *m->stuck_samples <= *of.repeats;
-    }
-    return stuck;
-}
-
-/* Take an output of no weight out of what the gain is made of. */
-static void leave_out(const model *m, correction *effect, long output, long n)
-{
-    const long p = (long)m->s.p, k = (long)m->s.k, i = output;
-    long j;
-    for (j = 0; j < p; j++) {
-        effect->known[i * p + j] = 0.0;
-        effect->known[j * p + i] = 0.0;
-    }
-    effect->known[i * p + i] = 1.0;
-    for (j = 0; j < n; j++) {
-        effect->crossed[i * n + j] = 0.0;
-    }
-    if (k > 0) {
-        for (j = 0; j < k; j++) {
-            effect->omega[i * k + j] = 0.0;
-            effect->cross[i * k + j] = 0.0;
-        }
-        for (j = 0; j < p; j++) {
-            effect->explained[i * p + j] = 0.0;
-            effect->explained[j * p + i] = 0.0;
-        }
-    }
-}
-
-/* Write the innovation y - C x - D y, its covariance S = C Sigma C' + R (+ Omega Gamma Omega'), and
- * the gain for it. The gain for an output of no weight is 0. */
-void expect(const model *m, state *at, correction *effect)
-{
-    const long n = width_in_use(m, at), p = (long)m->s.p, k = (long)m->s.k;
-    const long width = (long)m->s.width;
-    double *S = effect->innovation_covariance;
-    long i, j;
-    for (i = 0; i < p; i++) {
-        double expected = dot(m->C + i * width, at->x, n);
-        if (*m->gain_mode == GAIN_OPEN) { /* else D is zero, but not times infinity */
-            expected += dot(m->D + i * p, at->sample, p);
-        }
-        effect->innovation[i] = at->y[i] - expected;
-    }
+    const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width, i = output;
+    const long used = states_in_use(m, h), place = part_of(m, h, i);
+    const double *C = m->C + i * width;
+    double expected = dot(C, h->x, n);
     if (*m->gain_mode == GAIN_OPEN) {
-        copy_rows(m->R, S, p, p, p);
-    } else if (*at->certified != 0) {
-        copy_rows(m->innovation_covariance, S, p, p, p);
-        copy_rows(m->K, effect->gain, n, p, p);
-    } else {
-        congruence(m->C, width, at->covariance, width, m->R, effect->crossed, S, p, p, n);
+        *known = m->R[i * p + i];
+        return at->y[i] - (expected + dot(m->D + i * p, at->sample, p));
     }
-    copy_rows(S, effect->known, p, p, p);
-    if (k > 0) {
-        for (i = 0; i < p; i++) {
-            for (j = 0; j < k; j++) {
-                effect->omega[i * k + j] = dot(m->C + i * width, at->upsilon + j * width, n);
-            }
-        }
-        congruence(
-            effect->omega, k, at->gamma, k, NULL, effect->cross, effect->explained, p, p, k);
-        for (i = 0; i < p * p; i++) {
-            S[i] += effect->explained[i];
-        }
+    if (place >= 0) {
+        expected += h->x[place];
     }
-    for (i = 0; i < p; i++) {
-        if (!(effect->weight[i] > 0.0)) {
-            leave_out(m, effect, i, n);
-        }
+    if (*h->certified != 0) {
+        const double scale = noise_of(m, at, i);
+        *known = scale * scale * m->innovation_covariance[i * p + i];
+        return at->y[i] - expected;
     }
-    if (*m->gain_mode != GAIN_OPEN && *at->certified == 0) {
-        solve(effect->known, effect->crossed, effect->factor, effect->crossed, p, n);
-        for (i = 0; i < n; i++) {
-            for (j = 0; j < p; j++) {
-                effect->gain[i * p + j] = effect->crossed[j * n + i];
-            }
+    for (long j = 0; j < used; j++) {
+        const double *row = h->covariance + j * width;
+        effect->crossed[j] = dot(C, row, n) + (place < 0 ? 0.0 : row[place]);
+    }
+    *known = dot(C, effect->crossed, n) + (place < 0 ? 0.0 : effect->crossed[place])
+             + white_of(m, at, h, i);
+    return at->y[i] - expected;
+}
+
+/* Return the logarithm of the likelihood of an innovation, and whether it is not an outlier's.
+ *
+ * That of an outlier is what the design's innovation has at the gate, wherever the sample is. */
+static double likelihood(
+    const model *m, const state *at, long output, double innovation, double variance, int *used)
+{
+    const double scale = noise_of(m, at, output);
+    const double designed = scale * scale * m->innovation_covariance[output * m->s.p + output];
+    const double regular = -0.5 * (innovation * innovation / variance + logarithm(variance));
+    double outlier;
+    *used = 1;
+    if (*m->supervised == 0) {
+        return regular;
+    }
+    outlier = -0.5 * (*m->gate * *m->gate + logarithm(designed));
+    *used = regular >= outlier;
+    return *used ? regular : outlier;
+}
+
+void weigh(const model *m, const state *at, const hypothesis *h, correction *effect)
+{
+    const long p = (long)m->s.p, k = (long)m->s.k;
+    for (long i = 0; i < p; i++) {
+        double *omega = effect->omega + i * k, known;
+        int used = 0;
+        effect->likelihoods[i] = 0.0;
+        effect->innovations[i] = expect(m, at, h, i, effect, &known);
+        regress(m, h, i, omega);
+        effect->variances[i]
+            = known + (k > 0 ? larger(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
+        if (effect->weight[i] > 0.0) {
+            effect->likelihoods[i]
+                = likelihood(m, at, i, effect->innovations[i], effect->variances[i], &used);
         }
+        effect->used[i] = used;
     }
 }
 
-/* Return by how much the innovations are larger than the learning assumes: the mean of the error
- * covariance relative to the certified bound, tr(P Sigma)/n, at least 1, and what was measured. */
-static double inflation_of(const model *m, const state *at, int learning)
+/* Follow the innovations: averages over a second, and the slow part. */
+static void follow(
+    const model *m, const state *at, hypothesis *h, long output, double innovation,
+    double variance)
+{
+    const double elapsed = larger(*sensor_of(m, at, output).since, *m->period);
+    const double share = share_of(elapsed, 1.0) / (double)m->s.p;
+    const double slow_share = share_of(elapsed, m->constants[SLOW_TIME]);
+    const double r = minimum(maximum(innovation / sqrt(variance), -CLIP), CLIP);
+    double *slow = h->slow + output, power;
+    *h->nis += share * (r * r - *h->nis);
+    *h->colour += share * (r * h->previous[output] - *h->colour);
+    h->previous[output] = r;
+    *slow += slow_share * (r - *slow);
+    power = *slow * *slow * ((2.0 - slow_share) / slow_share);
+    *h->slow_power += share_of(elapsed, m->constants[POWER_TIME]) / (double)m->s.p
+                      * (power - *h->slow_power);
+}
+
+/* Return by how much less than one of the design an innovation says about parameters: by the mean
+ * of the covariance relative to the certified bound, as regressors are wrong where x^ is; by what
+ * was measured of the innovations; and as neighbours that are alike repeat each other. */
+static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = (long)m->s.n, width = (long)m->s.width;
+    const double alike
+        = minimum(maximum(*h->colour / larger(*h->nis, 1.0) - WHITE, 0.0), ALIKE);
     double inflation = 1.0;
-    long i;
-    if (learning && *at->certified == 0) {
+    if (*h->certified == 0) {
         double total = 0.0;
-        for (i = 0; i < n; i++) {
-            total += dot(m->P + i * width, at->covariance + i * width, n);
+        for (long i = 0; i < n; i++) {
+            total += dot(m->P + i * width, h->covariance + i * width, n);
         }
         inflation = larger(total / (double)n, 1.0);
     }
     if (*m->supervised != 0) {
-        const double scale = larger(*at->noise_scale, 1.0);
-        inflation *= scale * scale * larger(*at->nis, 1.0) * samples_in_one(at);
+        inflation *= larger(*h->nis, 1.0) * ((1.0 + alike) / (1.0 - alike));
     }
     return inflation;
 }
 
-/* Correct estimate and parameters by an innovation, with the outlier's weight. The covariance
- * shrinks with the weighted gain too: if it shrank as for a full correction, an estimate that is
- * wrong would take sample after sample for an outlier, and its bound would fall. */
-static void apply_correction(const model *m, state *at, correction *effect, int adapt)
+/* Correct the parameters' covariance and the pending change of them by one output. */
+static void adapt_by(
+    const model *m, hypothesis *h, const double *omega, double innovation, double known,
+    double inflation, double *cross)
 {
-    const long n = width_in_use(m, at), p = (long)m->s.p, k = (long)m->s.k;
-    const long width = (long)m->s.width;
-    double inflation;
-    long i, j;
-    adapt = adapt && *at->age >= *m->adaptation_start;
-    for (j = 0; j < p; j++) {
-        adapt = adapt && !(0.0 < effect->weight[j] && effect->weight[j] < 1.0);
+    const long k = (long)m->s.k;
+    double variance = known * inflation, left = innovation - dot(omega, h->pending, k);
+    for (long a = 0; a < k; a++) {
+        cross[a] = dot(h->gamma + a * k, omega, k);
     }
-    inflation = inflation_of(m, at, adapt && k > 0);
-    for (i = 0; i < n; i++) {
-        for (j = 0; j < p; j++) {
-            if (effect->weight[j] > 0.0) {
-                effect->gain[i * p + j] *= effect->weight[j];
-                at->x[i] += effect->gain[i * p + j] * effect->innovation[j];
+    variance += dot(omega, cross, k);
+    for (long a = 0; a < k; a++) {
+        const double moved = h->theta[a] + h->pending[a] + cross[a] / variance * left;
+        for (long b = 0; b <= a; b++) {
+            h->gamma[a * k + b] -= cross[a] * cross[b] / variance;
+            h->gamma[b * k + a] = h->gamma[a * k + b];
+        }
+        h->pending[a] = minimum(maximum(moved, -m->limits[a]), m->limits[a]) - h->theta[a];
+    }
+}
+
+/* Use the pending change of the parameters from when it is significant on. */
+static void use_pending(const model *m, hypothesis *h, correction *effect)
+{
+    const long k = (long)m->s.k, width = (long)m->s.width, used = states_in_use(m, h);
+    if (*h->significant == 0) {
+        solve(h->gamma, h->pending, effect->root, effect->scaled, k, 1);
+        *h->significant = dot(h->pending, effect->scaled, k) > *m->significance;
+    }
+    if (*h->significant != 0) {
+        for (long a = 0; a < k; a++) {
+            for (long j = 0; j < used; j++) {
+                h->x[j] += h->upsilon[a * width + j] * h->pending[a];
+            }
+            h->theta[a] += h->pending[a];
+            h->pending[a] = 0.0;
+        }
+    }
+}
+
+/* Correct the regressors by an output's gain, a column of rows of `stride`, and add to the measure
+ * of excitation. */
+static void correct_regressors(
+    const model *m, hypothesis *h, const double *omega, const double *gain, long stride,
+    double known, long used)
+{
+    const long k = (long)m->s.k, width = (long)m->s.width;
+    for (long a = 0; a < k; a++) {
+        for (long j = 0; j < used; j++) {
+            h->upsilon[a * width + j] -= omega[a] * gain[j * stride];
+        }
+        for (long b = 0; b < k; b++) {
+            h->gram[a * k + b] += omega[a] * omega[b] / known;
+        }
+    }
+}
+
+/* Correct with a Riccati gain: x <- x + P c e / s,  P <- P - P c c' P / s. */
+static void correct_covariance(
+    const model *m, hypothesis *h, const double *crossed, double innovation, double known,
+    long used)
+{
+    const long width = (long)m->s.width;
+    for (long j = 0; j < used; j++) {
+        const double gain = crossed[j] / known;
+        double *row = h->covariance + j * width;
+        h->x[j] += gain * innovation;
+        for (long i = 0; i <= j; i++) {
+            row[i] -= gain * crossed[i];
+            h->covariance[i * width + j] = row[i];
+        }
+    }
+}
+
+/* Turn a tone's frequency with its phase, which a correction by `before` has turned. */
+static void turn_frequency(const model *m, hypothesis *h, const double *before, double elapsed)
+{
+    const long first = (long)m->s.n + 1, width = (long)m->s.width;
+    const double *now = h->x + first;
+    const double square = before[0] * before[0] + before[1] * before[1];
+    const double variance = h->covariance[first * width + first]
+                            + h->covariance[(first + 1) * width + first + 1];
+    if (square > 9.0 * variance && square > 0.0) {
+        const double turn = (before[1] * now[0] - before[0] * now[1]) / square;
+        const double time = 0.1 * m->constants[TONE_TIME];
+        *h->frequency *= 1.0 + minimum(maximum(turn / (time * *h->frequency), -0.01), 0.01)
+                                   * minimum(elapsed / *m->period, 1.0);
+    }
+}
+
+double correct_by(
+    const model *m, const state *at, hypothesis *h, long output, int adapt, correction *effect)
+{
+    const long k = (long)m->s.k, p = (long)m->s.p, used = states_in_use(m, h);
+    double *omega = effect->omega + output * k, known, said;
+    const double innovation = expect(m, at, h, output, effect, &known);
+    const double *tone = h->x + m->s.n + 1;
+    const double before[2] = {*h->kind == TONE ? tone[0] : 0.0, *h->kind == TONE ? tone[1] : 0.0};
+    int regular;
+    double variance = known;
+    regress(m, h, output, omega);
+    if (k > 0) {
+        variance += larger(quadratic(h->gamma, k, omega, k), 0.0);
+    }
+    said = likelihood(m, at, output, innovation, variance, &regular);
+    follow(m, at, h, output, innovation, variance);
+    correct_covariance(m, h, effect->crossed, innovation, known, used);
+    for (long j = 0; j < used; j++) {
+        effect->gain[j * p + output] = effect->crossed[j] / known;
+    }
+    if (k > 0) {
+        correct_regressors(m, h, omega, effect->gain + output, p, known, used);
+        if (adapt) {
+            adapt_by(m, h, omega, innovation, known, inflation_of(m, h), effect->cross);
+        }
+    }
+    if (*h->kind == TONE) {
+        turn_frequency(m, h, before, larger(*sensor_of(m, at, output).since, *m->period));
+    }
+    return said;
+}
+
+/* Correct with the certified gain, by all outputs at once. */
+static void correct_certified(
+    const model *m, const state *at, hypothesis *h, int adapt, correction *effect)
+{
+    const long n = (long)m->s.n, p = (long)m->s.p, k = (long)m->s.k;
+    const double inflation = k > 0 ? inflation_of(m, h) : 1.0;
+    for (long i = 0; i < p; i++) {
+        const double scale = noise_of(m, at, i);
+        const double known = scale * scale * m->innovation_covariance[i * p + i];
+        const double *omega = effect->omega + i * k;
+        follow(m, at, h, i, effect->innovations[i], effect->variances[i]);
+        for (long j = 0; j < n; j++) {
+            h->x[j] += m->K[j * p + i] * effect->innovations[i];
+            effect->gain[j * p + i] = m->K[j * p + i];
+        }
+        if (k > 0) {
+            correct_regressors(m, h, omega, m->K + i, p, known, n);
+            if (adapt) {
+                adapt_by(m, h, omega, effect->innovations[i], known, inflation, effect->cross);
             }
         }
     }
-    *at->corrected = 1;
-    if (*at->certified != 0) {
-        *at->settling = 0.0;
+}
+
+/* Learn again what was learnt far from where the pass began. */
+static void begin_pass(const model *m, hypothesis *h)
+{
+    const long k = (long)m->s.k, width = (long)m->s.width;
+    int far = 0;
+    for (long a = 0; a < k; a++) {
+        far = far || fabs(h->theta[a] - h->anchor[a]) > PASS_REACH * m->theta_deviation[a];
+    }
+    if (!far || *h->passes >= PASSES || *h->pass_age <= *m->pass_time) {
+        return;
+    }
+    *h->passes += 1;
+    *h->pass_age = 0.0;
+    for (long a = 0; a < k; a++) {
+        h->anchor[a] = h->theta[a];
+        h->pending[a] = 0.0;
+        for (long j = 0; j < width; j++) {
+            h->upsilon[a * width + j] = 0.0;
+        }
+        for (long b = 0; b < k; b++) {
+            h->gamma[a * k + b] = 0.0;
+        }
+        h->gamma[a * k + a] = m->theta_deviation[a] * m->theta_deviation[a];
+    }
+}
+
+/* Keep each disturbance w = h x within its limit, by the likeliest change of all states: a change
+ * of w alone would leave the innovation unexplained. */
+static void limit_disturbances(const model *m, hypothesis *h)
+{
+    const long n = (long)m->s.n, width = (long)m->s.width;
+    for (long i = 0; i < m->s.p; i++) {
+        const double *map = m->disturbance_map + i * width, limit = m->disturbance_limit[i];
+        const double omega = dot(map, h->x, n);
+        const double *covariance = *h->certified != 0 ? m->X : h->covariance;
+        double variance;
+        if (fabs(omega) <= limit) {
+            continue;
+        }
+        variance = quadratic(covariance, width, map, n);
+        for (long j = 0; variance > 0.0 && j < n; j++) {
+            const double along = dot(map, covariance + j * width, n) / variance;
+            h->x[j] -= (omega - copysign(limit, omega)) * along;
+        }
+    }
+}
+
+double correct_hypothesis(
+    const model *m, const state *at, hypothesis *h, int adapt, correction *effect)
+{
+    const long p = (long)m->s.p;
+    double said = 0.0;
+    long used = 0;
+    adapt = adapt && *h->learning >= *m->adaptation_start;
+    for (long i = 0; i < p; i++) {
+        const int there = effect->weight[i] > 0.0;
+        used += effect->used[i];
+        if (there && *m->supervised != 0) {
+            const double share = share_of(larger(*at->since, *m->period), 0.5) / (double)p;
+            *h->inlier += share * ((double)effect->used[i] - *h->inlier);
+        }
+        said += effect->likelihoods[i];
+    }
+    if (*m->gain_mode == GAIN_OPEN || used == 0) {
+        return said;
+    }
+    if (*h->certified != 0 && used == p) {
+        correct_certified(m, at, h, adapt, effect);
     } else {
-        joseph_form(
-            m->C, width, m->R, at->covariance, width, effect->gain, effect->squares,
-            at->covariance, width, n, p);
-    }
-    if (k > 0) {
-        const int moving = moves(m, at);
-        learn(m, at, effect, adapt && moving, inflation);
-    }
-}
-
-/* Follow what a used sample showed, after the estimate is corrected. */
-static void supervise(
-    const model *m, state *at, correction *effect, int jumped, int suspected)
-{
-    correct_response(m, at, effect);
-    if (suspected) {
-        leave_certified(m, at, BASIS_TORQUE);
-        distrust_torque(m, at);
-    } else if (jumped) {
-        *at->evidence = 0.0;
-    }
-    limit_disturbances(m, at->x, at->covariance, width_in_use(m, at));
-    guard(m, at);
-}
-
-/* Weigh the hypotheses, and keep the disturbances of the selected one within their limits. */
-static void weigh_hypotheses(const model *m, state *at, correction *effect, long used)
-{
-    /* What is far beyond reason shows nothing, unless the design is what is far off. */
-    if (used > 0 || (!is_stuck(m, at) && *at->hypothesis != AS_DESIGNED)) {
-        weigh(m, at, effect);
-    }
-    if (*at->hypothesis != AS_DESIGNED) {
-        const long place = (long)*at->hypothesis - 1;
-        const alternative chosen = alternative_of(m, at, place);
-        limit_disturbances(m, chosen.x, chosen.covariance, (long)*m->hypotheses[place].n);
-    }
-}
-
-void correct(const model *m, state *at, const double *y, correction *effect)
-{
-    int adapt = 1, jumped = 0, suspected = 0;
-    long used, i;
-    if (*at->torque_unknown == 0) {
-        *at->in_gap = 0;
-    }
-    if (*at->torque_step != 0.0) {
-        if (is_suspected(at)) {
-            leave_certified(m, at, BASIS_TORQUE);
+        /* The certified gain is for all outputs together. */
+        leave_certified(m, h, BASIS_GAP);
+        said = 0.0;
+        for (long i = 0; i < p; i++) {
+            if (effect->used[i]) {
+                said += correct_by(m, at, h, i, adapt, effect);
+            } else {
+                said += effect->likelihoods[i];
+            }
         }
-        begin_step(m, at);
     }
-    take_sample(m, at, y, effect);
-    expect(m, at, effect);
+    *h->corrected = 1;
+    if (m->s.k > 0 && adapt) {
+        use_pending(m, h, effect);
+        begin_pass(m, h);
+    }
     if (*m->supervised != 0) {
-        suspected = weigh_step(m, at, effect);
-        jumped = judge(m, at, effect);
-        adapt = *at->pause <= 0.0 && *at->resting == 0;
+        limit_disturbances(m, h);
     }
-    used = *m->gain_mode != GAIN_OPEN ? count_used(m, effect) : 0;
-    if (used > 0) {
-        if (used < m->s.p) {
-            /* The certified gain is for all outputs together. */
-            leave_certified(m, at, BASIS_GAP);
-            expect(m, at, effect);
-        }
-        apply_correction(m, at, effect, adapt);
-    }
-    if (jumped) {
-        /* A jump may be so large that its samples themselves are not used. */
-        follow_jumps(m, at);
-    }
-    if (used > 0) {
-        if (*m->supervised != 0) {
-            supervise(m, at, effect, jumped, suspected);
-        }
-        if ((jumped || suspected) && *at->hypothesis == AS_DESIGNED) {
-            bank_sleep(m, at);
-        }
-    }
-    if (*m->supervised != 0 && m->s.bank != 0) {
-        weigh_hypotheses(m, at, effect, used);
-    }
-    *at->since = 0.0;
-    for (i = 0; i < m->s.p; i++) {
-        const sensor of = sensor_of(m, at, i);
-        const int there = at->y[i] == at->y[i];
-        if (there) {
-            *of.since = 0.0;
-        }
-        if (effect->weight[i] == 0.0) {
-            *(there ? of.gated : of.missing) += 1;
-        }
-    }
+    return said;
 }
 
 /* --- prediction --- */
 
-void leave_certified(const model *m, state *at, int64_t cause)
+/* The auxiliary states' own motion over a step. */
+typedef struct {
+    long count;           /* of them in use */
+    double torque, sensor; /* factors of the torque and of the sensor's parts */
+    double cos, sin;      /* of a tone's turn */
+    double torque_noise, sensor_noise;
+    int turns;
+} own_motion;
+
+/* Move a vector of auxiliary states, of which two neighbours are `stride` numbers apart. */
+static void move_own(const own_motion *own, double *a, long stride)
 {
-    if (cause == BASIS_JUMP) {
-        *at->cause = cause;
+    if (own->count > 0) {
+        a[0] *= own->torque;
     }
-    if (*at->certified != 0) {
-        const double *bound = *at->corrected != 0 ? m->posterior : m->X;
-        *at->cause = cause;
-        copy_rows(bound, at->covariance, (long)m->s.n, (long)m->s.n, (long)m->s.width);
-        *at->certified = 0;
+    if (own->turns) {
+        const double first = a[stride], second = a[2 * stride];
+        a[stride] = own->sensor * (own->cos * first + own->sin * second);
+        a[2 * stride] = own->sensor * (own->cos * second - own->sin * first);
+        return;
+    }
+    for (long j = 1; j < own->count; j++) {
+        a[j * stride] *= own->sensor;
     }
 }
 
-/* Let the ages grow over a time that ends at a sample. */
-static void grow_older(const model *m, state *at, double duration)
+static own_motion own_motion_of(
+    const model *m, const hypothesis *h, double duration, double forgotten)
 {
-    long i;
-    *at->torque_age += duration;
-    *at->distrust = maximum(0.0, *at->distrust - duration);
-    *at->pause = maximum(0.0, *at->pause - duration);
-    *at->watch_age += duration;
-    *at->since += duration;
-    for (i = 0; i < m->s.p; i++) {
-        *sensor_of(m, at, i).since += duration;
+    const double *constants = m->constants;
+    const double std = sqrt(m->R[0]);
+    own_motion own = {states_in_use(m, h) - (long)m->s.n, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0};
+    double time = 0.0, size = 0.0;
+    if (own.count == 0) {
+        return own;
     }
-    *at->doubt = maximum(0.0, *at->doubt - duration);
-    *at->relearned = maximum(0.0, *at->relearned - duration / *m->relearn_time);
-    if (m->s.k > 0) {
-        forget_slowly(m, at, duration);
+    own.torque = exponential(-duration / constants[FORCE_TIME]);
+    if (*h->kind == FORCE) {
+        own.torque_noise = *m->force * *m->force * (1.0 - own.torque * own.torque);
     }
+    if (forgotten > 0.0) {
+        own.torque_noise += forgotten * duration;
+    }
+    switch (*h->kind) {
+    case COLOURED_NOISE:
+        time = constants[COLOUR_TIME];
+        size = std;
+        break;
+    case DRIFT:
+        time = constants[DRIFT_TIME];
+        size = constants[DRIFT_SIZE] * std;
+        break;
+    case TONE:
+        time = constants[TONE_TIME];
+        size = *h->size;
+        own.turns = 1;
+        sine_and_cosine(*h->frequency * duration, &own.sin, &own.cos);
+        break;
+    default:
+        return own;
+    }
+    own.sensor = exponential(-duration / time);
+    own.sensor_noise = size * size * (1.0 - own.sensor * own.sensor);
+    return own;
 }
 
-/* The certified bound serves the whole interval to the next regular sample, and with `late_factor`
- * a period beyond. */
-void predict(
-    const model *m, state *at, const double *u, double duration, int between_samples,
-    work *scratch)
+/* Take one step of at most the period with the auxiliary states. */
+static void step_with_auxiliary(
+    const model *m, const state *at, hypothesis *h, const double *u, double duration,
+    double forgotten, work *scratch)
 {
-    const long width = (long)m->s.width;
-    const double shortest = between_samples ? 0.0 : *m->shortest;
-    const int known = *at->torque_unknown == 0;
-    const int regular = shortest <= duration && duration <= *m->longest && known;
-    const int as_proved = *at->certified != 0 && *at->corrected != 0;
-    const int late = between_samples && !regular && known && as_proved
-                     && duration <= 2.0 * *m->period && *m->late_factor >= 1.0;
-    const int simple = *m->gain_mode == GAIN_OPEN || late || (as_proved && regular);
-    int in_gap;
-    *at->late = late;
-    if (!simple) {
-        leave_certified(m, at, BASIS_GAP);
+    const long n = (long)m->s.n, width = (long)m->s.width, used = states_in_use(m, h);
+    const long count = used - n;
+    const own_motion own = own_motion_of(m, h, duration, forgotten);
+    double *P = h->covariance, *rows = scratch->tangents, *push = rows + count * n;
+    tangents along = {rows, scratch->drives, count + 1};
+    memcpy(scratch->inputs, u, (size_t)m->s.m * sizeof *u);
+    if (m->s.m > 0) {
+        scratch->inputs[0] += h->x[n];
     }
-    in_gap = !simple && m->s.n_gap > 0
-             && (*at->in_gap != 0 || *at->torque_unknown != 0 || duration > *m->longest);
-    if (in_gap && *at->in_gap == 0) {
-        enter_gap(m, at);
-    }
-    flow_advance(
-        in_gap ? &m->gap_flow : &m->design_flow, at->x, at->upsilon,
-        simple ? NULL : at->covariance, width, at->theta, at->sample, u, duration, scratch->flow);
-    *at->in_gap = in_gap;
-    *at->corrected = 0;
-    if (!simple) {
-        *at->settling = maximum(0.0, *at->settling - duration);
-        if (!(between_samples || in_gap) && *m->gain_mode == GAIN_CERTIFIED
-            && *at->settling <= 0.0 && is_below(at->covariance, width, m->X, width, scratch->square, (long)m->s.n)) {
-            *at->certified = 1;
-            copy_rows(m->X, at->covariance, (long)m->s.n, (long)m->s.n, width);
+    for (long j = 0; j < count; j++) {
+        scratch->drives[j] = P[n * width + n + j];
+        for (long i = 0; i < n; i++) {
+            rows[j * n + i] = P[i * width + n + j];
         }
     }
-    if (*at->awake != 0) {
-        predict_alternatives(m, at, u, duration, scratch);
+    scratch->drives[count] = 1.0;
+    memset(push, 0, (size_t)n * sizeof *push);
+    flow_advance(
+        &m->design_flow, h->x, h->upsilon, P, width, &along, h->theta, at->sample,
+        scratch->inputs, duration, scratch->flow);
+    /* x <- J x + g d: rows have J Cov(x, d) + g Var(d) now. */
+    for (long i = 0; i < n; i++) {
+        for (long j = 0; j < n; j++) {
+            P[i * width + j] += push[i] * rows[j] + rows[i] * push[j]
+                                - push[i] * push[j] * P[n * width + n];
+        }
     }
-    if (!between_samples) {
-        follow_step(m, at, duration, scratch);
-        grow_older(m, at, duration);
+    for (long a = 0; a < m->s.k; a++) {
+        double *row = h->upsilon + a * width;
+        for (long i = 0; i < n; i++) {
+            row[i] += push[i] * row[n];
+        }
+        move_own(&own, row + n, 1);
+    }
+    move_own(&own, h->x + n, 1);
+    for (long j = n; j < used; j++) { /* columns, then rows */
+        move_own(&own, P + j * width + n, 1);
+    }
+    for (long j = n; j < used; j++) {
+        move_own(&own, P + n * width + j, width);
+    }
+    P[n * width + n] += own.torque_noise;
+    for (long j = 1; j < (own.turns ? 3 : count); j++) {
+        P[(n + j) * width + n + j] += own.sensor_noise;
+    }
+    for (long i = 0; i < n; i++) {
+        for (long j = 0; j < count; j++) {
+            P[i * width + n + j] = rows[j * n + i];
+        }
+        move_own(&own, P + i * width + n, 1);
+        for (long j = 0; j < count; j++) {
+            P[(n + j) * width + i] = P[i * width + n + j];
+        }
     }
 }
 
-void restart(const model *m, state *at)
+/* Let the excitation fade and Gamma grow, but no variance beyond the initial one. */
+static void forget_slowly(const model *m, hypothesis *h, double duration)
 {
-    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
-    state initial;
-    long i;
-    state_bind(&initial, &m->s, m->initial);
-    *at->settling = *initial.settling;
-    *at->age = 0.0;
-    *at->certified = 0;
-    *at->corrected = 0;
-    *at->in_gap = 0;
-    *at->cause = BASIS_STARTING;
-    for (i = 0; i < m->s.p; i++) {
-        const sensor of = sensor_of(m, at, i);
-        forget_value(REPETITION_OF(&of));
+    const long k = (long)m->s.k;
+    const double fade = 1.0 - share_of(duration, *m->memory);
+    *h->learning += duration;
+    *h->pass_age += *h->learning >= *m->adaptation_start ? duration : 0.0;
+    for (long a = 0; a < k; a++) {
+        const double most = m->theta_deviation[a] * m->theta_deviation[a];
+        double *variance = h->gamma + a * k + a;
+        for (long b = 0; b < k; b++) {
+            h->gram[a * k + b] *= fade;
+        }
+        *variance = minimum(*variance + *m->random_walk * duration, most);
     }
-    for (i = 0; i < n; i++) {
-        at->x[i] = 0.0;
+}
+
+void predict_hypothesis(
+    const model *m, const state *at, hypothesis *h, const double *u, double duration,
+    int simple, double forgotten, work *scratch)
+{
+    const long n = (long)m->s.n, plant = (long)m->s.plant, width = (long)m->s.width;
+    const flow *f = &m->design_flow;
+    if (simple) {
+        flow_advance(
+            f, h->x, h->upsilon, NULL, width, NULL, h->theta, at->sample, u, duration,
+            scratch->flow);
+    } else if (states_in_use(m, h) == n) {
+        flow_advance(
+            f, h->x, h->upsilon, h->covariance, width, NULL, h->theta, at->sample, u, duration,
+            scratch->flow);
+    } else {
+        double rest;
+        const int64_t whole = cut_into_steps(duration, *m->period, &rest);
+        for (int64_t step = 0; step < whole; step++) {
+            step_with_auxiliary(m, at, h, u, *m->period, forgotten, scratch);
+        }
+        if (rest > 0.0) {
+            step_with_auxiliary(m, at, h, u, rest, forgotten, scratch);
+        }
     }
-    *at->significant = 0;
-    *at->pass_age = 0.0;
-    *at->passes = 0;
-    for (i = 0; i < k; i++) {
-        at->theta[i] = 0.0;
-        at->anchor[i] = 0.0;
-        at->pending[i] = 0.0;
+    if (*h->kind == IMPERFECT && !simple) {
+        const double more
+            = (m->constants[IMPERFECTION] - 1.0) * (duration / *m->period);
+        const double half = *f->kind == KIND_SYSTEM ? 2.0 : 1.0;
+        for (long i = 0; i < plant; i++) {
+            for (long j = 0; j < plant; j++) {
+                h->covariance[i * width + j] += half * more * f->noise[i * n + j];
+            }
+        }
     }
-    copy_rows(initial.covariance, at->covariance, n, n, width);
-    copy_rows(initial.gamma, at->gamma, k, k, k);
-    copy_rows(initial.upsilon, at->upsilon, k, n, width);
-    copy_rows(initial.gram, at->gram, k, k, k);
-    keep_nothing_else(m, at);
-    forget_step(m, at);
+    *h->corrected = 0;
+    *h->age += duration;
+    *h->settling = maximum(0.0, *h->settling - duration);
+    if (m->s.k > 0) {
+        forget_slowly(m, h, duration);
+    }
 }

@@ -140,7 +140,7 @@ static void shear(long n, const double *kicks, double *changes, double *S)
  * with them, by the Jacobian of the kick. */
 static void kick_arm(
     const flow *f, const double *total, double torque, double half, int with_covariance,
-    flow_scratch *work)
+    const tangents *along, flow_scratch *work)
 {
     const long n = *f->n, k = *f->k;
     double *x = work->stack, *link = work->kicks, *motor = work->kicks + n;
@@ -175,6 +175,12 @@ static void kick_arm(
                         * added(
                             effect + 4, effect, MOTOR_SINE, MOTOR_TORQUE, MOTOR_EXTERNAL, &now);
     }
+    for (long i = 0; i < along->count; i++) {
+        double *row = work->stack + (1 + k + i) * n;
+        const double on_link = dot(link, row, n), on_motor = dot(motor, row, n);
+        row[1] += on_link + total[LINK_TORQUE] * along->drives[i];
+        row[3] += on_motor + total[MOTOR_TORQUE] * along->drives[i];
+    }
     if (with_covariance) {
         shear(n, work->kicks, work->changes, work->covariance);
     }
@@ -196,22 +202,26 @@ static void carry(long n, const linear_step *step, flow_scratch *work)
 /* Kick both velocities by gravity and by theta, take the linear flow, and kick again. */
 static void step_arm(
     const flow *f, const linear_step *step, const double *theta, double torque, double duration,
-    int with_covariance, flow_scratch *work)
+    int with_covariance, const tangents *along, flow_scratch *work)
 {
-    const long n = *f->n, rows = *f->k + 1;
+    const long n = *f->n, k = *f->k, rows = k + 1 + along->count;
     const double half = 0.5 * duration;
     double total[EFFECTS];
     sum_effects(f, theta, half, total);
-    kick_arm(f, total, torque, half, with_covariance, work);
+    kick_arm(f, total, torque, half, with_covariance, along, work);
     if (with_covariance) {
         carry(n, step, work);
     }
     multiply(work->stack, step->turned, work->moved, rows, n, n);
     memcpy(work->stack, work->moved, (size_t)(rows * n) * sizeof *work->stack);
     for (long j = 0; j < n; j++) {
-        work->stack[j] += step->gamma[j * *f->inputs] * torque;
+        const double by_torque = step->gamma[j * *f->inputs];
+        work->stack[j] += by_torque * torque;
+        for (long i = 0; i < along->count; i++) {
+            work->stack[(1 + k + i) * n + j] += by_torque * along->drives[i];
+        }
     }
-    kick_arm(f, total, torque, half, with_covariance, work);
+    kick_arm(f, total, torque, half, with_covariance, along, work);
 }
 
 /* --- T-S systems --- */
@@ -263,8 +273,8 @@ static void turn_weights(
 
 /* Write what enters x (`rate`) and Y (`entering`) besides the linear flow, and its Jacobian. */
 static void enter(
-    const flow *f, const double *x, const double *upsilon, const double *theta, const double *u,
-    double *rate, double *entering, double *jacobian, flow_scratch *work)
+    const flow *f, const double *x, const double *upsilon, long rows, const double *theta,
+    const double *u, double *rate, double *entering, double *jacobian, flow_scratch *work)
 {
     const long n = *f->n, k = *f->k, rules = *f->rules, premises = *f->premises;
     const long plant = *f->plant, inputs = *f->inputs, signals = plant + inputs;
@@ -286,9 +296,9 @@ static void enter(
             jacobian);
     }
     turn_weights(f, work->slopes, work->rates, work->vectors + 5 * n, jacobian);
-    for (long p = 0; p < k; p++) {
+    for (long p = 0; p < rows; p++) {
         apply(jacobian, upsilon + p * n, entering + p * n, n, n);
-        for (long rule = 0; rule < rules; rule++) {
+        for (long rule = 0; p < k && rule < rules; rule++) {
             const double *direction = f->directions + (p * rules + rule) * plant * signals;
             for (long i = 0; i < plant; i++) {
                 entering[p * n + i]
@@ -329,9 +339,9 @@ static void carry_system(
  * from the start leads to; `step` is the linear flow over half a step. */
 static void step_system(
     const flow *f, const linear_step *step, const double *theta, const double *u, double duration,
-    int with_covariance, flow_scratch *work)
+    int with_covariance, long tangent_count, flow_scratch *work)
 {
-    const long n = *f->n, k = *f->k;
+    const long n = *f->n, k = *f->k + tangent_count;
     double *x = work->stack, *upsilon = work->stack + n;
     double *forced = work->vectors, *coasted = forced + n, *rate = coasted + n;
     double *middle = rate + n, *turned = middle + n;
@@ -346,7 +356,7 @@ static void step_system(
         coasted[j] += forced[j];
     }
     /* First at the start, for half a step. */
-    enter(f, x, upsilon, theta, u, rate, entering, first, work);
+    enter(f, x, upsilon, k, theta, u, rate, entering, first, work);
     apply(step->phi, rate, turned, n, n);
     for (long j = 0; j < n; j++) {
         middle[j] = coasted[j] + 0.5 * duration * turned[j];
@@ -358,7 +368,7 @@ static void step_system(
         }
     }
     /* Then in the middle, for the whole. */
-    enter(f, middle, half_way, theta, u, rate, entering, second, work);
+    enter(f, middle, half_way, k, theta, u, rate, entering, second, work);
     for (long j = 0; j < n; j++) {
         middle[j] = coasted[j] + duration * rate[j];
     }
@@ -458,36 +468,38 @@ static linear_step fill_step(
 /* Move what is in the scratch by one step. */
 static void take_step(
     const flow *f, const linear_step *step, const double *theta, const double *u, double duration,
-    int with_covariance, flow_scratch *work)
+    int with_covariance, const tangents *along, flow_scratch *work)
 {
     if (*f->kind == KIND_ARM) {
-        step_arm(f, step, theta, u[0], duration, with_covariance, work);
+        step_arm(f, step, theta, u[0], duration, with_covariance, along, work);
     } else {
-        step_system(f, step, theta, u, duration, with_covariance, work);
+        step_system(f, step, theta, u, duration, with_covariance, along->count, work);
     }
 }
 
 /* Move what is in the scratch over a time, in nominal steps and a last one. */
 static void move(
     const flow *f, const double *theta, const double *u, double duration, int with_covariance,
-    flow_scratch *work)
+    const tangents *along, flow_scratch *work)
 {
     const linear_step nominal = {f->phi, f->turned, f->gamma, f->noise};
     double rest;
     const int64_t whole = cut_into_steps(duration, *f->period, &rest);
     for (int64_t step = 0; step < whole; step++) {
-        take_step(f, &nominal, theta, u, *f->period, with_covariance, work);
+        take_step(f, &nominal, theta, u, *f->period, with_covariance, along, work);
     }
     if (rest > 0.0) {
         const linear_step last = fill_step(f, rest, with_covariance, work);
-        take_step(f, &last, theta, u, rest, with_covariance, work);
+        take_step(f, &last, theta, u, rest, with_covariance, along, work);
     }
 }
 
 void flow_advance(
-    const flow *f, double *x, double *upsilon, double *covariance, long width, const double *theta,
-    const double *y, const double *u, double duration, double *scratch)
+    const flow *f, double *x, double *upsilon, double *covariance, long width, tangents *along,
+    const double *theta, const double *y, const double *u, double duration, double *scratch)
 {
+    static const tangents none = {NULL, NULL, 0};
+    const tangents *moving = along == NULL ? &none : along;
     const long n = *f->n, k = *f->k;
     const flow_sizes s = {n,     *f->m,     *f->inputs, *f->p,
                           k,     *f->plant, *f->rules,  *f->premises};
@@ -499,12 +511,14 @@ void flow_advance(
     }
     copy_matrix(x, n, work.stack, n, 1, n);
     copy_matrix(upsilon, width, work.stack + n, n, k, n);
+    copy_matrix(moving->rows, n, work.stack + (k + 1) * n, n, moving->count, n);
     if (covariance != NULL) {
         copy_matrix(covariance, width, work.covariance, n, n, n);
     }
-    move(f, theta, u, duration, covariance != NULL, &work);
+    move(f, theta, u, duration, covariance != NULL, moving, &work);
     copy_matrix(work.stack, n, x, n, 1, n);
     copy_matrix(work.stack + n, n, upsilon, width, k, n);
+    copy_matrix(work.stack + (k + 1) * n, n, moving->rows, n, moving->count, n);
     if (covariance != NULL) {
         copy_matrix(work.covariance, n, covariance, width, n, n);
     }

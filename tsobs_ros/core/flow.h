@@ -141,12 +141,18 @@ typedef struct {
     FIELD(MATRIX, U, s->rules * s->n, s->m)
 LAYOUT_DECLARE(flow, FLOW_FIELDS, flow_sizes)
 
-/* Scratch of a step. stack: what is moved, x and behind it the rows of Y; moved: the same after the
+/* Most tangents that a step moves. */
+static inline long flow_tangents(const flow_sizes *s)
+{
+    return s->p + 4;
+}
+
+/* Scratch of a step. stack: what is moved, x, the rows of Y and tangents; moved: the same after the
  * linear flow. covariance: what is moved of it. phi to noise: the linear flow over a step that is
  * not nominal; over: scratch of it. The rest is of the kinds of steps. */
 #define FLOW_SCRATCH_FIELDS(FIELD, s)                                              \
-    FIELD(MATRIX, stack, s->k + 1, s->n)                                           \
-    FIELD(MATRIX, moved, s->k + 1, s->n)                                           \
+    FIELD(MATRIX, stack, s->k + 1 + flow_tangents(s), s->n)                        \
+    FIELD(MATRIX, moved, s->k + 1 + flow_tangents(s), s->n)                        \
     FIELD(MATRIX, covariance, s->n, s->n)                                          \
     FIELD(MATRIX, phi, s->n, s->n)                                                 \
     FIELD(MATRIX, turned, s->n, s->n)                                              \
@@ -157,7 +163,7 @@ LAYOUT_DECLARE(flow, FLOW_FIELDS, flow_sizes)
     FIELD(MATRIX, vectors, 6, s->n)                                                \
     FIELD(MATRIX, kicks, 2, s->n)                                                  \
     FIELD(MATRIX, changes, 2, s->n)                                                \
-    FIELD(MATRIX, rows, 3 * s->k, s->n)                                            \
+    FIELD(MATRIX, rows, 3 * (s->k + flow_tangents(s)), s->n)                       \
     FIELD(MATRIX, rates, s->rules, s->plant)                                       \
     FIELD(VECTOR, weights, s->rules, 1)                                            \
     FIELD(MATRIX, slopes, s->rules, s->premises)                                   \
@@ -174,14 +180,23 @@ int flow_is_valid(const double *memory, size_t length);
 /* Return the view of a record, by the sizes in it. Its numbers are not written. */
 flow flow_view(const double *memory);
 
-/* Move the estimate x, Y and the error covariance over a time, in place.
+/* Directions from x, rows of n numbers, that move with the step's Jacobian; a held change of an arm's
+ * torque drives each of them in proportion to `drives`. There are at most `flow_tangents` of them. */
+typedef struct {
+    double *rows;
+    const double *drives;
+    long count;
+} tangents;
+
+/* Move the estimate x, Y, the error covariance and tangents over a time, in place.
  *
  * x has n numbers. `upsilon` (k rows; NULL if k is 0) and `covariance` (n rows; NULL if it is not
- * to be moved) have rows of `width` >= n numbers, of which n are in use. `theta` has k numbers,
- * `u` the m signals held over the time; `y`, the p outputs in use, is read for KIND_INTEGRATED only.
- * duration: at least 0 [s]. `scratch` has flow_scratch_size numbers for the sizes of the model. */
+ * to be moved) have rows of `width` >= n numbers, of which n are in use. `along` is NULL without
+ * tangents. `theta` has k numbers, `u` the m signals held over the time; `y`, the p outputs in use,
+ * is read for KIND_INTEGRATED only. duration: at least 0 [s]. `scratch` has flow_scratch_size
+ * numbers for the sizes of the model. */
 void flow_advance(
-    const flow *f, double *x, double *upsilon, double *covariance, long width, const double *theta,
-    const double *y, const double *u, double duration, double *scratch);
+    const flow *f, double *x, double *upsilon, double *covariance, long width, tangents *along,
+    const double *theta, const double *y, const double *u, double duration, double *scratch);
 
 #endif

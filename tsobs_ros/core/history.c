@@ -405,8 +405,9 @@ int estimate_at(tracker *t, int64_t stamp, double *row)
         return 0;
     }
     is_inside = fabs(t->said.state[0]) <= *t->h.x_max;
-    if (!is_inside && (*t->said.basis <= BASIS_LEARNT || *shown.certified != 0)) {
+    if (!is_inside && *t->said.basis <= BASIS_LEARNT) {
         *t->said.basis = BASIS_OUTSIDE;
+        *t->said.claimed = 0;
     }
     end = write_row(&t->m, &t->said, row);
     row[end] = is_inside;

@@ -18,7 +18,7 @@
 /* Sizes of a filter, the first numbers of its model record: states [x; w] and theta, outputs, what
  * is read of the states besides x, samples of the window, and samples that are remembered. */
 #define KALMAN_SIZES 6
-#define KALMAN_CONDITIONS 6 /* numbers of a row that say what the others are worth */
+#define KALMAN_CONDITIONS 7 /* numbers of a row that say what the others are worth */
 typedef struct {
     int64_t n, k, p, reads, window, ring;
 } kalman_sizes;

@@ -155,9 +155,7 @@ static const struct {
     {"KIND_INTEGRATED", KIND_INTEGRATED},
     {"GAIN_RICCATI", GAIN_RICCATI},
     {"GAIN_CERTIFIED", GAIN_CERTIFIED},
-    {"WINDOW", WINDOW},
-    {"MAX_JUMP_BUDGET", MAX_JUMP_BUDGET},
-    {"ALTERNATIVES", ALTERNATIVES},
+    {"HYPOTHESES", STANDING + FORKS},
 };
 
 static int module_exec(PyObject *module)

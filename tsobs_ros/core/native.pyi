@@ -12,9 +12,7 @@ KIND_SYSTEM: int
 KIND_INTEGRATED: int
 GAIN_RICCATI: int
 GAIN_CERTIFIED: int
-WINDOW: int
-MAX_JUMP_BUDGET: int
-ALTERNATIVES: int
+HYPOTHESES: int
 
 class Memory:
     """An array's address, looked up once; the array must stay as it is."""
@@ -286,16 +284,16 @@ def estimator_layouts(
     p: int,
     m: int,
     k: int,
-    n_gap: int,
     t: int,
-    bank: int,
+    hypotheses: int,
     flow_size: int,
-    gap_size: int,
-    bank_size: int,
     scratch: int,
     /,
 ) -> dict[str, list[tuple[str, str, int, int]]]:
     """Return the fields of each of an estimator's records, by its name; see estimator.h."""
+
+def bank_constants() -> list[tuple[str, float, str]]:
+    """Return name, value and meaning of each constant of the bank."""
 
 def estimator_correct(model: Any, states: Any, y: Any, corrections: Any, /) -> None:
     """Use one measurement (p) for each state, in place, and write its effect."""

@@ -35,19 +35,18 @@ static PyObject *layouts_of(const estimator_sizes *s)
         return NULL;
     }
     ADD_LAYOUT("sensor", SENSOR_FIELDS);
-    ADD_LAYOUT("alternative", ALTERNATIVE_FIELDS);
+    ADD_LAYOUT("hypothesis", HYPOTHESIS_FIELDS);
     ADD_LAYOUT("state", STATE_FIELDS);
     ADD_LAYOUT("correction", CORRECTION_FIELDS);
     ADD_LAYOUT("readout", READOUT_FIELDS);
     ADD_LAYOUT("work", WORK_FIELDS);
-    ADD_LAYOUT("alternative_model", ALTERNATIVE_MODEL_FIELDS);
     ADD_LAYOUT("model", MODEL_FIELDS);
     return layouts;
 }
 
 static PyObject *estimator_layouts(PyObject *module, PyObject *const *given, Py_ssize_t count)
 {
-    static const char format[] = "iiiiiiiiiiiii";
+    static const char format[] = "iiiiiiiiii";
     argument taken[ESTIMATOR_SIZES];
     int64_t numbers[ESTIMATOR_SIZES];
     estimator_sizes s;
@@ -65,6 +64,30 @@ static PyObject *estimator_layouts(PyObject *module, PyObject *const *given, Py_
     }
     s = sizes_of(numbers);
     return layouts_of(&s);
+}
+
+#define CONSTANT_ROW(name, value, what) {#name, value, what},
+
+/* Return the names, values and meanings of the bank's constants, in their order. */
+static PyObject *bank_constants(PyObject *module, PyObject *unused)
+{
+    static const struct {
+        const char *name;
+        double value;
+        const char *what;
+    } rows[] = {BANK_CONSTANTS(CONSTANT_ROW)};
+    PyObject *list = PyList_New(0);
+    size_t i;
+    (void)module;
+    (void)unused;
+    for (i = 0; list != NULL && i < CONSTANTS; i++) {
+        PyObject *row = Py_BuildValue("(sds)", rows[i].name, rows[i].value, rows[i].what);
+        if (row == NULL || PyList_Append(list, row) < 0) {
+            Py_CLEAR(list);
+        }
+        Py_XDECREF(row);
+    }
+    return list;
 }
 
 /* --- steps --- */
@@ -281,6 +304,7 @@ static PyObject *estimator_observe(PyObject *module, PyObject *const *given, Py_
 
 PyMethodDef estimator_methods[] = {
     BINDING("estimator_layouts", estimator_layouts, "Return the layouts of an estimator's records."),
+    {"bank_constants", bank_constants, METH_NOARGS, "Return the constants of the bank."},
     BINDING("estimator_correct", estimator_correct, "Use one measurement for each state."),
     BINDING("estimator_predict", estimator_predict, "Predict each state over a time."),
     BINDING("estimator_read", estimator_read, "Write the estimate of each state."),

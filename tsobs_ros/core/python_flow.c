@@ -263,7 +263,7 @@ static void advance_batch(
     for (int64_t i = 0; i < batch; i++) {
         flow_advance(
             f, t[1].is.doubles + i * n, k > 0 ? t[2].is.doubles + i * k * n : NULL,
-            with_covariance ? t[3].is.doubles + i * n * n : NULL, n, t[4].is.doubles + i * k,
+            with_covariance ? t[3].is.doubles + i * n * n : NULL, n, NULL, t[4].is.doubles + i * k,
             with_sample ? t[5].is.doubles + i * p : NULL, t[6].is.doubles + i * m, duration,
             t[8].is.doubles);
     }

@@ -1,184 +1,261 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * What an estimator says: its estimate and bounds in physical units, and what they rest on.
+ * What an estimator says: the mixture of its hypotheses, its bounds in physical units, and what they
+ * rest on.
  *
- * The bounds include the uncertainty of the parameters, for x - x^ is the observer's own error plus
- * Upsilon (theta - theta^), of covariance Upsilon Gamma Upsilon'.
+ * The bounds include the uncertainty of the parameters, for x - x^ is the filter's own error plus
+ * Upsilon (theta - theta^), of covariance Upsilon Gamma Upsilon', and the distance of hypotheses
+ * from their mean.
  */
-#include "filter.h"
+#include "bank.h"
 
-/* A bound's square by which suspected steps of the torque matter. */
-#define MATTERS (1.0 / 9.0)
+#include <string.h>
 
-/* The share of a distance that regressors are wrong by. */
-#define CURVED 0.3
-
-/* What a bound is made of besides the covariance. */
-typedef struct {
-    double spread;        /* factor of the estimate's own bound */
-    const double *gamma;  /* covariance of the parameters */
-    const double *share;  /* what the function gains by each parameter */
-    const double *pending; /* changes of the parameters that are not used yet */
-    long k;               /* number of parameters */
-} bound_parts;
+/* Weights below it do not count. */
+#define NEGLIGIBLE 1e-4
 
 static double root(double variance)
 {
     return variance >= 0.0 ? sqrt(variance) : (double)NAN;
 }
 
-/* Return the 1-sigma bound of a linear function of the estimate: least: of the certificate;
- * variance: along the estimate, 0 if that does not count; doubtful: what suspected steps of the
- * torque have done to the function. */
-static double bound_of(
-    const bound_parts *parts, double least, double variance, double doubtful)
+/* Return by how much the errors of a hypothesis are larger than it says: by white noise where the
+ * bound is the certificate's, and by slow innovations, which a wrong model makes. */
+static double spread_of(const model *m, const state *at, const hypothesis *h)
 {
-    const double own = larger(root(variance), least) * parts->spread;
-    const double shift = dot(parts->share, parts->pending, parts->k);
-    const double added = larger(quadratic(parts->gamma, parts->k, parts->share, parts->k), 0.0)
-                         + shift * shift + doubtful * doubtful;
+    double spread = 1.0;
+    if (*m->supervised == 0) {
+        return *at->late != 0 ? *m->late_factor : 1.0;
+    }
+    if (*h->certified != 0) {
+        spread = larger(*at->noise_scale, 1.0);
+        spread *= *at->late != 0 ? *m->late_factor : 1.0;
+    }
+    return spread * sqrt(maximum(larger(*h->nis, 1.0), *h->slow_power));
+}
+
+/* Return the 1-sigma bound of a linear function of a hypothesis' error.
+ *
+ * least: of the certificate, 0 if that does not count. functional: of the states in use. */
+static double bound_of(
+    const model *m, const state *at, const hypothesis *h, double least, const double *functional,
+    double *share)
+{
+    const long k = (long)m->s.k, width = (long)m->s.width, used = states_in_use(m, h);
+    double own = least, added = 0.0, shift = 0.0, curved = 0.0;
+    if (*m->gain_mode == GAIN_OPEN) {
+        return least;
+    }
+    if (*h->certified == 0) {
+        own = root(quadratic(h->covariance, width, functional, used));
+    }
+    own *= spread_of(m, at, h);
+    for (long a = 0; a < k; a++) {
+        const double moved = h->theta[a] + h->pending[a] - h->anchor[a];
+        share[a] = dot(functional, h->upsilon + a * width, used);
+        shift += share[a] * h->pending[a];
+        curved += share[a] * (m->constants[CURVED] * moved);
+    }
+    if (k > 0) {
+        added = larger(quadratic(h->gamma, k, share, k), 0.0) + shift * shift + curved * curved;
+    }
     return root(own * own + added);
 }
 
-/* Return what a state's bounds rest on. */
-static int64_t basis_of(const model *m, const state *at)
+/* Add a function of each hypothesis, weighed, to mean and variance. */
+typedef struct {
+    double mean, square, own; /* of values, of their squares, and of the bounds' squares */
+} moments;
+
+static void add_moments(moments *to, double weight, double value, double bound)
 {
-    if (*at->hypothesis != AS_DESIGNED) {
-        const double nis = *alternative_of(m, at, (long)*at->hypothesis - 1).nis;
-        return nis > MAX_NIS ? BASIS_CONTRADICTED : BASIS_HYPOTHESIS;
+    to->mean += weight * value;
+    to->square += weight * value * value;
+    to->own += weight * bound * bound;
+}
+
+/* Return the mixture's 1-sigma: the mean of the variances, and the variance of the means. */
+static double mixed_bound(const moments *of)
+{
+    const double apart = of->square - of->mean * of->mean;
+    return root(of->own + (apart > 0.0 ? apart : 0.0));
+}
+
+/* Write the weights of the hypotheses, those that count. */
+static void weigh_all(const model *m, const state *at, double *weights)
+{
+    const long count = (long)m->s.hypotheses;
+    double total = 0.0, kept = 0.0, best = -INFINITY;
+    for (long i = 0; i < count; i++) {
+        const hypothesis h = hypothesis_of(m, at, i);
+        weights[i] = *h.score - (*h.kind == AS_DESIGNED ? 0.0 : m->constants[OCCAM]);
+        best = *h.live != 0 && weights[i] > best ? weights[i] : best;
     }
-    if (*at->doubt > 0.0) {
-        return *at->doubted;
+    for (long i = 0; i < count; i++) {
+        const int live = *hypothesis_of(m, at, i).live != 0;
+        weights[i] = live ? exponential(minimum(weights[i] - best, 0.0)) : 0.0;
+        total += weights[i];
     }
-    if (*at->certified == 0) {
-        return *at->cause;
+    for (long i = 0; i < count; i++) {
+        weights[i] = weights[i] >= NEGLIGIBLE * total ? weights[i] : 0.0;
+        kept += weights[i];
     }
-    if (is_suspected(at)
-        && quadratic(m->P, (long)m->s.width, at->response, (long)m->s.n) > MATTERS) {
-        return BASIS_TORQUE;
+    for (long i = 0; i < count; i++) {
+        weights[i] /= kept;
+    }
+}
+
+/* Return what a state's bounds rest on, and whether they are claimed to hold. */
+static int64_t basis_of(const model *m, const hypothesis *best, int64_t *claimed)
+{
+    const int calm = *best->nis <= m->constants[VOID] && *best->slow_power <= m->constants[VOID];
+    *claimed = *m->supervised == 0 || calm;
+    if (*m->supervised != 0 && !calm) {
+        return BASIS_CONTRADICTED;
+    }
+    if (*best->kind != AS_DESIGNED) {
+        return BASIS_HYPOTHESIS;
+    }
+    if (*best->certified == 0) {
+        return *best->settling > 0.0 || *best->age < 1.0 ? *best->cause : BASIS_COVARIANCE;
     }
     return m->s.k > 0 && *m->covered == 0 ? BASIS_LEARNT : BASIS_CERTIFIED;
 }
 
-/* Return what a state's learning does. */
-static int64_t learning_of(const model *m, const state *at)
-{
-    if (m->s.k == 0) {
-        return LEARNING_NONE;
-    }
-    if (*at->resting != 0) {
-        return LEARNING_STRAINED;
-    }
-    if (*at->pause > 0.0) {
-        return LEARNING_AFTER_JUMP;
-    }
-    return *at->age >= *m->adaptation_start ? LEARNING_ACTIVE : LEARNING_STARTING;
-}
-
 /* Return whether the motion has been rich enough for the parameters to count. */
-static int is_excited(const model *m, const state *at, double *gram)
+static int is_excited(const model *m, const hypothesis *h, double *gram)
 {
     const long k = (long)m->s.k;
-    long i;
-    copy_rows(at->gram, gram, k, k, k);
-    for (i = 0; i < k; i++) {
+    copy_matrix(h->gram, k, gram, k, k, k);
+    for (long i = 0; i < k; i++) {
         gram[i * k + i] -= *m->excitation;
     }
     return is_nonnegative(gram, k);
 }
 
-void read_out(const model *m, const state *at, readout *said, work *scratch)
+/* Write the functional that an output's disturbance is of a hypothesis. */
+static void disturbance_of(
+    const model *m, const hypothesis *h, long output, double *functional)
 {
-    const long n = (long)m->s.n, p = (long)m->s.p, k = (long)m->s.k, width = (long)m->s.width;
-    const double noise = *m->supervised != 0 ? larger(*at->noise_scale, 1.0) : 1.0;
-    const double *x = at->x, *covariance = at->covariance, *upsilon = at->upsilon;
-    const int designed = *at->hypothesis == AS_DESIGNED, open_torque = is_open(at);
-    int uncertain = *m->gain_mode != GAIN_OPEN && *at->certified == 0;
-    double *share = scratch->share, total = 0.0, doubtful = 0.0;
-    bound_parts parts = {0.0, at->gamma, share, at->pending, k};
-    long i, a;
-    parts.spread = *at->late != 0 ? noise * *m->late_factor : noise;
-    if (!designed) {
-        const alternative chosen = alternative_of(m, at, (long)*at->hypothesis - 1);
-        x = chosen.x;
-        covariance = chosen.covariance;
-        upsilon = chosen.upsilon;
-        parts.spread *= sqrt(larger(*chosen.nis, 1.0));
-        uncertain = 1;
+    const long width = (long)m->s.width, place = part_of(m, h, output);
+    memcpy(functional, m->disturbance_map + output * width, (size_t)width * sizeof(double));
+    if (place >= 0 && *h->kind != COLOURED_NOISE) {
+        functional[place] = 1.0;
     }
-    for (i = 0; i < m->s.plant; i++) {
-        const double variance = uncertain ? covariance[i * width + i] : 0.0;
-        for (a = 0; a < k; a++) {
-            share[a] = upsilon[a * width + i];
+}
+
+/* Add what one hypothesis says, times its weight. */
+static double mix_states(
+    const model *m, const state *at, const double *weights, readout *said, work *scratch)
+{
+    const long width = (long)m->s.width;
+    double total = 0.0;
+    for (long i = 0; i < m->s.plant; i++) {
+        moments mixed = {0.0, 0.0, 0.0};
+        memset(scratch->functional, 0, (size_t)width * sizeof(double));
+        scratch->functional[i] = 1.0;
+        for (long j = 0; j < m->s.hypotheses; j++) {
+            if (weights[j] > 0.0) {
+                const hypothesis h = hypothesis_of(m, at, j);
+                const double bound = bound_of(
+                    m, at, &h, m->state_std[i], scratch->functional, scratch->share);
+                add_moments(&mixed, weights[j], h.x[i], bound);
+            }
         }
-        if (open_torque) {
-            doubtful = at->response[i];
-        }
-        said->state[i] = m->scale[i] * x[i];
-        said->state_bound[i]
-            = m->scale[i] * bound_of(&parts, m->state_std[i], variance, doubtful);
+        said->state[i] = m->scale[i] * mixed.mean;
+        said->state_bound[i] = fabs(m->scale[i]) * mixed_bound(&mixed);
         total += said->state[i] + said->state_bound[i];
     }
-    for (i = 0; i < p + m->s.t; i++) {
+    return total;
+}
+
+static double mix_disturbances(
+    const model *m, const state *at, const double *weights, readout *said, work *scratch)
+{
+    const long p = (long)m->s.p, n = (long)m->s.n, width = (long)m->s.width;
+    double total = 0.0;
+    for (long i = 0; i < p + m->s.t; i++) {
         const int is_output = i < p;
-        const double *h
-            = is_output ? m->disturbance_map + i * width : m->torque_map + (i - p) * width;
-        const double least = is_output ? m->disturbance_std[i] : m->torque_std[i - p];
-        double variance, value, bound;
-        for (a = 0; a < k; a++) {
-            share[a] = dot(h, upsilon + a * width, n);
-        }
-        if (open_torque) {
-            doubtful = dot(h, at->response, n);
-        }
-        variance = uncertain ? quadratic(covariance, width, h, n) : 0.0;
-        value = dot(h, x, n);
-        bound = bound_of(&parts, least, variance, doubtful);
-        if (is_output) {
-            const double rate = dot(m->rate_map + i * width, x, n);
-            if (*m->gain_mode == GAIN_OPEN) {
+        moments mixed = {0.0, 0.0, 0.0};
+        double rate = 0.0;
+        for (long j = 0; j < m->s.hypotheses; j++) {
+            const hypothesis h = hypothesis_of(m, at, j);
+            double value, bound;
+            if (weights[j] <= 0.0) {
+                continue;
+            }
+            if (is_output) {
+                disturbance_of(m, &h, i, scratch->functional);
+                rate += weights[j] * dot(m->rate_map + i * width, h.x, n);
+            } else {
+                memcpy(
+                    scratch->functional, m->torque_map + (i - p) * width,
+                    (size_t)width * sizeof(double));
+            }
+            value = dot(scratch->functional, h.x, states_in_use(m, &h));
+            if (is_output && *m->gain_mode == GAIN_OPEN) {
                 value += dot(m->disturbance_direct + i * p, at->sample, p);
             }
-            said->disturbance[i] = value;
-            said->disturbance_bound[i] = bound;
-            said->disturbance_rate[i] = rate;
-            total += rate;
-            said->designed_disturbance[i] = designed ? value : dot(h, at->x, n);
-            said->designed_bound[i] = designed ? bound : noise * least;
-        } else {
-            said->torque_disturbance[i - p] = value;
-            said->torque_disturbance_bound[i - p] = bound;
+            bound = bound_of(
+                m, at, &h, is_output ? m->disturbance_std[i] : m->torque_std[i - p],
+                scratch->functional, scratch->share);
+            add_moments(&mixed, weights[j], value, bound);
         }
-        total += value + bound;
+        if (is_output) {
+            said->disturbance[i] = mixed.mean;
+            said->disturbance_bound[i] = mixed_bound(&mixed);
+            said->disturbance_rate[i] = rate;
+        } else {
+            said->torque_disturbance[i - p] = mixed.mean;
+            said->torque_disturbance_bound[i - p] = mixed_bound(&mixed);
+        }
+        total += mixed.mean + mixed_bound(&mixed) + rate;
     }
-    for (i = 0; i < k; i++) {
+    return total;
+}
+
+void read_out(const model *m, const state *at, readout *said, work *scratch)
+{
+    const long k = (long)m->s.k;
+    const hypothesis best = hypothesis_of(m, at, (long)*at->best);
+    double total;
+    weigh_all(m, at, scratch->weights);
+    total = mix_states(m, at, scratch->weights, said, scratch);
+    total += mix_disturbances(m, at, scratch->weights, said, scratch);
+    for (long a = 0; a < k; a++) {
         /* What was learnt over a distance is wrong by a share of it: regressors move with x^. */
-        const double pending = at->pending[i];
-        const double moved = CURVED * (at->theta[i] + pending - at->anchor[i]);
-        said->parameters[i] = at->theta[i];
-        said->parameter_bound[i]
-            = root(at->gamma[i * k + i] + pending * pending + moved * moved);
-        total += said->parameters[i] + said->parameter_bound[i];
+        moments mixed = {0.0, 0.0, 0.0};
+        for (long j = 0; j < m->s.hypotheses; j++) {
+            const hypothesis h = hypothesis_of(m, at, j);
+            const double pending = h.pending[a];
+            const double moved = m->constants[CURVED] * (h.theta[a] + pending - h.anchor[a]);
+            if (scratch->weights[j] > 0.0) {
+                add_moments(
+                    &mixed, scratch->weights[j], h.theta[a],
+                    root(h.gamma[a * k + a] + pending * pending + moved * moved));
+            }
+        }
+        said->parameters[a] = mixed.mean;
+        said->parameter_bound[a] = mixed_bound(&mixed);
+        total += mixed.mean + said->parameter_bound[a];
     }
-    *said->basis = basis_of(m, at);
-    *said->noise_scale = noise;
-    *said->coloured_power = *at->coloured_power;
-    *said->learning = learning_of(m, at);
-    *said->hypothesis = *at->hypothesis;
-    *said->parameters_valid = k > 0 && designed && *at->resting == 0
-                              && *at->coloured_power <= MAX_COLOUR
-                              && is_excited(m, at, scratch->small);
+    *said->basis = basis_of(m, &best, said->claimed);
+    *said->noise_scale = *m->supervised != 0 ? larger(*at->noise_scale, 1.0) : 1.0;
+    *said->coloured_power = *best.colour;
+    *said->learning = k == 0                                       ? LEARNING_NONE
+                      : *best.learning >= *m->adaptation_start ? LEARNING_ACTIVE
+                                                                   : LEARNING_STARTING;
+    *said->hypothesis = *best.kind;
+    *said->parameters_valid
+        = k > 0 && *best.kind == AS_DESIGNED && is_excited(m, &best, scratch->small);
     *said->finite = isfinite(total) != 0;
 }
 
 /* Write numbers at a place, and return the place behind them. */
 static double *put(double *row, const double *numbers, int64_t count)
 {
-    int64_t i;
-    for (i = 0; i < count; i++) {
-        row[i] = numbers[i];
-    }
+    memcpy(row, numbers, (size_t)count * sizeof(double));
     return row + count;
 }
 
@@ -193,11 +270,10 @@ long write_row(const model *m, const readout *said, double *row)
     at = put(at, said->disturbance_bound, p);
     at = put(at, said->parameters, k);
     at = put(at, said->parameter_bound, k);
-    at = put(at, said->designed_disturbance, p);
-    at = put(at, said->designed_bound, p);
     at = put(at, said->torque_disturbance, t);
     at = put(at, said->torque_disturbance_bound, t);
     *at++ = (double)*said->basis;
+    *at++ = (double)*said->claimed;
     *at++ = (double)*said->parameters_valid;
     *at++ = *said->noise_scale;
     *at++ = *said->coloured_power;

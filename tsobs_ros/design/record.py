@@ -223,6 +223,7 @@ class Design:
             uncertainty=uncertainty,
             adaptation=options,
             covered=self.request.certify_uncertainty,
+            domain=self.request.reach if isinstance(self.request, ArmRequest) else None,
         )
         if isinstance(self.request, ArmRequest):
             estimator.limit_torque(self.request.torque_limits())

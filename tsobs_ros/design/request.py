@@ -374,19 +374,32 @@ class ArmRequest(DesignProblem):
         """Return which torques a drive of the arm can have.
 
         What the request leaves open is generous for any arm: ten times the gravity torque and what
-        accelerates both inertias by 100 rad/s²; and from one end of this range to the other within
-        2 ms, so that no step of a command is refused at rates up to 500 Hz. A step is judged by the
-        time since the last torque in use, but at least by a period.
+        moves both inertias through the domain at the joint's fastest frequency; and from one end of
+        this range to the other within 2 ms, so that no step of a command is refused at rates up to
+        500 Hz. A step is judged by the time since the last torque in use, but at least by a period.
 
         Args:
             limit: Largest torque instead of the request's [N m]; 0 for that.
             rate_limit: Largest rate instead of the request's [N m/s]; 0 for that.
         """
         arm = self.arm
-        largest = 10.0 * arm.gravity_torque + 100.0 * (arm.link_inertia + arm.motor_inertia)
+        inertia = arm.link_inertia + arm.motor_inertia
+        angle, speed = self.reach[:2].tolist()
+        largest = 10.0 * (arm.gravity_torque + inertia * speed * speed / angle)
         return TorqueLimits.of(
             limit or self.torque_limit, rate_limit or self.torque_rate_limit, largest
         )
+
+    @property
+    def reach(self) -> Array:
+        """Largest [q₁, q̇₁, q₂, q̇₂] that is likely (rad, rad/s), shape (4,).
+
+        Velocities are those of a swing through the domain at the joint's fastest frequency.
+        """
+        arm = self.arm
+        spring = arm.stiffness / arm.link_inertia + arm.stiffness / arm.motor_inertia
+        speed = self.x_max * math.sqrt(spring + arm.gravity_gain)
+        return np.array([self.x_max, speed, self.x_max, speed])
 
     @property
     def slope_range(self) -> tuple[float, float]:

@@ -290,7 +290,7 @@ class KalmanFilter:
         record["scale"] = flow.arm.to_physical(np.ones(4))
         record["initial"] = np.diag(std * std)
         # It takes its parameters for valid, and the noise for the design's.
-        record["conditions"][:3] = Basis.STARTING.value, k > 0, 1.0
+        record["conditions"][:4] = Basis.COVARIANCE.value, True, k > 0, 1.0
         self._flow = flow_record(flow, uncertainty)
         self.shape = Shape(n, 4, p, 1, k, t=t)
         widths = {"state": 4, "state_bound": 4, "disturbance": p, "torque_disturbance": t}

@@ -11,7 +11,6 @@ from tsobs_ros.checks import Array, as_matrix, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation import state as records
-from tsobs_ros.estimation.hypotheses import Alternative, alternatives, enter_alternatives
 from tsobs_ros.estimation.options import (
     AdaptationOptions,
     CertifiedGain,
@@ -21,9 +20,12 @@ from tsobs_ros.estimation.options import (
 )
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import CONDITIONS, Shape
-from tsobs_ros.model.flow import ArmFlow, GapFlow
+from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix, flow_record
 from tsobs_ros.model.uncertainty import Uncertainty
+
+FORCE_SHARE = [name for name, *_ in native.bank_constants()].index("FORCE_SHARE")
+"""Place of the unknown torque's size among the constants of the bank."""
 
 PERIOD_TOLERANCE = 0.1
 """Steps within this fraction of the design's period count as regular samples.
@@ -35,9 +37,9 @@ For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes 
 class State:
     """All that an estimator remembers, or a batch of such states; it is not changed by a step.
 
-    The fields of core/estimator.h's state are attributes, and those of its sensors with an axis of
-    the outputs; of a batch with the batch's axis in front. Two states are equal if their
-    bytes are.
+    The fields of core/estimator.h's state are attributes, those of its sensors with an axis of the
+    outputs, and those of its likeliest hypothesis; of a batch with the batch's axis in front. Two
+    states are equal if their bytes are.
 
     Attributes:
         records: The records, shape (1,) for a single state.
@@ -54,7 +56,7 @@ class State:
     def __getattr__(self, name: str) -> Any:
         if name in State.__slots__:  # of a copy that is still being made
             raise AttributeError(name)
-        values = self._fields(self.records, name)[0]
+        values = self._field(name)
         return values.reshape(*self.batch, *values.shape[1:]) if self.batch else values[0]
 
     def __eq__(self, other: object) -> bool:
@@ -64,18 +66,16 @@ class State:
 
     __hash__ = None  # type: ignore[assignment]
 
-    def _fields(self, of_records: Record, name: str) -> list[Any]:
-        """Return a field of records and of their sensors, of the states in use."""
-        sensors = of_records["sensors"]
-        found = [
-            self.shape.trim(name, values[name]) if values is of_records else values[name]
-            for values in (of_records, sensors)
-            if name in (values.dtype.names or ())
-        ]
-        if not found:
-            fields = (*(of_records.dtype.names or ()), *(sensors.dtype.names or ()))
-            raise AttributeError(f"a state has no {name!r}; it has {fields}")
-        return found
+    def _field(self, name: str) -> Any:
+        """Return a field of the records, of their sensors or likeliest hypotheses, of states in use."""
+        of_all = self.records
+        best = of_all["hypotheses"][np.arange(len(of_all)), of_all["best"]]
+        parts = (of_all, of_all["sensors"], best)
+        for values in parts:
+            if name in (values.dtype.names or ()):
+                return self.shape.trim(name, values[name])
+        fields = [field for values in parts for field in values.dtype.names or ()]
+        raise AttributeError(f"a state has no {name!r}; it has {fields}")
 
     def copy(self) -> "State":
         """Return the same state with records of its own."""
@@ -118,12 +118,10 @@ class Readout(NamedTuple):
         disturbance_bound: 1σ bound of the disturbance [rad], likewise.
         parameters: Learnt changes θ of the model's parameters, shape (..., k).
         parameter_bound: 1σ of each, shape (..., k).
-        designed_disturbance: Output disturbance if all is as designed, whatever the hypothesis,
-            shape (..., p); of length zero if there is none.
-        designed_bound: 1σ bound of it, likewise.
         torque_disturbance: Unknown torques that the design has a model of [N m], shape (..., t).
         torque_disturbance_bound: 1σ bound of each [N m], likewise.
         basis: What the bounds rest on, a code of `Basis`.
+        claimed: Whether the bounds are claimed to hold.
         parameters_valid: Whether the motion was rich enough for them to count.
         noise_scale: Size of the sensor's noise relative to the design's, at least 1.
         coloured_power: Mean product of neighbouring innovations relative to their expected power.
@@ -138,11 +136,10 @@ class Readout(NamedTuple):
     disturbance_bound: Array
     parameters: Array
     parameter_bound: Array
-    designed_disturbance: Array
-    designed_bound: Array
     torque_disturbance: Array
     torque_disturbance_bound: Array
     basis: Any
+    claimed: Any
     parameters_valid: Any
     noise_scale: Any
     coloured_power: Any
@@ -292,7 +289,7 @@ class Estimator:
         }
         for name in self.lacking:
             values[name] = np.zeros((*state.batch, 0))
-        for name, kind in zip(CONDITIONS, (int, bool, float, float, int, int), strict=True):
+        for name, kind in zip(CONDITIONS, (int, bool, bool, float, float, int, int), strict=True):
             values[name] = values[name].astype(kind) if state.batch else kind(values[name])
         return Readout(**values)
 
@@ -340,7 +337,10 @@ class Estimator:
         return Readout(
             **{name: rows[..., part] for name, part in self.row_parts.items()},
             **{name: rows[..., at - len(CONDITIONS)] for at, name in enumerate(CONDITIONS)},
-        )._replace(parameters_valid=rows[..., 1 - len(CONDITIONS)] != 0.0)
+        )._replace(
+            claimed=rows[..., 1 - len(CONDITIONS)] != 0.0,
+            parameters_valid=rows[..., 2 - len(CONDITIONS)] != 0.0,
+        )
 
     def _rows_layout(self) -> tuple[dict[str, slice], int]:
         """Return where the numbers of a readout are in a row of `steps.write_row`, and its width.
@@ -357,8 +357,6 @@ class Estimator:
             ("disturbance_bound", shape.p),
             ("parameters", shape.k),
             ("parameter_bound", shape.k),
-            ("designed_disturbance", shape.p),
-            ("designed_bound", shape.p),
             ("torque_disturbance", shape.t),
             ("torque_disturbance_bound", shape.t),
         ):
@@ -371,18 +369,19 @@ class Estimator:
         """The fields of a readout that this estimator has nothing for."""
         lacking: tuple[str, ...] = ()
         if not self.bounded:
-            lacking = ("state_bound", "disturbance_bound", "disturbance_rate", "designed_bound")
-        return lacking if self.disturbed else (*lacking, "disturbance", "designed_disturbance")
+            lacking = ("state_bound", "disturbance_bound", "disturbance_rate")
+        return lacking if self.disturbed else (*lacking, "disturbance")
 
     def events(self, state: State) -> dict[str, int]:
-        """Return the numbers of outliers, jumps, losses and restarts of the adaptation so far."""
+        """Return how often what was found so far."""
         if not self.supervised:
             return {}
         return {
-            "outliers downweighted": int(state.outliers),
+            "outliers left out": int(state.outliers),
             "sensor jumps": int(state.jumps),
+            "hits": int(state.hits),
+            "torque steps not made": int(state.wrong_torques),
             "losses of track": int(state.losses),
-            "learning restarts": int(state.adaptation_resets),
         }
 
 
@@ -398,6 +397,7 @@ def certified_estimator(
     uncertainty: Uncertainty | None = None,
     adaptation: AdaptationOptions | None = None,
     covered: bool = False,
+    domain: Array | None = None,
 ) -> Estimator:
     """Return the estimator with a certified gain.
 
@@ -414,6 +414,8 @@ def certified_estimator(
         adaptation: How fast.
         covered: Whether the certificate holds for every θ within the bounds; if not, no bound
             that depends on θ is called certified.
+        domain: 1σ of the plant's states where nothing is known of them, in physical units, shape
+            (plant,); at least the initial one.
 
     Raises:
         ModelError: A matrix has the wrong shape, a number is negative, there is a torque rate for
@@ -422,31 +424,17 @@ def certified_estimator(
     n, p = flow.state_count, flow.output_matrix.shape[0]
     R = as_matrix("R", measurement_covariance, (p, p))
     k = 0 if uncertainty is None else uncertainty.count
-    gap_flow = None
-    if non_negative("torque_rate", torque_rate):
-        if not isinstance(flow, ArmFlow):
-            raise ModelError(
-                f"torque_rate: expected 0 for any system but an arm, got {torque_rate!r}"
-            )
-        gap_flow = GapFlow(flow, torque_rate)
+    is_arm = isinstance(flow, ArmFlow)
+    if non_negative("torque_rate", torque_rate) and not is_arm:
+        raise ModelError(f"torque_rate: expected 0 for any system but an arm, got {torque_rate!r}")
     scale = flow.to_physical(np.ones(n))
-    wide = 0 if gap_flow is None else gap_flow.state_count
-    shape = Shape(n, len(scale), p, flow.input_count, k, wide, len(flow.torque_map))
-    bank: list[Alternative | None] = []
-    if isinstance(flow, ArmFlow):
-        bank = alternatives(flow, np.diag(R).copy())
-    model = records.new_model(
-        shape,
-        flow.period,
-        flow_record(flow, uncertainty),
-        None if gap_flow is None else flow_record(gap_flow, uncertainty),
-        [None if each is None else flow_record(each.flow, uncertainty) for each in bank],
-    )
+    shape = Shape(n, len(scale), p, flow.input_count, k, len(flow.torque_map))
+    model = records.new_model(shape, flow.period, flow_record(flow, uncertainty), auxiliary=True)
     one = model[0]
-    if gap_flow is not None:
-        one["rate_variance"] = gap_flow.rate_variance
-    if bank:
-        enter_alternatives(one, bank)
+    one["torque_rate"] = torque_rate
+    if isinstance(flow, ArmFlow):
+        share = one["constants"][FORCE_SHARE]
+        one["force"] = share * flow.arm.reference_torque
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period
     one["longest"] = (1.0 + PERIOD_TOLERANCE) * flow.period
     fill_matrix(one["disturbed"], flow.disturbance.H.any(axis=1))
@@ -459,8 +447,13 @@ def certified_estimator(
     ):
         fill_matrix(one[name], matrix)
     initial = as_matrix("initial covariance", initial_covariance, (n, n))
-    fill_matrix(one["initial"]["covariance"], initial)
-    one["initial"]["settling"] = non_negative("settle_time", settle_time)
+    designed = one["initial"]["hypotheses"][0]
+    fill_matrix(designed["covariance"], initial)
+    designed["settling"] = non_negative("settle_time", settle_time)
+    count = len(scale)
+    one["domain"] = np.sqrt(np.diag(initial)[:count])
+    if domain is not None:
+        one["domain"] = np.maximum(one["domain"], domain / np.abs(scale))
     gain = certified._replace(
         K=as_matrix("K", certified.K, (n, p)), X=as_matrix("X", certified.X, (n, n))
     )

@@ -113,6 +113,10 @@ BOUNDS: Mapping[Basis, tuple[Level, str]] = {
         Level.OK,
         "the bound holds: it is certified but for the uncertainty of the learnt parameters",
     ),
+    Basis.COVARIANCE: (
+        Level.OK,
+        "the bound is the covariance along the estimate, not certified: other rates, missing samples",
+    ),
     Basis.STARTING: (
         Level.OK,
         "the bound is not certified yet: the estimate settles after a start",
@@ -143,11 +147,6 @@ LEARNINGS: Mapping[Learning, tuple[Level, str]] = {
     Learning.NONE: (Level.OK, "nothing is learnt"),
     Learning.STARTING: (Level.OK, "learning waits until the estimate has settled"),
     Learning.ACTIVE: (Level.OK, "the parameters are being learnt"),
-    Learning.AFTER_JUMP: (Level.OK, "learning rests: the sensor has jumped"),
-    Learning.STRAINED: (
-        Level.WARN,
-        "learning rests: the arm differs from its model in other ways than in the parameters",
-    ),
 }
 """How bad it is that the learning does something, and what it means."""
 
@@ -155,13 +154,17 @@ HYPOTHESES: Mapping[Hypothesis, tuple[Level, str]] = {
     Hypothesis.AS_DESIGNED: (Level.OK, "arm and sensor behave as designed"),
     Hypothesis.FORCE: (
         Level.WARN,
-        "the arm is pushed by something the model lacks: friction, a payload? Damping among the "
-        "design's uncertain parameters, or in the arm's, may explain it",
+        "the arm is pushed by something the model lacks: friction, contact, a payload? A "
+        "torque_disturbance in the design, or damping among its uncertain parameters, may explain it",
     ),
-    Hypothesis.STRONG_FORCE: (
+    Hypothesis.IMPERFECT: (
         Level.WARN,
-        "the arm is pushed hard by something the model lacks: strong friction, a payload? Damping "
-        "and inertia among the design's uncertain parameters may explain it",
+        "the arm moves in ways that the model lacks: its parameters are wrong, or process_noise in "
+        "the design is too small",
+    ),
+    Hypothesis.LOUD: (
+        Level.WARN,
+        "the sensor is much noisier than designed: a larger measurement_std would expect that",
     ),
     Hypothesis.COLOURED_NOISE: (
         Level.WARN,
@@ -170,8 +173,12 @@ HYPOTHESES: Mapping[Hypothesis, tuple[Level, str]] = {
     ),
     Hypothesis.DRIFT: (
         Level.WARN,
-        "the sensor's disturbance moves faster than designed: a larger density in the design would "
-        "follow it",
+        "the sensor moves away, or is wrong for a while: a larger density of its disturbance in the "
+        "design would follow it",
+    ),
+    Hypothesis.TONE: (
+        Level.WARN,
+        "the sensor oscillates: a sinusoid among the design's disturbances would estimate it",
     ),
 }
 """How bad it is that arm and sensor are taken for something, and what it means."""

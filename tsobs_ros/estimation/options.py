@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from tsobs_ros.checks import Array, check_each, non_negative, positive
-from tsobs_ros.core import native
-from tsobs_ros.errors import ModelError
 
 TORQUE_RATE = 1.0
 """Default 1σ of an arm's torque rate in a gap [N m/s]."""
@@ -69,7 +67,8 @@ class AdaptationOptions:
     """How fast parameters are learnt, and when they count as known.
 
     Attributes:
-        initial_std: 1σ of each θ before any measurement; caps the gain ever after.
+        initial_std: 1σ of each θ before any measurement, that of an even draw from its range if
+            None; caps the gain ever after.
         random_walk_density: Growth of each θ's variance, which keeps the gain alive [1/s].
         start: Adaptation begins so long after a (re)start [s], when the innovations are not
             one-sided any more.
@@ -81,7 +80,7 @@ class AdaptationOptions:
         excitation: Smallest eigenvalue of the excitation from which θ counts as valid.
     """
 
-    initial_std: float = 0.1
+    initial_std: float | None = None
     random_walk_density: float = 1e-6
     start: float = 2.0
     significance: float = 25.0
@@ -90,61 +89,29 @@ class AdaptationOptions:
     excitation: float = 400.0
 
     def __post_init__(self) -> None:
-        check_each(positive, self, "initial_std", "memory", prefix="adaptation ")
+        named = ("memory",) if self.initial_std is None else ("initial_std", "memory")
+        check_each(positive, self, *named, prefix="adaptation ")
         others = ("random_walk_density", "start", "significance", "pass_time", "excitation")
         check_each(non_negative, self, *others, prefix="adaptation ")
 
 
 @dataclass(frozen=True)
 class SupervisionOptions:
-    """When to react, and how strongly; the defaults are for 200 Hz.
+    """When samples are not used.
 
     Attributes:
-        gate: An innovation of r > gate σ counts by (gate/r)². σ is the design's, times the noise's
-            scale.
-        reject: Innovations beyond so many σ are not used at all.
-        jump_std: 1σ by which the disturbance's uncertainty grows after a jump [rad]; 0 switches
-            jumps off.
-        jump_duration: Riccati gains are used for at least so long after a jump [s].
-        jump_quiet: No jump is looked for so soon after a start [s], when innovations are one-sided.
-        jump_budget: Largest number of jumps in `jump_budget_window`: under a wrong model every
-            innovation leans, and unbudgeted reactions make the error worse.
-        jump_budget_window: [s].
-        lost: Half-second average of |r| beyond which the estimate is given up.
+        gate: An innovation is an outlier's if its likelihood is less than that of so many σ as
+            designed; σ is times the noise's scale.
         stuck_samples: From so many repetitions of the very same value on that count, see
             core/repeats.h, samples of the sensor are not used; 0: never.
         disturbance_limit: The estimated disturbance is kept within so much [rad]; beyond π the arm
             and its sensor turned together look the same.
-        strain: Innovations that contradict the model by a coloured power above 1, or a parameter
-            at its limit, for so long start learning over [s].
-        relearn_budget: After so many times learning rests, and the parameters are nominal.
-        relearn_time: One of these comes back in so long, and learning with it [s].
     """
 
     gate: float = 5.0
-    reject: float = 50.0
-    jump_std: float = 0.05
-    jump_duration: float = 0.5
-    jump_quiet: float = 2.5
-    jump_budget: int = 8
-    jump_budget_window: float = 20.0
-    lost: float = 6.0
-    stuck_samples: int = 10
+    stuck_samples: int = 20
     disturbance_limit: float = math.pi
-    strain: float = 1.0
-    relearn_budget: int = 4
-    relearn_time: float = 20.0
 
     def __post_init__(self) -> None:
-        limits = ("gate", "lost", "disturbance_limit", "strain", "relearn_time")
-        check_each(positive, self, *limits)
-        jumps = ("jump_std", "jump_duration", "jump_quiet", "jump_budget", "jump_budget_window")
-        check_each(non_negative, self, *jumps, "stuck_samples", "relearn_budget")
-        if self.jump_budget > native.MAX_JUMP_BUDGET:
-            raise ModelError(
-                f"jump_budget: expected at most {native.MAX_JUMP_BUDGET}, got {self.jump_budget!r}"
-            )
-        if not self.reject >= self.gate:
-            raise ModelError(
-                f"reject: expected at least the gate {self.gate!r}, got {self.reject!r}"
-            )
+        check_each(positive, self, "gate", "disturbance_limit")
+        check_each(non_negative, self, "stuck_samples")

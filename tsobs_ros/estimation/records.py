@@ -49,10 +49,11 @@ class Basis(enum.IntEnum):
         CERTIFIED: The certificate, times the noise's scale.
         LEARNT: The same for the estimate's own error, which the certificate covers, and the learnt
             parameters' uncertainty, which it does not.
-        STARTING: The covariance along the estimate, after a start.
+        COVARIANCE: The covariance along the estimate.
+        STARTING: The same, after a start.
         GAP: The same, after a gap in measurements or torque.
         JUMP: The same, after a jump of the sensor.
-        TORQUE: The same, after a doubtful step of the torque.
+        TORQUE: The same, after a step of the torque that the arm may not have got.
         CONTRADICTED: Nothing: the innovations contradict what the bounds assume.
         HYPOTHESIS: The covariance of another hypothesis about the arm or its sensor.
         OUTSIDE: Nothing: the link angle is outside of the certificate's domain.
@@ -60,13 +61,14 @@ class Basis(enum.IntEnum):
 
     CERTIFIED = 0
     LEARNT = 1
-    STARTING = 2
-    GAP = 3
-    JUMP = 4
-    TORQUE = 5
-    CONTRADICTED = 6
-    HYPOTHESIS = 7
-    OUTSIDE = 8
+    COVARIANCE = 2
+    STARTING = 3
+    GAP = 4
+    JUMP = 5
+    TORQUE = 6
+    CONTRADICTED = 7
+    HYPOTHESIS = 8
+    OUTSIDE = 9
 
 
 class Learning(enum.IntEnum):
@@ -76,15 +78,11 @@ class Learning(enum.IntEnum):
         NONE: There is nothing to learn.
         STARTING: It waits until the estimate has settled after a start.
         ACTIVE: It goes on.
-        AFTER_JUMP: It rests after a jump of the sensor.
-        STRAINED: It rests as the model is wrong in other ways than in the parameters.
     """
 
     NONE = 0
     STARTING = 1
     ACTIVE = 2
-    AFTER_JUMP = 3
-    STRAINED = 4
 
 
 class Hypothesis(enum.IntEnum):
@@ -92,17 +90,21 @@ class Hypothesis(enum.IntEnum):
 
     Attributes:
         AS_DESIGNED: What the design says.
-        FORCE: An arm that is pushed by an unknown force, about a hundredth of its weight.
-        STRONG_FORCE: One that is pushed five times as hard.
+        FORCE: An arm whose motor has an unknown torque, of a hundredth of its weight and more.
+        IMPERFECT: An arm that moves in other ways than the model.
+        LOUD: A sensor with white noise that is larger than designed.
         COLOURED_NOISE: A sensor with noise that is alike from sample to sample.
-        DRIFT: A sensor with a disturbance that moves faster than designed.
+        DRIFT: A sensor that moves away, or is wrong for a while.
+        TONE: A sensor that oscillates.
     """
 
     AS_DESIGNED = 0
     FORCE = 1
-    STRONG_FORCE = 2
-    COLOURED_NOISE = 3
-    DRIFT = 4
+    IMPERFECT = 2
+    LOUD = 3
+    COLOURED_NOISE = 4
+    DRIFT = 5
+    TONE = 6
 
 
 class Innovation(NamedTuple):
@@ -131,13 +133,11 @@ class Estimate(NamedTuple):
         disturbance_bound: 1σ bound of the disturbance, shape (p,).
         parameters: Estimated changes θ of the model's parameters, shape (k,).
         parameter_bound: 1σ of each, shape (k,).
-        designed_disturbance: Disturbance if all is as designed, whatever the hypothesis: what
-            faults are judged by, shape (p,).
-        designed_bound: 1σ bound of it, shape (p,).
         torque_disturbance: Unknown torques that the design has a model of, the motor's before the
             link's [N m], shape (t,).
         torque_disturbance_bound: 1σ bound of each [N m], shape (t,).
         basis: What the bounds rest on.
+        claimed: Whether the bounds are claimed to hold.
         parameters_valid: Whether the motion was rich enough for them to count.
         noise_scale: Size of the sensor's noise relative to the design's, at least 1; of several
             outputs the largest.
@@ -157,11 +157,10 @@ class Estimate(NamedTuple):
     disturbance_bound: Array
     parameters: Array
     parameter_bound: Array
-    designed_disturbance: Array
-    designed_bound: Array
     torque_disturbance: Array
     torque_disturbance_bound: Array
     basis: Basis
+    claimed: bool
     parameters_valid: bool
     noise_scale: float
     coloured_power: float

@@ -9,7 +9,6 @@ inputs m and parameters k. Flags are integers, 0 or 1.
 """
 
 import math
-from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -32,6 +31,7 @@ from tsobs_ros.model.prediction import FlowSizes, Record, fill_matrix, flow_type
 
 CONDITIONS = (
     "basis",
+    "claimed",
     "parameters_valid",
     "noise_scale",
     "coloured_power",
@@ -39,9 +39,6 @@ CONDITIONS = (
     "hypothesis",
 )
 """Fields of a readout that say what its numbers are worth, in the order of a row."""
-
-_ANGLE_STD = 0.028
-"""1σ of the angle's noise that the default of `jump_std` is for [rad]."""
 
 
 class Shape(NamedTuple):
@@ -53,7 +50,6 @@ class Shape(NamedTuple):
         p: Number of outputs.
         m: Number of inputs and scheduled signals.
         k: Number of learnt parameters.
-        gap: Number of augmented states in a gap, 0 if the torque is held there.
         t: Number of torques that are estimated.
     """
 
@@ -62,13 +58,12 @@ class Shape(NamedTuple):
     p: int
     m: int
     k: int = 0
-    gap: int = 0
     t: int = 0
 
     def trim(self, name: str, values: Any) -> Any:
         """Return a field's numbers, shape (records, ...), of the n states only.
 
-        Behind them there may be room for those in a gap, or of an alternative.
+        Behind them there is room for auxiliary ones.
         """
         return values[(slice(None), *map(slice, self._wide.get(name, ())))]
 
@@ -76,7 +71,7 @@ class Shape(NamedTuple):
     def _wide(self) -> dict[str, tuple[int, ...]]:
         n = self.n
         square = dict.fromkeys(("covariance", "X", "P", "posterior"), (n, n))
-        return {"x": (n,), "response": (n,), "upsilon": (self.k, n), "gain": (n, self.p), **square}
+        return {"x": (n,), "upsilon": (self.k, n), "gain": (n, self.p), **square}
 
 
 class Sizes(NamedTuple):
@@ -84,18 +79,15 @@ class Sizes(NamedTuple):
 
     Attributes:
         n: See `Shape`.
-        width: The most states of n, of a gap and of the alternatives.
+        width: These states and the auxiliary ones.
         plant: See `Shape`.
         p: See `Shape`.
         m: See `Shape`.
         k: See `Shape`.
-        n_gap: Number of augmented states in a gap.
         t: See `Shape`.
-        bank: Number of alternatives.
-        flow_size: Length of the record of the design's flow.
-        gap_size: Of the flow in a gap.
-        bank_size: Of the longest flow of an alternative.
-        scratch: Numbers of scratch that their steps need.
+        hypotheses: Number of hypotheses.
+        flow_size: Length of the record of the flow.
+        scratch: Numbers of scratch that its steps need.
     """
 
     n: int
@@ -104,12 +96,9 @@ class Sizes(NamedTuple):
     p: int
     m: int
     k: int
-    n_gap: int
     t: int
-    bank: int
+    hypotheses: int
     flow_size: int
-    gap_size: int
-    bank_size: int
     scratch: int
 
 
@@ -127,85 +116,57 @@ class Types(NamedTuple):
 def types_of(sizes: Sizes) -> Types:
     """Return the types of an estimator's records; flows of a model are plain numbers."""
     layouts = native.estimator_layouts(*sizes)
-    plain = {name: record_type(layouts[name]) for name in ("sensor", "alternative")}
+    plain = {name: record_type(layouts[name]) for name in ("sensor", "hypothesis")}
     state = record_type(
-        layouts["state"], {"sensors": plain["sensor"], "alternatives": plain["alternative"]}
+        layouts["state"], {"sensors": plain["sensor"], "hypotheses": plain["hypothesis"]}
     )
     others = {name: record_type(layouts[name]) for name in ("correction", "readout", "work")}
-    alternatives = record_type(layouts["alternative_model"])
-    model = record_type(layouts["model"], {"initial": state, "alternatives": alternatives})
-    return Types(state=state, **others, model=model)
+    return Types(state=state, **others, model=record_type(layouts["model"], {"initial": state}))
 
 
 def types_of_model(model: Record) -> Types:
     """Return the types of the records that belong to a model record."""
-    return types_of(Sizes(*(int(model[name][0]) for name in Sizes._fields)))
+    numbers = model.view(np.int64)[: len(Sizes._fields)].tolist()
+    return types_of(Sizes(*numbers))
 
 
-def new_model(
-    shape: Shape,
-    period: float,
-    flow: Record,
-    gap: Record | None = None,
-    bank: Sequence[Record | None] = (),
-) -> Record:
-    """Return a model record with sizes, flows and a period, whose other numbers are zero.
+def new_model(shape: Shape, period: float, flow: Record, *, auxiliary: bool = False) -> Record:
+    """Return a model record with sizes, flow and a period, whose other numbers are zero.
 
     Args:
         shape: Sizes of the estimator.
         period: Nominal sampling period [s].
-        flow: The design's prediction model, a record, shape (1,).
-        gap: The same in a gap; None if the torque is held there.
-        bank: Those of the alternatives, in the order of `Hypothesis`, None for those that have no
-            use; empty if there are none.
+        flow: The prediction model, a record, shape (1,).
+        auxiliary: Whether there are states of an unknown torque and of parts of the outputs, and
+            other hypotheses than the design.
 
     Returns:
         The model record, shape (1,).
     """
-    flows = [flow] if gap is None else [flow, gap]
-    flows += [each for each in bank if each is not None]
-    counts = [int(each["n"][0]) for each in flows]
-    scratch = [
-        native.flow_scratch_size(*(int(each[name][0]) for name in FlowSizes._fields))
-        for each in flows
-    ]
-    lengths = [each.dtype.itemsize // 8 for each in flows]
-    known = 1 if gap is None else 2
     sizes = Sizes(
         n=shape.n,
-        width=max(counts),
+        width=shape.n + (1 + max(2, shape.p) if auxiliary else 0),
         plant=shape.plant,
         p=shape.p,
         m=shape.m,
         k=shape.k,
-        n_gap=shape.gap,
         t=shape.t,
-        bank=native.ALTERNATIVES if bank else 0,
-        flow_size=lengths[0],
-        gap_size=sum(lengths[1:known]),
-        bank_size=max(lengths[known:], default=0),
-        scratch=max(scratch),
+        hypotheses=native.HYPOTHESES if auxiliary else 1,
+        flow_size=flow.dtype.itemsize // 8,
+        scratch=native.flow_scratch_size(*(int(flow[name][0]) for name in FlowSizes._fields)),
     )
     model = np.zeros(1, types_of(sizes).model)
-    for name, size in sizes._asdict().items():
-        model[name] = size
+    model.view(np.int64)[: len(sizes)] = sizes
     model["flow"][0] = flow.view(np.float64)
-    if gap is not None:
-        model["gap"][0] = gap.view(np.float64)
-    for place, each in enumerate(bank):
-        if each is not None:
-            model["alternatives"]["flow"][0, place, : each.dtype.itemsize // 8] = each.view(
-                np.float64
-            )
     model["period"] = period
-    model["initial"]["cause"] = Basis.STARTING
-    sensors = model["initial"]["sensors"]
-    sensors["value"] = np.nan
-    for name in ("nis", "magnitude", "noise_scale"):
-        sensors[name] = 1.0
-    for name in ("nis", "noise_scale"):
-        model["initial"][name] = 1.0
-    model["initial"]["torque_age"] = model["initial"]["step_age"] = np.inf
+    model["constants"] = [value for _, value, _ in native.bank_constants()]
+    initial = model["initial"]
+    initial["sensors"]["value"] = np.nan
+    initial["sensors"]["noise_scale"] = initial["noise_scale"] = 1.0
+    initial["torque_age"] = np.inf
+    designed = initial["hypotheses"][:, 0]
+    designed["live"], designed["cause"] = 1, Basis.STARTING
+    designed["inlier"] = designed["nis"] = 1.0
     return model
 
 
@@ -245,20 +206,18 @@ def enter_adaptation(model: Any, limits: Array, options: AdaptationOptions, cove
     """Enter what is learnt, and how fast, into one model record."""
     fill_matrix(model["limits"], limits)
     model["covered"] = covered
-    model["theta_variance"] = options.initial_std * options.initial_std
-    model["motion_share"] = 1.0 - native.exponential(-0.5 * float(model["period"]))
-    model["significance"] = options.significance
-    model["pass_time"], model["pass_reach"] = options.pass_time, 0.5
+    std = limits / math.sqrt(3.0) if options.initial_std is None else options.initial_std
+    model["theta_deviation"] = std
+    model["significance"], model["pass_time"] = options.significance, options.pass_time
     model["random_walk"] = options.random_walk_density
     model["adaptation_start"], model["memory"] = options.start, options.memory
     model["excitation"] = options.excitation
-    gamma = np.eye(len(limits)) * model["theta_variance"]
-    fill_matrix(model["initial"]["gamma"], gamma)
-    model["initial"]["gamma_before"] = gamma.ravel()
+    designed = model["initial"]["hypotheses"][0]
+    fill_matrix(designed["gamma"], np.diag(model["theta_deviation"] ** 2))
 
 
 def enter_supervision(model: Any, options: SupervisionOptions) -> None:
-    """Enter when to react, and how strongly, into one model record."""
+    """Enter which samples are not used into one model record."""
     flow = _flow_of(model)
     is_arm = flow["kind"] == native.KIND_ARM
     for name, value in vars(options).items():
@@ -267,18 +226,13 @@ def enter_supervision(model: Any, options: SupervisionOptions) -> None:
     for i in range(int(model["p"])):
         row = model["C"][i]
         if not (is_arm and (row[LINK_ANGLE] or row[MOTOR_ANGLE])):
-            # The options are for angles; another output has a unit of its own.
-            model["jump_std"][i] *= math.sqrt(model["R"][i, i]) / _ANGLE_STD
+            # The limit is for angles; another output has a unit of its own.
             model["disturbance_limit"][i] = math.inf
     if is_arm:
         # The step of the torque whose effect over a sample is a third of the certified bound.
         n = int(model["n"])
         effect = congruent(flow["gamma"][:n, :1].T, model["P"][:n, :n]).item()
         model["torque_doubt"] = 1.0 / (3.0 * math.sqrt(effect)) if effect > 0.0 else 0.0
-    # Shares of a sample in the averages over one second, and over half a second.
-    period = float(model["period"])
-    model["second_share"] = 1.0 - native.exponential(-period)
-    model["magnitude_share"] = 1.0 - native.exponential(-2.0 * period)
 
 
 def _flow_of(model: Any) -> Any:

@@ -310,12 +310,11 @@ class Tracker:
         row = np.empty(self.history.row_width)
         if not self.history.estimate_at(stamp, row):
             return None
-        basis, valid, scale, coloured, learning, hypothesis, in_domain, age = row[
+        basis, claimed, valid, scale, coloured, learning, hypothesis, in_domain, age = row[
             -len(CONDITIONS) - EXTRA :
         ].tolist()
         numbers = [row[part] for part in self.estimator.row_parts.values()]
-        x, bound, omega, rate, omega_bound, theta, theta_bound, designed = numbers[:8]
-        designed_bound, torque, torque_bound = numbers[8:]
+        x, bound, omega, rate, omega_bound, theta, theta_bound, torque, torque_bound = numbers
         # Arguments by name would take a tenth of a tick.
         return Estimate(
             stamp,
@@ -326,11 +325,10 @@ class Tracker:
             omega_bound,
             theta,
             theta_bound,
-            designed,
-            designed_bound,
             torque,
             torque_bound,
             _BASES[int(basis)],
+            claimed != 0.0,
             valid != 0.0,
             scale,
             coloured,

@@ -26,6 +26,7 @@ from tsobs_ros.replay.thinning import ThinnedValues
 _BOUNDS = {
     Basis.CERTIFIED: "certified",
     Basis.LEARNT: "certified but for the learnt parameters",
+    Basis.COVARIANCE: "along the estimate",
     Basis.STARTING: "settling after a start",
     Basis.GAP: "past the newest sample's interval, or after a rejected one",
     Basis.JUMP: "after a jump",

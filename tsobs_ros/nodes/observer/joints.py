@@ -201,9 +201,9 @@ class ObservedJoint:
             self.latest = estimate
             self.torque_news = self.torques.update(estimate)
             # Another hypothesis may take a fault of the sensor for something else.
-            disturbance = estimate.designed_disturbance
+            disturbance = estimate.disturbance
             if disturbance.size:
-                bound = estimate.designed_bound
+                bound = estimate.disturbance_bound
                 if not bound.size:
                     bound = self._open
                 if add_estimates(self.watches, now, disturbance, bound):
