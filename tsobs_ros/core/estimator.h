@@ -61,7 +61,9 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
 #define BANK_CONSTANTS(C)                                                                      \
     C(FLOOR, 12.0, "how far a standing hypothesis may fall behind the best [nat]")             \
     C(OCCAM, 2.5, "by how much another one has to be better than the design [nat]")            \
-    C(FORK_PRICE, 10.0, "prior of a jump, a hit or a lost arm at an outlier [nat]")            \
+    C(OUTLIER_PRICE, 7.0, "how unlikely an outlier is, by the likeliest sample [nat]")          \
+    C(FORK_PRICE, 10.0, "prior of a jump or a hit at an outlier [nat]")                        \
+    C(LOST_PRICE, 14.0, "prior of an arm that is elsewhere at an outlier [nat]")               \
     C(TORQUE_PRICE, 2.2, "prior of a torque step that the arm did not get [nat]")              \
     C(TRIAL, 1.0, "age at which the best fork takes its parent's place [s]")                   \
     C(LIFE, 3.0, "age to which other forks live [s]")                                          \
