@@ -190,10 +190,7 @@ static void renew(const model *m, state *at, long kind)
     }
     switch (kind) {
     case COLOURED_NOISE:
-        variance = std * std;
-        break;
-    case DRIFT:
-        variance = std * std * m->constants[DRIFT_SIZE] * m->constants[DRIFT_SIZE];
+        variance = std * std * m->constants[COLOUR_SIZE] * m->constants[COLOUR_SIZE];
         break;
     case TONE:
         variance = size * size;

@@ -28,7 +28,7 @@
 /* How often parameters are learnt again along better regressors, and from which distance on, by
  * their 1 sigma. */
 #define PASSES 4
-#define PASS_REACH 0.5
+#define PASS_REACH 0.2
 
 long states_in_use(const model *m, const hypothesis *h)
 {
@@ -498,7 +498,7 @@ static own_motion own_motion_of(
     switch (*h->kind) {
     case COLOURED_NOISE:
         time = constants[COLOUR_TIME];
-        size = std;
+        size = constants[COLOUR_SIZE] * std;
         break;
     case DRIFT:
         time = constants[DRIFT_TIME];
