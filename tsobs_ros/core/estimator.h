@@ -85,7 +85,7 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
     C(POWER_TIME, 5.0, "time constant of their power [s]")                                     \
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
     C(CURVED, 0.3, "share of a learnt distance by which regressors are wrong")                 \
-    C(QUIET, 0.35, "slow power that white noise leaves, by that of all innovations")           \
+    C(QUIET, 0.28, "slow power that white noise leaves, by that of all innovations")           \
     C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
 
 #define BANK_CONSTANT_NAME(name, value, what) name,
