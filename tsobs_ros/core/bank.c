@@ -91,6 +91,20 @@ int state_is_sound(const model *m, const state *at)
     return hypothesis_of(m, at, *at->best).live[0] != 0;
 }
 
+void copy_state(const model *m, const double *from, double *to)
+{
+    const size_t all = (size_t)m->s.hypotheses, size = hypothesis_size(&m->s);
+    const size_t first = state_size(&m->s) - all * size;
+    memcpy(to, from, first * sizeof *to);
+    for (size_t at = first; at < first + all * size; at += size) {
+        if (*(const int64_t *)(const void *)(from + at) != 0) { /* live */
+            memcpy(to + at, from + at, size * sizeof *to);
+        } else if (*(const int64_t *)(const void *)(to + at) != 0) {
+            memset(to + at, 0, size * sizeof *to);
+        }
+    }
+}
+
 /* --- torques --- */
 
 void take_torque(const model *m, state *at, const double *u)
@@ -159,6 +173,12 @@ static void copy_hypothesis(const model *m, state *at, long from, long to)
             numbers_of(m, at, to), numbers_of(m, at, from),
             hypothesis_size(&m->s) * sizeof(double));
     }
+}
+
+/* Consider a hypothesis no longer. */
+static void drop(const model *m, state *at, long place)
+{
+    memset(numbers_of(m, at, place), 0, hypothesis_size(&m->s) * sizeof(double));
 }
 
 /* Begin a standing hypothesis from the best one. */
@@ -468,7 +488,7 @@ static void suppose(
     *h.score = score - likelihood + correct_by(m, at, &h, output, 0, effect);
     *h.corrected = 1;
     if (!isfinite(*h.score)) {
-        *h.live = 0;
+        drop(m, at, place);
     }
 }
 
@@ -523,12 +543,12 @@ static void select_forks(const model *m, state *at)
                 count_event(at, *h.fork);
                 *h.fork = NO_FORK;
                 copy_hypothesis(m, at, i, kind);
-                *h.live = 0;
+                drop(m, at, i);
                 *at->best = kind;
             }
         } else if (*h.score < -m->constants[FLOOR]
                    || (*h.age > m->constants[LIFE] && *h.score < -m->constants[OCCAM])) {
-            *h.live = 0;
+            drop(m, at, i);
         }
     }
 }
@@ -581,9 +601,10 @@ static void rest(const model *m, state *at, int signs)
     }
     if (alone && *at->awake <= 0.0) {
         for (long i = 1; i < m->s.hypotheses; i++) {
-            *hypothesis_of(m, at, i).live = 0;
+            if (*hypothesis_of(m, at, i).live != 0) {
+                drop(m, at, i);
+            }
         }
-        *hypothesis_of(m, at, TONE).frequency = 0.0;
         for (long i = 0; i < m->s.p; i++) {
             memset(sensor_of(m, at, i).tones, 0, 2 * TONES * sizeof(double));
         }
