@@ -17,6 +17,7 @@ from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status
 from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis, Learning
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
+from tsobs_ros.nodes.observer.rejections import WRONG
 from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
 from tsobs_ros.nodes.observer.torques import TorqueWatch
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
@@ -116,14 +117,15 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
 def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -> None:
     joints = joints_of(joints=("hip", "knee"), joint_designs=(FIXED, ""))
     feed(joints, 20)
-    joints[1].reject(1)
+    joints[1].reject([WRONG])
     offer(joints[1], BEGIN + 19 * PERIOD)
     now = feed(joints[:1], 1200, first=20)
     found, parts = statuses(joints, now)
-    assert (parts["hip"]["state"].message, parts["knee"]["state"].message) == ("TRACKING", "STALE")
-    assert found["state"][1:3] == (Level.ERROR, "STALE")
+    stale = "STALE: all that comes is rejected, most: wrong joint or shape"
+    assert (parts["hip"]["state"].message, parts["knee"]["state"].message) == ("TRACKING", stale)
+    assert found["state"][1:3] == (Level.ERROR, stale)
     assert found["joints"][1:] == (
-        Level.ERROR, "knee: state: STALE", {"hip": "OK", "knee": "ERROR"}
+        Level.ERROR, f"knee: state: {stale}", {"hip": "OK", "knee": "ERROR"}
     )  # fmt: skip
     counts = [
         {key: int(value) for key, value in own["measurements"].values.items()}
@@ -154,12 +156,12 @@ def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
     joint.received += 36_000 * 200  # ten good hours, which would take too long here
     assert statuses(joints, now)[0]["measurements"].level == Level.OK
     joint.received += 100
-    joint.reject(4)
+    joint.reject([WRONG] * 4)
     for _ in range(8):
         offer(joint, now)
     for after, level, message in (
         (1, Level.WARN, "11 % of the last minute rejected, most: duplicate stamp"),
-        (60, Level.WARN, "11 % of the last minute rejected, most: duplicate stamp"),
+        (60, Level.WARN, "11 % of the last minute rejected, most: duplicate stamp, none now"),
         (61, Level.OK, "none rejected in the last minute"),
     ):
         status = statuses(joints, now, steady=hours + after * NANOSECONDS)[0]["measurements"]
