@@ -171,6 +171,40 @@ def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
 
 
 @pytest.mark.parametrize(
+    ("rate", "text"),
+    [
+        (100.0, "at 100 Hz, the design is for 200 Hz: the bound may never be certified"),
+        (195.0, "at 195 Hz, the design is for 200 Hz: the bound may never be certified"),
+        (400.0, "at 400 Hz, the design is for 200 Hz: no narrower bound comes of it"),
+        (199.0, None),
+        (250.0, None),
+    ],
+)
+def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over(
+    rate: float, text: str | None
+) -> None:
+    (joint,) = joints_of()
+    chance, told = np.random.default_rng(3), []
+    stamp = float(BEGIN)
+    for second in range(20):
+        now = rate if second < 10 else 200.0
+        # Some jitter, and a burst of losses each second.
+        for sample in range(round(now)):
+            stamp += NANOSECONDS / now
+            if sample > 20:
+                offer(joint, round(stamp + chance.normal(0.0, 0.02 * MS)))
+        told.append(joint.pace_news((second + 1) * NANOSECONDS))
+    news = {second: each for second, each in enumerate(told) if each is not None}
+    if text is None:
+        assert news == {}
+        return
+    assert list(news) == [3, 13]
+    assert news[3][0] == Level.WARN
+    assert news[3][1].startswith(f"measurements come {text}; set `rate` of its request")
+    assert news[13] == (Level.OK, "measurements come at 200 Hz, the design is for that")
+
+
+@pytest.mark.parametrize(
     ("concern", "changes", "text"),
     [
         ("certificate", {"basis": Basis.CONTRADICTED}, "the bound is void: the measurements"),

@@ -21,7 +21,7 @@ from tsobs_ros.estimation.faults import (
     add_samples,
     new_watches,
 )
-from tsobs_ros.estimation.health import LastMinute, Level, Phase, Status, phase_of
+from tsobs_ros.estimation.health import Debounce, LastMinute, Level, Phase, Status, phase_of
 from tsobs_ros.estimation.history import CORRECTING, GATED, IMPLAUSIBLE_TORQUE, REASONS, USED
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
@@ -45,6 +45,13 @@ from tsobs_ros.schema import naming
 
 _NOTHING = np.zeros(0)
 _ACCEPTED = (*CORRECTING, UNKNOWN, GATED)
+# Distances of measurements in periods of the design that are worth a word, and for how many seconds
+# they must last. Beyond the one the estimate may never settle below the certified bound; below the
+# other much is wasted.
+_FAR, _NEAR = 1.02, 0.7
+_LASTING = 3.0
+# Stamps that make a median period.
+_ENOUGH = 8
 
 
 class ObservedJoint:
@@ -73,6 +80,8 @@ class ObservedJoint:
             estimator's events, by name.
         newly: The same since the counts before, a second or so.
         in_vain: Samples that were refused since one was accepted, by reason.
+        measured_rate: Samples a second in use, by the median of their stamps' distances [Hz]; NaN
+            if there are few.
     """
 
     def __init__(
@@ -103,6 +112,9 @@ class ObservedJoint:
         self.newly, self._totals = Counter[str](), Counter[str]()
         self.in_vain = Counter[str]()
         self._told_apart = {MISSING: 0, UNKNOWN: 0}
+        self.measured_rate = math.nan
+        self._stamps: list[int] = []
+        self._pace = Debounce(0)
         self._newest = 0
         self.latest: Estimate | None = None
         request = self.loaded.design.request
@@ -172,6 +184,7 @@ class ObservedJoint:
         if accepted:
             self._newest = max(self._newest, int(stamps[accepted[-1]]))
             self.in_vain.clear()
+            self._stamps += [int(stamps[k]) for k in accepted]
         self._note_in_vain(outcomes[accepted[-1] + 1 :] if accepted else outcomes)
         # Of several outputs one may be missing from a sample that is used.
         if any(outcomes) or y.shape[1] > 1:
@@ -201,6 +214,30 @@ class ObservedJoint:
         totals = Counter({"received": self.received, **self.rejected, **self.tracker.events})
         self.newly, self._totals = totals - self._totals, totals
         self.recent.update(steady, totals)
+
+    def pace_news(self, steady: int) -> tuple[Level, str] | None:
+        """Measure the rate of samples since the last call; return a change that has lasted.
+
+        Args:
+            steady: Time that neither stands still nor goes back [ns].
+        """
+        stamps, self._stamps = np.sort(self._stamps), []
+        if len(stamps) < _ENOUGH:
+            return None
+        self.measured_rate = NANOSECONDS / max(1.0, float(np.median(np.diff(stamps))))
+        wanted, before = self.loaded.design.request.rate, self._pace.value
+        periods = wanted / self.measured_rate
+        now = self._pace.update(steady, int(periods > _FAR) - int(periods < _NEAR), _LASTING)
+        if now == before:
+            return None
+        text = f"measurements come at {_digits(self.measured_rate)} Hz, the design"
+        if not now:
+            return Level.OK, f"{text} is for that"
+        what = "the bound may never be certified" if now > 0 else "no narrower bound comes of it"
+        return Level.WARN, (
+            f"{text} is for {wanted:g} Hz: {what}; set `rate` of its request to what comes and "
+            "design again, or let the driver send as often as it says"
+        )
 
     @property
     def rejected(self) -> Counter[str]:
@@ -271,6 +308,10 @@ class ObservedJoint:
             torque_disturbance_bound=_NOTHING,
             parameters_valid=False,
         )
+
+
+def _digits(rate: float) -> str:
+    return f"{rate:.3g}" if rate < 1000.0 else f"{rate:.0f}"
 
 
 def observed_joints(

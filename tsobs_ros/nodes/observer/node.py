@@ -342,13 +342,17 @@ class Observer(ManagedNode[ObserverParameters]):
             self.get_logger().error("numerical failure: an estimate was not finite; restarted")
         now = int(self.get_clock().now().nanoseconds)
         self._report_missing(now)
+        steady = time.monotonic_ns()
+        for joint in self._joints:
+            if (news := joint.pace_news(steady)) is not None:
+                self._log(joint, *news)
         self._diagnostics.publish(
             *statuses.of_node(
                 self._joints,
                 self._meter,
                 now,
                 self.parameters.method,
-                steady=time.monotonic_ns(),
+                steady=steady,
                 resets=self._resets,
                 enabled=self._enabled,
                 failed=failed,
