@@ -42,6 +42,14 @@ ADVICE: Mapping[str, str] = {
 """What to do about each reason."""
 
 
+MANY_TORQUES = 0.2
+BEYOND_LIMIT = (
+    "the drive is beyond the torque limit for a fifth of the time: the design's torque_limit is "
+    "wrong"
+)
+"""What it means that more than this share of recent torques is implausible."""
+
+
 def main_of(counts: Mapping[str, int]) -> str:
     """Return the reason with the most counts, "" if there are none."""
     known = Counter({name: counts[name] for name in NAMES[1:] if counts.get(name, 0) > 0})

@@ -2,18 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node's diagnostics, as functions of its joints and a meter of its ticks."""
 
-import enum
 import math
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.estimation.events import BOUNDS, HYPOTHESES, LEARNINGS, NOISY, EventKind
+from tsobs_ros.estimation.events import BOUNDS, HYPOTHESES, LEARNINGS, NOISY, EventKind, words
 from tsobs_ros.estimation.health import LastMinute, Level, Phase, Status, duration_text
+from tsobs_ros.estimation.history import IMPLAUSIBLE_TORQUE
 from tsobs_ros.estimation.records import Estimate, Learning
 from tsobs_ros.nodes.observer.joints import ObservedJoint
-from tsobs_ros.nodes.observer.rejections import NAMES, main_of
+from tsobs_ros.nodes.observer.rejections import BEYOND_LIMIT, MANY_TORQUES, NAMES, main_of
 
 _LEVEL_OF_PHASE = {
     Phase.TRACKING: Level.OK,
@@ -24,6 +24,7 @@ _LEVEL_OF_PHASE = {
 _FROM_BEST_TO_WORST = list(_LEVEL_OF_PHASE)
 _MANY_REJECTED = 0.01
 _MANY_MISSED = 0.05
+_ENOUGH = 100
 # The clock has jumped if it went on by more than this [ns], so much faster than time passes.
 _JUMP = 1_000_000_000
 _FASTEST = 100
@@ -137,6 +138,8 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
     now = main_of(sum((joint.newly for joint in joints), Counter()))
     most = f"most: {now}" if now else f"most: {main_of(causes)}, none now"
     message = f"{amount} the last minute rejected, {most}"
+    if recent[NAMES[IMPLAUSIBLE_TORQUE]] > MANY_TORQUES * max(recent["received"], _ENOUGH):
+        message += f"; {BEYOND_LIMIT}"
     return Status("measurements", Level.WARN if many else Level.OK, message, values)
 
 
@@ -154,24 +157,20 @@ def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Stat
         return statuses
     if isinstance(request, ArmRequest):
         level, message = HYPOTHESES[estimate.hypothesis]
-        values = {"hypothesis": _words(estimate.hypothesis)}
+        values = {"hypothesis": words(estimate.hypothesis)}
         values |= _since(joint, EventKind.HYPOTHESIS, now)
         statuses.append(Status("hypothesis", level, message, values))
     if joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
-        values["learning"] = _words(estimate.learning)
+        values["learning"] = words(estimate.learning)
         values |= _since(joint, EventKind.LEARNING, now)
         level, message = LEARNINGS[estimate.learning]
-        if estimate.learning in (Learning.ACTIVE, Learning.STARTING):
+        if estimate.learning is Learning.ACTIVE:
             valid = estimate.parameters_valid
             message = "learnt" if valid else "not yet: the motion is too poor"
         statuses.append(Status("parameters", level, message, values))
     return statuses
-
-
-def _words(code: enum.Enum) -> str:
-    return code.name.lower().replace("_", " ")
 
 
 def _since(joint: ObservedJoint, kind: EventKind, now: int) -> dict[str, str]:
@@ -201,7 +200,7 @@ def _innovation_status(joint: ObservedJoint) -> Status:
         if scale >= NOISY:
             level, message = Level.WARN, f"the noise is {scale:.2g} times the design's"
     recent = joint.recent.growth
-    for event in ("outliers downweighted", "sensor jumps"):
+    for event in ("outliers left out", "sensor jumps", "hits", "torque steps not made"):
         values[f"last minute: {event}"] = str(recent[event])
     return Status(name, level, message, values)
 
@@ -250,9 +249,8 @@ def _certificate_status(joint: ObservedJoint, method: str, now: int) -> Status:
     if estimate is None:
         return Status("certificate", Level.OK, "no estimate yet", values)
     level, message = BOUNDS[estimate.basis]
-    along = "certified" if estimate.certified else "along the estimate"
-    values["bound"] = "void" if level is Level.WARN else along
-    values["basis"] = _words(estimate.basis)
+    values["claimed"] = "yes" if estimate.claimed else "no"
+    values["basis"] = words(estimate.basis)
     values |= _since(joint, EventKind.BOUND, now)
     return Status("certificate", level, message, values)
 
