@@ -67,7 +67,7 @@ class State:
     __hash__ = None  # type: ignore[assignment]
 
     def _field(self, name: str) -> Any:
-        """Return a field of the records, their sensors or likeliest hypotheses, of states in use."""
+        """Return a field of records, their sensors or likeliest hypotheses, of states in use."""
         of_all = self.records
         best = of_all["hypotheses"][np.arange(len(of_all)), of_all["best"]]
         parts = (of_all, of_all["sensors"], best)

@@ -3,7 +3,8 @@
 """The health of recorded estimates: their events in order, and a summary."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from enum import IntEnum
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ from tsobs_ros.estimation.events import (
 )
 from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis, Learning
 from tsobs_ros.replay.thinning import ThinnedValues
+
+C = TypeVar("C", bound=IntEnum)
 
 BASIS, CLAIMED, LEARNING, HYPOTHESIS = map(
     CONDITIONS.index, ("basis", "claimed", "learning", "hypothesis")
@@ -188,6 +191,11 @@ class Health(NamedTuple):
         )
 
 
+def _parts(kind: type[C], counts: NDArray[np.int64]) -> dict[C, float]:
+    shares = zip(kind, (counts / counts.sum()).tolist(), strict=True)
+    return {code: share for code, share in shares if share}
+
+
 def _shares(parts: Mapping[Any, float]) -> str:
     return ", ".join(f"{100.0 * share:.3g} % {words(one)}" for one, share in parts.items())
 
@@ -197,7 +205,8 @@ class HealthSum:
 
     def __init__(self) -> None:
         self._scales = ThinnedValues()
-        self._counts = {kind: np.zeros(len(kind), np.int64) for kind in (Basis, Hypothesis)}
+        self._bases = np.zeros(len(Basis), np.int64)
+        self._hypotheses = np.zeros(len(Hypothesis), np.int64)
         self._claimed = 0
         self._max, self._last = 0.0, list[float]()
 
@@ -209,8 +218,8 @@ class HealthSum:
         self._scales.add(known[:, 0])
         self._max = max(self._max, float(known[:, 0].max()))
         self._claimed += int(known[:, CLAIMED].sum())
-        for place, kind in ((BASIS, Basis), (HYPOTHESIS, Hypothesis)):
-            self._counts[kind] += [(known[:, place] == code).sum() for code in kind]
+        self._bases += [(known[:, BASIS] == basis).sum() for basis in Basis]
+        self._hypotheses += [(known[:, HYPOTHESIS] == one).sum() for one in Hypothesis]
         self._last = known[-1].tolist()
 
     def result(self) -> Health | None:
@@ -218,21 +227,12 @@ class HealthSum:
         if not self._last:
             return None
         last = Condition.of_numbers(0, self._last)
-        total = int(self._counts[Basis].sum())
-        bases, hypotheses = (
-            {
-                code: count / total
-                for code, count in zip(kind, counts.tolist(), strict=True)
-                if count
-            }
-            for kind, counts in self._counts.items()
-        )
         return Health(
             noise_scale=float(np.median(self._scales.values)),
             max_noise_scale=self._max,
-            claimed=self._claimed / total,
-            bases=bases,
-            hypotheses=hypotheses,
+            claimed=self._claimed / int(self._bases.sum()),
+            bases=_parts(Basis, self._bases),
+            hypotheses=_parts(Hypothesis, self._hypotheses),
             learning=last.learning,
             hypothesis=last.hypothesis,
         )
