@@ -190,10 +190,7 @@ static void renew(const model *m, state *at, long kind)
     }
     switch (kind) {
     case COLOURED_NOISE:
-        variance = std * std;
-        break;
-    case DRIFT:
-        variance = std * std * m->constants[DRIFT_SIZE] * m->constants[DRIFT_SIZE];
+        variance = std * std * m->constants[COLOUR_SIZE] * m->constants[COLOUR_SIZE];
         break;
     case TONE:
         variance = size * size;
@@ -416,7 +413,8 @@ static void suppose(
     const model *m, state *at, long parent, int64_t fork, long output, double likelihood,
     double innovation, correction *effect)
 {
-    const double score = *hypothesis_of(m, at, parent).score - m->constants[FORK_PRICE];
+    const double price = m->constants[fork == MOVED ? LOST_PRICE : FORK_PRICE];
+    const double score = *hypothesis_of(m, at, parent).score - price;
     const long place = place_for(m, at, score);
     hypothesis h;
     if (place < 0) {

@@ -28,7 +28,7 @@
 /* How often parameters are learnt again along better regressors, and from which distance on, by
  * their 1 sigma. */
 #define PASSES 4
-#define PASS_REACH 0.5
+#define PASS_REACH 0.2
 
 long states_in_use(const model *m, const hypothesis *h)
 {
@@ -136,21 +136,21 @@ static double expect(
 
 /* Return the logarithm of the likelihood of an innovation, and whether it is not an outlier's.
  *
- * That of an outlier is what the design's innovation has at the gate, wherever the sample is. */
+ * That of an outlier is the same wherever the sample is, and whatever the filter expects. */
 static double likelihood(
     const model *m, const state *at, long output, double innovation, double variance, int *used)
 {
     const double scale = noise_of(m, at, output);
     const double designed = scale * scale * m->innovation_covariance[output * m->s.p + output];
-    const double regular = -0.5 * (innovation * innovation / variance + logarithm(variance));
-    double outlier;
+    const double ratio = innovation * innovation / variance, size = 0.5 * logarithm(variance);
+    double level;
     *used = 1;
     if (*m->supervised == 0) {
-        return regular;
+        return -0.5 * ratio - size;
     }
-    outlier = -0.5 * (*m->gate * *m->gate + logarithm(designed));
-    *used = regular >= outlier;
-    return *used ? regular : outlier;
+    level = 0.5 * logarithm(designed);
+    *used = -0.5 * ratio - size >= -0.5 * *m->gate * *m->gate - level;
+    return maximum(-0.5 * ratio - size, -m->constants[OUTLIER_PRICE] - level);
 }
 
 void weigh(const model *m, const state *at, const hypothesis *h, correction *effect)
@@ -498,7 +498,7 @@ static own_motion own_motion_of(
     switch (*h->kind) {
     case COLOURED_NOISE:
         time = constants[COLOUR_TIME];
-        size = std;
+        size = constants[COLOUR_SIZE] * std;
         break;
     case DRIFT:
         time = constants[DRIFT_TIME];

@@ -20,6 +20,12 @@ static double root(double variance)
     return variance >= 0.0 ? sqrt(variance) : (double)NAN;
 }
 
+/* Return the power of slow innovations relative to what white noise leaves of it. */
+static double slowness_of(const model *m, const hypothesis *h)
+{
+    return *h->slow_power / (m->constants[QUIET] * *h->nis);
+}
+
 /* Return by how much the errors of a hypothesis are larger than it says: by white noise where the
  * bound is the certificate's, and by slow innovations, which a wrong model makes. */
 static double spread_of(const model *m, const state *at, const hypothesis *h)
@@ -32,7 +38,7 @@ static double spread_of(const model *m, const state *at, const hypothesis *h)
         spread = larger(*at->noise_scale, 1.0);
         spread *= *at->late != 0 ? *m->late_factor : 1.0;
     }
-    return spread * sqrt(maximum(larger(*h->nis, 1.0), *h->slow_power));
+    return spread * sqrt(larger(*h->nis, 1.0)) * larger(slowness_of(m, h), 1.0);
 }
 
 /* Return the 1-sigma bound of a linear function of a hypothesis' error.
@@ -109,7 +115,7 @@ static void weigh_all(const model *m, const state *at, double *weights)
 /* Return what a state's bounds rest on, and whether they are claimed to hold. */
 static int64_t basis_of(const model *m, const hypothesis *best, int64_t *claimed)
 {
-    const int calm = *best->nis <= m->constants[VOID] && *best->slow_power <= m->constants[VOID];
+    const int calm = *best->nis <= m->constants[VOID] && slowness_of(m, best) <= 4.0 * m->constants[VOID];
     *claimed = *m->supervised == 0 || calm;
     if (*m->supervised != 0 && !calm) {
         return BASIS_CONTRADICTED;
