@@ -119,7 +119,7 @@ BOUNDS: Mapping[Basis, tuple[Level, str]] = {
     ),
     Basis.COVARIANCE: (
         Level.OK,
-        "the bound is not certified but a covariance: at another rate, with samples missing",
+        "the bound is not certified: it is the covariance along the estimate",
     ),
     Basis.STARTING: (
         Level.OK,

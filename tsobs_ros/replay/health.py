@@ -184,7 +184,7 @@ class Health(NamedTuple):
         """Return it for a terminal."""
         return (
             f"noise {self.noise_scale:.2f} times the design's, at most {self.max_noise_scale:.2f}",
-            f"bounds claimed to hold {100.0 * self.claimed:.3g} %: {_shares(self.bases)}",
+            f"bounds {_shares(self.bases)}; claimed to hold {100.0 * self.claimed:.3g} %",
             f"taken for {_shares(self.hypotheses)}",
             f"at the end {LEARNINGS[self.learning][1]}; {HYPOTHESES[self.hypothesis][1]}",
             *([f"warning: {self.misfit}"] if self.misfit else []),
