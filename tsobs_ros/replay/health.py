@@ -151,6 +151,11 @@ class Health(NamedTuple):
         often = f"for {100.0 * wrong:.0f} % of the time the measurements do not fit the design"
         if wrong >= _OFTEN and self.noise_scale >= _OTHER_UNIT:
             return f"{often}: the angles seem to be in another unit than rad, or of another joint"
+        if self.noise_scale >= NOISY:
+            return (
+                f"innovations are {self.noise_scale:.1f} times as large as the design expects, as "
+                "of a noisier sensor: measurement_std in its request seems to be too small"
+            )
         likeliest = max(self.hypotheses, key=lambda one: self.hypotheses[one])
         if wrong >= _OFTEN and likeliest in _OF_SENSOR:
             return f"{often}: {HYPOTHESES[likeliest][1]}"
@@ -158,11 +163,6 @@ class Health(NamedTuple):
             return (
                 f"{often}: it seems to be of another arm, the torque of another sign, unit or "
                 "joint, or there is a force that the design lacks"
-            )
-        if self.noise_scale >= NOISY:
-            return (
-                f"innovations are {self.noise_scale:.1f} times as large as the design expects, as "
-                "of a noisier sensor: measurement_std in its request seems to be too small"
             )
         return None
 
