@@ -156,7 +156,8 @@ class Health(NamedTuple):
                 f"innovations are {self.noise_scale:.1f} times as large as the design expects, as "
                 "of a noisier sensor: measurement_std in its request seems to be too small"
             )
-        likeliest = max(self.hypotheses, key=lambda one: self.hypotheses[one])
+        others = {one: share for one, share in self.hypotheses.items() if one}
+        likeliest = max(others, key=others.__getitem__, default=Hypothesis.AS_DESIGNED)
         if wrong >= _OFTEN and likeliest in _OF_SENSOR:
             return f"{often}: {HYPOTHESES[likeliest][1]}"
         if wrong >= _OFTEN:
