@@ -288,7 +288,6 @@ class ObservedJoint:
         if estimate is not None:
             self.latest = estimate
             self.torque_news = self.torques.update(estimate)
-            # Another hypothesis may take a fault of the sensor for something else.
             disturbance = estimate.disturbance
             if disturbance.size:
                 bound = estimate.disturbance_bound
