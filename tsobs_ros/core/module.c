@@ -170,6 +170,7 @@ static int module_exec(PyObject *module)
         estimator_methods,
         simulate_methods,
         history_methods,
+        exported_methods,
     };
     size_t i;
     memory_type = (PyTypeObject *)PyType_FromSpec(&memory_spec);
