@@ -13,6 +13,7 @@ KIND_INTEGRATED: int
 GAIN_RICCATI: int
 GAIN_CERTIFIED: int
 HYPOTHESES: int
+SOURCES: str
 
 class Memory:
     """An array's address, looked up once; the array must stay as it is."""
