@@ -203,13 +203,25 @@ static void renew(const model *m, state *at, long kind)
     }
 }
 
-/* Whether a standing hypothesis has a use. */
+/* Return whether a standing hypothesis differs from the design. */
 static int is_of_use(const model *m, const state *at, long kind)
 {
-    if (kind == FORCE) {
+    switch (kind) {
+    case FORCE:
         return *m->force > 0.0;
+    case IMPERFECT:
+        return m->constants[IMPERFECTION] > 1.0;
+    case LOUD:
+        return m->constants[NOISE_FACTOR] > 1.0;
+    case COLOURED_NOISE:
+        return m->constants[COLOUR_SIZE] > 0.0;
+    case DRIFT:
+        return m->constants[DRIFT_SIZE] > 0.0;
+    case TONE:
+        return *hypothesis_of(m, at, kind).frequency > 0.0;
+    default:
+        return 1;
     }
-    return kind != TONE || *hypothesis_of(m, at, kind).frequency > 0.0;
 }
 
 /* Consider all hypotheses for a while. */
@@ -308,41 +320,61 @@ static void distrust_stuck(const model *m, const state *at, hypothesis *h, corre
     }
 }
 
-/* Listen for a tone in the design's innovations, and propose the loudest. */
+/* Turn what an output's innovations have of each frequency over a sample, and add the newest. */
+static void listen_to(const sensor *of, double r, double elapsed, double share)
+{
+    double rate = FIRST_TONE;
+    for (long j = 0; j < TONES; j++) {
+        double *z = of->tones + 2 * j, sin, cos;
+        const double first = z[0];
+        sine_and_cosine(rate * elapsed, &sin, &cos);
+        z[0] = (1.0 - share) * (cos * first - sin * z[1]) + r;
+        z[1] = (1.0 - share) * (cos * z[1] + sin * first);
+        rate *= TONE_RATIO;
+    }
+}
+
+/* Return the root of the power at a frequency's place, 0 beyond the ends. */
+static double loudness(const sensor *of, long place)
+{
+    const double *z = of->tones + 2 * place;
+    return place < 0 || place >= TONES ? 0.0 : sqrt(z[0] * z[0] + z[1] * z[1]);
+}
+
+/* Listen for a tone in the design's innovations, and propose the loudest: where it stands between
+ * its frequency and the louder neighbour, by how loud both are. */
 static void listen(const model *m, state *at, const correction *effect)
 {
     const hypothesis tone = hypothesis_of(m, at, TONE);
     double most = m->constants[TONE_SIGN], size = 0.0, frequency = 0.0;
-    long output = 0;
+    int64_t output = 0;
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
         const double elapsed = larger(*of.since, *m->period);
         const double share = share_of(elapsed, TONE_MEMORY);
-        double rate = FIRST_TONE, r;
+        const double r = effect->innovations[i] / sqrt(effect->variances[i]);
+        double rate = FIRST_TONE;
         if (!(effect->weight[i] > 0.0)) {
             continue;
         }
-        r = effect->innovations[i] / sqrt(effect->variances[i]);
-        r = minimum(maximum(r, -3.0), 3.0);
+        listen_to(&of, minimum(maximum(r, -3.0), 3.0), elapsed, share);
         for (long j = 0; j < TONES; j++) {
-            double *z = of.tones + 2 * j, sin, cos, first, power;
-            sine_and_cosine(rate * elapsed, &sin, &cos);
-            first = z[0];
-            z[0] = (1.0 - share) * (cos * z[0] - sin * z[1]) + r;
-            z[1] = (1.0 - share) * (cos * z[1] + sin * first);
-            power = (z[0] * z[0] + z[1] * z[1]) * (2.0 - share) * share;
+            const double here = loudness(&of, j), power = here * here * (2.0 - share) * share;
             if (power > most) {
+                const double below = loudness(&of, j - 1), above = loudness(&of, j + 1);
+                const double other = maximum(below, above);
+                const double ratio = above > below ? TONE_RATIO : 1.0 / TONE_RATIO;
                 most = power;
-                frequency = rate;
+                frequency = rate * (here + ratio * other) / (here + other);
                 output = i;
                 /* The filter follows a slow tone in part. */
-                size = 6.0 * share * sqrt((z[0] * z[0] + z[1] * z[1]) * effect->variances[i]);
+                size = 6.0 * share * here * sqrt(effect->variances[i]);
             }
             rate *= TONE_RATIO;
         }
     }
     if (frequency > 0.0 && *at->best != TONE
-        && (*tone.live == 0 || *tone.frequency == 0.0
+        && (*tone.live == 0
             || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > TONE_MEMORY))) {
         *tone.frequency = frequency;
         *tone.size = size;

@@ -72,11 +72,11 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
     C(FORCE_SHARE, 0.03, "1 sigma of the unknown torque, by the reference torque")             \
     C(FORCE_TIME, 1.0, "its correlation time [s]")                                             \
     C(COLOUR_TIME, 0.05, "correlation time of coloured noise [s]")                             \
-    C(COLOUR_SIZE, 2.0, "1 sigma of coloured noise, by the sensor's white noise")              \
-    C(DRIFT_SIZE, 5.0, "1 sigma of a drift, by the sensor's noise")                           \
+    C(COLOUR_SIZE, 1.5, "1 sigma of coloured noise, by the sensor's white noise")              \
+    C(DRIFT_SIZE, 2.0, "1 sigma of a drift, by the sensor's noise")                           \
     C(DRIFT_TIME, 10.0, "its correlation time [s]")                                            \
     C(TONE_TIME, 20.0, "time for which a tone keeps its phase [s]")                            \
-    C(TONE_SIGN, 12.0, "power of an innovation's tone, by white noise's, that proposes one")   \
+    C(TONE_SIGN, 50.0, "power of an innovation's tone, by white noise's, that proposes one")   \
     C(REJECTING, 0.3, "share of samples below which a filter starts again from the best")      \
     C(SIGN_SLOW, 0.7, "power of slow innovations, by white noise's, that wakes the bank")      \
     C(SIGN_COLOUR, 0.3, "product of neighbouring innovations that does")                       \
@@ -85,7 +85,7 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
     C(POWER_TIME, 5.0, "time constant of their power [s]")                                     \
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
     C(CURVED, 0.3, "share of a learnt distance by which regressors are wrong")                 \
-    C(QUIET, 0.35, "slow power that white noise leaves, by that of all innovations")           \
+    C(QUIET, 0.28, "slow power that white noise leaves, by that of all innovations")           \
     C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
 
 #define BANK_CONSTANT_NAME(name, value, what) name,

@@ -28,7 +28,7 @@
 /* How often parameters are learnt again along better regressors, and from which distance on, by
  * their 1 sigma. */
 #define PASSES 4
-#define PASS_REACH 0.2
+#define PASS_REACH 0.1
 
 long states_in_use(const model *m, const hypothesis *h)
 {
