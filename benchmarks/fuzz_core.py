@@ -12,11 +12,12 @@ file that --note names has the seed and the number of the input.
 
 import argparse
 import faulthandler
+import math
 import random
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,7 @@ class Subject:
         width: Numbers of an estimate.
         period: Of the samples [ns].
         words: All of it as an exported design.
+        counts: Places of integers, which are sizes, places and flags, by the record.
     """
 
     name: str
@@ -74,6 +76,22 @@ class Subject:
     width: int
     period: int
     words: Any
+    counts: dict[str, list[int]]
+
+
+def _places_of_integers(kind: Any, begin: int = 0) -> list[int]:
+    """Return the places of all integers in a record, in words."""
+    if kind.subdtype is not None:
+        inner, shape = kind.subdtype
+        each, size = _places_of_integers(inner), inner.itemsize // 8
+        return [begin + i * size + place for i in range(math.prod(shape)) for place in each]
+    if kind.fields is not None:
+        return [
+            place
+            for inner, offset, *_ in kind.fields.values()
+            for place in _places_of_integers(inner, begin + offset // 8)
+        ]
+    return [begin] if kind == np.int64 else []
 
 
 def subjects() -> list[Subject]:
@@ -112,7 +130,18 @@ def _subject(name: str, design: Any, settings: Any) -> Subject:
         width,
         round(design.request.period * 1e9),
         words,
+        {
+            "model": [*range(9), *_places_of_integers(tracker.estimator.model.dtype)],
+            "memory": _places_of_integers(tracker.memory.dtype),
+            "ring": [
+                slot * tracker.ring.dtype.itemsize // 8 + place
+                for slot in range(_STEPS + 4)
+                for place in _places_of_integers(tracker.ring.dtype)
+            ],
+        },
     )
+    begin = tracker.estimator.model.dtype.fields["flow"][1] // 8
+    subject.counts["model"] += range(begin, begin + 12)  # the flow's own sizes
     numbers = np.random.default_rng(1)
     room = np.zeros(scratch)
     for sample in range(60):
@@ -131,13 +160,17 @@ def _offer(subject: Subject, room: Any, stamps: Any, y: Any, u: Any = None) -> N
     )  # fmt: skip
 
 
-def _changed(words: Any, random_: random.Random, most: int) -> Any:
-    """Return a copy of some words with up to so many of them changed."""
+def _changed(
+    words: Any, random_: random.Random, most: int, counts: Sequence[int] = range(24)
+) -> Any:
+    """Return a copy of some words with up to so many of them changed, counts above all."""
     changed = words.copy()
     for _ in range(random_.randint(0, most)):
-        # The first numbers are sizes, and a state has many places among its first.
-        place = random_.randrange(min(len(words), random_.choice((12, 60, 400, len(words)))))
         if random_.random() < 0.5:
+            changed[random_.choice(counts)] = random_.choice(_COUNTS)
+            continue
+        place = random_.randrange(len(words))
+        if random_.random() < 0.2:
             changed[place] = random_.choice(_COUNTS)
         elif random_.random() < 0.8:
             changed.view(np.float64)[place] = random_.choice(_VALUES)
@@ -160,9 +193,18 @@ def _values(random_: random.Random, rows: int, columns: int) -> Any:
 def attack(subject: Subject, random_: random.Random) -> str:
     """Change some records and step them; return whether they were refused, and where."""
     kind = random_.choice(("model", "state", "memory", "export", "all"))
-    model = _changed(subject.model, random_, 3 if kind in ("model", "export", "all") else 0)
-    ring = _changed(subject.ring, random_, 4 if kind in ("state", "all") else 0)
-    memory = _changed(subject.memory, random_, 3 if kind in ("memory", "all") else 0)
+    model = _changed(
+        subject.model,
+        random_,
+        3 if kind in ("model", "export", "all") else 0,
+        subject.counts["model"],
+    )
+    ring = _changed(
+        subject.ring, random_, 4 if kind in ("state", "all") else 0, subject.counts["ring"]
+    )
+    memory = _changed(
+        subject.memory, random_, 3 if kind in ("memory", "all") else 0, subject.counts["memory"]
+    )
     for words, least in ((memory, 5), (ring, 0)):
         # Gaps of years are settings, and only take long. So are counts that overflow.
         clipped = words[least:]
