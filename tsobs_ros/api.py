@@ -562,7 +562,9 @@ def _columns_of(
     names = (*CONDITIONS, "in_domain")
     for name, column in zip(names, rows[:, -len(CONDITIONS) - EXTRA : -1].T, strict=True):
         columns[name] = (
-            column == 1.0 if name in ("parameters_valid", "in_domain") else column.copy()
+            column == 1.0
+            if name in ("claimed", "parameters_valid", "in_domain")
+            else column.copy()
         )
     return columns
 

@@ -358,7 +358,7 @@ static void listen(const model *m, state *at, const correction *effect)
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
         const double elapsed = larger(*of.since, *m->period);
-        const double share = share_of(elapsed, TONE_MEMORY);
+        const double share = share_of(minimum(elapsed, *m->longest), TONE_MEMORY);
         const double r = effect->innovations[i] / sqrt(effect->variances[i]);
         double rate = FIRST_TONE;
         if (!(effect->weight[i] > 0.0)) {
@@ -441,7 +441,10 @@ static void open_fork(
         return;
     default:
         for (long i = 0; i < m->s.plant; i++) {
-            P[i * width + i] += m->domain[i] * m->domain[i];
+            /* As far as the sample is away, so that the disturbance stays what it was. */
+            const double seen = m->C[output * width + i] != 0.0 ? fabs(innovation) : 0.0;
+            const double std = maximum(m->domain[i], seen);
+            P[i * width + i] += std * std;
         }
     }
 }
@@ -455,8 +458,10 @@ static void suppose(
     const double price = m->constants[fork == MOVED ? LOST_PRICE : FORK_PRICE];
     const double score = *hypothesis_of(m, at, parent).score - price;
     const long place = place_for(m, at, score);
-    hypothesis h;
-    if (place < 0) {
+    hypothesis h = hypothesis_of(m, at, parent);
+    const double disturbance
+        = dot(m->disturbance_map + output * m->s.width, h.x, (long)m->s.n) + innovation;
+    if (place < 0 || (fork == JUMPED && !(fabs(disturbance) <= m->disturbance_limit[output]))) {
         return;
     }
     copy_hypothesis(m, at, parent, place);

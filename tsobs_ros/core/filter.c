@@ -177,7 +177,8 @@ static void follow(
     const model *m, const state *at, hypothesis *h, long output, double innovation,
     double variance)
 {
-    const double elapsed = larger(*sensor_of(m, at, output).since, *m->period);
+    /* After a gap the averages go on where they were. */
+    const double elapsed = minimum(larger(*sensor_of(m, at, output).since, *m->period), *m->longest);
     const double share = share_of(elapsed, 1.0) / (double)m->s.p;
     const double slow_share = share_of(elapsed, m->constants[SLOW_TIME]);
     const double r = minimum(maximum(innovation / sqrt(variance), -CLIP), CLIP);
