@@ -26,7 +26,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
 }
 """Modules that may be missing, each with what to install then."""
 CORE = "tsobs_ros.core.native"
-"""The compiled core, which is missing where the sources were only copied, or older than they are."""
+"""The compiled core, missing where the sources were only copied, or older than they are."""
 
 
 class TsobsError(Exception):
@@ -122,10 +122,10 @@ def missing_library(name: str | None) -> str | None:
         One line; None if the module is not the core and belongs to no library of the package.
     """
     if name == CORE:
-        stale = CORE in sys.modules
+        fault = "built from other C sources" if CORE in sys.modules else "not built"
         return (
-            f"{CORE} is {'built from other C sources' if stale else 'not built'}: in the folder "
-            f"with setup.py, {sys.executable} -m pip install -e . (or colcon build); it takes a C compiler"
+            f"{CORE} is {fault}: in the folder with setup.py, "
+            f"{sys.executable} -m pip install -e . (or colcon build); it takes a C compiler"
         )
     module = (name or "").partition(".")[0]
     if module not in LIBRARIES:
