@@ -55,6 +55,7 @@ int model_view(double *memory, size_t length, model *view)
 {
     estimator_sizes *s = &view->s;
     flow_sizes sizes;
+    state initial;
     if (length < ESTIMATOR_SIZES || !sizes_are_sound((const int64_t *)(void *)memory)) {
         return -1;
     }
@@ -68,10 +69,16 @@ int model_view(double *memory, size_t length, model *view)
     }
     sizes = flow_sizes_of(view->flow);
     view->design_flow = flow_view(view->flow);
+    state_bind(&initial, s, view->initial);
     return sizes.n == s->n && sizes.m == s->m && sizes.k == s->k && sizes.p <= s->p
                    && flow_scratch_size(&sizes) <= (size_t)s->scratch
+                   /* What a step moves with x are the outputs' parts, the torque and a push. */
+                   && (s->width == s->n || s->p + 2 <= flow_tangents(&sizes))
+                   && *view->period >= SHORTEST && isfinite(*view->period)
                    && (*view->supervised == 0 || s->hypotheses > 1)
+                   && (*view->design_flow.kind != KIND_ARM || s->plant >= 4)
                    && !(*view->torque_limit > 0.0 && s->m < 1)
+                   && state_is_sound(view, &initial)
                ? 0
                : -1;
 }
