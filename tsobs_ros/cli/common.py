@@ -55,8 +55,14 @@ def json_text(mapping: dict[str, Any]) -> str:
 def complain(problem: object) -> None:
     """Print what is wrong, to stderr; only what is wrong with a design has several lines."""
     text = printable(str(problem), newline="\n" if isinstance(problem, DesignError) else " ")
-    with suppress(OSError):  # the terminal has gone
-        print(f"error: {text}", file=sys.stderr)
+    note(f"error: {text}")
+
+
+def note(text: str) -> None:
+    """Print a line that is no result, to stderr; without one it is lost."""
+    if sys.stderr is not None:  # which print would take for stdout
+        with suppress(OSError):  # the terminal has gone
+            print(text, file=sys.stderr)
 
 
 @contextmanager

@@ -290,7 +290,9 @@ class ArmRequest(DesignProblem):
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         if not 0.0 < self.x_max <= math.pi:
-            raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}")
+            degrees = f" rad; as degrees it would be {math.radians(self.x_max):.4g} rad"
+            hint = degrees if math.pi < self.x_max <= 180.0 else ""
+            raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}{hint}")
         _require_squares("measurement_std", [self.measurement_std])
         _require_squares("initial_std", self.initial_std)
         if not self.disturbance:
