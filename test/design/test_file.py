@@ -510,6 +510,8 @@ def test_a_request_that_makes_no_model_is_refused_when_read(text: str, tmp_path:
         ("desing: {rate: 100}", "unknown entry 'desing' (did you mean 'design'?)"),
         ("sistem: {}", "unknown entry 'sistem' (did you mean 'system'?)"),
         ("design: {arm: {stifness: 9}}", "unknown entry 'stifness' (did you mean 'stiffness'?)"),
+        ("torque_limit: 0", "torque_limit: expected a number above 0, got 0.0; left out it is"),
+        ("torque_rate_limit: 0.0", "torque_rate_limit: expected a number above 0"),
         ("x_max: 45", "got 45.0 rad; as degrees it would be 0.7854 rad"),
     ],
 )

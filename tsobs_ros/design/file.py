@@ -238,6 +238,13 @@ def load_request(path: FilePath) -> Request:
                 )
         # Built here, so that a request no model can be made of is refused with the file's name.
         _ = request.flow
+        for name in ("torque_limit", "torque_rate_limit"):
+            if getattr(request, name, None) == 0.0:
+                # The observer's parameter of this name means the design's by 0.
+                raise DesignFileError(
+                    f"{name}: expected a number above 0, got 0.0; left out it is generous for any "
+                    "arm, and 1e9 is no limit"
+                )
         return request
 
 

@@ -240,7 +240,8 @@ class ArmRequest(DesignProblem):
             `model.uncertainty.ARM_DIRECTIONS`: relative, or N m s/rad for a damping. That of
             gravity is left out if there is none.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
-        torque_limit: Largest plausible torque [N m]; 0: any is; None: see `torque_limits`.
+        torque_limit: Largest plausible torque [N m]; None: see `torque_limits`. By 0, which a
+            file asking for a design may not have, any is.
         torque_rate_limit: Its largest plausible rate [N m/s]; likewise.
 
     Raises:
