@@ -522,6 +522,14 @@ def test_a_request_that_cannot_be_meant_is_asked_about(
         load_request(written(tmp_path, text))
 
 
+def test_a_limit_beyond_all_torques_is_none(tmp_path: Path) -> None:
+    entries = "torque_limit: 1.0e+9\ntorque_rate_limit: 1.0e+9"
+    request = load_request(written(tmp_path, entries))
+    unlimited = ArmRequest(torque_limit=0.0, torque_rate_limit=0.0).torque_limits()
+    assert request.torque_limits() == unlimited == (math.inf, math.inf, 400.0 / 3.0)
+    assert ArmRequest().torque_limits(1e9, 1e9) == unlimited
+
+
 def test_numpy_numbers_are_saved_as_numbers(shipped: Design, tmp_path: Path) -> None:
     terms = (DisturbanceTerm("bias", {"density": np.float64(1e-4)}),)
     noise = ProcessNoise(np.float64(1e-4), np.float64(1e-5))
