@@ -10,6 +10,7 @@ half a million digits in base 60). None of our files needs any of this.
 
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -114,7 +115,7 @@ def write_yaml(path: str | PathLike[str], text: str) -> None:
         DesignFileError: The file cannot be written.
     """
     path = Path(path)
-    temporary = path.with_name(path.name + ".tmp")
+    temporary = path.with_name(f".{path.name}.partial")
     try:
         temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)
@@ -122,6 +123,9 @@ def write_yaml(path: str | PathLike[str], text: str) -> None:
         raise DesignFileError(
             f"{path}: cannot write the design file: {problem.strerror}"
         ) from problem
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def load_yaml(text: str) -> object:

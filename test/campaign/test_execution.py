@@ -150,6 +150,15 @@ def test_a_cluster_whose_worker_is_killed_gives_the_same_bits(
     assert files_of(folder) == files_of(done)
 
 
+def test_a_campaign_goes_on_that_was_killed_while_its_folder_was_made(
+    short: Campaign, tmp_path: Path
+) -> None:
+    folder = CampaignFolder.make(tmp_path, short)
+    (tmp_path / "campaign.yaml").unlink()
+    (tmp_path / ".tsobs-x.partial").mkdir()
+    assert CampaignFolder.make(tmp_path, short).missing() == folder.missing()
+
+
 def test_a_scheduler_that_is_not_there(short: Campaign, tmp_path: Path) -> None:
     with pytest.raises(CampaignError, match="scheduler tcp//nowhere: cannot be reached"):
         run_campaign(short, tmp_path / "campaign", scheduler="tcp//nowhere")

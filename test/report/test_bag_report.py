@@ -91,7 +91,7 @@ def test_a_report_that_cannot_be_written_says_where(
 ) -> None:
     (tmp_path / "file").write_text("")
 
-    with pytest.raises(ReportError, match=r"cannot write the report: .*/file"):
+    with pytest.raises(ReportError, match=r"file: cannot write it: .*/file"):
         make_bag_report(write_bag(messages_of(short)), tmp_path / "file", ekf=False)
 
 

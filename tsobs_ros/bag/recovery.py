@@ -26,7 +26,7 @@ from tsobs_ros.bag.metadata import (
     TopicInfo,
     read_metadata,
 )
-from tsobs_ros.bag.writer import LIBRARY, BagWriter
+from tsobs_ros.bag.writer import LIBRARY, BagWriter, whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
 from tsobs_ros.files import open_regular
 
@@ -498,7 +498,7 @@ def recover(
         nonlocal writer
         if writer is None:
             writer = stack.enter_context(
-                BagWriter(target, compression=compression, custom_data=damaged.custom_data)
+                whole_bag(target, compression=compression, custom_data=damaged.custom_data)
             )
             for each in damaged.topics.values():
                 writer.add_topic(
