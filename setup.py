@@ -19,7 +19,7 @@ EXECUTABLES = {
     "recorder": "tsobs_ros.executables:recorder",
     "player": "tsobs_ros.executables:player",
     "visualizer": "tsobs_ros.executables:visualizer",
-    "tsobs": "tsobs_ros.cli.main:main",
+    "tsobs": "tsobs_ros.executables:tsobs",
 }
 INSTALL = "apt install build-essential python3-dev"
 LAUNCHER = """#!/bin/sh

@@ -29,6 +29,22 @@ def open_regular(path: Path) -> IO[bytes]:
     return open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
 
 
+def require_nameable(path: Path) -> None:
+    """Refuse a path to write that no bag, page or message can name, or that leads nowhere.
+
+    Raises:
+        OutputError: Its name is no UTF-8, or it is a loop of links.
+    """
+    try:
+        str(path).encode()
+        path.stat()
+    except UnicodeEncodeError as error:
+        raise OutputError(f"{path}: expected a name in UTF-8") from error
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise OutputError(f"{path}: a loop of links") from error
+
+
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
     """Refuse to replace files.
 

@@ -75,7 +75,7 @@ def read_text(
     except FileNotFoundError as problem:
         raise error(f"{path}: no such {what}") from problem
     except OSError as problem:
-        raise error(f"{path}: cannot read the {what}: {problem.strerror}") from problem
+        raise error(f"{path}: cannot read the {what}: {problem.strerror or problem}") from problem
     except UnicodeDecodeError as problem:
         raise error(f"{path}: not valid YAML: {problem}") from problem
 
@@ -121,7 +121,7 @@ def write_yaml(path: str | PathLike[str], text: str) -> None:
         temporary.replace(path)
     except OSError as problem:
         raise DesignFileError(
-            f"{path}: cannot write the design file: {problem.strerror}"
+            f"{path}: cannot write the design file: {problem.strerror or problem}"
         ) from problem
     finally:
         with suppress(OSError):

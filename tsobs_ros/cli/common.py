@@ -59,10 +59,9 @@ def complain(problem: object) -> None:
 
 
 def note(text: str) -> None:
-    """Print a line that is no result, to stderr; without one it is lost."""
-    if sys.stderr is not None:  # which print would take for stdout
-        with suppress(OSError):  # the terminal has gone
-            print(text, file=sys.stderr)
+    """Print a line that is no result, to stderr."""
+    with suppress(OSError):  # the terminal has gone
+        print(text, file=sys.stderr)
 
 
 @contextmanager
