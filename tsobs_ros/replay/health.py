@@ -35,6 +35,8 @@ _BOUNDS = {
     Basis.HYPOTHESIS: "of another hypothesis",
 }
 
+PROVED = (Basis.CERTIFIED, Basis.LEARNT)
+"""What bounds rest on that are proved, of learnt parameters but for what is uncertain of them."""
 _WRONG = (Basis.CONTRADICTED, Basis.HYPOTHESIS, Basis.OUTSIDE)
 # Of simulated arms: at most .05 of the time if the design is theirs, at least .4 with another arm,
 # a torque of another sign or ten times as large; angles in degrees are noise of 47 times.
@@ -117,6 +119,11 @@ class Health(NamedTuple):
     def certified(self) -> float:
         """Share of the estimates with a certified bound."""
         return self.bases.get(Basis.CERTIFIED, 0.0)
+
+    @property
+    def proved(self) -> float:
+        """Share of the estimates with a bound of `PROVED`."""
+        return sum(self.bases.get(basis, 0.0) for basis in PROVED)
 
     @property
     def misfit(self) -> str | None:

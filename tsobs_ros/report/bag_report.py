@@ -215,17 +215,19 @@ def make_bag_report(
             diagnosed=diagnosed,
             rival=None if comparison is None else rival.of(comparison.method),
         )
-        health = health_of.sum.result()
+        health, events = health_of.sum.result(), tuple(health_of.finder.events)
         report = BagReport(
             bag=bag,
             joint=run.joint,
             design=file,
             metrics=metrics,
             health=health,
-            events=tuple(health_of.finder.events),
+            events=events,
             begin=run.origin,
             comparison=comparison,
-            summary=summarise(metrics, health, diagnosed, shown.timing, quantities_of(request)),
+            summary=summarise(
+                metrics, health, diagnosed, shown.timing, quantities_of(request), events
+            ),
             diagnosed=diagnosed,
             timing=shown.timing,
             notes=dict(notes),
