@@ -138,6 +138,10 @@ setup(
     distclass=AmentDistribution,
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    # Said although it is the default: "pip install -e" then puts this folder on the path. Else a
+    # finder looks for the package last, behind a clone in the current folder: that is called as the
+    # package is, and passes for a namespace package without anything in it.
+    package_dir={"": "."},
     package_data={
         NAME: ["py.typed", "report/page.css", "report/page.js", "core/*.[ch]", "core/*.pyi"]
     },

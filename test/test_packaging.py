@@ -27,7 +27,7 @@ DATA = f"{STEM}.data/data"
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy what a build needs, since it writes next to the sources."""
-    copy = tmp_path_factory.mktemp("sources")
+    copy = tmp_path_factory.mktemp("sources") / "tsobs_ros"
     ignored = shutil.ignore_patterns("__pycache__", "*.so")
     for name in ("tsobs_ros", "config", "examples", "resource", *VIEWS):
         shutil.copytree(ROOT / name, copy / name, ignore=ignored)
@@ -82,6 +82,23 @@ def test_a_wheel_carries_the_whole_package(wheel: ZipFile) -> None:
     assert "tsobs_ros/core/native.abi3.so" in wheel.namelist()
     assert "tsobs_ros/core/layout.h" in files
     assert not [name for name in wheel.namelist() if name.startswith("test")]
+
+
+def test_the_folder_of_a_clone_does_not_pass_for_the_package(
+    editable: ZipFile, sources: Path, tmp_path: Path
+) -> None:
+    """From a workspace's `src`, or wherever the clone is, which Python looks into first."""
+    editable.extractall(tmp_path)
+    code = (
+        f"import site; site.addsitedir({str(tmp_path)!r}); import tsobs_ros as t; print(t.__file__)"
+    )
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=sources.parent, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+    assert done.stdout.strip() == str(sources / "tsobs_ros" / "__init__.py"), done.stderr
 
 
 def test_one_wheel_is_for_all_pythons(wheel: ZipFile) -> None:
