@@ -161,7 +161,7 @@ setup(
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "design": ["cvxpy", "clarabel"],
+        "design": ["cvxpy-base", "clarabel"],  # cvxpy adds 150 MB of solvers that are not used
         "report": ["matplotlib", "plotly", "tqdm", "mcap-ros2-support"],
         "export": ["mcap-ros2-support", "pyarrow"],
         "campaign": ["distributed", "pyarrow", "tqdm"],

@@ -3,6 +3,7 @@
 """What pip installs is a ROS package: marker, manifest, config, and launchers for `ros2 run`."""
 
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -201,6 +202,16 @@ def test_the_advice_on_a_missing_library_is_what_the_package_requires(wheel: Zip
     assert {each for libraries in LIBRARIES.values() for each in libraries} <= requirements(wheel)
 
 
+def test_the_demo_installs_no_library_that_it_does_not_use(wheel: ZipFile) -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    (extras,) = re.findall(r"^DEMO_EXTRAS \?= (.*)$", makefile, re.MULTILINE)
+    lines = wheel.read(f"{STEM}.dist-info/METADATA").decode().splitlines()
+    chosen = [one for one in lines for extra in extras.split(",") if f'extra == "{extra}"' in one]
+
+    assert len(chosen) > 5
+    assert not [one for one in chosen if re.search(r": (pyarrow|distributed|cvxpy)\b(?!-)", one)]
+
+
 def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:
     """ROS has NumPy, for whose first version it is built, and rosdep installs SciPy and PyYAML."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -217,7 +228,7 @@ def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:
 @pytest.mark.parametrize(
     ("module", "advice"),
     [
-        ("cvxpy.error", "cvxpy is not installed: {} -m pip install cvxpy clarabel"),
+        ("cvxpy.error", "cvxpy is not installed: {} -m pip install cvxpy-base clarabel"),
         ("mcap", "mcap is not installed: {} -m pip install scipy pyyaml"),
         ("rclpy.node", "rclpy is not installed: source ROS 2 Jazzy, or {} -m pip install 'ros-"),
         ("colour", None),
@@ -241,8 +252,8 @@ def test_the_advice_fits_a_python_that_pip_must_not_change(
 
     assert missing_library("cvxpy") == (
         f"cvxpy is not installed: in the workspace, {sys.executable} -m venv "
-        "--system-site-packages .venv && .venv/bin/python -m pip install 'numpy<2' cvxpy clarabel "
-        "&& .venv/bin/python -m colcon build"
+        "--system-site-packages .venv && .venv/bin/python -m pip install 'numpy<2' "
+        "cvxpy-base clarabel && .venv/bin/python -m colcon build"
     )
 
 

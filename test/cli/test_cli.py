@@ -361,7 +361,7 @@ def test_a_missing_library_is_one_line_with_the_command_that_installs_it(tmp_pat
         err = process.communicate()[1].decode()
     assert process.returncode == 1
     assert err.startswith(f"error: cvxpy is not installed: {sys.executable} -m pip install ")
-    assert err.endswith("cvxpy clarabel\n")
+    assert err.endswith("cvxpy-base clarabel\n")
 
 
 class Terminal(io.StringIO):
