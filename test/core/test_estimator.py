@@ -60,7 +60,7 @@ def predict(state: State, u: int = 1, duration: float = 0.005, work: int | None 
             ),
             "estimator_observe: samples: expected a number of at least 0",
         ),
-        (lambda m, s: native.estimator_layouts(*[1] * 13), "estimator_layouts: sizes: expected"),
+        (lambda m, s: native.estimator_layouts(*[-1] * 10), "estimator_layouts: sizes: expected"),
     ],
 )
 def test_arrays_of_other_lengths_are_refused(call: Callable[..., Any], message: str) -> None:
@@ -68,7 +68,7 @@ def test_arrays_of_other_lengths_are_refused(call: Callable[..., Any], message: 
         call(ESTIMATOR.model, numbers(ESTIMATOR.new_states(1)))
 
 
-@pytest.mark.parametrize("name", ["n", "width", "p", "k", "n_gap", "bank", "flow_size", "scratch"])
+@pytest.mark.parametrize("name", ["n", "width", "p", "k", "hypothesis_count", "flow_size", "scratch"])
 @pytest.mark.parametrize("size", [-1, 0, 1, 3, 2**40])
 def test_a_model_of_other_sizes_is_refused(name: str, size: int) -> None:
     model = ESTIMATOR.model.copy()
@@ -81,24 +81,19 @@ def test_a_model_of_other_sizes_is_refused(name: str, size: int) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("hypothesis", 5), ("hypothesis", -1), ("watched", 25), ("watched", -1), ("jump_count", 33)],
+    [("kind", 7), ("kind", -1), ("fork", 5), ("output", 1), ("best", 13), ("best", 3), ("live", 0)],
 )
 def test_a_state_whose_counts_lie_outside_of_its_fields_is_refused(name: str, value: int) -> None:
-    state = ESTIMATOR.initial().changed(**{name: value})
+    state = ESTIMATOR.initial()
+    owner = state.records if name == "best" else state.records["hypotheses"]
+    owner[name] = value
     with pytest.raises(ValueError, match="state 0 is no state of this model"):
         ESTIMATOR.predict(state, [0.0], 0.005)
-
-
-def test_a_jump_budget_beyond_the_room_for_jumps_is_refused() -> None:
-    model = ESTIMATOR.model.copy()
-    model["jump_budget"] = native.MAX_JUMP_BUDGET + 1
-    estimator = Estimator(ESTIMATOR.shape, model, bounded=True, disturbed=True)
-    with pytest.raises(ValueError, match="expected a model's record"):
-        estimator.correct(estimator.initial(), [0.0])
 
 
 def test_the_types_of_records_are_made_from_the_sizes_in_the_model() -> None:
     types = types_of_model(ESTIMATOR.model)
     assert types.model == ESTIMATOR.model.dtype
     assert types.state == ESTIMATOR.new_states(1).dtype
-    assert types.state["covariance"].shape == (ESTIMATOR.model["width"][0],) * 2
+    width = (ESTIMATOR.model["width"][0],) * 2
+    assert types.state["hypotheses"].base["covariance"].shape == width

@@ -42,12 +42,7 @@ def supervised_arm() -> Estimator:
         initial_std=0.3, start=0.0, significance=1e-3, pass_time=0.02, memory=0.3
     )
     estimator = design.adaptive(settle_time=0.0, options=learning)
-    estimator.supervise(
-        SupervisionOptions(
-            jump_quiet=0.1, jump_duration=0.05, jump_budget=2, lost=6.0, strain=0.02,
-            relearn_budget=1, relearn_time=0.2,
-        )
-    )  # fmt: skip
+    estimator.supervise(SupervisionOptions(stuck_samples=10))
     return estimator
 
 

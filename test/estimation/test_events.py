@@ -143,7 +143,7 @@ def test_what_lasts_is_reported_once_and_so_is_its_end(
         ({"basis": Basis.CONTRADICTED}, True),
         ({"hypothesis": Hypothesis.FORCE}, False),
         ({"noise_scale": 9.0}, False),
-        ({"learning": Learning.AFTER_JUMP}, False),
+        ({"learning": Learning.STARTING}, False),
     ],
 )
 def test_what_is_over_at_once_is_not_reported_unless_the_bound_was_void(

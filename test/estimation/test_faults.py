@@ -285,7 +285,7 @@ def observed(scenario: Scenario, seconds: float) -> Fault:
         innovation = float(correction.innovation[0])
         monitor.measured(stamp, float(sample.measurement[0]), innovation, std)
         known = observer.readout(state)
-        disturbance, bound = known.designed_disturbance, known.designed_bound
+        disturbance, bound = known.disturbance, known.disturbance_bound
         monitor.estimated(stamp, float(disturbance[0]), float(bound[0]))
         state = observer.predict(state, sample.torque, observer.period)
     return monitor.fault
@@ -331,8 +331,8 @@ def test_frequent_outliers_are_noise_and_the_steps_of_an_encoder_are_not(
         add_samples(watch, np.array([stamp]), np.array([y]), *samples)
         known = tracker.estimate(stamp)
         assert known is not None
-        if add_estimates(watch, stamp, known.designed_disturbance, known.designed_bound):
-            monitor.judge(float(known.designed_disturbance[0]), float(known.designed_bound[0]))
+        if add_estimates(watch, stamp, known.disturbance, known.disturbance_bound):
+            monitor.judge(float(known.disturbance[0]), float(known.disturbance_bound[0]))
         if k >= 4000:
             kinds[monitor.fault.kind] += 1
     assert kinds[kind] == kinds.total()

@@ -216,7 +216,7 @@ def test_a_stopped_encoder_is_reported_as_missing_and_the_other_as_sound() -> No
         add_samples(watches, np.array([stamp]), *columns)
         known = tracker.estimate(stamp)
         assert known is not None
-        disturbances, bounds = known.designed_disturbance, known.designed_bound
+        disturbances, bounds = known.disturbance, known.disturbance_bound
         if add_estimates(watches, stamp, disturbances, bounds):
             for monitor, value, bound in zip(monitors, disturbances, bounds, strict=True):
                 monitor.judge(float(value), float(bound))
