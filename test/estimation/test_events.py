@@ -23,7 +23,7 @@ from tsobs_ros.estimation.records import Basis, Hypothesis, Learning
 SECOND = 1_000_000_000
 BEGIN = 1_700_000_000 * SECOND
 GOOD = Condition(
-    BEGIN, 1.0, 0.0, Basis.CERTIFIED, Learning.ACTIVE, Hypothesis.AS_DESIGNED, age=0.002
+    BEGIN, 1.0, 0.0, Basis.CERTIFIED, True, Learning.ACTIVE, Hypothesis.AS_DESIGNED, age=0.002
 )
 
 

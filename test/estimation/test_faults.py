@@ -293,7 +293,7 @@ def observed(scenario: Scenario, seconds: float) -> Fault:
 
 def test_on_a_simulated_arm_a_disturbed_sensor_and_a_wrong_arm_are_told_apart() -> None:
     scenario = Scenario()
-    sensor = observed(replace(scenario, disturbance=(Sinusoid(0.2, 3.0, 2.0),)), 15.0)
+    sensor = observed(replace(scenario, disturbance=(Sinusoid(0.2, 3.0, 2.0),)), 25.0)
     assert sensor.kind is FaultKind.OSCILLATION
     assert sensor.frequency == pytest.approx(3.0, rel=0.03)
     arm = observed(replace(scenario, mismatch=Mismatch(stiffness=0.2)), 15.0)

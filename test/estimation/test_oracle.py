@@ -585,7 +585,7 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
     for each in filters:
         each.score = -2.0 * (each.kind % 3)
     state, rest, sensors = begin(observer, filters), Rest(plan), Sensors(plan)
-    led = set()
+    led, elapsed = set(), 0.0
     for step in range(70):
         occam = [each.score - BANK["OCCAM"] * (each.kind > 0) for each in filters]
         best = filters[int(np.argmax(occam))]
@@ -604,7 +604,8 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
             each.score += each.correct(y, moving, sensors, BANK["OUTLIER_PRICE"])
         most = max(each.score for each in filters)
         for each in filters:
-            each.score = max(each.score - most, -BANK["FLOOR"])
+            each.score = (each.score - most) * (1.0 - elapsed / BANK["FADE"])
+            each.score = max(each.score, -BANK["FLOOR"])
         state, _ = observer.correct(state, y)
         for each in filters:
             core = state.records["hypotheses"][0, each.kind]
@@ -625,6 +626,7 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
             each.predict(u, T)
         state = observer.predict(state, u, T)
         sensors.waited(y, T)
+        elapsed = T
     check(state.noise_scale, sensors.scale.max(), "scale")
     assert not state.records["hypotheses"]["live"][0, native.HYPOTHESES - 6 :].any()
     assert len(led) > 1 or name not in ("arm", "many")

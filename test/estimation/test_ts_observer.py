@@ -74,46 +74,6 @@ def true_pendulum(gravity: float = 9.81) -> Callable[[Array, Array], Array]:
     return derivative
 
 
-def test_with_one_rule_it_is_the_textbook_kalman_filter(linear: Design) -> None:
-    observer = linear.observer(gain_mode=GainMode.RICCATI)
-    request = linear.request
-    T = request.period
-    whole = np.zeros((4, 4))
-    whole[:2, :2], whole[:2, 3:] = request.model.A[0], [[0.0], [1.0]]
-    step = expm(whole * T)
-    phi, gamma = step[:3, :3], step[:3, 3:]
-    (vertex,) = request.vertices()
-    C, R = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]), np.diag([0.01, 0.0025])
-
-    state = observer.initial()
-    x, P = np.zeros(3), np.diag([1.0, 1.0, 0.09])
-    rng = np.random.default_rng(2)
-    for k in range(100):
-        y, u = rng.standard_normal(2), np.array([math.sin(k * T)])
-        gain = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
-        x, P = x + gain @ (y - C @ x), (np.eye(3) - gain @ C) @ P
-        x, P = phi @ x + gamma @ u, phi @ P @ phi.T + vertex.noise
-        state, _ = observer.correct(state, y)
-        state = observer.predict(state, u, T)
-    np.testing.assert_allclose(state.x, x, rtol=1e-9)
-    np.testing.assert_allclose(state.covariance, P, rtol=1e-9, atol=1e-15)
-
-
-def test_with_one_rule_the_certified_gain_is_a_luenberger_observer(linear: Design) -> None:
-    observer = linear.observer()
-    bound = linear.covariance_bound
-    state = settled(observer, linear, np.array([0.3, -0.2, 0.1]))
-    y, u, T = np.array([0.5, -0.4]), np.array([0.7]), linear.request.period
-    x = state.x + linear.K @ (y - linear.request.flow.output_matrix @ state.x)
-    state, correction = observer.correct(state, y)
-    np.testing.assert_allclose(state.x, x, rtol=1e-14)
-    np.testing.assert_array_equal(correction.gain, linear.K)
-    state = observer.predict(state, u, T)
-    np.testing.assert_allclose(state.x, linear.request.flow.predict(x, u, T), rtol=1e-14)
-    assert state.certified
-    np.testing.assert_array_equal(state.covariance, bound)
-
-
 class Campaign(NamedTuple):
     """Errors at checkpoints, shape (checkpoints, runs, 3), and the largest angle."""
 
@@ -194,21 +154,6 @@ def test_adaptation_finds_the_true_parameter(
     assert abs(readout.parameters[0] - theta) < 4.0 * readout.parameter_bound[0]
     np.testing.assert_allclose(readout.state, x, atol=0.01)
     np.testing.assert_allclose(readout.disturbance, [0.0, 0.05], atol=0.006)
-
-
-def test_the_sensitivity_is_the_derivative_by_theta(pendulum: Design) -> None:
-    """Υ starts as ∂x/∂θ of a start that depends on θ, and stays that of the predicted state."""
-    observer, u = pendulum.adaptive(), np.array([1.5])
-    x0, slope = np.array([0.7, -0.4, 0.1]), np.array([0.2, -0.5, 0.3])
-
-    def predicted(theta: float) -> State:
-        start = observer.initial().changed(
-            x=x0 + slope * (theta - 0.1), theta=theta, upsilon=[slope]
-        )
-        return observer.predict(start, u, 0.034)
-
-    expected = (predicted(0.1 + 1e-6).x - predicted(0.1 - 1e-6).x) / 2e-6
-    np.testing.assert_allclose(predicted(0.1).upsilon[0], expected, rtol=1e-7)
 
 
 def test_known_parameters_are_those_of_the_changed_model(pendulum: Design) -> None:
