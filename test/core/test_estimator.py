@@ -10,7 +10,7 @@ import pytest
 
 from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.estimator import Estimator, State
+from tsobs_ros.estimation.estimator import State
 from tsobs_ros.estimation.state import types_of_model
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
@@ -68,7 +68,9 @@ def test_arrays_of_other_lengths_are_refused(call: Callable[..., Any], message: 
         call(ESTIMATOR.model, numbers(ESTIMATOR.new_states(1)))
 
 
-@pytest.mark.parametrize("name", ["n", "width", "p", "k", "hypothesis_count", "flow_size", "scratch"])
+@pytest.mark.parametrize(
+    "name", ["n", "width", "p", "k", "hypothesis_count", "flow_size", "scratch"]
+)
 @pytest.mark.parametrize("size", [-1, 0, 1, 3, 2**40])
 def test_a_model_of_other_sizes_is_refused(name: str, size: int) -> None:
     model = ESTIMATOR.model.copy()

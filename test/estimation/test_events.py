@@ -156,23 +156,6 @@ def test_what_is_over_at_once_is_not_reported_unless_the_bound_was_void(
     assert bool(play.events[3:]) is reported
 
 
-def test_short_gaps_hide_nothing_however_often_they_come() -> None:
-    play = Play()
-    for _ in range(200):
-        play.goes_on(0.3)
-        play.goes_on(0.3, basis=Basis.GAP)
-    bounds = [each for each in play.events if each.kind is EventKind.BOUND]
-    assert [(seconds(each), each.text) for each in bounds] == [(0.0, "the bound is certified")]
-
-
-def test_noise_between_the_two_limits_changes_nothing() -> None:
-    play = Play().settled()
-    assert play.goes_on(10.0, noise_scale=1.49) == []
-    assert len(play.goes_on(10.0, noise_scale=1.51)) == 1
-    assert play.goes_on(10.0, noise_scale=1.31) == []
-    assert len(play.goes_on(10.0, noise_scale=1.29)) == 1
-
-
 def test_a_node_that_waits_reports_it_once_after_a_second() -> None:
     log = EventLog("/sensor", coast_after=0.1, stale_after=5.0)
     found = [

@@ -20,11 +20,10 @@ from tsobs_ros.estimation.faults import (
     new_watches,
 )
 from tsobs_ros.estimation.history import GATED, NON_FINITE, USED
-from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.records import Basis, RejectReason
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.methods import make_ekf, make_tracker
+from tsobs_ros.methods import make_tracker
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, TorqueDisturbance, Trajectories
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.sensor import Sensor
@@ -105,16 +104,6 @@ def test_a_contact_and_a_bias_are_told_apart_and_within_their_bounds(seed: int) 
     assert np.abs(bias[pressed]).mean() < 0.015
     assert bias[both].mean() == pytest.approx(0.1, abs=0.015)
     assert claimed(rows)[pressed].mean() > 0.8
-
-
-def test_riccati_gains_are_those_of_an_extended_kalman_filter() -> None:
-    """The joint correction of all outputs against the EKF's, which takes one after the other."""
-    ekf, y, u = make_ekf(DESIGN, gate=np.inf), run().measurements[0], run().torques[0]
-    theirs = ekf.follow(stamps_of(len(y)), y, u)
-    ours = DESIGN.observer(gain_mode=GainMode.RICCATI).observe(y[np.newaxis], u[np.newaxis])
-    for name in ("state", "disturbance", "torque_disturbance"):
-        other = theirs[:, ekf.row_parts[name]]
-        np.testing.assert_allclose(getattr(ours, name)[0], other, atol=1e-6)
 
 
 @pytest.mark.parametrize("lost", [LINK, MOTOR])
