@@ -209,6 +209,36 @@ def test_any_order_of_arrival_gives_the_estimates_of_arrival_in_order(
     assert (shuffled.failures, shuffled.restarts) == (0, 0)
 
 
+@pytest.mark.parametrize("batch", [1, 7, 20])
+def test_late_samples_change_no_bit_while_hypotheses_compete(batch: int) -> None:
+    """A jump, outliers, a tone and torques that the arm did not get, in reversed batches."""
+    count = 560
+    y, u = RUN.measurements[0, :count].copy(), RUN.torques[0, :count].copy()
+    y[120:] += 0.4
+    y[200:, 0] += 0.2 * np.sin(0.03 * np.arange(count - 200))
+    y[[60, 61, 300]] += [[3.0], [-1e9], [0.5]]
+    u[400:420], u[440:460] = u[400:420] + 30.0, np.nan
+    stamps = BEGIN + PERIOD * np.arange(count)
+    results, seen = [], set()
+    for order in (np.arange(count), np.arange(count).reshape(-1, 20)[:, ::-1].ravel()):
+        one = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
+        for part in np.split(order, range(batch, count, batch)):
+            one.offer_many(stamps[part], y[part], u[part], END)
+            assert one.state is not None
+            seen |= {*np.flatnonzero(one.state.records["hypotheses"]["live"][0]).tolist()}
+        results.append((probes(one), one.state.records.tobytes(), books(one)[5:]))
+    assert len(seen) > 9  # standing ones, and forks
+    assert results[0] == results[1]
+    whole = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
+    rows = whole.follow(stamps, y, u)
+    observed = ADAPTIVE.supervised().observe(y[np.newaxis], u[np.newaxis])
+    for name in ("state", "state_bound"):
+        assert (
+            rows[:, whole.estimator.row_parts[name]].tobytes() == getattr(observed, name).tobytes()
+        )
+    assert probes(whole) == results[0][0]
+
+
 JUNK: dict[RejectReason, Callable[[Measurement], Measurement]] = {
     RejectReason.DUPLICATE: lambda good: good,
     RejectReason.NON_FINITE: lambda good: good._replace(y=np.array([np.nan])),
