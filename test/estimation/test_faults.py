@@ -22,7 +22,7 @@ from tsobs_ros.estimation.faults import (
     add_samples,
     new_watches,
 )
-from tsobs_ros.estimation.health import Debounce, DisturbanceLimits, Level
+from tsobs_ros.estimation.health import Level
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
@@ -121,20 +121,6 @@ def test_a_tone_is_an_oscillation_with_amplitude_and_frequency(
     assert last.level is Level.WARN
 
 
-def test_a_tone_with_which_the_arm_moves_as_much_proves_nothing() -> None:
-    def tone(time: float) -> float:
-        return 0.1 * math.sin(1.4 * time)
-
-    def moved(amplitude: float) -> Signal:
-        return lambda time: amplitude * math.cos(1.4 * time)
-
-    kinds = [
-        feed(FaultMonitor(STD), tone, 20.0, motion=moved(amplitude))[-1].kind
-        for amplitude in (0.05, 0.2)
-    ]
-    assert kinds == [FaultKind.OSCILLATION, FaultKind.UNKNOWN]
-
-
 @pytest.mark.parametrize("noise", [1.8, 3.0])
 def test_louder_white_innovations_are_noise_of_their_size(noise: float) -> None:
     faults = feed(FaultMonitor(STD), nothing, 10.0, noise=noise)
@@ -179,17 +165,6 @@ def test_samples_that_repeat_are_stuck_within_a_tenth_of_a_second(spread: float)
     assert set(later[120:1900]) == {FaultKind.UNKNOWN}
     assert later[-1] is FaultKind.BIAS
     assert after[-1].level is Level.OK
-
-
-def test_a_fault_whose_kinds_do_not_last_is_unknown() -> None:
-    """A slow tone sets in: at first it looks like a bias and like a drift by turns."""
-    monitor = FaultMonitor(STD, DisturbanceLimits(hold=6.0))
-    faults = feed(monitor, lambda t: 0.2 * math.sin(0.5 * (t - 11.0)) if t > 11.0 else 0.0, 20.0)
-    assert {fault.kind for fault in faults} == {FaultKind.NONE, FaultKind.UNKNOWN}
-    first = next(k for k, fault in enumerate(faults) if fault.kind is FaultKind.UNKNOWN)
-    assert {fault.kind for fault in faults[:first]} == {FaultKind.NONE}
-    assert {fault.level for fault in faults[:first]} == {Level.OK}
-    assert faults[first].since == pytest.approx((1.0 + first / 200 - 6.0) * SECOND, abs=PERIOD)
 
 
 def test_after_a_gap_the_history_is_empty_again() -> None:
@@ -420,13 +395,6 @@ def test_a_history_has_a_shape(values: NDArray[np.float64], kind: FaultKind) -> 
     assert shape.kind is kind
     if kind is FaultKind.BIAS:
         assert shape.magnitude == pytest.approx(0.2)
-
-
-def test_debouncing_tells_since_when() -> None:
-    debounce = Debounce("a")
-    said = [debounce.update(k * SECOND, value, 2.0) for k, value in enumerate("aabbabbbb")]
-    assert said == list("aaaaaaabb")
-    assert debounce.since == 5 * SECOND
 
 
 @pytest.mark.parametrize("std", [0.0, -1.0, math.nan])

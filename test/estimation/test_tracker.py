@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates are a function of the measurements and the stamp, however and whenever they came."""
 
-import itertools
 import subprocess
 import sys
 from collections import Counter
@@ -392,19 +391,6 @@ def test_an_estimate_depends_on_no_earlier_one(stamps: list[int]) -> None:
         fresh = tracker("settled")
         offer_all(fresh, map(sample, range(30)))
         assert bits(fresh.estimate(newest + stamp)) == answer
-
-
-def test_estimates_between_measurements_come_from_the_one_before() -> None:
-    whole = tracker()
-    offer_all(whole, map(sample, range(60)))
-    for index, offset in itertools.product((12, 33, 59), (0, 1, PERIOD // 2, PERIOD - 1)):
-        part = tracker()
-        offer_all(part, map(sample, range(index + 1)))
-        stamp = BEGIN + index * PERIOD + offset
-        estimate = whole.estimate(stamp)
-        assert estimate is not None
-        assert bits(estimate) == bits(part.estimate(stamp))
-        assert (estimate.stamp, estimate.age) == (stamp, offset / SECOND)
 
 
 def test_there_is_no_estimate_before_the_first_measurement() -> None:
