@@ -1,20 +1,28 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Estimates are a function of the measurements and the stamp, however and whenever they came."""
+"""Estimates are a function of the measurements and the stamp, however and whenever they came.
 
+Whatever a random stream brings, the books balance; and joints side by side are trackers alone.
+"""
+
+import gc
+import os
 import subprocess
 import sys
+import tracemalloc
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from staging.arm import Arm
+from staging.streams import Arrival, Mix, arrivals, mixes
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
@@ -22,7 +30,8 @@ from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions, TorqueLimits
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
-from tsobs_ros.estimation.tracker import Outcomes, Tracker, TrackerOptions
+from tsobs_ros.estimation.tracker import JointTrackers, Outcomes, Tracker, TrackerOptions
+from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -114,98 +123,24 @@ def probes(tracker: Tracker) -> list[Any]:
     return [bits(tracker.estimate(newest + offset)) for offset in offsets]
 
 
-class Arrival(NamedTuple):
-    """What arrives: a measurement of the run, or junk of some kind."""
-
-    time: int
-    kind: str
-    measurement: Measurement
-
-
 @st.composite
-def schedules(draw: st.DrawFn) -> tuple[list[Measurement], list[Arrival]]:
-    """Draw measurements at irregular stamps, some dropped, and how they and junk arrive."""
+def schedules(draw: st.DrawFn) -> tuple[list[Measurement], list[Measurement]]:
+    """Draw measurements at irregular stamps, some dropped, and the order in which they arrive."""
     count = draw(st.integers(2, 40))
-    steps = draw(
-        st.lists(
-            st.sampled_from([PERIOD, PERIOD, PERIOD, 1_000_000, 7_654_321, 40_000_000]),
-            min_size=count,
-            max_size=count,
-        )
-    )
-    stamps = [BEGIN + sum(steps[: k + 1]) for k in range(count)]
+    step = st.sampled_from([PERIOD, PERIOD, PERIOD, 1_000_000, 7_654_321, 40_000_000])
+    stamps = BEGIN + np.cumsum(draw(st.lists(step, min_size=count, max_size=count)))
     # A rad is an outlier; eight times .2 rad are a jump.
     offset = st.sampled_from([0.0, 0.0, 0.0, 0.2, -1.0])
     # Twenty N m for one sample are doubtful.
     torque = st.sampled_from([0.0, 0.0, 0.0, 0.0, 20.0, np.nan, 1e6])
     kept = [
-        sample(k, stamp, draw(offset), draw(torque))
+        sample(k, int(stamp), draw(offset), draw(torque))
         for k, stamp in enumerate(stamps)
         if k == 0 or draw(st.integers(0, 9)) > 0
     ]
-    # Less than the history of half a second.
-    delays = draw(
-        st.lists(st.integers(0, 80).map(lambda ms: ms * 1_000_000 + 1), min_size=len(kept),
-                 max_size=len(kept))
-    )  # fmt: skip
-    arrivals = [Arrival(m.stamp + delay, "good", m) for m, delay in zip(kept, delays, strict=True)]
-    arrivals.sort(key=lambda arrival: arrival.time)
-    kinds = st.sampled_from(["duplicate", "nan", "zero", "future", "old"])
-    for place, kind in draw(st.lists(st.tuples(st.integers(1, len(kept)), kinds), max_size=8)):
-        time, _, measurement = arrivals[place - 1]
-        arrivals.insert(place, Arrival(time, kind, measurement))
-    return kept, arrivals
-
-
-def spoilt(arrival: Arrival, tracker: Tracker) -> tuple[Measurement, RejectReason | None]:
-    """Return what really arrives, and why it must be rejected."""
-    good, newest = arrival.measurement, tracker.newest
-    if arrival.kind == "good":
-        return good, None
-    assert newest is not None
-    return {
-        "duplicate": (good._replace(stamp=newest), RejectReason.DUPLICATE),
-        "nan": (good._replace(y=np.array([np.nan])), RejectReason.NON_FINITE),
-        "zero": (good._replace(stamp=0), RejectReason.ZERO_STAMP),
-        "future": (
-            good._replace(stamp=arrival.time + SECOND // 10 + 1),
-            RejectReason.FROM_FUTURE,
-        ),
-        "old": (good._replace(stamp=newest - SECOND // 2 - 1), RejectReason.TOO_OLD),
-    }[arrival.kind]
-
-
-@pytest.mark.parametrize("kind", ["unsettled", "settled"])
-@PROPERTY
-@given(schedule=schedules(), interrupted=st.booleans())
-def test_any_order_of_arrival_gives_the_estimates_of_arrival_in_order(
-    kind: str, schedule: tuple[list[Measurement], list[Arrival]], interrupted: bool
-) -> None:
-    kept, arrivals = schedule
-    shuffled, in_order = tracker(kind), tracker(kind)
-    expected: Counter[RejectReason] = Counter()
-    late = 0
-    for arrival in arrivals:
-        measurement, reason = spoilt(arrival, shuffled)
-        if reason is None:
-            late += shuffled.newest is not None and measurement.stamp < shuffled.newest
-        else:
-            expected[reason] += 1
-        outcome = shuffled.offer(measurement, arrival.time)
-        if reason is None:  # an outlier is gated
-            assert isinstance(outcome, Innovation) or outcome in JUDGED
-        else:
-            assert outcome is reason
-        if interrupted:  # asking in between must not matter
-            shuffled.estimate(arrival.time)
-    offer_all(in_order, kept)
-
-    assert probes(shuffled) == probes(in_order)
-    assert shuffled.events == in_order.events
-    assert shuffled.rejected == expected + in_order.rejected
-    assert (shuffled.used, shuffled.rewinds) == (in_order.used, late)
-    assert len(arrivals) == shuffled.used + sum(shuffled.rejected.values())
-    assert (shuffled.failures, shuffled.restarts) == (0, 0)
+    # Delays of less than the history of half a second.
+    late = {m.stamp: m.stamp + draw(st.integers(0, 80)) * 1_000_000 for m in kept}
+    return kept, sorted(kept, key=lambda m: late[m.stamp])
 
 
 @pytest.mark.parametrize("batch", [1, 7, 20])
@@ -247,18 +182,18 @@ JUNK: dict[RejectReason, Callable[[Measurement], Measurement]] = {
 }
 
 
+@pytest.mark.parametrize("kind", ["unsettled", "settled"])
 @PROPERTY
-@given(schedule=schedules(), data=st.data())
+@given(schedule=schedules(), most=st.sampled_from([1, 12]), data=st.data())
 def test_batches_in_any_order_give_the_estimates_of_arrival_in_order(
-    schedule: tuple[list[Measurement], list[Arrival]], data: st.DataObject
+    kind: str, schedule: tuple[list[Measurement], list[Measurement]], most: int, data: st.DataObject
 ) -> None:
-    kept, arrivals = schedule
-    arrived = [arrival.measurement for arrival in arrivals if arrival.kind == "good"]
-    together, in_order = tracker(), tracker()
+    kept, arrived = schedule
+    together, in_order = tracker(kind), tracker(kind)
     expected: Counter[RejectReason] = Counter()
     late = steps = place = 0
     while place < len(arrived):
-        good = arrived[place : place + data.draw(st.integers(1, 12))]
+        good = arrived[place : place + data.draw(st.integers(1, most))]
         known, place = arrived[:place], place + len(good)
         oldest, newest = min(m.stamp for m in good), together.newest or 0
         late += sum(m.stamp < newest for m in good)
@@ -272,12 +207,15 @@ def test_batches_in_any_order_give_the_estimates_of_arrival_in_order(
         assert all(found[reason] == n for reason, n in Counter(r for r, _ in junk).items())
         assert found[None] + sum(found[reason] for reason in JUDGED) == len(good)
         assert np.isfinite(outcomes.innovations[outcomes.codes == 0]).all()
+        if most == 1:  # asking in between must not matter
+            together.estimate(newest + 3 * PERIOD)
     offer_all(in_order, kept)
 
     assert probes(together) == probes(in_order)
     assert together.events == in_order.events
     assert together.rejected == expected + in_order.rejected
     assert (together.used, together.rewinds) == (in_order.used, late)
+    assert (together.failures, together.restarts) == (0, 0)
     # One pass over what is newer than the oldest of a batch.
     assert steps_of(together) == steps
 
@@ -351,6 +289,7 @@ def test_a_checkpoint_goes_on_with_the_same_bits_in_another_process(tmp_path: Pa
     process = subprocess.run(
         [sys.executable, "-c", code, tmp_path],
         cwd=Path(__file__).parent,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
     )
@@ -569,3 +508,140 @@ def test_numbers_that_are_not_finite_give_no_estimate_and_a_restart(
 def test_senseless_limits_are_refused(option: str, value: float) -> None:
     with pytest.raises(ModelError, match=option):
         TrackerOptions(**{"x_max": 0.75, option: value})
+
+
+TICK, MANY = 20_000_000, 600
+
+
+def fed(tracker: Tracker, stream: list[Arrival]) -> list[Any]:
+    """Offer a stream, ask for the estimate at every tick, and return the bits of all answers.
+
+    As the node does, it asks for none once the newest measurement is older than five seconds.
+    """
+    answers, tick = [], stream[0].at
+    for at, measurement in stream:
+        while tick < at:
+            newest = tracker.newest
+            if newest is not None and tick - newest <= 5 * SECOND:
+                estimate = tracker.estimate(tick)
+                assert estimate is None or all(np.isfinite(field).all() for field in estimate)
+                answers.append(bits(estimate))
+            tick += TICK
+        if measurement is None:
+            tracker.reject(RejectReason.WRONG_JOINT)
+            continue
+        outcome = tracker.offer(measurement, at)
+        if isinstance(outcome, Innovation):
+            assert np.isfinite(outcome.value).all()
+            assert np.isfinite(outcome.expected_std).all()
+        answers.append(bits(outcome))
+    return answers
+
+
+@settings(max_examples=3)
+@given(mix=mixes(), other=mixes(), adaptive=st.booleans())
+def test_the_books_balance_and_a_reset_tracker_is_a_new_one(
+    mix: Mix, other: Mix, adaptive: bool
+) -> None:
+    used, fresh = (
+        Tracker((ADAPTIVE if adaptive else DESIGN).supervised(), TrackerOptions(X_MAX))
+        for _ in range(2)
+    )
+    arm = Arm(BEGIN)
+    with np.errstate(all="ignore"):
+        fed(used, arrivals(mix, arm, BEGIN, MANY))
+        assert used.used + used.rejected.total() == MANY
+        assert used.used > 0
+        used.reset()
+        stream = arrivals(other, arm, BEGIN + SECOND, MANY)
+        assert fed(used, stream) == fed(fresh, stream)
+    assert books(used) == books(fresh)
+
+
+def test_memory_does_not_grow_with_the_stream() -> None:
+    mix = Mix(seed=3, weights=(20, 1, 1, 1, 1, 1, 2, 1, 4, 1, 1), period=5_000_000, bias=0.0)
+    arm, long_running = Arm(BEGIN), tracker()
+    stream = arrivals(mix, arm, BEGIN, 3000)
+    sizes = []
+    tracemalloc.start()
+    try:
+        with np.errstate(all="ignore"):
+            for first in range(0, 3000, 1000):
+                for at, measurement in stream[first : first + 1000]:
+                    if measurement is not None:
+                        long_running.offer(measurement, at)
+                gc.collect()
+                sizes.append(tracemalloc.get_traced_memory()[0])
+    finally:
+        tracemalloc.stop()
+    # A third of the stream, if it were kept, would be megabytes.
+    assert abs(sizes[2] - sizes[1]) < 100_000, sizes
+
+
+THREE = simulate(SCENARIOS["bias_step"], [0, 1, 2], 3.0)
+
+
+BOTH = (DESIGN, ADAPTIVE)
+
+
+def joints() -> JointTrackers:
+    """Return joints of different designs, the last of which is tracked by another method."""
+    trackers: list[Any] = [
+        make_tracker(design, ObserverSettings()) for design in (DESIGN, ADAPTIVE)
+    ]
+    return JointTrackers([*trackers, make_tracker(DESIGN, ObserverSettings("high_gain"))])
+
+
+def joint_sample(joint: int, index: int) -> Measurement:
+    y, u = THREE.measurements[joint, index], THREE.torques[joint, index]
+    return Measurement(BEGIN + index * PERIOD, y, u)
+
+
+def test_each_joint_is_its_tracker_alone() -> None:
+    together, alone = joints(), joints().trackers
+    for index in range(200):
+        row = [
+            None if index % (joint + 7) == 0 else joint_sample(joint, index) for joint in range(3)
+        ]
+        expected = [
+            one and tracker.offer(one, END) for tracker, one in zip(alone, row, strict=True)
+        ]
+        assert repr(together.offer(row, END)) == repr(expected)
+        stamp = BEGIN + index * PERIOD + 1_000_000
+        assert repr(together.estimate(stamp)) == repr([one.estimate(stamp) for one in alone])
+    assert [one.used for one in together.trackers] == [one.used for one in alone]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("torque", [1.7e308, -1e300, 1e160])
+def test_numbers_beyond_all_bounds_are_the_business_of_one_joint(torque: float) -> None:
+    """The second joint restarts, without a warning, and the others go on."""
+    together = joints()
+    for tracker in together.trackers:
+        tracker.estimator.limit_torque(TorqueLimits.of(0.0, 0.0, 1.0))
+    for index in (*range(60), *range(80, 120)):
+        row = [joint_sample(joint, index) for joint in range(3)]
+        if index % 30 == 20:
+            row[1] = row[1]._replace(u=np.array([torque]))
+        together.offer(row, END)
+        for later in (2_000_000, 40_000_000):
+            together.estimate(row[0].stamp + later)
+    failures = [tracker.failures for tracker in together.trackers]
+    assert failures[0] == failures[2] == 0
+    assert failures[1] > 0
+    estimates = together.estimate(BEGIN + 119 * PERIOD)
+    assert estimates[0] is not None
+    assert estimates[2] is not None
+
+
+def test_only_joints_that_are_wanted_are_estimated_and_a_reset_forgets_all() -> None:
+    together = joints()
+    together.offer([joint_sample(0, 0), joint_sample(1, 0), None], END)
+    some = together.estimate(BEGIN, [True, False, True])
+    assert [estimate is not None for estimate in some] == [True, False, False]
+    with pytest.raises(ValueError, match="shorter"):
+        together.offer([joint_sample(0, 0)], END)
+    with pytest.raises(ValueError, match="shorter"):
+        together.estimate(BEGIN, [])
+    together.reset()
+    assert together.estimate(BEGIN) == [None] * 3
