@@ -25,11 +25,6 @@
 #define WHITE 0.15
 #define ALIKE 0.9
 
-/* How often parameters are learnt again along better regressors, and from which distance on, by
- * their 1 sigma. */
-#define PASSES 4
-#define PASS_REACH 0.1
-
 long states_in_use(const model *m, const hypothesis *h)
 {
     const long n = (long)m->s.n;
@@ -360,29 +355,21 @@ static void correct_certified(
     }
 }
 
-/* Learn again what was learnt far from where the pass began. */
+/* Begin another pass of learning: what the last one moved is wrong by a share of it, as its
+ * regressors were. */
 static void begin_pass(const model *m, hypothesis *h)
 {
-    const long k = (long)m->s.k, width = (long)m->s.width;
-    int far = 0;
-    for (long a = 0; a < k; a++) {
-        far = far || fabs(h->theta[a] - h->anchor[a]) > PASS_REACH * m->theta_deviation[a];
-    }
-    if (!far || *h->passes >= PASSES || *h->pass_age <= *m->pass_time) {
+    const long k = (long)m->s.k;
+    if (*h->pass_age <= *m->pass_time) {
         return;
     }
-    *h->passes += 1;
     *h->pass_age = 0.0;
     for (long a = 0; a < k; a++) {
+        const double wrong = m->constants[CURVED] * (h->theta[a] - h->anchor[a]);
+        const double most = m->theta_deviation[a] * m->theta_deviation[a];
+        double *variance = h->gamma + a * k + a;
+        *variance = minimum(*variance + wrong * wrong, most);
         h->anchor[a] = h->theta[a];
-        h->pending[a] = 0.0;
-        for (long j = 0; j < width; j++) {
-            h->upsilon[a * width + j] = 0.0;
-        }
-        for (long b = 0; b < k; b++) {
-            h->gamma[a * k + b] = 0.0;
-        }
-        h->gamma[a * k + a] = m->theta_deviation[a] * m->theta_deviation[a];
     }
 }
 
