@@ -78,8 +78,8 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "8fd07401fc84f9b6",
-    "supervised arm, bad": "223af1cec9cbf276",
+    "supervised arm": "733637c5e3c17344",
+    "supervised arm, bad": "e0141d944a0cccd0",
     "gyroscope": "50f371735e33ac52",
     "gyroscope, bad": "4d320de0056ca398",
     "proportional": "1112db69dd983d26",
