@@ -635,6 +635,16 @@ static void report(const model *m, const hypothesis *best, correction *effect)
     }
 }
 
+/* Write that the outputs that the best hypothesis takes for outliers are not used. */
+static void report_outliers(const model *m, correction *effect)
+{
+    for (long i = 0; i < m->s.p; i++) {
+        if (!effect->used[i]) {
+            effect->weight[i] = 0.0;
+        }
+    }
+}
+
 /* Correct all hypotheses, and fork the best one where it takes samples for outliers. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
@@ -677,11 +687,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
         listen(m, at, effect);
         weigh(m, at, &h, effect);
     }
-    for (long i = 0; i < p; i++) {
-        if (effect->weight[i] > 0.0 && !effect->used[i]) {
-            effect->weight[i] = 0.0;
-        }
-    }
+    report_outliers(m, effect);
     memset(effect->gain, 0, (size_t)(m->s.width * p) * sizeof(double));
     *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
     for (long i = 0; outliers > 0 && i < p; i++) {
@@ -709,6 +715,40 @@ static void correct_bank(const model *m, state *at, correction *effect)
     rest(m, at, signs);
 }
 
+/* Begin with the initial covariance again, and with the estimate as it is. */
+static void start_covariance(const model *m, hypothesis *h)
+{
+    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
+    state initial;
+    hypothesis first;
+    state_bind(&initial, &m->s, m->initial);
+    first = hypothesis_of(m, &initial, 0);
+    copy_matrix(first.covariance, width, h->covariance, width, n, n);
+    copy_matrix(first.gamma, k, h->gamma, k, k, k);
+    copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
+    *h->inlier = 1.0;
+    *h->age = 0.0;
+}
+
+/* Correct the only hypothesis, which starts its covariance again if it leaves out most samples. */
+static void correct_alone(const model *m, state *at, correction *effect)
+{
+    const double elapsed = minimum(larger(*at->since, *m->period), *m->longest);
+    hypothesis h = hypothesis_of(m, at, 0);
+    int any = 0;
+    weigh(m, at, &h, effect);
+    report(m, &h, effect);
+    correct_hypothesis(m, at, &h, moves(m, at, &h), effect);
+    report_outliers(m, effect);
+    for (long i = 0; i < m->s.p; i++) {
+        any = any || effect->used[i];
+    }
+    *h.inlier += share_of(elapsed, 0.5) * ((double)any - *h.inlier);
+    if (*h.inlier < m->constants[REJECTING]) {
+        start_covariance(m, &h);
+    }
+}
+
 void correct(const model *m, state *at, const double *y, correction *effect)
 {
     const long p = (long)m->s.p;
@@ -725,10 +765,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     if (*m->supervised != 0) {
         correct_bank(m, at, effect);
     } else {
-        hypothesis h = hypothesis_of(m, at, 0);
-        weigh(m, at, &h, effect);
-        report(m, &h, effect);
-        correct_hypothesis(m, at, &h, moves(m, at, &h), effect);
+        correct_alone(m, at, effect);
     }
     *at->since = 0.0;
     for (long i = 0; i < p; i++) {
