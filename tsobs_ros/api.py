@@ -23,6 +23,7 @@ from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
+from tsobs_ros.replay.health import PROVED
 from tsobs_ros.replay.passes import Pass, Ticks
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.integrator import Friction, Payload
@@ -129,6 +130,11 @@ class Estimates:
     def certified(self) -> Flags:
         """Whether the bounds are the certificate's, times the noise's scale, shape (n,)."""
         return np.asarray(self.basis == Basis.CERTIFIED)
+
+    @property
+    def proved(self) -> Flags:
+        """Whether that is so, but for what is uncertain of learnt parameters, shape (n,)."""
+        return np.isin(self.basis, PROVED)
 
 
 def load_design(path: str | Path | None = None) -> Design:
@@ -558,9 +564,8 @@ def _columns_of(rows: Array, estimator: Estimator, outputs: tuple[int, ...]) -> 
             columns[name][:] = rows[:, estimator.row_parts[name]].reshape(columns[name].shape)
     names = (*CONDITIONS, "in_domain")
     for name, column in zip(names, rows[:, -len(CONDITIONS) - EXTRA : -1].T, strict=True):
-        columns[name] = (
-            column == 1.0 if name in ("claimed", "parameters_valid", "in_domain") else column.copy()
-        )
+        is_flag = name in ("claimed", "parameters_valid", "in_domain")
+        columns[name] = column == 1.0 if is_flag else column.copy()
     return columns
 
 

@@ -40,6 +40,14 @@ def test_estimate_writes_a_bag_beside_the_bag(bag: Path, capsys) -> None:
     assert "exists already" in capsys.readouterr().err
 
 
+def test_a_log_without_a_number_is_no_success(tmp_path, capsys) -> None:
+    lines = ["t,q,tau", *(f"{0.005 * k},nan,nan" for k in range(400))]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+
+    assert main(["estimate", str(tmp_path / "log.csv")]) == 1
+    assert "error: no estimate was made; rejected: " in capsys.readouterr().err
+
+
 def test_estimate_says_that_measurements_are_unchecked(bag: Path, capsys) -> None:
     (file,) = bag.glob("*.mcap")
     data = bytearray(file.read_bytes())
@@ -98,7 +106,8 @@ def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) 
     health = observer["health"]["elbow"]
     assert health["noise_scale"]["max"] >= health["noise_scale"]["median"] > 1.5
     assert (health["learning"], health["certified"]) == ("starting", 0.0)
-    assert " % settling after a start" in out
+    assert " % starting" in out
+    assert f"; claimed to hold {100.0 * health['claimed']:.3g} %" in out
     assert "at the end learning waits until the estimate has settled; arm and sensor behave" in out
 
 
@@ -146,7 +155,7 @@ def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
     assert main([*again, str(file), "--output", f"{bag}_2"]) == 0
     live = json.loads(capsys.readouterr().out)["live"]
     assert live["reproduced"] == live["recorded"] == 600
-    other = ["--param", "supervision.gate=1", "--param", "supervision.reject=2"]
+    other = ["--param", "supervision.gate=1", "--param", "supervision.stuck_samples=2"]
     assert main([*again, str(file), *other, "--output", f"{bag}_3"]) == 0
     live = json.loads(capsys.readouterr().out)["live"]
     assert live["reproduced"] < live["recorded"]
@@ -159,7 +168,7 @@ def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
         ("adapt=maybe", "parameter 'adapt': expected a value such as True, got 'maybe'"),
         ("settle_time=long", "parameter 'settle_time': expected a value such as 5.0"),
         ("gain_mode=best", "parameter 'gain_mode': expected a value such as 'certified'"),
-        ("supervision.jump_budget=1.5", "parameter 'supervision.jump_budget'"),
+        ("supervision.stuck_samples=1.5", "parameter 'supervision.stuck_samples'"),
         ("supervision.gate=-1", "gate"),
     ],
 )
