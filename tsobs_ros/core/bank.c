@@ -36,6 +36,9 @@ enum { REGULAR = 1, OUTLIER = 2 };
 /* Time for which they are listened to [s], which is a trial's of a tone, too. */
 #define TONE_MEMORY 5.0
 
+/* A filter that is alone starts its covariance again by what it left out for so long [s]. */
+#define PATIENCE 0.5
+
 /* --- views --- */
 
 int sizes_are_sound(const int64_t *numbers)
@@ -780,8 +783,8 @@ static void correct_alone(const model *m, state *at, correction *effect)
         there = there || effect->weight[i] > 0.0;
         used = used || effect->used[i];
     }
-    *h.inlier += there ? share_of(elapsed, 0.5) * ((double)used - *h.inlier) : 0.0;
-    if (*h.inlier < m->constants[REJECTING]) {
+    *h.inlier += there ? share_of(elapsed, PATIENCE) * ((double)used - *h.inlier) : 0.0;
+    if (*h.inlier < m->constants[REJECTING] && *h.age >= PATIENCE) {
         start_covariance(m, &h);
     }
 }
