@@ -110,7 +110,7 @@ def test_riccati_gains_are_those_of_an_extended_kalman_filter() -> None:
     theirs = ekf.follow(stamps_of(len(y)), y, u)
     ours = DESIGN.observer(gain_mode=GainMode.RICCATI).observe(y[np.newaxis], u[np.newaxis])
     for name in ("state", "disturbance", "torque_disturbance"):
-        other = theirs[:, ekf.row_parts[name]]
+        other = theirs[:, ekf.estimator.row_parts[name]]
         np.testing.assert_allclose(getattr(ours, name)[0], other, atol=1e-6)
 
 
