@@ -24,9 +24,8 @@ from tsobs_ros.estimation.baselines import (
     proportional_integral,
     proportional_integral_matrix,
 )
-from tsobs_ros.estimation.estimator import Estimator, certified_estimator
+from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.history import GATED
-from tsobs_ros.estimation.options import CertifiedGain, GainMode
 from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_ekf
@@ -112,43 +111,6 @@ def test_converges_on_a_clean_output_for_every_run_of_a_batch(
     assert error[:, 0].max() < 0.01
     assert error.max() < 0.5
     assert (states.x[0] == states.x[2]).all()
-
-
-def test_observing_arrays_is_stepping_from_a_start() -> None:
-    observer = high_gain(ARM, 2.5, *KNOWN)
-    start = observer.initial((2,)).changed(x=[START, -START])
-    y = np.stack([RUN.measurements[0, :50]] * 2)
-    rows = observer.observe(y, RUN.torques[:, :50], PERIOD, start)
-    states = start
-    for k in range(50):
-        states, _ = observer.correct(states, y[:, k])
-        assert (rows.state[:, k] == observer.readout(states).state).all()
-        states = observer.predict(states, RUN.torques[0, k], PERIOD)
-    assert (start.x == [START, -START]).all()
-    with pytest.raises(ModelError, match=r"start: expected a batch of \(2,\), got \(3,\)"):
-        observer.observe(y, RUN.torques[:, :50], PERIOD, observer.initial((3,)))
-
-
-def test_riccati_gains_are_the_textbook_filter_on_a_linear_arm() -> None:
-    request = ArmRequest(arm=LINEAR, disturbance=(DisturbanceTerm("bias"),))
-    flow, covariances = request.flow, (request.measurement_covariance, request.initial_covariance)
-    unused = CertifiedGain(np.zeros((5, 1)), np.eye(5))
-    ekf = certified_estimator(flow, *covariances, unused, gain_mode=GainMode.RICCATI)
-    textbook = KalmanFilter(dim_x=5, dim_z=1, dim_u=1)
-    step = flow.transition(PERIOD)
-    textbook.F, textbook.B, textbook.Q = step.phi, step.gamma, step.noise
-    textbook.H, textbook.R = flow.output_matrix, request.measurement_covariance
-    textbook.P = request.initial_covariance.copy()
-    state = ekf.initial()
-    random = np.random.default_rng(2)
-    for _ in range(300):
-        y, u = random.normal(0.0, 0.3, size=1), random.normal(size=1)
-        state, _ = ekf.correct(state, y)
-        textbook.update(y)
-        np.testing.assert_allclose(state.x, textbook.x[:, 0], atol=1e-8)
-        state = ekf.predict(state, u, PERIOD)
-        textbook.predict(u[:, None])
-    np.testing.assert_allclose(state.covariance, textbook.P, atol=1e-9)
 
 
 def stamps_of(count: int) -> NDArray[np.int64]:
@@ -278,19 +240,6 @@ def test_high_gain_observers_follow_the_arm(make: Callable[..., Estimator]) -> N
     estimate = tracker.estimate(10**9 + 5_000_000 * (len(RUN.times) - 1))
     assert estimate is not None
     assert estimate.disturbance.size == 0
-
-
-def test_the_tracker_takes_the_observers_own_steps() -> None:
-    observer = high_gain(ARM, 2.5, *KNOWN)
-    tracker, state = Tracker(observer, TrackerOptions(0.75)), observer.initial()
-    for k in range(50):
-        stamp, y, u = 10**9 + 5_000_000 * k, RUN.measurements[0, k], RUN.torques[0, k]
-        tracker.offer(Measurement(stamp, y, u), stamp)
-        state, _ = observer.correct(state, y)
-        estimate = tracker.estimate(stamp)
-        assert estimate is not None
-        assert (estimate.state == observer.readout(state).state).all()
-        state = observer.predict(state, u, PERIOD)
 
 
 def test_the_papers_observer_does_not_find_the_arm() -> None:
