@@ -176,6 +176,7 @@ def why_unbounded(scenario: Scenario) -> str:
     for there, why in (
         (friction, "friction, which no method has a model of"),
         (scenario.payload != Payload(), "a payload, which no method has a model of"),
+        (scenario.backlash > 0.0, "backlash, which no method has a model of"),
         (scenario.torque_disturbance != TorqueDisturbance(), "torques that no method knows"),
         (bool(scenario.torque_error), "a wrong torque, which no method has a model of"),
         (sensor.noise_time_constant > 0.0, "noise that is not white"),
