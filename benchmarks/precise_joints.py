@@ -116,9 +116,7 @@ class Case(NamedTuple):
             joint.arm,
             process_noise=ProcessNoise(1.0, 1.0),
             outputs=(Output(f"{self.side}_angle", self.sigma),),
-            torque_disturbance=TorqueDisturbance(
-                motor=(DisturbanceTerm("gauss_markov", torque),)
-            ),
+            torque_disturbance=TorqueDisturbance(motor=(DisturbanceTerm("gauss_markov", torque),)),
             rate=self.rate,
             x_max=3.1,
             initial_std=(0.01, 0.1, 0.01, 0.1),
@@ -143,9 +141,7 @@ CASES = {
     "light_hits_10": Case("light", 10.0, stiffness=0.1),
     "light_motor_hits_3": Case("light", 3.0, "motor", stiffness=0.1),
     "light_fine_hits_3": Case("light", 3.0, rate=1000.0, sigma=0.0004, stiffness=0.1),
-    "light_softer_hits_3": Case(
-        "light", 3.0, stiffness=-0.25, link_inertia=0.2, friction=2.0
-    ),
+    "light_softer_hits_3": Case("light", 3.0, stiffness=-0.25, link_inertia=0.2, friction=2.0),
 }
 
 
@@ -255,14 +251,14 @@ def demands(results: Mapping[str, Found]) -> Iterator[Demand]:
         yield Demand(name, "inside", text, inside, _INSIDE_BAR, at_least=True)
 
 
-def _page(
-    results: Mapping[str, Found], found: Sequence[Demand], options: str
-) -> Iterator[str]:
+def _page(results: Mapping[str, Found], found: Sequence[Demand], options: str) -> Iterator[str]:
     """Yield all that was found, as Markdown."""
     failed = sum(not one.passed for one in found)
     yield f"{options} {failed} of {len(found)} demands are missed. Errors are in mrad.\n"
     by_place = {(one.scenario, one.kind): one for one in found}
-    yield from head("joint", "ours", "plain EKF", "gated EKF", "ratio", "inside", "claimed", "broken")
+    yield from head(
+        "joint", "ours", "plain EKF", "gated EKF", "ratio", "inside", "claimed", "broken"
+    )
     for name, one in results.items():
         cells = [f"{1e3 * one.errors[who].mean():.1f}" for who in ("ours", "plain", "gated")]
         for kind in ("ratio", "inside"):

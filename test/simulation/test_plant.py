@@ -487,7 +487,7 @@ def test_samples_get_lost_each_by_itself_and_no_outlier_does() -> None:
     assert lost.mean() == pytest.approx(0.2, abs=0.02)
     assert (lost[:, 1:] & lost[:, :-1]).mean() == pytest.approx(0.04, abs=0.01)
     assert far.mean() == pytest.approx(0.5, abs=0.03)
-    with pytest.raises(ModelError, match="loss_probability: expected 0 to 1, got 1.5"):
+    with pytest.raises(ModelError, match="loss_probability: expected 0 to 1, got"):
         Sensor(loss_probability=1.5)
 
 

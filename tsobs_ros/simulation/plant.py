@@ -319,9 +319,10 @@ class Trajectories(NamedTuple):
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
         torque_disturbances: Torques on motor and link that the true arm (with its mismatch) would
             need besides the reported one, without friction, payload and backlash, to accelerate as
-            it does, shape (runs, samples, 2) [N m]. They count the torque disturbance, friction, the
-            payload's inertia and weight, what the spring lacks by play, and the error of the reported torque; not the mismatch,
-            which is a matter of parameters, nor the random accelerations.
+            it does, shape (runs, samples, 2) [N m]. They count the torque disturbance, friction,
+            the payload's inertia and weight, what the spring lacks by play, and the error of the
+            reported torque; not the mismatch, which is a matter of parameters, nor the random
+            accelerations.
     """
 
     times: Array

@@ -217,9 +217,9 @@ FURTHER: dict[str, Scenario] = {
         disturbance=(BiasStep(0.1, 30.0),),
     ),
 }
-"""A bias that wanders as designed and three times as much; inertias 10 % off; a payload of 20 % from
-30 s on; play of the gear [rad]; every fifth sample missing at random; half the rate; a motion of a
-twentieth; and mixtures of three."""
+"""A bias that wanders as designed and three times as much; inertias 10 % off; a payload of 20 %
+from 30 s on; play of the gear [rad]; every fifth sample missing at random; half the rate; a motion
+of a twentieth; and mixtures of three."""
 
 SCENARIOS: dict[str, Scenario] = PLAIN | HARD | TONES | FURTHER
 """All of them by name."""
