@@ -19,7 +19,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.options import GainMode
-from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis
+from tsobs_ros.estimation.records import NANOSECONDS, Hypothesis
 from tsobs_ros.methods import ObserverSettings, make_ekf
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.report.comparison import THETAS
@@ -44,12 +44,6 @@ Without a step, 5 of 30 runs pass three times it within nine seconds, and none f
 
 STEP_SIZE = 0.1
 """What the disturbance's error is divided by when that is judged [rad]."""
-
-CLAIMS = (Basis.CERTIFIED, Basis.LEARNT)
-"""Bounds that rest on these are said to be the certificate's."""
-
-VOID = (Basis.CONTRADICTED, Basis.OUTSIDE)
-"""Bounds that rest on these are said to be none."""
 
 
 class Found(NamedTuple):
@@ -80,10 +74,10 @@ class Outcome(NamedTuple):
     Attributes:
         errors: Normalised RMSE by window, shape (runs,).
         inside: Shares of errors within three bounds, of the states and the disturbance, (runs, 5).
-        claimed: Share of samples whose bounds are said to be the certificate's, shape (runs,).
+        claimed: Share of samples whose bounds are claimed to hold, shape (runs,).
         broken: Share of them in which an error is beyond three bounds, 0 if there are none.
-        honest: Share of samples with every error within three bounds, or with bounds said to be
-            none.
+        honest: Share of samples with every error within three bounds, or with bounds that are not
+            claimed to hold.
         foreign: Longest time with another hypothesis than the design's, from the start on [s].
         theta: RMS error of each parameter over the settled window, shape (runs, k).
         theta_inside: Share of valid parameters within three bounds, NaN if none is valid, (runs,).
@@ -235,8 +229,7 @@ def _worth(
     conditions: dict[str, Array], kept: NDArray[np.bool_], full: NDArray[np.bool_], times: Array
 ) -> dict[str, Array]:
     """Return what an outcome says about claims, by the names of its fields."""
-    basis, every = conditions["basis"][:, full], kept.all(axis=2)
-    claims = np.isin(basis, CLAIMS)
+    claims, every = conditions["claimed"][:, full] > 0.0, kept.all(axis=2)
     foreign = conditions["hypothesis"] != Hypothesis.AS_DESIGNED
     longest = np.zeros(len(foreign))
     length = np.zeros(len(foreign))
@@ -246,7 +239,7 @@ def _worth(
     return {
         "claimed": claims.mean(axis=1),
         "broken": (claims & ~every).sum(axis=1) / np.maximum(claims.sum(axis=1), 1),
-        "honest": (every | np.isin(basis, VOID)).mean(axis=1),
+        "honest": (every | ~claims).mean(axis=1),
         "foreign": longest * (times[1] - times[0]),
     }
 

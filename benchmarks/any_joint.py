@@ -71,6 +71,7 @@ def _case(
     bias: float = 0.0,
     contact: float = 0.0,
     friction: Friction | None = None,
+    loudness: float = 1.0,
 ) -> Case:
     request = ArmRequest(
         outputs=outputs, torque_disturbance=torque, rate=rate, x_max=x_max, uncertainty={}
@@ -79,7 +80,7 @@ def _case(
     sensors = [
         SimulatedOutput(
             each.measures,
-            Sensor(each.measurement_std),
+            Sensor(loudness * each.measurement_std),
             fault if each.measures == "link_angle" else (),
         )
         for each in outputs
@@ -110,11 +111,15 @@ encoders on both sides, on the motor, and by the default design's sensor of the 
 
 CONTACTS = {
     "contact": _case([_MOTOR, _LINK], _AT_LINK, rate=1000.0, x_max=0.9, contact=2.0),
+    "contact_loud": _case(
+        [_MOTOR, _LINK], _AT_LINK, rate=1000.0, x_max=0.9, contact=2.0, loudness=2.0
+    ),
     "contact_and_bias": _case(
         [_MOTOR, _LINK], _AT_LINK, rate=1000.0, x_max=0.9, contact=2.0, bias=0.1
     ),
 }
-"""A torque of 2 N m on the link, 20 % of the gravity torque, from 10 s to the end at 20 s."""
+"""A torque of 2 N m on the link, 20 % of the gravity torque, from 10 s to the end at 20 s; loud
+with twice the encoders' noise."""
 
 
 class Accuracy(NamedTuple):
