@@ -14,13 +14,15 @@ EXTRAS := design,report,export,campaign,watch
 # The NumPy that a ROS found was built for; another one breaks its messages.
 NUMPY = $$(test -s $(VENV)/.ros || $(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)')
 PYTEST_ARGS ?= -n 3
-SANITIZE := -fsanitize=address,undefined -fno-sanitize-recover=undefined -O1 -g -fno-omit-frame-pointer
+CHECKS := undefined,float-cast-overflow
+SANITIZE := -fsanitize=address,$(CHECKS) -fno-sanitize-recover=$(CHECKS) -O1 -g \
+  -fno-omit-frame-pointer
 SANITIZE_TESTS ?= test/estimation test/model test/simulation
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: help demo test sanitize lint format docs links figures clean
+.PHONY: help demo test sanitize fuzz lint format docs links figures clean
 .DEFAULT_GOAL := help
 
 # A version manager's shim may exist and yet fail, so every candidate is run.
@@ -54,25 +56,32 @@ test: $(VENV)/.test ## Lint, check types and run all tests (PYTEST_ARGS=…)
 # The sanitizer has to be in the process before Python: a core linked with it cannot be loaded
 # otherwise. Memory that Python hands out itself would hide accesses out of bounds. Its reports go
 # around what pytest captures, as they are a process's last words.
+define with_sanitizers
+mkdir -p build/sanitize; \
+for name in libclang_rt.asan-$$(uname -m).so libclang_rt.asan.so libasan.so; do \
+  runtime="$$($(CC) -print-file-name=$$name)"; \
+  if [ -f "$$runtime" ]; then break; fi; \
+done; \
+build=($(CC) -std=c99 -ffp-contract=off -fno-math-errno -fvisibility=hidden $(SANITIZE) \
+  -fPIC -shared); \
+if [ ! -f "$$runtime" ] \
+  || ! echo 'int probe;' | "$${build[@]}" -x c - -o build/sanitize/probe.so 2> /dev/null; then \
+  echo "skipped: $(CC) has no address and undefined-behaviour sanitizers" >&2; \
+  exit 0; \
+fi; \
+include="$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("include"))')"; \
+"$${build[@]}" -DPy_LIMITED_API=0x030B0000 -I"$$include" tsobs_ros/core/*.c -lm \
+  -o build/sanitize/native.so; \
+TSOBS_NATIVE=build/sanitize/native.so PYTHONPATH=.:test/core LD_PRELOAD="$$runtime" \
+  ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONMALLOC=malloc
+endef
+
 sanitize: $(VENV)/.test ## Test the compiled core with sanitizers (CC=…, SANITIZE_TESTS=…)
-	@mkdir -p build/sanitize; \
-	for name in libclang_rt.asan-$$(uname -m).so libclang_rt.asan.so libasan.so; do \
-	  runtime="$$($(CC) -print-file-name=$$name)"; \
-	  if [ -f "$$runtime" ]; then break; fi; \
-	done; \
-	build=($(CC) -std=c99 -ffp-contract=off -fno-math-errno -fvisibility=hidden $(SANITIZE) \
-	  -fPIC -shared); \
-	if [ ! -f "$$runtime" ] \
-	  || ! echo 'int probe;' | "$${build[@]}" -x c - -o build/sanitize/probe.so 2> /dev/null; then \
-	  echo "skipped: $(CC) has no address and undefined-behaviour sanitizers" >&2; \
-	  exit 0; \
-	fi; \
-	include="$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("include"))')"; \
-	"$${build[@]}" -DPy_LIMITED_API=0x030B0000 -I"$$include" tsobs_ros/core/*.c -lm \
-	  -o build/sanitize/native.so; \
-	TSOBS_NATIVE=build/sanitize/native.so PYTHONPATH=.:test/core LD_PRELOAD="$$runtime" \
-	  ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONMALLOC=malloc \
-	  $(BIN)/pytest --capture=sys -p other_build $(SANITIZE_TESTS)
+	@$(with_sanitizers) $(BIN)/pytest --capture=sys -p other_build $(SANITIZE_TESTS)
+
+fuzz: $(VENV)/.test ## Feed the compiled core hostile records, with sanitizers (CC=…, FUZZ_ARGS=…)
+	@$(with_sanitizers) $(BIN)/python benchmarks/fuzz_core.py \
+	  --note build/sanitize/input $(FUZZ_ARGS)
 
 lint: $(VENV)/.test ## Only lint and check types
 	$(BIN)/ruff check .

@@ -229,7 +229,7 @@ def _worth(
     conditions: dict[str, Array], kept: NDArray[np.bool_], full: NDArray[np.bool_], times: Array
 ) -> dict[str, Array]:
     """Return what an outcome says about claims, by the names of its fields."""
-    claims, every = conditions["claimed"][:, full] > 0.0, kept.all(axis=2)
+    claims, every = conditions["claimed"][:, full] == 1.0, kept.all(axis=2)
     foreign = conditions["hypothesis"] != Hypothesis.AS_DESIGNED
     longest = np.zeros(len(foreign))
     length = np.zeros(len(foreign))

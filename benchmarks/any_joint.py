@@ -222,8 +222,8 @@ def contact(case: Case, design: Design, seeds: Sequence[int]) -> Contact:
             for output, monitor in enumerate(monitors):
                 fault = monitor.estimated(
                     int(stamps[last]),
-                    float(estimate.designed_disturbance[output]),
-                    float(estimate.designed_bound[output]),
+                    float(estimate.disturbance[output]),
+                    float(estimate.disturbance_bound[output]),
                 )
                 if runs.times[last] >= _START:
                     counts[when][names[output]][fault.kind.value] += 1

@@ -101,7 +101,7 @@ def _run(design: Design, case: _Case, seed: int, duration: float) -> _Run:
         known = observer.readout(state)
         y, innovation = float(sample.measurement[0]), float(correction.innovation[0])
         std = math.sqrt(correction.innovation_covariance[0, 0])
-        disturbance, bound = float(known.designed_disturbance[0]), float(known.designed_bound[0])
+        disturbance, bound = float(known.disturbance[0]), float(known.disturbance_bound[0])
         stamp = 1_000_000_000 + round(sample.time * 1e9)
         started = time.thread_time_ns()
         monitor.measured(stamp, y, innovation, std)

@@ -30,8 +30,8 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.baselines import THETA_WANDER
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.records import NANOSECONDS, Measurement
+from tsobs_ros.estimation.estimator import Estimator, State
+from tsobs_ros.estimation.records import NANOSECONDS, Hypothesis, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_ekf, make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
@@ -42,6 +42,7 @@ from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
 
 _TURN = 200
+STANDING = len(Hypothesis)
 _ROWS = [LINK_VELOCITY, MOTOR_VELOCITY]
 _SCENARIOS = {"fixed": "bias_step", "adaptive": "stiff"}
 
@@ -203,6 +204,66 @@ def step_costs(kind: str, design: Design, seconds: float) -> dict[str, float]:
     return _medians(contenders, len(y))
 
 
+def _awake(estimator: Estimator, y: Array, u: Array) -> State:
+    """Return the state after some samples, all of whose hypotheses are considered and equal."""
+    state = estimator.initial()
+    for sample, torque in zip(y, u, strict=True):
+        corrected, _ = estimator.correct(state, sample)
+        state = estimator.predict(corrected, torque, estimator.period)
+    record = state.records[0]
+    hypotheses, best = record["hypotheses"], int(record["best"])
+    for place in range(len(hypotheses)):
+        kind = place if place < STANDING else int(Hypothesis.DRIFT)
+        hypotheses[place] = hypotheses[best]
+        hypotheses["kind"][place] = kind
+        hypotheses["certified"][place] = hypotheses["output"][place] = 0
+        # Those with parts of the sensors move the most states.
+        n, width = estimator.shape.n, hypotheses["x"].shape[1]
+        parts = range(n, width)
+        hypotheses["covariance"][place][parts, parts] = 1e-4
+        if kind == Hypothesis.TONE:
+            hypotheses["frequency"][place], hypotheses["size"][place] = 5.0, 0.01
+    hypotheses["live"], hypotheses["score"] = 1, 0.0
+    record["awake"] = 5.0
+    return state
+
+
+def _worst(design: Design, turns: int) -> dict[str, float]:
+    """Return times of one step with all hypotheses awake [µs], of the three compiled calls.
+
+    Each step begins from the same state. The samples are by turns one that fits and an outlier, at
+    which forks are tried: medians of both, and the slowest of all, which are the machine's.
+    """
+    estimator = design.supervised()
+    runs = simulate(SCENARIOS["stiff"], [1], 10.0)
+    y, u = runs.measurements[0], runs.torques[0]
+    start = _awake(estimator, y[:-1], u[:-1])
+    states, work = start.copy().records, estimator.new_work()
+    model = native.Memory(estimator.model.view(np.float64))
+    memory, scratch = native.Memory(states.view(np.float64)), native.Memory(work.view(np.float64))
+    corrections = native.Memory(estimator.new_corrections().view(np.float64))
+    readouts = native.Memory(estimator.new_readouts().view(np.float64))
+    samples, inputs, period = [y[-1], y[-1] + 1.0], u[-1].copy(), estimator.period
+    numbers, before = states.view(np.float64), start.records.view(np.float64)
+    times = []
+    for turn in range(turns):
+        numbers[:] = before
+        sample = samples[turn % 2]
+        started = time.perf_counter_ns()
+        native.estimator_correct(model, memory, sample, corrections)
+        native.estimator_predict(model, memory, inputs, period, False, scratch)
+        native.estimator_read(model, memory, readouts, scratch)
+        times.append(time.perf_counter_ns() - started)
+        assert int(states["hypotheses"]["live"].sum()) >= len(states["hypotheses"][0]) - 1
+    found = 1e-3 * np.array(times[turns // 20 * 2 :])
+    return {
+        "regular": float(np.median(found[::2])),
+        "outlier": float(np.median(found[1::2])),
+        "99 % of all": float(np.percentile(found, 99.0)),
+        "slowest": float(found.max()),
+    }
+
+
 def _batch(design: Design, runs: Trajectories, arms: int, turns: int) -> dict[str, float]:
     """Return the arm-steps a second of whole runs, on one core and on all; medians."""
     estimator, cores = design.supervised(), len(os.sched_getaffinity(0))
@@ -323,6 +384,12 @@ def _measure(options: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
         for kind, design in (("fixed", fixed), ("adaptive", adaptive)):
             found = results[f"step_us {kind}"] = step_costs(kind, design, options.seconds)
             lines += _of_steps(kind, found)
+    if "worst" in parts:
+        lines.append("one step in place with all hypotheses awake:")
+        for kind, design in (("fixed", fixed), ("adaptive", adaptive)):
+            found = results[f"worst_us {kind}"] = _worst(design, options.steps)
+            costs = ", ".join(f"{name} {cost:.1f} µs" for name, cost in found.items())
+            lines.append(f"  {kind:28s} {costs}")
     if "batch" in parts:
         runs = simulate(SCENARIOS["stiff"], list(range(16)), 20.0)
         rates = results["arm_steps_per_second"] = _batch(
@@ -367,9 +434,12 @@ def main() -> None:
         "--late", type=at_least(1, int), default=5000, help="samples that come together"
     )
     made.add_argument(
+        "--steps", type=at_least(100, int), default=100_000, help="with all hypotheses awake"
+    )
+    made.add_argument(
         "--turns", type=at_least(1, int), default=7, help="repetitions of what is not a step"
     )
-    choices = ("steps", "batch", "series", "late", "outputs", "start")
+    choices = ("steps", "worst", "batch", "series", "late", "outputs", "start")
     made.add_argument("--parts", nargs="+", choices=choices, default=choices)
     options = made.parse_args()
     results, lines = _measure(options)

@@ -17,7 +17,7 @@ import pytest
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation import baselines
-from tsobs_ros.estimation.records import Basis, Hypothesis
+from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
@@ -153,23 +153,22 @@ def test_claims_are_held_against_errors(bench: ModuleType) -> None:
     runs = simulated("noise")
     shape = runs.states.shape[:2]
     estimates = np.concatenate([runs.states, runs.disturbances], axis=2)
-    basis, hypothesis = np.full(shape, Basis.LEARNT, float), np.zeros(shape)
+    claimed, hypothesis = np.ones(shape), np.zeros(shape)
     part = (runs.times >= WINDOW[0]) & (runs.times < WINDOW[1])
     first, second, third = np.split(np.flatnonzero(part)[:1500], 3)
     estimates[0, first, 1] += 3.1  # beyond three bounds, and claimed
     estimates[0, second, 2] -= 3.1  # beyond them, but the bounds are void
-    basis[0, second] = Basis.CONTRADICTED
-    basis[0, third] = Basis.STARTING
+    claimed[0, second] = 0.0
     hypothesis[1, third] = Hypothesis.FORCE
     hypothesis[1, first[:7]] = Hypothesis.DRIFT
-    conditions = {"basis": basis, "hypothesis": hypothesis}
+    conditions = {"claimed": claimed, "hypothesis": hypothesis}
     found = bench.Found(estimates, np.ones(estimates.shape), conditions=conditions)
     outcome = bench.outcome(SCENARIOS["noise"], runs, found)
 
     total = part.sum()
     assert outcome.inside[0] == pytest.approx([1, 1 - 500 / total, 1 - 500 / total, 1, 1])
-    assert outcome.claimed == pytest.approx([1 - 1000 / total, 1])
-    assert outcome.broken == pytest.approx([500 / (total - 1000), 0])
+    assert outcome.claimed == pytest.approx([1 - 500 / total, 1])
+    assert outcome.broken == pytest.approx([500 / (total - 500), 0])
     assert outcome.honest == pytest.approx([1 - 500 / total, 1])
     assert outcome.foreign == pytest.approx([0, 2.5])
 

@@ -15,6 +15,7 @@ from zipfile import ZipFile
 import pytest
 
 import tsobs_ros
+from tsobs_ros.core import native
 from tsobs_ros.errors import LIBRARIES, missing_library
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -143,6 +144,33 @@ def test_sources_that_are_not_built_say_how_to_build_them(
         f"{error}tsobs_ros.core.native is not built: in the folder with setup.py, "
         f"{sys.executable} -m pip install -e ."
     )
+
+
+def test_a_core_that_was_built_from_other_sources_is_not_loaded(
+    sources: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(
+        sources / "tsobs_ros", tmp_path / "tsobs_ros", ignore=shutil.ignore_patterns("*.so")
+    )
+    core = tmp_path / "tsobs_ros" / "core"
+    shutil.copy(native.__file__, core)
+
+    def load() -> str:
+        done = subprocess.run(
+            [sys.executable, "-c", "import tsobs_ros; print(tsobs_ros.load_design.__name__)"],
+            cwd=tmp_path, env={**os.environ, "PYTHONPATH": ""}, capture_output=True, text=True,
+        )  # fmt: skip
+        return (done.stdout + done.stderr).splitlines()[-1]
+
+    assert load() == "load_design"
+    (core / "new.h").write_text("/* fewer, more or other sources */\n")
+    assert load().startswith(
+        "ModuleNotFoundError: tsobs_ros.core.native is built from other C sources: in the folder "
+        f"with setup.py, {sys.executable} -m pip install -e ."
+    )
+    for path in core.glob("*.[ch]"):
+        path.unlink()
+    assert load() == "load_design"
 
 
 def test_rclpy_is_never_required(wheel: ZipFile) -> None:

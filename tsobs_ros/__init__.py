@@ -18,6 +18,7 @@ Models and designs:
     Design            a gain with its proof; makes observers
     load_design       a design from its file, its certificate checked again
     save_design       a design into a file
+    export_c          its estimator into a file for C and C++ programs
 
 Estimates:
     simulate          measurements and truth of an arm, as arrays
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
     from tsobs_ros.errors import TsobsError
     from tsobs_ros.estimation.records import Measurement
     from tsobs_ros.estimation.tracker import Tracker
+    from tsobs_ros.exported import export_c
     from tsobs_ros.methods import ObserverSettings, make_tracker
     from tsobs_ros.model.arm import ElasticJointArm
     from tsobs_ros.model.ts_model import TSModel
@@ -82,6 +84,7 @@ _HOMES = {
     "compare": "api",
     "estimate": "api",
     "estimate_bag": "api",
+    "export_c": "exported",
     "load_design": "api",
     "load_request": "design.file",
     "make_tracker": "methods",
@@ -105,6 +108,7 @@ __all__ = [
     "compare",
     "estimate",
     "estimate_bag",
+    "export_c",
     "load_design",
     "load_request",
     "make_tracker",

@@ -561,11 +561,8 @@ def _columns_of(
             columns[name][:] = rows[:, estimator.row_parts[name]].reshape(columns[name].shape)
     names = (*CONDITIONS, "in_domain")
     for name, column in zip(names, rows[:, -len(CONDITIONS) - EXTRA : -1].T, strict=True):
-        columns[name] = (
-            column == 1.0
-            if name in ("claimed", "parameters_valid", "in_domain")
-            else column.copy()
-        )
+        is_flag = name in ("claimed", "parameters_valid", "in_domain")
+        columns[name] = column == 1.0 if is_flag else column.copy()
     return columns
 
 

@@ -26,7 +26,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
 }
 """Modules that may be missing, each with what to install then."""
 CORE = "tsobs_ros.core.native"
-"""The compiled core, which is missing where the sources were only copied."""
+"""The compiled core, missing where the sources were only copied, or older than they are."""
 
 
 class TsobsError(Exception):
@@ -122,8 +122,9 @@ def missing_library(name: str | None) -> str | None:
         One line; None if the module is not the core and belongs to no library of the package.
     """
     if name == CORE:
+        fault = "built from other C sources" if CORE in sys.modules else "not built"
         return (
-            "tsobs_ros.core.native is not built: in the folder with setup.py, "
+            f"{CORE} is {fault}: in the folder with setup.py, "
             f"{sys.executable} -m pip install -e . (or colcon build); it takes a C compiler"
         )
     module = (name or "").partition(".")[0]

@@ -85,7 +85,7 @@ class ObserverSettings:
         stale_after: Age of the newest measurement from which nothing is estimated, and after
             which the next one restarts [s].
         assume_zero_torque: Take measurements without effort as torque 0.
-        supervision: When measurements, estimate or parameters are distrusted.
+        supervision: Which samples are not used.
 
     Raises:
         ModelError: There is no such method.

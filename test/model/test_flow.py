@@ -19,7 +19,7 @@ from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.disturbance import bias, clean, gauss_markov, per_channel, ramp, sinusoid
-from tsobs_ros.model.flow import ArmFlow, ForceFlow, GapFlow, ProcessNoise, slope_range
+from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
 from tsobs_ros.model.linear_flow import LinearFlow
 from tsobs_ros.model.prediction import flow_record
 from tsobs_ros.model.uncertainty import ARM_DIRECTIONS, arm_uncertainty
@@ -412,10 +412,6 @@ def test_what_each_map_reads_of_the_augmented_state() -> None:
     assert known.torque_map.shape == (0, 7)
     half = per_channel([clean(), gauss_markov()])
     assert ArmFlow(arm, model, ProcessNoise(), 0.005, outputs, half).torque_map.shape == (1, 8)
-    for widened in (GapFlow(flow, 1.0), ForceFlow(flow, 1.0, 1.0)):
-        wide = np.concatenate([state, np.full(widened.state_count - len(state), 9.0)])
-        np.testing.assert_allclose(widened.output_matrix @ wide, [0.3, 1.1, 2.4], rtol=1e-14)
-        np.testing.assert_allclose(widened.torque_map @ wide, [4.0, 11.0], rtol=1e-14)
 
 
 @PROPERTY

@@ -85,7 +85,7 @@ def test_a_parameter_is_shown_with_what_is_accepted(capsys: Any) -> None:
         "      Rate at which estimates are published [Hz]\n"
     ) in text
     assert "(string; default 'silent'; one of: silent, hold)" in text
-    assert "(integer; default 10; at least 0)" in text
+    assert "(integer; default 20; at least 0)" in text
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,11 @@ from typing import Any
 
 import pytest
 from lifecycle_msgs.msg import Transition
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -263,6 +267,100 @@ def test_simulated_time_that_was_switched_on_survives_a_clean_up(probe: Any) -> 
     assert list(node.subscriptions) == []
 
 
+NODES = ["observer", "plant_simulator", "recorder", "player", "visualizer"]
+LONGEST, EARLIEST = 2**31 - 1, -(2**31)
+
+
+@pytest.fixture
+def any_node(
+    ros: Any,
+    manage: Callable[[Any], Any],
+    small_bag: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Callable[..., Any]:
+    """Start any of the package's nodes with parameters."""
+    monkeypatch.chdir(tmp_path)  # bags get dated names in there
+
+    def start(name: str, **parameters: Any) -> Any:
+        given = {**parameters, **({"bag": str(small_bag)} if name == "player" else {})}
+        overrides = [Parameter(each, value=value) for each, value in given.items()]
+        create = import_module(f"tsobs_ros.nodes.{name}").create
+        return manage(ros.add(create(context=ros.context, parameter_overrides=overrides)))
+
+    return start
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_no_time_on_the_clock_ends_a_node(any_node: Any, ros: Any, capfd: Any, name: str) -> None:
+    manager = any_node(name, use_sim_time=True)
+    clock, chance = manager.own.create_publisher(Clock, "/clock", 1), random.Random(7)
+    ros.spin_until(clock.get_subscription_count, what="the node's subscription")
+
+    def show(sec: int, nanosec: int) -> int:
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = sec, nanosec
+        clock.publish(message)
+        ros.spin_for(0.02)
+        return int(manager.node.get_clock().now().nanoseconds)
+
+    assert show(5, 0) == 5_000_000_000
+    assert show(-1, 0) == 5_000_000_000
+    assert "got -1 s and 0 ns; time stands still" in capfd.readouterr().err
+    for _ in range(30):
+        sec = chance.choice([EARLIEST, LONGEST, 0, chance.randint(EARLIEST, LONGEST)])
+        show(sec, chance.choice([0, 2**32 - 1, chance.randrange(2**32)]))
+    ros.spin_until(lambda: show(7, 1) == 7_000_000_001, what="the good time after bad ones")
+    assert manager.state == "active"
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_no_request_for_parameters_ends_a_node(any_node: Any, capfd: Any, name: str) -> None:
+    manager = any_node(name)
+    known, chance = [*manager.node._parameters, "", "nobody's", "x\x1b[2Jy"], random.Random(9)
+
+    def ask(service: str, parameters: list[ParameterMessage]) -> list[Any]:
+        if service == "set_parameters":
+            kind: Any = SetParameters
+            results = manager.call(kind, service, kind.Request(parameters=parameters)).results
+        else:
+            kind = SetParametersAtomically
+            request = kind.Request(parameters=parameters)
+            results = [manager.call(kind, service, request).result]
+        return list(results)
+
+    good = ParameterMessage(
+        name="use_sim_time", value=Parameter("", value=False).get_parameter_value()
+    )
+    unknown = ParameterMessage(name="autostart", value=ParameterValue(type=77))
+    accepted, refused = ask("set_parameters", [good, unknown])
+    assert accepted.successful
+    assert not refused.successful
+    assert "'autostart' of type 77" in refused.reason
+    assert "'autostart' of type 77" in capfd.readouterr().err
+    (both,) = ask("set_parameters_atomically", [good, unknown])
+    assert not both.successful
+    for _ in range(40):
+        asked = [
+            ParameterMessage(
+                name=chance.choice(known),
+                value=ParameterValue(
+                    type=chance.choice([*range(12), 77, 255]),
+                    double_value=chance.choice([0.5, float("nan"), float("inf"), 1e300]),
+                    integer_value=chance.choice([0, -(2**63), 2**63 - 1]),
+                    string_value=chance.choice(["", "x\x1b[2J", "[1, 2.0]"]),
+                    byte_array_value=[b"\x00", b"\xff"],
+                    double_array_value=[0.5, float("nan")],
+                    string_array_value=["", "\x1b"],
+                ),
+            )
+            for _ in range(chance.randrange(4))
+        ]
+        results = ask(chance.choice(["set_parameters", "set_parameters_atomically"]), asked)
+        assert all("\x1b" not in result.reason for result in results)
+    assert manager.state == "active"
+
+
 # Fast DDS keeps some 2 kB of every entity there has been; a leaked publisher is a hundred times it.
 GROWTH_LIMIT_MIB = 1.5
 
@@ -273,21 +371,9 @@ def resident_mib() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
 
 
-@pytest.mark.parametrize("name", ["observer", "plant_simulator", "recorder", "player"])
-def test_many_lives_of_a_node_leave_nothing_behind(
-    ros: Any,
-    manage: Callable[[Any], Any],
-    small_bag: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    name: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)  # bags get dated names in there
-    overrides = [Parameter("autostart", value=False)]
-    if name == "player":
-        overrides.append(Parameter("bag", value=str(small_bag)))
-    create = import_module(f"tsobs_ros.nodes.{name}").create
-    manager = manage(ros.add(create(context=ros.context, parameter_overrides=overrides)))
+@pytest.mark.parametrize("name", NODES[:-1])
+def test_many_lives_of_a_node_leave_nothing_behind(any_node: Any, ros: Any, name: str) -> None:
+    manager = any_node(name, autostart=False)
     bare, graph = manager.entities, manager.graph
     counts, sizes = set(), []
     for cycle in range(90):

@@ -98,7 +98,8 @@ def test_estimate_lists_what_happened_to_the_estimates(arms, write_bag, capsys) 
     health = observer["health"]["elbow"]
     assert health["noise_scale"]["max"] >= health["noise_scale"]["median"] > 1.5
     assert (health["learning"], health["certified"]) == ("starting", 0.0)
-    assert " % settling after a start" in out
+    assert " % starting" in out
+    assert f"; claimed to hold {100.0 * health['claimed']:.3g} %" in out
     assert "at the end learning waits until the estimate has settled; arm and sensor behave" in out
 
 
@@ -146,7 +147,7 @@ def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
     assert main([*again, str(file), "--output", f"{bag}_2"]) == 0
     live = json.loads(capsys.readouterr().out)["live"]
     assert live["reproduced"] == live["recorded"] == 600
-    other = ["--param", "supervision.gate=1", "--param", "supervision.reject=2"]
+    other = ["--param", "supervision.gate=1", "--param", "supervision.stuck_samples=2"]
     assert main([*again, str(file), *other, "--output", f"{bag}_3"]) == 0
     live = json.loads(capsys.readouterr().out)["live"]
     assert live["reproduced"] < live["recorded"]
@@ -159,7 +160,7 @@ def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
         ("adapt=maybe", "parameter 'adapt': expected a value such as True, got 'maybe'"),
         ("settle_time=long", "parameter 'settle_time': expected a value such as 5.0"),
         ("gain_mode=best", "parameter 'gain_mode': expected a value such as 'certified'"),
-        ("supervision.jump_budget=1.5", "parameter 'supervision.jump_budget'"),
+        ("supervision.stuck_samples=1.5", "parameter 'supervision.stuck_samples'"),
         ("supervision.gate=-1", "gate"),
     ],
 )

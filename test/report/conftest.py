@@ -15,8 +15,9 @@ from tsobs_ros.bag.definitions import MessageDefinition
 from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.writer import BagWriter
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.records import Innovation, Measurement
+from tsobs_ros.estimation.records import Basis, Hypothesis, Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
+from tsobs_ros.replay.health import BASIS, CLAIMED, HYPOTHESIS
 from tsobs_ros.report.run import RecordedRun, Series
 from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import simulate
@@ -196,11 +197,11 @@ def short(simulated: RecordedRun) -> RecordedRun:
 def troubled(simulated: RecordedRun) -> RecordedRun:
     """The simulated run, with noise above the design's from 5 s to 12 s and a void bound at 8 s."""
     stamps = simulated.stamps[::20]
-    health = np.tile([1.0, 0.1, 0.0, 0.0, 0.0, 0.002], (len(stamps), 1))
+    health = np.tile([1.0, 0.1, Basis.CERTIFIED, 1.0, 0.0, 0.0, 0.002], (len(stamps), 1))
     times = (stamps - stamps[0]) * 1e-9
     health[(times > 5.0) & (times < 12.0), 0] = 1.8
-    health[(times > 8.0) & (times < 10.0), 2] = 6.0
-    health[times > 15.0, 4] = 1.0
+    health[(times > 8.0) & (times < 10.0), BASIS : CLAIMED + 1] = Basis.CONTRADICTED, 0.0
+    health[times > 15.0, HYPOTHESIS] = Hypothesis.FORCE
     return replace(simulated, health=Series(stamps, health))
 
 

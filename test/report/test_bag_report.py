@@ -65,7 +65,7 @@ def test_a_report_lists_what_happened_to_the_estimates(
     assert health["noise_scale"] == {"median": 1.0, "max": 1.8}
     assert health["bases"] == {"certified": 0.905, "contradicted": 0.095}
     text = report.text()
-    assert "bounds 90.5 % certified, 9.5 % void" in text
+    assert "bounds 90.5 % certified, 9.5 % contradicted; claimed to hold 90.5 %" in text
     assert all(one["text"] in text for one in health["events"])
 
 

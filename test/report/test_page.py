@@ -176,13 +176,17 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     good = summarise(metrics, health.result(), diagnose([], 0, 20.0), timing, QUANTITIES)
     assert good.level is Level.OK
     assert good.text.startswith("All errors of each estimate are inside its 3σ bound, over 10.0 s.")
-    assert "The bounds were proved for 90.5 % of the time. No measurement was lost." in good.text
+    assert (
+        "The bounds were claimed to hold for 90.5 % of the time, and proved for 90.5 %. "
+        "No measurement was lost."
+    ) in good.text
     found = health.result()
     assert found is not None
-    learnt = found._replace(bases={Basis.CERTIFIED: 0.25, Basis.LEARNT: 0.5})
+    learnt = found._replace(claimed=1.0, bases={Basis.CERTIFIED: 0.25, Basis.LEARNT: 0.5})
     but = summarise(metrics, learnt, diagnose([], 0, 20.0), timing, QUANTITIES)
     uncertain = (
-        "The bounds were proved, but for what is uncertain of the learnt parameters, for 75 % of"
+        "The bounds were claimed to hold for 100 % of the time, and proved, but for what is "
+        "uncertain of the learnt parameters, for 75 %."
     )
     assert uncertain in but.text
 

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import BagReadError
+from tsobs_ros.estimation.events import Condition
+from tsobs_ros.estimation.records import Basis, Hypothesis, Learning
 from tsobs_ros.report.metrics import MetricsOptions, measure
 from tsobs_ros.report.panels import picture
 from tsobs_ros.report.run import Series, align, find_run, hold, interpolate_motion, read_run
@@ -41,7 +43,7 @@ def test_the_health_of_one_joint_is_read_whoever_else_is_in_it(
                 names=[
                     f"{joint}/{name}" for joint in ("other", troubled.joint) for name in one.names
                 ],
-                position=[*np.full(6, np.nan), *one.position],
+                position=[*np.full(7, np.nan), *one.position],
             )
             for one in topics["/observer/health"]
         ]
@@ -50,6 +52,29 @@ def test_the_health_of_one_joint_is_read_whoever_else_is_in_it(
 
     np.testing.assert_array_equal(health.stamps, troubled.health.stamps)
     np.testing.assert_array_equal(health.values, troubled.health.values)
+
+
+def test_health_that_version_0_7_recorded_is_read(short, messages_of, write_bag, row) -> None:
+    """It had other codes, and did not say what is claimed."""
+    names = ["noise_scale", "coloured_power", "basis", "learning", "hypothesis", "measurement_age"]
+    topics = messages_of(short)
+    former = [(0, 2, 0), (2, 1, 0), (5, 3, 1), (6, 4, 2), (7, 2, 3), (8, 2, 4)]
+    topics["/observer/health"] = [
+        row(stamp, names, [1.0, 0.25, *map(float, codes), 0.002])
+        for stamp, codes in zip(short.stamps.tolist(), former, strict=False)
+    ]
+
+    health = read_run(write_bag(topics)).health
+
+    found = [Condition.of_numbers(0, values)[3:7] for values in health.values.tolist()]
+    assert found == [
+        (Basis.CERTIFIED, True, Learning.ACTIVE, Hypothesis.AS_DESIGNED),
+        (Basis.STARTING, True, Learning.STARTING, Hypothesis.AS_DESIGNED),
+        (Basis.TORQUE, True, Learning.ACTIVE, Hypothesis.FORCE),
+        (Basis.CONTRADICTED, False, Learning.ACTIVE, Hypothesis.FORCE),
+        (Basis.HYPOTHESIS, True, Learning.ACTIVE, Hypothesis.COLOURED_NOISE),
+        (Basis.OUTSIDE, False, Learning.ACTIVE, Hypothesis.DRIFT),
+    ]
 
 
 def test_missing_topics_are_named_with_the_bag(short, messages_of, write_bag) -> None:

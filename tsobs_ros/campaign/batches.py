@@ -36,8 +36,8 @@ CLAIMS: Mapping[str, tuple[Basis, ...]] = {
     ),
     "none": (Basis.CONTRADICTED, Basis.OUTSIDE),
 }
-"""What a bound is said to be by its basis: the certificate's, the certificate's but for the learnt
-parameters, the covariance along the estimate, nothing."""
+"""What a claimed bound is said to be by its basis: the certificate's, the certificate's but for the
+learnt parameters, a covariance; and nothing, which any other one is said to be."""
 
 _CLAIM_OF = np.array(
     [[basis in bases for bases in CLAIMS.values()].index(True) for basis in Basis], np.int64

@@ -55,6 +55,7 @@ int model_view(double *memory, size_t length, model *view)
 {
     estimator_sizes *s = &view->s;
     flow_sizes sizes;
+    state initial;
     if (length < ESTIMATOR_SIZES || !sizes_are_sound((const int64_t *)(void *)memory)) {
         return -1;
     }
@@ -68,10 +69,16 @@ int model_view(double *memory, size_t length, model *view)
     }
     sizes = flow_sizes_of(view->flow);
     view->design_flow = flow_view(view->flow);
+    state_bind(&initial, s, view->initial);
     return sizes.n == s->n && sizes.m == s->m && sizes.k == s->k && sizes.p <= s->p
                    && flow_scratch_size(&sizes) <= (size_t)s->scratch
+                   /* What a step moves with x are the outputs' parts, the torque and a push. */
+                   && (s->width == s->n || s->p + 2 <= flow_tangents(&sizes))
+                   && *view->period >= SHORTEST && isfinite(*view->period)
                    && (*view->supervised == 0 || s->hypotheses > 1)
+                   && (*view->design_flow.kind != KIND_ARM || s->plant >= 4)
                    && !(*view->torque_limit > 0.0 && s->m < 1)
+                   && state_is_sound(view, &initial)
                ? 0
                : -1;
 }
@@ -89,6 +96,20 @@ int state_is_sound(const model *m, const state *at)
         }
     }
     return hypothesis_of(m, at, *at->best).live[0] != 0;
+}
+
+void copy_state(const model *m, const double *from, double *to)
+{
+    const size_t all = (size_t)m->s.hypotheses, size = hypothesis_size(&m->s);
+    const size_t first = state_size(&m->s) - all * size;
+    memcpy(to, from, first * sizeof *to);
+    for (size_t at = first; at < first + all * size; at += size) {
+        if (*(const int64_t *)(const void *)(from + at) != 0) { /* live */
+            memcpy(to + at, from + at, size * sizeof *to);
+        } else if (*(const int64_t *)(const void *)(to + at) != 0) {
+            memset(to + at, 0, size * sizeof *to);
+        }
+    }
 }
 
 /* --- torques --- */
@@ -159,6 +180,12 @@ static void copy_hypothesis(const model *m, state *at, long from, long to)
             numbers_of(m, at, to), numbers_of(m, at, from),
             hypothesis_size(&m->s) * sizeof(double));
     }
+}
+
+/* Consider a hypothesis no longer. */
+static void drop(const model *m, state *at, long place)
+{
+    memset(numbers_of(m, at, place), 0, hypothesis_size(&m->s) * sizeof(double));
 }
 
 /* Begin a standing hypothesis from the best one. */
@@ -468,7 +495,7 @@ static void suppose(
     *h.score = score - likelihood + correct_by(m, at, &h, output, 0, effect);
     *h.corrected = 1;
     if (!isfinite(*h.score)) {
-        *h.live = 0;
+        drop(m, at, place);
     }
 }
 
@@ -523,12 +550,12 @@ static void select_forks(const model *m, state *at)
                 count_event(at, *h.fork);
                 *h.fork = NO_FORK;
                 copy_hypothesis(m, at, i, kind);
-                *h.live = 0;
+                drop(m, at, i);
                 *at->best = kind;
             }
         } else if (*h.score < -m->constants[FLOOR]
                    || (*h.age > m->constants[LIFE] && *h.score < -m->constants[OCCAM])) {
-            *h.live = 0;
+            drop(m, at, i);
         }
     }
 }
@@ -581,9 +608,10 @@ static void rest(const model *m, state *at, int signs)
     }
     if (alone && *at->awake <= 0.0) {
         for (long i = 1; i < m->s.hypotheses; i++) {
-            *hypothesis_of(m, at, i).live = 0;
+            if (*hypothesis_of(m, at, i).live != 0) {
+                drop(m, at, i);
+            }
         }
-        *hypothesis_of(m, at, TONE).frequency = 0.0;
         for (long i = 0; i < m->s.p; i++) {
             memset(sensor_of(m, at, i).tones, 0, 2 * TONES * sizeof(double));
         }

@@ -206,7 +206,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
  * newest change of it, and one that the arm may not have got. late: whether it is read after the
  * stamp at which the next sample was due.
  *
- * hypotheses: the filters. best: place of the likeliest. awake: time for which all are considered
+ * hypotheses: the filters, zeros where there is none. best: place of the likeliest. awake: time for which all are considered
  * [s]. sensors: of the outputs. noise_scale: the largest of theirs. since: time since the last
  * sample [s]. centre, spread: mean and variance of the plant's states over some seconds. The others
  * are counts. */
@@ -231,7 +231,6 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(VECTOR, centre, s->plant, 1)                        \
     F(VECTOR, spread, s->plant, 1)                        \
     F(COUNT, moving, 1, 1)                                \
-    F(MATRIX, hypotheses, s->hypotheses, hypothesis_size(s)) \
     F(COUNT, outliers, 1, 1)                              \
     F(COUNT, jumps, 1, 1)                                 \
     F(COUNT, hits, 1, 1)                                  \
@@ -240,7 +239,8 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(COUNT, gated, 1, 1)                                 \
     F(COUNT, implausible, 1, 1)                           \
     F(COUNT, restarts, 1, 1)                              \
-    F(COUNT, failures, 1, 1)
+    F(COUNT, failures, 1, 1)                              \
+    F(MATRIX, hypotheses, s->hypotheses, hypothesis_size(s))
 LAYOUT_DECLARE(state, STATE_FIELDS, estimator_sizes)
 
 /* A sample's effect on the likeliest hypothesis, and behind `weight` scratch of the same step. The
@@ -372,6 +372,9 @@ typedef struct {
 /* Bind a view to a model record of so many numbers, which is only read. Return 0, or -1 if its
  * sizes do not belong to a record of this length, or a number in it leads beyond its memory. */
 int model_view(double *memory, size_t length, model *view);
+
+/* Copy the numbers of a state onto another state's; those of no hypothesis are not touched. */
+void copy_state(const model *m, const double *from, double *to);
 
 /* Return whether the counts of a state that serve as places are within its fields. */
 int state_is_sound(const model *m, const state *at);

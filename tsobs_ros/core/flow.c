@@ -73,7 +73,11 @@ int flow_is_valid(const double *memory, size_t length)
         return 0;
     }
     f = flow_view(memory);
-    return *f.period > 0.0 && *f.terms >= 0 && *f.terms <= SERIES_TERMS;
+    if (*f.kind == KIND_INTEGRATED && !(*f.max_step >= SHORTEST)) {
+        return 0;
+    }
+    return *f.period >= SHORTEST && isfinite(*f.period) && *f.reach >= 0.0 && *f.terms >= 0
+           && *f.terms <= SERIES_TERMS;
 }
 
 /* --- arms --- */

@@ -51,6 +51,7 @@ double normalise(double *grades, long r);
 /* --- the exact flow of x' = A x + B u + noise, over a step of any length --- */
 
 #define SERIES_TERMS 60 /* most rows of a series of Taylor coefficients */
+#define SHORTEST 1e-6   /* least period [s], so that those of any duration can be counted */
 #define STRETCH 1.25    /* a step may be longer than nominal by so much: stamps jitter */
 
 /* Numbers of scratch that `flow_over` needs for n states and m inputs. */

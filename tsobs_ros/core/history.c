@@ -42,11 +42,6 @@ static double *shown_numbers(const tracker *t)
     return t->ring + (size_t)(t->slots - 1) * t->state_size;
 }
 
-static void copy_state(const tracker *t, const double *from, double *to)
-{
-    memcpy(to, from, t->state_size * sizeof *to);
-}
-
 int64_t newest_stamp(const tracker *t)
 {
     return *t->h.length > 0 ? stamp_at(t, *t->h.length - 1) : 0;
@@ -174,7 +169,7 @@ static void correct_or_start(
         double total = 0.0;
         int64_t i, j;
         if (starts) {
-            copy_state(t, t->m.initial, numbers);
+            copy_state(&t->m, t->m.initial, numbers);
         }
         take_torque(&t->m, at, u);
         correct(&t->m, at, y, &t->effect);
@@ -233,7 +228,7 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
             restarts += 1;
         } else {
             const double duration = (double)(stamp - *last.stamp) / NANOSECONDS;
-            copy_state(t, numbers_at(t, *h->length - 1), numbers);
+            copy_state(&t->m, numbers_at(t, *h->length - 1), numbers);
             predict(&t->m, &at, last.held, duration, 0, &t->scratch);
         }
     }
@@ -353,10 +348,10 @@ static void coast(tracker *t, int64_t place, double duration)
     state_bind(&shown, &t->m.s, numbers);
     if (is_memorable && *h->coasted_generation == *h->generation && *h->coasted_periods > 0 &&
         *h->coasted_periods <= whole) {
-        copy_state(t, coasted_numbers(t), numbers);
+        copy_state(&t->m, coasted_numbers(t), numbers);
         taken = *h->coasted_periods;
     } else {
-        copy_state(t, numbers_at(t, place), numbers);
+        copy_state(&t->m, numbers_at(t, place), numbers);
     }
     while (taken < whole) {
         /* First two at once, so that it is no regular step for the estimator. */
@@ -365,7 +360,7 @@ static void coast(tracker *t, int64_t place, double duration)
         taken += periods;
     }
     if (whole > 0 && is_memorable) {
-        copy_state(t, numbers, coasted_numbers(t));
+        copy_state(&t->m, numbers, coasted_numbers(t));
         *h->coasted_periods = whole;
         *h->coasted_generation = *h->generation;
     }
@@ -438,9 +433,9 @@ void copy_history(const tracker *from, tracker *to)
     int64_t place;
     memcpy(to->memory, from->memory, history_size(NULL) * sizeof *to->memory);
     for (place = 0; place < *from->h.length; place++) {
-        copy_state(from, numbers_at(from, place), numbers_at(to, place));
+        copy_state(&from->m, numbers_at(from, place), numbers_at(to, place));
     }
-    copy_state(from, coasted_numbers(from), coasted_numbers(to));
+    copy_state(&from->m, coasted_numbers(from), coasted_numbers(to));
 }
 
 void forget(tracker *t)

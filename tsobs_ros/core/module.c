@@ -158,6 +158,11 @@ static const struct {
     {"HYPOTHESES", STANDING + FORKS},
 };
 
+/* Digest of the sources that setup.py built. */
+#ifndef SOURCES
+#define SOURCES ""
+#endif
+
 static int module_exec(PyObject *module)
 {
     PyMethodDef *const tables[] = {
@@ -170,10 +175,14 @@ static int module_exec(PyObject *module)
         estimator_methods,
         simulate_methods,
         history_methods,
+        exported_methods,
     };
     size_t i;
     memory_type = (PyTypeObject *)PyType_FromSpec(&memory_spec);
     if (memory_type == NULL || PyModule_AddObjectRef(module, "Memory", (PyObject *)memory_type) < 0) {
+        return -1;
+    }
+    if (PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0) {
         return -1;
     }
     for (i = 0; i < sizeof constants / sizeof constants[0]; i++) {

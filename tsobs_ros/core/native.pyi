@@ -13,6 +13,7 @@ KIND_INTEGRATED: int
 GAIN_RICCATI: int
 GAIN_CERTIFIED: int
 HYPOTHESES: int
+SOURCES: str
 
 class Memory:
     """An array's address, looked up once; the array must stay as it is."""
@@ -320,3 +321,12 @@ def estimator_observe(
     /,
 ) -> None:
     """Step each state through its samples (samples, p), and write a row after each."""
+
+def exported_layout() -> Layout:
+    """Return the fields of an exported design's head; see tsobs.h."""
+
+def exported_seal(words: Any, /) -> None:
+    """Complete the head of an exported design, whose lengths and text are there."""
+
+def exported_open(words: Any, /) -> tuple[int, int, int, int, int]:
+    """Return the lengths of model, memory, ring, scratch and of an estimate's row."""

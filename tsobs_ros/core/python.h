@@ -58,5 +58,6 @@ extern PyMethodDef scores_methods[];
 extern PyMethodDef estimator_methods[];
 extern PyMethodDef simulate_methods[];
 extern PyMethodDef history_methods[];
+extern PyMethodDef exported_methods[];
 
 #endif

@@ -7,6 +7,9 @@
 #include "matrices.h"
 #include "python.h"
 
+/* Longest duration of a step [s], whose periods can be counted. */
+#define LONGEST 1e12
+
 /* --- layouts --- */
 
 /* Add the layout of a record to a dictionary. Return 0, or -1 with an exception set. */
@@ -182,7 +185,7 @@ static PyObject *estimator_predict(PyObject *module, PyObject *const *given, Py_
         failed = require_length(name, "u", &taken[2], of.count * m) < 0
                  || require_length(name, "work", &taken[5], work_size(&of.m.s)) < 0;
     }
-    if (!failed && !(taken[3].is.number >= 0.0 && isfinite(taken[3].is.number))) {
+    if (!failed && !(0.0 <= taken[3].is.number && taken[3].is.number <= LONGEST)) {
         PyErr_Format(PyExc_ValueError, "%s: duration: expected a finite number of at least 0", name);
         failed = 1;
     }
@@ -264,11 +267,11 @@ static PyObject *estimator_observe(PyObject *module, PyObject *const *given, Py_
         return NULL;
     }
     failed = begin_batch(&of, name, taken) < 0;
-    if (!failed && (taken[5].is.integer < 0 || taken[5].is.integer > 1000000000000)) {
+    if (!failed && (taken[5].is.integer < 0 || taken[5].is.integer > 1000000000)) {
         PyErr_Format(PyExc_ValueError, "%s: samples: expected a number of at least 0", name);
         failed = 1;
     }
-    if (!failed && !(taken[4].is.number >= 0.0 && isfinite(taken[4].is.number))) {
+    if (!failed && !(0.0 <= taken[4].is.number && taken[4].is.number <= LONGEST)) {
         PyErr_Format(PyExc_ValueError, "%s: duration: expected a finite number of at least 0", name);
         failed = 1;
     }

@@ -22,7 +22,7 @@ static int are_places_sound(const scored_runs *runs, const score_options *option
             return 0;
         }
     }
-    return runs->columns[0] > 0 && runs->basis >= 0 && runs->basis < runs->width;
+    return runs->columns[0] > 0 && runs->basis >= 0 && runs->basis + 1 < runs->width;
 }
 
 /* Fill in the views of what is given; return whether all lengths belong together. */

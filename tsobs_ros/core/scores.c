@@ -75,10 +75,14 @@ static void add_errors(
     }
 }
 
-/* Return what the bounds of a row are said to be by their basis, -1 if there is none. */
-static int64_t claim_of(const score_options *options, double basis)
+/* Return what bounds are said to be by their basis if they are claimed, else the last, which is
+ * nothing; -1 if there are none. */
+static int64_t claim_of(const score_options *options, double basis, double claimed)
 {
     const int known = basis >= 0.0 && basis < (double)options->bases;
+    if (known && claimed == 0.0) {
+        return options->claim_count - 1;
+    }
     return known ? options->claims[(int64_t)basis] : -1;
 }
 
@@ -92,7 +96,7 @@ void add_up(const scored_runs *runs, const score_options *options, const score_s
             const double time = runs->times[sample];
             const double *row = runs->rows + place * runs->width;
             const double size = fabs(runs->truths[0][place * runs->columns[0]]);
-            const int64_t claim = claim_of(options, row[runs->basis]);
+            const int64_t claim = claim_of(options, row[runs->basis], row[runs->basis + 1]);
             if (take_truths(runs, options, sums, place, sample == 0)) {
                 /* A fault that chatters is one event, which begins with its first jump. */
                 if (time - jumped > options->same_jump && time + options->after_jump > begin) {

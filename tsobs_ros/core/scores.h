@@ -12,7 +12,8 @@
  *
  * times: of the samples [s]. truths, columns: states, disturbances and torques, (runs, samples,
  * columns). last_measured: the last sample with a measurement of each run, which does not count.
- * rows, width: estimates, (runs, samples, width); basis: the place in a row of what it rests on. */
+ * rows, width: estimates, (runs, samples, width); basis: the place in a row of what it rests on,
+ * behind which there is whether it is claimed. */
 typedef struct {
     int64_t runs, samples, columns[3], width, basis;
     const double *times, *truths[3], *rows;

@@ -71,6 +71,9 @@ double exponential(double x)
     if (!(x >= -745.2)) {
         return isnan(x) ? x : 0.0;
     }
+    if (x > 709.0) {
+        return HUGE_VAL; /* which no caller has a use for */
+    }
     whole = round_down(x * 1.44269504088896338700e00 + 0.5);
     high = x - whole * 6.93147180369123816490e-01;
     low = whole * 1.90821492927058770002e-10;

@@ -67,26 +67,36 @@ class State:
     __hash__ = None  # type: ignore[assignment]
 
     def _field(self, name: str) -> Any:
-        """Return a field of the records, of their sensors or likeliest hypotheses, of states in use."""
-        of_all = self.records
-        best = of_all["hypotheses"][np.arange(len(of_all)), of_all["best"]]
-        parts = (of_all, of_all["sensors"], best)
-        for values in parts:
-            if name in (values.dtype.names or ()):
-                return self.shape.trim(name, values[name])
-        fields = [field for values in parts for field in values.dtype.names or ()]
-        raise AttributeError(f"a state has no {name!r}; it has {fields}")
+        """Return a field of records, their sensors or likeliest hypotheses, of states in use."""
+        return self._fields(name, self._likeliest())[0]
+
+    def _likeliest(self) -> Any:
+        return self.records["hypotheses"][np.arange(len(self.records)), self.records["best"]]
+
+    def _fields(self, name: str, likeliest: Any) -> list[Any]:
+        """Return a field of the records and of their sensors, else of hypotheses."""
+        parts = (self.records, self.records["sensors"], likeliest)
+        found = [each for each in parts if name in (each.dtype.names or ())]
+        if not found:
+            fields = [field for each in parts for field in each.dtype.names or ()]
+            raise AttributeError(f"a state has no {name!r}; it has {fields}")
+        found = (
+            found[:1] if found[0] is likeliest else [one for one in found if one is not likeliest]
+        )
+        return [self.shape.trim(name, each[name]) for each in found]
 
     def copy(self) -> "State":
         """Return the same state with records of its own."""
         return State(copy_records(self.records), self.shape, self.batch)
 
     def changed(self, **values: ArrayLike) -> "State":
-        """Return the state with some fields replaced, its own and those of its sensors."""
+        """Return the state with some fields replaced, its own, its sensors' or likeliest ones'."""
         copy = self.copy()
+        likeliest = copy._likeliest()
         for name, value in values.items():
-            for target in self._fields(copy.records, name):
+            for target in copy._fields(name, likeliest):
                 target[...] = np.reshape(value, target.shape) if self.batch else value
+        copy.records["hypotheses"][np.arange(len(copy.records)), copy.records["best"]] = likeliest
         return copy
 
 

@@ -35,6 +35,7 @@ class Condition(NamedTuple):
         noise_scale: Size of the sensor's noise relative to the design's, at least 1.
         coloured_power: Mean product of neighbouring innovations relative to their expected power.
         basis: What the bounds rest on.
+        claimed: Whether the bounds are claimed to hold.
         learning: What the learning does.
         hypothesis: What the arm and its sensor are taken for.
         age: Time since the newest measurement [s].
@@ -44,6 +45,7 @@ class Condition(NamedTuple):
     noise_scale: float
     coloured_power: float
     basis: Basis
+    claimed: bool
     learning: Learning
     hypothesis: Hypothesis
     age: float
@@ -56,12 +58,13 @@ class Condition(NamedTuple):
     @classmethod
     def of_numbers(cls, stamp: int, numbers: Sequence[float]) -> "Condition":
         """Return the condition at a stamp [ns] that has these `numbers`."""
-        scale, coloured, basis, learning, hypothesis, age = numbers
+        scale, coloured, basis, claimed, learning, hypothesis, age = numbers
         return cls(
             stamp,
             scale,
             coloured,
             Basis(int(basis)),
+            claimed != 0.0,
             Learning(int(learning)),
             Hypothesis(int(hypothesis)),
             age,
@@ -75,6 +78,7 @@ class Condition(NamedTuple):
             estimate.noise_scale,
             estimate.coloured_power,
             estimate.basis,
+            estimate.claimed,
             estimate.learning,
             estimate.hypothesis,
             estimate.age,
@@ -115,7 +119,7 @@ BOUNDS: Mapping[Basis, tuple[Level, str]] = {
     ),
     Basis.COVARIANCE: (
         Level.OK,
-        "the bound is the covariance along the estimate, not certified: other rates, missing samples",
+        "the bound is not certified: it is the covariance along the estimate",
     ),
     Basis.STARTING: (
         Level.OK,
@@ -155,7 +159,7 @@ HYPOTHESES: Mapping[Hypothesis, tuple[Level, str]] = {
     Hypothesis.FORCE: (
         Level.WARN,
         "the arm is pushed by something the model lacks: friction, contact, a payload? A "
-        "torque_disturbance in the design, or damping among its uncertain parameters, may explain it",
+        "torque_disturbance in the design, or damping as an uncertain parameter, may explain it",
     ),
     Hypothesis.IMPERFECT: (
         Level.WARN,
@@ -173,8 +177,8 @@ HYPOTHESES: Mapping[Hypothesis, tuple[Level, str]] = {
     ),
     Hypothesis.DRIFT: (
         Level.WARN,
-        "the sensor moves away, or is wrong for a while: a larger density of its disturbance in the "
-        "design would follow it",
+        "the sensor moves away, or is wrong for a while: a larger density of its disturbance in "
+        "the design would follow it",
     ),
     Hypothesis.TONE: (
         Level.WARN,
@@ -182,6 +186,11 @@ HYPOTHESES: Mapping[Hypothesis, tuple[Level, str]] = {
     ),
 }
 """How bad it is that arm and sensor are taken for something, and what it means."""
+
+
+def words(code: enum.Enum) -> str:
+    """Return a code's name, for people."""
+    return code.name.lower().replace("_", " ")
 
 
 class EventLog:
@@ -201,7 +210,7 @@ class EventLog:
 
     Example:
         >>> log = EventLog("/joint_measurements", coast_after=0.1, stale_after=5.0)
-        >>> good = Condition(10**9, 1.0, 0.0, Basis.STARTING, Learning.NONE, Hypothesis(0), 0.002)
+        >>> good = Condition(10**9, 1.0, 0.0, Basis.STARTING, True, Learning(0), Hypothesis(0), 0.0)
         >>> [event.text for event in log.update(good)]
         ['TRACKING: measurements arrive on /joint_measurements']
         >>> silent = good._replace(stamp=2 * 10**9, age=0.15)

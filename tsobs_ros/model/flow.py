@@ -48,9 +48,6 @@ from tsobs_ros.model.vertices import (
     linear_directions,
 )
 
-GAP_MEMORY = 1.0
-"""Correlation time of the torque's rate in a gap [s]: that of motions that take some seconds."""
-
 
 class Transition(NamedTuple):
     """The linear flow over one step.
@@ -273,115 +270,6 @@ class ArmFlow(Flow):
     def to_physical(self, x: ArrayLike) -> Array:
         """Return [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) of augmented states of shape (..., n)."""
         return self.arm.to_physical(np.asarray(x, dtype=np.float64)[..., :4])
-
-
-class ExtendedFlow(ArmFlow):
-    """Prediction of an arm with more states behind the others, which move on their own.
-
-    Args:
-        flow: Of the arm.
-        matrix: Continuous state matrix of these states, shape (q, q).
-        density: White noise density of them, shape (q, q).
-        torque: What they add to the motor's torque [N m], shape (q,).
-        output: What they add to the outputs, shape (p, q); nothing if None.
-    """
-
-    def __init__(
-        self,
-        flow: ArmFlow,
-        matrix: Array,
-        density: Array,
-        torque: Array,
-        output: Array | None = None,
-    ) -> None:
-        self._matrix, self._density, self._torque, self._output = matrix, density, torque, output
-        super().__init__(
-            flow.arm,
-            flow.disturbance,
-            flow.process_noise,
-            flow.period,
-            flow.outputs,
-            flow.torque_disturbance,
-        )
-
-    @property
-    def state_count(self) -> int:
-        """Length of the augmented state with these states."""
-        return super().state_count + len(self._matrix)
-
-    @cached_property
-    def output_matrix(self) -> Array:
-        """Augmented state to measurement, shape (p, n)."""
-        matrix = super().output_matrix.copy()
-        if self._output is not None:
-            matrix[:, -len(self._matrix) :] += self._output
-        return matrix
-
-    @cached_property
-    def motor_torque(self) -> Array:
-        """Augmented state to the unknown torque at the motor [N m], shape (n,)."""
-        row = super().motor_torque.copy()
-        row[-len(self._matrix) :] += self._torque
-        return row
-
-    @cached_property
-    def drift(self) -> Array:
-        """Continuous augmented matrix without gravity, shape (n, n)."""
-        drift = block_diag(super().drift, self._matrix)
-        drift[:4, -len(self._matrix) :] = self.arm.input_matrix * self._torque
-        return np.asarray(drift)
-
-    def _noise_density(self) -> Array:
-        return np.asarray(block_diag(super()._noise_density(), self._density))
-
-
-class GapFlow(ExtendedFlow):
-    """Prediction of an arm through a gap, in which the torque is unknown.
-
-    The torque is u + δ there, u being the last known one: δ begins at zero and moves at a rate that
-    is Gauss–Markov, N(0, r²) at any time and correlated over `GAP_MEMORY`. Both are states, so that
-    x̄ = [x; w; δ; δ'] and their effect on the arm is correlated with all else as it is along the
-    flow, not white.
-
-    Args:
-        flow: Of the arm.
-        torque_rate: r, 1σ of the torque's rate [N m/s].
-    """
-
-    def __init__(self, flow: ArmFlow, torque_rate: float) -> None:
-        self.rate_variance = torque_rate * torque_rate
-        density = np.diag([0.0, 2.0 * self.rate_variance / GAP_MEMORY])
-        matrix = np.array([[0.0, 1.0], [0.0, -1.0 / GAP_MEMORY]])
-        super().__init__(flow, matrix, density, np.array([1.0, 0.0]))
-
-
-class ForceFlow(ExtendedFlow):
-    """Prediction of an arm with an unknown Gauss–Markov torque at its motor: f' = −f/τ + noise.
-
-    It is the last state. Before it there is coloured noise of each output, if any.
-
-    Args:
-        flow: Of the arm.
-        std: Stationary 1σ of the torque [N m].
-        time_constant: τ [s].
-        colours: Stationary 1σ of Gauss–Markov noise of each output, shape (p,); none if empty.
-        colour_time: Its τ [s].
-    """
-
-    def __init__(
-        self,
-        flow: ArmFlow,
-        std: float,
-        time_constant: float,
-        colours: Sequence[float] = (),
-        colour_time: float = math.inf,
-    ) -> None:
-        roots = [colour * math.sqrt(2.0 / colour_time) for colour in colours]
-        rates = [*(-1.0 / colour_time for _ in colours), -1.0 / time_constant]
-        densities = [*(root * root for root in roots), 2.0 * std * std / time_constant]
-        q = len(rates)
-        output = np.eye(len(flow.outputs), q) if colours else None
-        super().__init__(flow, np.diag(rates), np.diag(densities), np.eye(q)[-1], output)
 
 
 def _require_channels(name: str, model: DisturbanceModel, channels: Sequence[str]) -> None:

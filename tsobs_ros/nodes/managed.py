@@ -27,6 +27,9 @@ The clean-up destroys all publishers, subscriptions, services, clients and timer
 `configure` began, also those of a `configure` that failed half-way. rclpy's lifecycle stops only
 lifecycle publishers, so callbacks check `active` before they work.
 
+Some requests and times make rclpy's own callbacks raise, which would end the process. The node
+stands before them: it refuses or drops what they cannot take, and says so.
+
 A transition that fails with an expected error logs one line and leaves the node in the state it
 came from; only a clean-up, after which nothing is left to go back to, ends unconfigured all the
 same. Any other exception is a bug: it is logged with its traceback, and the node is cleaned up and
@@ -36,23 +39,34 @@ unconfigured.
 import math
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.exceptions import ParameterException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from rclpy.subscription import Subscription
 from rclpy.time_source import TimeSource
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from tsobs_ros.errors import printable
+from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.parameters import ParameterBinding, parameter
 from tsobs_ros.nodes.runtime import EXPECTED
 from tsobs_ros.nodes.ticker import Ticking
 
 # How long the answer to a shutdown request may be on its way [s]; it is lost with the node.
 _FAREWELL = 0.5
+# Between two lines on what is dropped, of each kind [s].
+_QUIET = 5.0
 
 Answer = Callable[[], tuple[bool, str]]
 """The work of a Trigger service; returns its success and a message."""
@@ -97,7 +111,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         self._finalized_at = math.inf
         self._failure: Exception | None = None
         self._starting = False
-        self._refuse_impossible_transitions()
+        self._stand_before_services()
         try:
             self._binding = ParameterBinding(self, schema, on_change=self._retune)
         except BaseException:
@@ -218,6 +232,14 @@ class ManagedNode(LifecycleNode, Generic[P]):
         declared: list[Any] = super().declare_parameters(namespace, parameters, ignore_override)
         return declared
 
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, *args: Any, **kwargs: Any
+    ) -> Subscription:
+        """Subscribe; rclpy does so itself to /clock, whenever use_sim_time becomes true."""
+        if isinstance(getattr(callback, "__self__", None), TimeSource):
+            callback = partial(self._take_time, callback)
+        return super().create_subscription(msg_type, topic, callback, *args, **kwargs)
+
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer rclpy's lifecycle."""
         return self._attempt("configure", self._configure)
@@ -293,9 +315,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def _destroy_all_but(self, lasting: set[tuple[Any, Callable[[Any], object]]]) -> None:
         for entity, destroy in set(self._entities()) - lasting:
-            served = getattr(getattr(entity, "callback", None), "__self__", None)
             # rclpy itself subscribes to /clock as soon as use_sim_time is set.
-            if not isinstance(served, TimeSource):
+            if getattr(getattr(entity, "callback", None), "func", None) != self._take_time:
                 destroy(entity)
 
     def _retune(self, parameters: P) -> None:
@@ -317,16 +338,53 @@ class ManagedNode(LifecycleNode, Generic[P]):
             return TransitionCallbackReturn.FAILURE if expected else TransitionCallbackReturn.ERROR
         return TransitionCallbackReturn.SUCCESS
 
-    def _refuse_impossible_transitions(self) -> None:
-        """Answer requests that the state does not allow; rclpy would end the process."""
-        service = next(s for s in self.services if s.srv_type is ChangeState)
-        change_state = service.callback
+    def _stand_before_services(self) -> None:
+        """Answer the requests that would end the process in rclpy's own callbacks."""
+        for service in self.services:
+            if service.srv_type is ChangeState:
+                service.callback = partial(self._change_state, service.callback)
+            elif service.srv_type is SetParameters:
+                service.callback = self._set_one_by_one
+            elif service.srv_type is SetParametersAtomically:
+                service.callback = self._set_at_once
 
-        def change_state_if_possible(request: Any, response: Any) -> Any:
-            try:
-                return change_state(request, response)
-            except RuntimeError:  # rcl's, as no step of ours lets one pass
-                response.success = False
-                return response
+    def _change_state(self, change: Callable[..., Any], request: Any, response: Any) -> Any:
+        """Answer a transition that the state does not allow."""
+        try:
+            return change(request, response)
+        except RuntimeError:  # rcl's, as no step of ours lets one pass
+            response.success = False
+            return response
 
-        service.callback = change_state_if_possible
+    def _set_one_by_one(self, request: Any, response: Any) -> Any:
+        response.results = [self._set_parameters([each]) for each in request.parameters]
+        return response
+
+    def _set_at_once(self, request: Any, response: Any) -> Any:
+        response.result = self._set_parameters(request.parameters)
+        return response
+
+    def _set_parameters(self, messages: Sequence[ParameterMessage]) -> SetParametersResult:
+        """Set parameters all or none; what cannot be a parameter is refused with its reason."""
+        try:
+            result = self.set_parameters_atomically(
+                list(map(Parameter.from_parameter_msg, messages))
+            )
+        except (ParameterException, TypeError, ValueError) as error:
+            listed = ", ".join(f"'{each.name}' of type {each.value.type}" for each in messages)
+            result = SetParametersResult(successful=False, reason=f"cannot set {listed}: {error}")
+            self.get_logger().warning(printable(result.reason), throttle_duration_sec=_QUIET)
+        result.reason = printable(result.reason)
+        return result
+
+    def _take_time(self, take: Callable[[Clock], None], message: Clock) -> None:
+        """Let rclpy take a time of /clock that it knows and that a message can have as a stamp."""
+        sec, nanosec = message.clock.sec, message.clock.nanosec
+        if sec >= 0 and nanosec < NANOSECONDS:
+            take(message)
+            return
+        self.get_logger().warning(
+            f"dropped a time on /clock: expected 0 s or more and less than 1e9 ns, got {sec} s and "
+            f"{nanosec} ns; time stands still until there is another",
+            throttle_duration_sec=_QUIET,
+        )

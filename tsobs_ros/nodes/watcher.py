@@ -97,7 +97,13 @@ class Watcher(Node):
         namespace, _, name = observer.rpartition("/")
         if not name:
             raise NodeError(f"'{observer}' is not the name of an observer")
-        super().__init__(f"tsobs_watch_{os.getpid()}", namespace=namespace, **node_kwargs)
+        # There is nothing to set, and requests of an unknown type would end it in rclpy.
+        super().__init__(
+            f"tsobs_watch_{os.getpid()}",
+            namespace=namespace,
+            start_parameter_services=False,
+            **node_kwargs,
+        )
         self.finished = False
         self._show = show
         own = (*topics.TOPICS, *topics.PARAMETER_TOPICS, *topics.TORQUE_TOPICS)

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The health of recorded estimates: their events in order, and a summary."""
 
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from enum import IntEnum
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tsobs_ros.bag.estimate_topics import CONDITIONS
 from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.events import (
@@ -19,29 +21,48 @@ from tsobs_ros.estimation.events import (
     Condition,
     Event,
     EventLog,
+    words,
 )
 from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis, Learning
 from tsobs_ros.replay.thinning import ThinnedValues
 
-_BOUNDS = {
-    Basis.CERTIFIED: "certified",
-    Basis.LEARNT: "certified but for the learnt parameters",
-    Basis.COVARIANCE: "along the estimate",
-    Basis.STARTING: "settling after a start",
-    Basis.GAP: "past the newest sample's interval, or after a rejected one",
-    Basis.JUMP: "after a jump",
-    Basis.TORQUE: "with a doubtful torque",
-    Basis.CONTRADICTED: "void",
-    Basis.OUTSIDE: "void",
-    Basis.HYPOTHESIS: "of another hypothesis",
-}
+C = TypeVar("C", bound=IntEnum)
+
+BASIS, CLAIMED, LEARNING, HYPOTHESIS = map(
+    CONDITIONS.index, ("basis", "claimed", "learning", "hypothesis")
+)
+"""Places of conditions' numbers."""
+
+# Codes of version 0.7, which did not say what is claimed: those of now, in their order.
+_FORMER_BASES = (0, 1, 3, 4, 5, 6, 7, 8, 9)
+_FORMER_LEARNING = (0, 1, 2, 2, 2)
+_FORMER_HYPOTHESES = (0, 1, 1, 4, 5)
 
 _WRONG = (Basis.CONTRADICTED, Basis.HYPOTHESIS, Basis.OUTSIDE)
+_OF_SENSOR = (Hypothesis.LOUD, Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT, Hypothesis.TONE)
 # Of simulated arms: at most .05 of the time if the design is theirs, at least .4 with another arm,
 # a torque of another sign or ten times as large; angles in degrees are noise of 47 times.
 _OFTEN, _OTHER_UNIT = 0.3, 20.0
 
 _MAX_EVENTS, _MAX_LINES = 200, 20
+
+
+def as_of_now(conditions: Array) -> Array:
+    """Return conditions' numbers with codes of now, shape (n, 7); former ones have no `claimed`."""
+    former = np.isnan(conditions[:, CLAIMED]) & ~np.isnan(conditions[:, BASIS])
+    if not former.any():
+        return conditions
+    translated = conditions.copy()
+    for place, codes in (
+        (BASIS, _FORMER_BASES),
+        (LEARNING, _FORMER_LEARNING),
+        (HYPOTHESIS, _FORMER_HYPOTHESES),
+    ):
+        known = conditions[former, place].clip(0, len(codes) - 1).astype(int)
+        translated[former, place] = np.array(codes)[known]
+    void = np.isin(translated[former, BASIS], (Basis.CONTRADICTED, Basis.OUTSIDE))
+    translated[former, CLAIMED] = ~void
+    return translated
 
 
 class JointEvent(NamedTuple):
@@ -103,14 +124,18 @@ class Health(NamedTuple):
     Attributes:
         noise_scale: Median of the noise's scale.
         max_noise_scale: Largest one.
+        claimed: Share of the estimates whose bounds are claimed to hold.
         bases: Shares of the estimates by what their bounds rest on, without those that are zero.
+        hypotheses: Shares by what arm and sensor are taken for, likewise.
         learning: What the learning does at the end.
         hypothesis: What arm and sensor are taken for at the end.
     """
 
     noise_scale: float
     max_noise_scale: float
+    claimed: float
     bases: dict[Basis, float]
+    hypotheses: dict[Hypothesis, float]
     learning: Learning
     hypothesis: Hypothesis
 
@@ -126,15 +151,19 @@ class Health(NamedTuple):
         often = f"for {100.0 * wrong:.0f} % of the time the measurements do not fit the design"
         if wrong >= _OFTEN and self.noise_scale >= _OTHER_UNIT:
             return f"{often}: the angles seem to be in another unit than rad, or of another joint"
-        if wrong >= _OFTEN:
-            return (
-                f"{often}: it seems to be of another arm, the torque of another sign, unit or "
-                "joint, or there is a force that the design lacks"
-            )
         if self.noise_scale >= NOISY:
             return (
                 f"innovations are {self.noise_scale:.1f} times as large as the design expects, as "
                 "of a noisier sensor: measurement_std in its request seems to be too small"
+            )
+        others = {one: share for one, share in self.hypotheses.items() if one}
+        likeliest = max(others, key=others.__getitem__, default=Hypothesis.AS_DESIGNED)
+        if wrong >= _OFTEN and likeliest in _OF_SENSOR:
+            return f"{often}: {HYPOTHESES[likeliest][1]}"
+        if wrong >= _OFTEN:
+            return (
+                f"{often}: it seems to be of another arm, the torque of another sign, unit or "
+                "joint, or there is a force that the design lacks"
             )
         return None
 
@@ -144,7 +173,9 @@ class Health(NamedTuple):
             "misfit": self.misfit,
             "noise_scale": {"median": self.noise_scale, "max": self.max_noise_scale},
             "certified": self.certified,
+            "claimed": self.claimed,
             "bases": {basis.name.lower(): share for basis, share in self.bases.items()},
+            "hypotheses": {one.name.lower(): share for one, share in self.hypotheses.items()},
             "learning": self.learning.name.lower(),
             "learning_text": LEARNINGS[self.learning][1],
             "hypothesis": self.hypothesis.name.lower(),
@@ -152,17 +183,22 @@ class Health(NamedTuple):
 
     def lines(self) -> tuple[str, ...]:
         """Return it for a terminal."""
-        shares: dict[str, float] = {}
-        for basis, share in self.bases.items():
-            name = _BOUNDS[basis]
-            shares[name] = shares.get(name, 0.0) + share
-        bounds = ", ".join(f"{100.0 * share:.3g} % {name}" for name, share in shares.items())
         return (
             f"noise {self.noise_scale:.2f} times the design's, at most {self.max_noise_scale:.2f}",
-            f"bounds {bounds}",
+            f"bounds {_shares(self.bases)}; claimed to hold {100.0 * self.claimed:.3g} %",
+            f"taken for {_shares(self.hypotheses)}",
             f"at the end {LEARNINGS[self.learning][1]}; {HYPOTHESES[self.hypothesis][1]}",
             *([f"warning: {self.misfit}"] if self.misfit else []),
         )
+
+
+def _parts(kind: type[C], counts: NDArray[np.int64]) -> dict[C, float]:
+    shares = zip(kind, (counts / counts.sum()).tolist(), strict=True)
+    return {code: share for code, share in shares if share}
+
+
+def _shares(parts: Mapping[Any, float]) -> str:
+    return ", ".join(f"{100.0 * share:.3g} % {words(one)}" for one, share in parts.items())
 
 
 class HealthSum:
@@ -171,16 +207,20 @@ class HealthSum:
     def __init__(self) -> None:
         self._scales = ThinnedValues()
         self._bases = np.zeros(len(Basis), np.int64)
+        self._hypotheses = np.zeros(len(Hypothesis), np.int64)
+        self._claimed = 0
         self._max, self._last = 0.0, list[float]()
 
     def add(self, conditions: Array) -> None:
-        """Add conditions' numbers, NaN without an estimate, shape (n, 6)."""
+        """Add conditions' numbers, NaN without an estimate, shape (n, 7)."""
         known = conditions[~np.isnan(conditions[:, 0])]
         if not len(known):
             return
         self._scales.add(known[:, 0])
         self._max = max(self._max, float(known[:, 0].max()))
-        self._bases += [(known[:, 2] == basis).sum() for basis in Basis]
+        self._claimed += int(known[:, CLAIMED].sum())
+        self._bases += [(known[:, BASIS] == basis).sum() for basis in Basis]
+        self._hypotheses += [(known[:, HYPOTHESIS] == one).sum() for one in Hypothesis]
         self._last = known[-1].tolist()
 
     def result(self) -> Health | None:
@@ -188,11 +228,12 @@ class HealthSum:
         if not self._last:
             return None
         last = Condition.of_numbers(0, self._last)
-        shares = zip(Basis, (self._bases / self._bases.sum()).tolist(), strict=True)
         return Health(
             noise_scale=float(np.median(self._scales.values)),
             max_noise_scale=self._max,
-            bases={basis: share for basis, share in shares if share},
+            claimed=self._claimed / int(self._bases.sum()),
+            bases=_parts(Basis, self._bases),
+            hypotheses=_parts(Hypothesis, self._hypotheses),
             learning=last.learning,
             hypothesis=last.hypothesis,
         )
@@ -237,7 +278,7 @@ class EventFinder:
         Args:
             stamps: Of the conditions [ns], shape (n,).
             log_times: Of the same, ns since the epoch, shape (n,).
-            conditions: Their numbers, NaN without an estimate, shape (n, J, 6).
+            conditions: Their numbers, NaN without an estimate, shape (n, J, 7).
             restarted: Whether the observer was restarted before a condition, shape (n,); never if
                 None.
         """

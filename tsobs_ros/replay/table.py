@@ -118,7 +118,7 @@ class EstimateTable:
         self.conditions[ticks, joint] = np.where(there[:, np.newaxis], worth, np.nan)
 
     def health(self, ticks: slice) -> Array:
-        """Return the numbers of `events.Condition` at n ticks, NaN without, shape (n, J, 6)."""
+        """Return the numbers of `events.Condition` at n ticks, NaN without, shape (n, J, 7)."""
         names = Condition._fields[1:]
         return np.stack([self.condition(name)[ticks] for name in names], axis=-1)
 

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
-from tsobs_ros.estimation.events import BOUNDS
+from tsobs_ros.estimation.events import words
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import NANOSECONDS, Hypothesis
+from tsobs_ros.replay.health import CLAIMED, HYPOTHESIS
 from tsobs_ros.replay.thinning import ThinnedValues
 from tsobs_ros.report.diagnosed import Diagnosed, FaultSpan
 from tsobs_ros.report.metrics import SIGMAS, Event, RunMetrics, inside_windows
@@ -59,8 +60,6 @@ _WHITE = 2.0
 _OTHER_CLOCK = 10.0
 # Of what is published ten times a second, a longer silence is a gap [s].
 _SLOW_GAP = 1.0
-
-_NOT_VOID = [basis for basis, (level, _) in BOUNDS.items() if level is Level.OK]
 
 
 class Curve(NamedTuple):
@@ -774,7 +773,7 @@ class _Timing:
 
 
 class _Health:
-    """Gathers the history of noise scale and coloured power; void bounds are marked."""
+    """Gathers the history of noise scale and coloured power, and when no bound is claimed."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -782,7 +781,7 @@ class _Health:
         self._scales = ThinnedValues(_FOR_QUANTILES)
         self._void = 0
         self._hypotheses = np.zeros(len(Hypothesis), np.int64)
-        # Times at which bounds become void and others again, in turn.
+        # Times from which on no bound is claimed, and one is again, in turn.
         self._edges: list[float] = []
         self._last = 0.0
 
@@ -790,12 +789,12 @@ class _Health:
         self._scale.add(times, values[:, 0])
         self._coloured.add(times, values[:, 1])
         self._scales.add(values[:, 0])
-        void = ~np.isin(values[:, 2], _NOT_VOID)
+        void = values[:, CLAIMED] == 0.0
         was_void = len(self._edges) % 2
         changes = np.diff(void.astype(np.int8), prepend=was_void) != 0
         self._edges += times[changes].tolist()
         self._void += int(void.sum())
-        self._hypotheses += [(values[:, 4] == one).sum() for one in Hypothesis]
+        self._hypotheses += [(values[:, HYPOTHESIS] == one).sum() for one in Hypothesis]
         self.count, self._last = self.count + len(times), float(times[-1])
 
     def panel(self) -> Panel:
@@ -807,8 +806,8 @@ class _Health:
         shares = zip(Hypothesis, (self._hypotheses / self.count).tolist(), strict=True)
         remark = (
             f"median {np.median(self._scales.values):.2f}, at most {largest:.2f}",
-            f"marked: void bound, {100.0 * self._void / self.count:.3g} %",
-            *(f"{100.0 * share:.3g} % {_words(one)}" for one, share in shares if share),
+            f"marked: no bound is claimed, {100.0 * self._void / self.count:.3g} %",
+            *(f"{100.0 * share:.3g} % {words(one)}" for one, share in shares if share),
         )
         ends = [*self._edges, self._last][: 2 * ((len(self._edges) + 1) // 2)]
         plot = Plot(
@@ -819,10 +818,6 @@ class _Health:
             spans=tuple(zip(ends[::2], ends[1::2], strict=True)),
         )
         return Panel("design's = 1", remark, plot)
-
-
-def _words(code: Hypothesis) -> str:
-    return code.name.lower().replace("_", " ")
 
 
 def _remark(metrics: RunMetrics, quantity: Quantity) -> tuple[str, ...]:

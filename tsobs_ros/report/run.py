@@ -28,6 +28,7 @@ from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
+from tsobs_ros.replay.health import as_of_now
 from tsobs_ros.replay.places import places_of
 from tsobs_ros.replay.source import MEASUREMENTS, RESTART_MESSAGES, UNNAMED_SYSTEM, restarts
 from tsobs_ros.report.quantities import QUANTITIES, Quantity, measured_states, quantities_of
@@ -144,7 +145,7 @@ class RecordedRun:
         true_disturbance: Of the outputs at the sampling stamps, values (k', p); None on a robot.
         true_torque: Torque disturbances at the sampling stamps [N m], values (k'', t); None on a
             robot.
-        health: Numbers of `estimation.events.Condition` at their stamps, values (h, 6); None if
+        health: Numbers of `estimation.events.Condition` at their stamps, values (h, 7); None if
             not recorded.
         parameters: Learnt changes of the uncertain parameters, values (l, c); None if not recorded.
         parameter_bounds: 1σ of each, values (l, c); None if not recorded.
@@ -573,8 +574,9 @@ def _blocks(
             if key in _TWICE:
                 series, shown = _as_named(series), groups[:1]
             named = series.named[:, 0]
-            values = [series.values[named, group, : len(one)] for group, one in enumerate(shown)]
-            found[key] = _Read(series.stamps[named], series.log_times[named], np.hstack(values))
+            parts = [series.values[named, group, : len(one)] for group, one in enumerate(shown)]
+            values = as_of_now(parts[0]) if key == "health" else np.hstack(parts)
+            found[key] = _Read(series.stamps[named], series.log_times[named], values)
         yield found, block.horizon == math.inf
 
 

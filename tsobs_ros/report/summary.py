@@ -17,7 +17,7 @@ from tsobs_ros.report.quantities import Quantity
 _INSIDE, _TOO_FEW = 0.99, 8.0 / 9.0
 _EXPECTED = (0.5, 2.0)
 _MANY_LOST = 0.01
-_BOUNDED = (Basis.CERTIFIED, Basis.LEARNT)
+_PROVED = (Basis.CERTIFIED, Basis.LEARNT)
 
 
 class Table(NamedTuple):
@@ -135,9 +135,12 @@ def _of_bounds(health: Health | None) -> tuple[Level, str] | None:
         return None
     if health.misfit:
         return Level.WARN, f"{health.misfit[0].upper()}{health.misfit[1:]}."
-    proved, learnt = (health.bases.get(basis, 0.0) for basis in _BOUNDED)
+    proved, learnt = (health.bases.get(basis, 0.0) for basis in _PROVED)
     but = ", but for what is uncertain of the learnt parameters," if learnt else ""
-    return Level.OK, f"The bounds were proved{but} for {_percent(proved + learnt)} of the time."
+    return Level.OK, (
+        f"The bounds were claimed to hold for {_percent(health.claimed)} of the time, and "
+        f"proved{but} for {_percent(proved + learnt)}."
+    )
 
 
 def _of_faults(diagnosed: Diagnosed, metrics: RunMetrics) -> tuple[Level, str] | None:

@@ -25,13 +25,13 @@ from tsobs_ros.design.request import (
     TSRequest,
 )
 from tsobs_ros.design.signals import signals
-from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning, RejectReason
+from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.nodes.observer.io import Batch, EstimatePublisher, MeasurementReader
+from tsobs_ros.nodes.observer.rejections import MISSING, WRONG
 from tsobs_ros.resources import config_path
 
-WRONG = RejectReason.WRONG_JOINT
 JOINTS = {joint: signals(ArmRequest(), joint, alone=False) for joint in ("hip", "knee")}
 SYSTEM = load_request(config_path("ts_example.request.yaml"))
 STAMP = 12_000_000_345
@@ -44,13 +44,13 @@ def message(names: list[str], position: list[float], effort: list[float], **head
 
 
 def shown(batch: Batch) -> list[Any]:
-    """Return of each joint its sample in the only message, WRONG, or None if it has no part."""
+    """Return of each joint its sample in the only message, the code of its rejection, or None."""
     (stamp,) = batch.stamps.tolist()
     y, u = [each.item() for each in batch.y], [each.item() for each in batch.u]
     if batch.given is None or batch.wrong is None:
         return [(stamp, *each) for each in zip(y, u, strict=True)]
     flags = zip(y, u, batch.given[:, 0], batch.wrong[:, 0], strict=True)
-    return [(stamp, y, u) if given else WRONG if wrong else None for y, u, given, wrong in flags]
+    return [(stamp, y, u) if given else int(code) or None for y, u, given, code in flags]
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def shown(batch: Batch) -> list[Any]:
          [(STAMP, 3.0, 6.0), (STAMP, 1.0, 4.0)]),
         (["x", "knee"], [1.0, 2.0], [3.0, 4.0], [None, (STAMP, 2.0, 4.0)]),
         (["hip", "hip"], [1.0, 2.0], [3.0, 4.0], [(STAMP, 1.0, 3.0), None]),
-        (["hip", "knee"], [1.0, 2.0], [3.0], [(STAMP, 1.0, 3.0), WRONG]),
+        (["hip", "knee"], [1.0, 2.0], [3.0], [(STAMP, 1.0, 3.0), MISSING]),
         (["hip", "knee"], [1.0], [3.0, 4.0], [(STAMP, 1.0, 3.0), WRONG]),
         (["x"], [1.0], [1.0], [WRONG, WRONG]),
     ],
@@ -80,7 +80,7 @@ def test_without_effort_torques_may_be_zero_but_not_where_some_are_missing() -> 
     read = reader.read([message(["hip", "knee"], [1.0, 2.0], [])])
     assert shown(read) == [(STAMP, 1.0, 0.0), (STAMP, 2.0, 0.0)]
     read = reader.read([message(["hip", "knee"], [1.0, 2.0], [3.0])])
-    assert shown(read) == [(STAMP, 1.0, 3.0), WRONG]
+    assert shown(read) == [(STAMP, 1.0, 3.0), MISSING]
 
 
 BOTH_SIDES = ArmRequest(outputs=[Output("link_angle", 1e-3), Output("motor_angle", 1e-3)])
@@ -103,7 +103,7 @@ NAN = math.nan
         (BOTH_SIDES, ["hip_motor"], {"position": [2.0], "effort": [4.0]}, ([NAN, 2.0], [4.0])),
         (BOTH_SIDES, ["hip", "hip_motor"],
          {"position": [NAN, 2.0], "effort": [3.0, 3.0]}, ([NAN, 2.0], [3.0])),
-        (BOTH_SIDES, ["hip", "hip_motor"], {"position": [1.0, 2.0]}, WRONG),
+        (BOTH_SIDES, ["hip", "hip_motor"], {"position": [1.0, 2.0]}, MISSING),
         (BOTH_SIDES, ["hip", "hip_motor"], {"velocity": [1.0, 2.0], "effort": [3.0, 3.0]}, WRONG),
         (VELOCITIES, ["hip"],
          {"position": [1.0], "velocity": [2.0], "effort": [3.0]}, ([2.0, 1.0], [3.0])),
@@ -111,22 +111,22 @@ NAN = math.nan
         (SYSTEM, ["drive", "gyroscope", "encoder"],
          {"position": [3.0, 2.0, 1.0]}, ([1.0, 2.0], [3.0])),
         (SYSTEM, ["encoder", "drive"], {"position": [1.0, 3.0]}, ([1.0, NAN], [3.0])),
-        (SYSTEM, ["encoder", "gyroscope"], {"position": [1.0, 2.0]}, WRONG),
+        (SYSTEM, ["encoder", "gyroscope"], {"position": [1.0, 2.0]}, MISSING),
     ],
 )  # fmt: skip
 def test_what_a_message_lacks_of_several_outputs_is_nan(
     request_: ArmRequest | TSRequest,
     names: list[str],
     fields: dict[str, list[float]],
-    expected: tuple[list[float], list[float]] | RejectReason,
+    expected: tuple[list[float], list[float]] | int,
 ) -> None:
     joints = {"hip": signals(request_, "hip", alone=True)}
     reader = MeasurementReader(joints, assume_zero_torque=False)
     data = bytes(serialize_message(JointState(name=names, **fields)))
     for count in (1, 3):
         batch = reader.read([data] * count)
-        if expected is WRONG:
-            assert batch.wrong.tolist() == [[True] * count]
+        if isinstance(expected, int):
+            assert batch.wrong.tolist() == [[expected] * count]
             assert "missing" in reader.describe(data, "hip")
         else:
             y, u = expected
@@ -168,7 +168,7 @@ def test_messages_that_wait_together_come_in_the_order_of_their_stamps() -> None
     assert np.hstack([hip, knee])[1:].tolist() == [[k, 10.0 * k] for k in (1.0, 2.0, 3.0, 4.0)]
     assert np.hstack(batch.u)[1:].tolist() == [[0.0, 1.0]] * 4
     assert batch.given.tolist() == [[False, *[True] * 4]] * 2
-    assert batch.wrong.tolist() == [[True, *[False] * 4]] * 2
+    assert batch.wrong.tolist() == [[WRONG, 0, 0, 0, 0]] * 2
     assert reader.read(data).given is None
 
 
@@ -176,7 +176,7 @@ GOOD, OURS = (STAMP, 1.0, 3.0), ["hip"]
 OTHERS = [f"joint_{index}" for index in range(3000)]
 MESSAGES = {
     "empty message": (bytes(serialize_message(JointState())), WRONG),
-    "no effort": (message(OURS, [1.0], []), WRONG),
+    "no effort": (message(OURS, [1.0], []), MISSING),
     "no position": (message(OURS, [], [3.0]), WRONG),
     "velocity alone": (bytes(serialize_message(JointState(name=OURS, velocity=[1.0]))), WRONG),
     "more names than positions": (message(["x", "hip"], [1.0], [3.0]), WRONG),
@@ -236,11 +236,10 @@ def estimate(scale: float, *, bounded: bool = True) -> Estimate:
         disturbance_bound=0.01 * one if bounded else none,
         parameters=np.array([scale, -scale]),
         parameter_bound=np.array([0.5, 0.5]),
-        designed_disturbance=one,
-        designed_bound=0.01 * one if bounded else none,
         torque_disturbance=none,
         torque_disturbance_bound=none,
         basis=Basis.CERTIFIED if bounded else Basis.STARTING,
+        claimed=bounded,
         parameters_valid=bounded,
         noise_scale=1.0,
         coloured_power=0.0,

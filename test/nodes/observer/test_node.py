@@ -17,6 +17,7 @@ from staging.stage import (
     MS,
     OUTPUTS,
     PERIOD,
+    TOPIC,
     Event,
     Stage,
     good,
@@ -65,9 +66,9 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
     bad = {
         "non-finite": [{"position": [nan]}, {"position": [-np.inf]}],
         "wrong joint or shape": [
-            {"name": ["elbow"]}, {"name": []}, {"effort": []}, {"position": []},
-            {"name": ["elbow", JOINT]},
+            {"name": ["elbow"]}, {"name": []}, {"position": []}, {"name": ["elbow", JOINT]},
         ],
+        "missing input": [{"effort": []}],
     }  # fmt: skip
     stamps = {
         "duplicate stamp": [BEGIN + 3 * PERIOD, BEGIN + 9 * PERIOD],
@@ -89,7 +90,8 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
         "used": 10,
         "rewinds": 0,
         "rejected: gated": 0,
-        "rejected: implausible torque": 1,
+        "rejected: implausible torque": 0,
+        "rejected: unknown input": 1,
         "last minute: received": 10 + total,
         "last minute: rejected": total,
         **{f"rejected: {reason}": len(kind) for reason, kind in {**bad, **stamps}.items()},
@@ -105,6 +107,48 @@ def test_every_reason_to_reject_is_counted_and_estimates_go_on(stage: Stage) -> 
     stage.play(after)
     assert observer.tracker.used == 28
     assert replayed(stage.watcher, observer, [*before, dead, *after]) >= 28
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason", "advice"),
+    [
+        ({"stamp": 0}, "zero stamp", "let the driver stamp"),
+        ({"effort": []}, "missing input", "`assume_zero_torque` takes a missing effort as 0"),
+        ({"name": ["elbow"]}, "wrong joint or shape", "the parameter `joints`"),
+    ],
+)
+def test_a_silence_of_rejected_messages_is_told_from_one_without_messages(
+    stage: Stage, capfd: Any, changes: dict[str, Any], reason: str, advice: str
+) -> None:
+    stage.add(stale_after=1.0)
+    stage.step(BEGIN - PERIOD)
+
+    def bad(first: int, count: int) -> list[Event]:
+        return [
+            Event(each.at, ARM.message(**{"stamp": each.at, **changes}))
+            for each in samples(first, count)
+        ]
+
+    stage.play(bad(0, 300))
+    log = capfd.readouterr().err
+    waiting = next(line for line in log.splitlines() if "WAITING" in line)
+    assert f"came and all were rejected, most: {reason}; " in waiting
+    assert advice in waiting
+    state = stage.statuses()["observer: state"].message
+    assert state == f"WAITING: all that comes is rejected, most: {reason}"
+    stage.play([*samples(300, 20), *bad(320, 280)])
+    log = capfd.readouterr().err
+    for line, age in (("COASTING", "0.1 s"), ("STALE", "1 s")):
+        text = next(each for each in log.splitlines() if line in each)
+        assert f"{line}: no usable measurement on {TOPIC} for {age}" in text
+        assert f"most: {reason}; " in text
+        assert advice in text
+    # Once nothing comes, that is what is said.
+    stage.play(samples(600, 20), samples(850, 1)[0].at)
+    silent = f"COASTING: no measurement on {TOPIC} for 0.1 s; estimates are predictions\n"
+    assert silent in capfd.readouterr().err
+    stage.statuses()
+    assert stage.statuses()["observer: state"].message == "STALE"
 
 
 def test_wrong_torques_do_live_what_they_do_offline(stage: Stage) -> None:
@@ -248,20 +292,20 @@ def test_a_joint_that_falls_silent_leaves_the_others_alone(stage: Stage) -> None
     short = ARM.message(BEGIN + 1, name=joints, position=[1.0, 1.0], effort=[0.0])
     stage.play([*events, Event(events[-1].at, foreign), Event(events[-1].at, short)])
     assert stage.counts().received == 20 * 2 + 70 + 2 + 2
-    reasons = [
-        {reason.value: count for reason, count in joint.tracker.rejected.items()}
-        for joint in observer.joints
-    ]
-    assert [counts["wrong joint or shape"] for counts in reasons] == [1, 2]
+    reasons = [joint.rejected for joint in observer.joints]
+    assert [counts["wrong joint or shape"] for counts in reasons] == [1, 1]
+    assert [counts["missing input"] for counts in reasons] == [0, 1]
     assert list(stage.watcher.of("joint_states")[-1].message.name) == [
         "joint_1_link",
         "joint_1_motor",
     ]
     found = stage.statuses()
     assert found["observer: joint_1: state"].message == "TRACKING"
-    assert found["observer: joint_2: state"].message == "STALE"
+    assert found["observer: joint_2: state"].message == (
+        "STALE: all that comes is rejected, most: wrong joint or shape"
+    )
     assert found["observer: joint_2: state"].hardware_id == "joint_2"
-    assert found["observer: joints"].message == "joint_2: state: STALE"
+    assert found["observer: joints"].message.startswith("joint_2: state: STALE: all that comes")
     designs = [values(found[f"observer: {j}: certificate"])["design"] for j in joints]
     assert designs == [str(SHIPPED), FIXED]
     assert observer.count_publishers("/observer/parameters_estimate") == 1

@@ -48,7 +48,7 @@ def test_senseless_or_structural_changes_are_refused_with_a_reason(
         ("when_stale", "loud", "must be one of"),
         ("coast_after", 0.0, "at least"),
         ("coast_after", 10.0, "coast_after: expected at most stale_after"),
-        ("supervision.reject", 2.0, "reject: expected at least the gate 5.0"),
+        ("supervision.gate", 0.5, "at least"),
         ("fault.warn", -0.1, "at least"),
         ("fault.warn", 0.6, "'fault.*': disturbance error level: expected at least"),
     ):

@@ -93,6 +93,6 @@ def test_the_joint_states_of_a_robot_are_measurements(
         bound.position[state.name.index("wrist_link")]
         > bound.position[state.name.index("elbow_link")]
     )
-    reason = "rejected: implausible torque"
+    reason = "rejected: unknown input"
     assert statuses[counts][reason] == "0"
     assert int(statuses["observer: wrist: measurements"][reason]) > 100

@@ -25,6 +25,7 @@ from tsobs_ros.design.signals import Place, Signals
 from tsobs_ros.errors import MessageError
 from tsobs_ros.estimation.events import Condition
 from tsobs_ros.estimation.records import Estimate
+from tsobs_ros.nodes.observer.rejections import MISSING, WRONG
 
 MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
@@ -40,8 +41,8 @@ _NOTHING, _ZERO = -2, -1
 Stamps: TypeAlias = NDArray[np.int64]
 _Numbers: TypeAlias = Sequence[float]
 _Pick: TypeAlias = Callable[[_Numbers], _Numbers]
-_Row: TypeAlias = tuple[int, _Numbers, list[bool], list[bool]]
-"""Of a message: its stamp, its numbers, which joints it has a sample of and which it should."""
+_Row: TypeAlias = tuple[int, _Numbers, list[bool], list[int]]
+"""Of a message: its stamp, its numbers, which joints it has a sample of, and `_Layout.wrong`."""
 _Values: TypeAlias = tuple[int, _Numbers, _Numbers]
 """Of a message's part: its index, its positions and its velocities."""
 
@@ -55,7 +56,8 @@ class Batch(NamedTuple):
         y: Measured outputs of each joint, NaN if there is none, k of shape (N, p).
         u: Inputs of each joint, NaN if there is none, k of shape (N, m).
         given: Whether a message has a sample of a joint, shape (k, N); None: all have.
-        wrong: Whether it should have one and has none, shape (k, N); None: none is.
+        wrong: The code of the rejection if it should have one and has none, else 0, shape (k, N);
+            None: all 0.
     """
 
     order: Sequence[int]
@@ -63,7 +65,7 @@ class Batch(NamedTuple):
     y: list[Array]
     u: list[Array]
     given: Flags | None
-    wrong: Flags | None
+    wrong: Stamps | None
 
 
 class _Layout(NamedTuple):
@@ -72,13 +74,13 @@ class _Layout(NamedTuple):
     Attributes:
         pick: Takes a row's numbers from a message's, which `_CONSTANTS` follow.
         given: Whether there is a sample of each joint.
-        wrong: Whether there should be one and is none.
+        wrong: The code of the rejection if there should be one and is none, else 0.
         known: Whether any of the joints is named.
     """
 
     pick: _Pick
     given: list[bool]
-    wrong: list[bool]
+    wrong: list[int]
     known: bool
 
 
@@ -110,8 +112,9 @@ class MeasurementReader:
             if others:
                 self._other_inputs[joint] = end + p + m, others
             end += p + m + others
-        self._all, self._none = [True] * len(joints), [False] * len(joints)
-        self._unreadable: _Row = (0, [math.nan] * end, self._none, self._all)
+        count = len(joints)
+        self._all = [True] * count
+        self._unreadable: _Row = (0, [math.nan] * end, [False] * count, [WRONG] * count)
 
     def read(self, messages: Sequence[bytes]) -> Batch:
         """Return the samples in messages, in the order of the messages' stamps.
@@ -134,7 +137,7 @@ class MeasurementReader:
             y,
             u,
             None if complete else np.array(given, np.bool_).T,
-            None if complete else np.array(wrong, np.bool_).T,
+            None if complete else np.array(wrong, np.int64).T,
         )
 
     def _read(self, data: bytes) -> _Row:
@@ -203,10 +206,12 @@ class MeasurementReader:
             for index, other in enumerate(others):
                 if inputs[index] == _NOTHING:
                     inputs[index] = other
-            there = _NOTHING not in inputs and any(place != _NOTHING for place in outputs)
+            measured = any(place != _NOTHING for place in outputs)
+            there = measured and _NOTHING not in inputs
             picked += outputs + inputs + others
             given.append(there)
-            wrong.append(not there and not each.entries.isdisjoint(found))
+            named = not there and not each.entries.isdisjoint(found)
+            wrong.append(named * (MISSING if measured else WRONG))
         layout = _Layout(
             _picker(picked), self._all if all(given) else given, wrong, any(given) or any(wrong)
         )

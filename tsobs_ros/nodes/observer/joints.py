@@ -3,6 +3,8 @@
 """One joint of the observer node: its design, its tracker and its monitors."""
 
 import math
+from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,7 +13,7 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import Place, signals
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.events import EventLog
+from tsobs_ros.estimation.events import Event, EventKind, EventLog
 from tsobs_ros.estimation.faults import (
     FaultKind,
     FaultMonitor,
@@ -19,23 +21,37 @@ from tsobs_ros.estimation.faults import (
     add_samples,
     new_watches,
 )
-from tsobs_ros.estimation.health import LastMinute, Phase, Status, phase_of
-from tsobs_ros.estimation.history import CORRECTING, GATED, USED
+from tsobs_ros.estimation.health import Debounce, LastMinute, Level, Phase, Status, phase_of
+from tsobs_ros.estimation.history import CORRECTING, GATED, IMPLAUSIBLE_TORQUE, REASONS, USED
 from tsobs_ros.estimation.records import (
     NANOSECONDS,
     Estimate,
-    RejectReason,
 )
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
 from tsobs_ros.nodes.observer.io import Stamps
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
+from tsobs_ros.nodes.observer.rejections import (
+    ADVICE,
+    COUNTED_AS,
+    MISSING,
+    NAMES,
+    UNKNOWN,
+    main_of,
+)
 from tsobs_ros.nodes.observer.torques import TorqueWatch
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
 
 _NOTHING = np.zeros(0)
-_ACCEPTED = (*CORRECTING, GATED)
+_ACCEPTED = (*CORRECTING, UNKNOWN, GATED)
+# Distances of measurements in periods of the design that are worth a word, and for how many seconds
+# they must last. Beyond the one the estimate may never settle below the certified bound; below the
+# other much is wasted.
+_FAR, _NEAR = 1.02, 0.7
+_LASTING = 3.0
+# Stamps that make a median period.
+_ENOUGH = 8
 
 
 class ObservedJoint:
@@ -62,6 +78,10 @@ class ObservedJoint:
         torque_news: What changed of that with the latest estimate, None if nothing did.
         recent: Counts over the last minute: `received`, the reasons of rejection and the
             estimator's events, by name.
+        newly: The same since the counts before, a second or so.
+        in_vain: Samples that were refused since one was accepted, by reason.
+        measured_rate: Samples a second in use, by the median of their stamps' distances [Hz]; NaN
+            if there are few.
     """
 
     def __init__(
@@ -89,6 +109,12 @@ class ObservedJoint:
         self.events.restart()
         self.received = 0
         self.recent = LastMinute()
+        self.newly, self._totals = Counter[str](), Counter[str]()
+        self.in_vain = Counter[str]()
+        self._told_apart = {MISSING: 0, UNKNOWN: 0}
+        self.measured_rate = math.nan
+        self._stamps: list[int] = []
+        self._pace = Debounce(0)
         self._newest = 0
         self.latest: Estimate | None = None
         request = self.loaded.design.request
@@ -134,7 +160,7 @@ class ObservedJoint:
             now: Time on the node's clock [ns].
 
         Returns:
-            Outcomes by the codes of `history.REASONS`, and the innovations y − ŷ, NaN of an output
+            Outcomes by the codes of `rejections.NAMES`, and the innovations y − ŷ, NaN of an output
             that was not used, shape (N, p).
         """
         self.received += len(stamps)
@@ -149,10 +175,17 @@ class ObservedJoint:
             np.ascontiguousarray(each.T) for each in (y, output_codes, innovations, expected_std)
         ]
         add_samples(self.watches, stamps, *by_output)
+        if codes.any():
+            unknown = (codes == IMPLAUSIBLE_TORQUE) & np.isnan(u).any(axis=1)
+            codes[unknown] = UNKNOWN
+            self._told_apart[UNKNOWN] += int(np.count_nonzero(unknown))
         outcomes: list[int] = codes.tolist()
         accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
         if accepted:
             self._newest = max(self._newest, int(stamps[accepted[-1]]))
+            self.in_vain.clear()
+            self._stamps += [int(stamps[k]) for k in accepted]
+        self._note_in_vain(outcomes[accepted[-1] + 1 :] if accepted else outcomes)
         # Of several outputs one may be missing from a sample that is used.
         if any(outcomes) or y.shape[1] > 1:
             innovations[output_codes != USED] = math.nan
@@ -178,13 +211,68 @@ class ObservedJoint:
         Args:
             steady: Time that neither stands still nor goes back [ns].
         """
-        rejected = {reason.value: count for reason, count in self.tracker.rejected.items()}
-        self.recent.update(steady, {"received": self.received, **rejected, **self.tracker.events})
+        totals = Counter({"received": self.received, **self.rejected, **self.tracker.events})
+        self.newly, self._totals = totals - self._totals, totals
+        self.recent.update(steady, totals)
 
-    def reject(self, count: int) -> None:
-        """Count samples that cannot be read."""
-        self.received += count
-        self.tracker.reject(RejectReason.WRONG_JOINT, count)
+    def pace_news(self, steady: int) -> tuple[Level, str] | None:
+        """Measure the rate of samples since the last call; return a change that has lasted.
+
+        Args:
+            steady: Time that neither stands still nor goes back [ns].
+        """
+        stamps, self._stamps = np.sort(self._stamps), []
+        if len(stamps) < _ENOUGH:
+            return None
+        self.measured_rate = NANOSECONDS / max(1.0, float(np.median(np.diff(stamps))))
+        wanted, before = self.loaded.design.request.rate, self._pace.value
+        periods = wanted / self.measured_rate
+        now = self._pace.update(steady, int(periods > _FAR) - int(periods < _NEAR), _LASTING)
+        if now == before:
+            return None
+        text = f"measurements come at {_digits(self.measured_rate)} Hz, the design"
+        if not now:
+            return Level.OK, f"{text} is for that"
+        what = "the bound may never be certified" if now > 0 else "no narrower bound comes of it"
+        return Level.WARN, (
+            f"{text} is for {wanted:g} Hz: {what}; set `rate` of its request to what comes and "
+            "design again, or let the driver send as often as it says"
+        )
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Number of samples not used, by reason."""
+        counts = Counter({reason.value: n for reason, n in self.tracker.rejected.items()})
+        for code, count in self._told_apart.items():
+            whole = NAMES[COUNTED_AS[code]]
+            counts[NAMES[code]] = min(count, counts[whole])
+            counts[whole] -= counts[NAMES[code]]
+        return counts
+
+    def reject(self, codes: Sequence[int]) -> None:
+        """Count samples that cannot be read, by the codes of the reasons."""
+        self.received += len(codes)
+        for code, count in Counter(codes).items():
+            reason = REASONS[COUNTED_AS.get(code, code)]
+            assert reason is not None
+            self.tracker.reject(reason, count)
+        self._told_apart[MISSING] += codes.count(MISSING)
+        self._note_in_vain(codes)
+
+    def explained(self, event: Event) -> str:
+        """Return an event's text, with the reason if nothing but refused samples came before it."""
+        main = main_of(self.in_vain)
+        if not main or event.kind is not EventKind.STATE or event.level is Level.OK:
+            return event.text
+        text = event.text.replace("no measurement", "no usable measurement")
+        return (
+            f"{text}; {self.in_vain.total()} came and all were rejected, most: {main}; "
+            f"{ADVICE[main]}"
+        )
+
+    def _note_in_vain(self, codes: Sequence[int]) -> None:
+        if codes:
+            self.in_vain.update(NAMES[code] for code in codes)
 
     def estimate(self, now: int, *, hold: bool) -> Estimate | None:
         """Return the estimate to publish, None if there is none.
@@ -200,7 +288,6 @@ class ObservedJoint:
         if estimate is not None:
             self.latest = estimate
             self.torque_news = self.torques.update(estimate)
-            # Another hypothesis may take a fault of the sensor for something else.
             disturbance = estimate.disturbance
             if disturbance.size:
                 bound = estimate.disturbance_bound
@@ -220,6 +307,10 @@ class ObservedJoint:
             torque_disturbance_bound=_NOTHING,
             parameters_valid=False,
         )
+
+
+def _digits(rate: float) -> str:
+    return f"{rate:.3g}" if rate < 1000.0 else f"{rate:.0f}"
 
 
 def observed_joints(

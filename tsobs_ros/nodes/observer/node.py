@@ -20,8 +20,7 @@ from tsobs_ros.design.published import record_text
 from tsobs_ros.errors import printable
 from tsobs_ros.estimation.events import Condition, Event
 from tsobs_ros.estimation.health import Level, Status
-from tsobs_ros.estimation.history import REASONS
-from tsobs_ros.estimation.records import Estimate, RejectReason
+from tsobs_ros.estimation.records import Estimate
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import warning
 from tsobs_ros.nodes.draining import DrainedSubscription
@@ -36,6 +35,7 @@ from tsobs_ros.nodes.observer.io import (
 )
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
+from tsobs_ros.nodes.observer.rejections import ADVICE, NAMES, OF_INPUT
 from tsobs_ros.nodes.ticker import Ticker
 
 _DIAGNOSTICS_PERIOD = 1.0
@@ -46,7 +46,6 @@ _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
 _PATIENCE = 3_000_000_000
 """Time for which an output is missing before that is logged [ns]."""
-_WRONG = REASONS.index(RejectReason.WRONG_JOINT)
 
 
 class Observer(ManagedNode[ObserverParameters]):
@@ -203,8 +202,9 @@ class Observer(ManagedNode[ObserverParameters]):
             given, wrong = np.flatnonzero(batch.given[index]), np.flatnonzero(batch.wrong[index])
             innovations = np.full(y.shape, math.nan)
             outcomes, innovations[given] = joint.offer(batch.stamps[given], y[given], u[given], now)
-            joint.reject(len(wrong))
-            outcomes += [_WRONG] * len(wrong)
+            codes = batch.wrong[index][wrong].tolist()
+            joint.reject(codes)
+            outcomes += codes
             places = [*given.tolist(), *wrong.tolist()]
         if any(outcomes):
             for code, place in zip(outcomes, places, strict=True):
@@ -220,13 +220,10 @@ class Observer(ManagedNode[ObserverParameters]):
         return time.monotonic() + min(_MAX_SHARE / self.parameters.rate, _MAX_BACKLOG)
 
     def _warn(self, joint: ObservedJoint, code: int, data: bytes, now: int) -> None:
-        reason = REASONS[code]
-        assert reason is not None
-        # With a torque that no drive can have the angle is used all the same.
-        what = "torque" if reason is RejectReason.IMPLAUSIBLE_TORQUE else "measurement"
+        what, name = "torque" if code in OF_INPUT else "measurement", NAMES[code]
         text = (
-            f"{what} of {joint.name} rejected: {reason.value} "
-            f"({self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f})"
+            f"{what} of {joint.name} rejected: {name} "
+            f"({self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f}): {ADVICE[name]}"
         )
         self.get_logger().warning(printable(text))
 
@@ -262,7 +259,7 @@ class Observer(ManagedNode[ObserverParameters]):
             elif estimate is None:
                 events = joint.events.silence(now)
             for event in events:
-                self._log(joint, event.level, event.text)
+                self._log(joint, event.level, joint.explained(event))
             if joint.torque_news is not None:
                 self._log(joint, joint.torque_news.level, joint.torque_news.message)
                 joint.torque_news = None
@@ -345,13 +342,17 @@ class Observer(ManagedNode[ObserverParameters]):
             self.get_logger().error("numerical failure: an estimate was not finite; restarted")
         now = int(self.get_clock().now().nanoseconds)
         self._report_missing(now)
+        steady = time.monotonic_ns()
+        for joint in self._joints:
+            if (news := joint.pace_news(steady)) is not None:
+                self._log(joint, *news)
         self._diagnostics.publish(
             *statuses.of_node(
                 self._joints,
                 self._meter,
                 now,
                 self.parameters.method,
-                steady=time.monotonic_ns(),
+                steady=steady,
                 resets=self._resets,
                 enabled=self._enabled,
                 failed=failed,

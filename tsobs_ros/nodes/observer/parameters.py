@@ -5,7 +5,6 @@
 import math
 from dataclasses import dataclass
 
-from tsobs_ros.core import native
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.estimation.events import COAST_AFTER, STALE_AFTER
 from tsobs_ros.estimation.health import DisturbanceLimits
@@ -129,31 +128,13 @@ class ObserverParameters(ManagedParameters):
     supervision: SupervisionOptions = parameter_group(
         SupervisionOptions,
         gate=parameter(
-            5.0, "Innovations beyond so many sigma are downweighted", minimum=1.0, maximum=1e3
-        ),
-        reject=parameter(
-            50.0, "Innovations beyond so many sigma are not used", minimum=1.0, maximum=1e6
-        ),
-        jump_std=parameter(
-            0.05, "Uncertainty left after a sensor jump", unit="rad", minimum=0.0, maximum=10.0
-        ),
-        jump_duration=parameter(
-            0.5, "Riccati gains for so long after a jump", unit="s", minimum=0.0, maximum=60.0
-        ),
-        jump_quiet=parameter(
-            2.5, "No jump is looked for so soon after a start", unit="s", minimum=0.0, maximum=600.0
-        ),
-        jump_budget=parameter(
-            8,
-            "Jumps within 20 s before they are ignored",
-            minimum=0,
-            maximum=native.MAX_JUMP_BUDGET,
-        ),
-        lost=parameter(
-            6.0, "Average innovation in sigma that gives the estimate up", minimum=1.0, maximum=1e3
+            5.0,
+            "Innovations as unlikely as beyond so many sigma are outliers, not used",
+            minimum=1.0,
+            maximum=1e3,
         ),
         stuck_samples=parameter(
-            10, "Signs of a stuck sensor from which samples are not used; 0: never", minimum=0
+            20, "Signs of a stuck sensor from which samples are not used; 0: never", minimum=0
         ),
         disturbance_limit=parameter(
             math.pi, "Largest disturbance estimated", unit="rad", minimum=1e-3, maximum=100.0

@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """The observer node's diagnostics, as functions of its joints and a meter of its ticks."""
 
-import enum
 import math
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.estimation.events import BOUNDS, HYPOTHESES, LEARNINGS, NOISY, EventKind
+from tsobs_ros.estimation.events import BOUNDS, HYPOTHESES, LEARNINGS, NOISY, EventKind, words
 from tsobs_ros.estimation.health import LastMinute, Level, Phase, Status, duration_text
-from tsobs_ros.estimation.records import Estimate, Learning, RejectReason
+from tsobs_ros.estimation.history import IMPLAUSIBLE_TORQUE
+from tsobs_ros.estimation.records import Estimate, Learning
 from tsobs_ros.nodes.observer.joints import ObservedJoint
+from tsobs_ros.nodes.observer.rejections import BEYOND_LIMIT, MANY_TORQUES, NAMES, main_of
 
 _LEVEL_OF_PHASE = {
     Phase.TRACKING: Level.OK,
@@ -23,6 +24,7 @@ _LEVEL_OF_PHASE = {
 _FROM_BEST_TO_WORST = list(_LEVEL_OF_PHASE)
 _MANY_REJECTED = 0.01
 _MANY_MISSED = 0.05
+_ENOUGH = 100
 # The clock has jumped if it went on by more than this [ns], so much faster than time passes.
 _JUMP = 1_000_000_000
 _FASTEST = 100
@@ -54,7 +56,6 @@ def of_node(
     """
     for joint in joints:
         joint.count(steady)
-    phase = max((joint.phase(now) for joint in joints), key=_FROM_BEST_TO_WORST.index)
     values = {"resets": str(resets)}
     parts: dict[str, list[Status]] = {}
     if len(joints) == 1:
@@ -64,31 +65,36 @@ def of_node(
         for joint in joints:
             own = _tracking_values(joint, now)
             parts[joint.name] = [
-                _state_status(
-                    joint.phase(now), own, _losses([joint]), enabled=enabled, failed=False
-                ),
+                _state_status([joint], now, own, enabled=enabled, failed=False),
                 _measurement_status([joint]),
                 *_estimate_statuses(joint, method, now),
             ]
         further = [_summary_status(parts)]
-    state = _state_status(phase, values, _losses(joints), enabled=enabled, failed=failed)
+    state = _state_status(joints, now, values, enabled=enabled, failed=failed)
     return [state, _measurement_status(joints), meter.status(steady), *further], parts
 
 
-def _losses(joints: Sequence[ObservedJoint]) -> int:
-    """Return how often the estimates of joints were given up in the last minute."""
-    return sum(joint.recent.growth["losses of track"] for joint in joints)
-
-
 def _state_status(
-    phase: Phase, values: dict[str, str], losses: int, *, enabled: bool, failed: bool
+    joints: Sequence[ObservedJoint],
+    now: int,
+    values: dict[str, str],
+    *,
+    enabled: bool,
+    failed: bool,
 ) -> Status:
+    """Return the worst state of joints, and why their samples are all refused if they are."""
+    phases = [joint.phase(now) for joint in joints]
+    phase = max(phases, key=_FROM_BEST_TO_WORST.index)
     if not enabled:
         return Status("state", Level.WARN, "DISABLED", values)
     if failed:
         return Status("state", Level.ERROR, f"{phase.value}, after a numerical failure", values)
     level, message = _LEVEL_OF_PHASE[phase], phase.value
-    if losses:
+    in_it = [joint for joint, each in zip(joints, phases, strict=True) if each is phase]
+    refused = main_of(sum((joint.newly for joint in in_it if joint.in_vain), Counter()))
+    if refused and phase is not Phase.TRACKING:
+        message += f": all that comes is rejected, most: {refused}"
+    if losses := sum(joint.recent.growth["losses of track"] for joint in joints):
         level = max(level, Level.WARN)
         message += f", after {_times(losses, 'loss', 'losses')} of track in the last minute"
     return Status("state", level, message, values)
@@ -109,14 +115,14 @@ def _tracking_values(joint: ObservedJoint, now: int) -> dict[str, str]:
 def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
     """Return the counts of samples: received = used + rejected, by reason."""
     trackers, received = [joint.tracker for joint in joints], sum(j.received for j in joints)
-    rejected: Counter[RejectReason] = sum((each.rejected for each in trackers), Counter())
+    rejected: Counter[str] = sum((joint.rejected for joint in joints), Counter())
     recent: Counter[str] = sum((joint.recent.growth for joint in joints), Counter())
-    causes = Counter({reason.value: recent[reason.value] for reason in RejectReason})
+    causes = Counter({name: recent[name] for name in NAMES[1:]})
     values = {
         "received": str(received),
         "used": str(sum(each.used for each in trackers)),
         "rewinds": str(sum(each.rewinds for each in trackers)),
-        **{f"rejected: {reason.value}": str(rejected[reason]) for reason in RejectReason},
+        **{f"rejected: {name}": str(rejected[name]) for name in NAMES[1:]},
         "last minute: received": str(recent["received"]),
         "last minute: rejected": str(causes.total()),
     }
@@ -129,8 +135,11 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
     share = causes.total() / max(recent["received"], causes.total())
     many = share > _MANY_REJECTED
     amount = f"{100.0 * share:.0f} % of" if many else f"{causes.total()} in"
-    ((main, _),) = causes.most_common(1)
-    message = f"{amount} the last minute rejected, most: {main}"
+    now = main_of(sum((joint.newly for joint in joints), Counter()))
+    most = f"most: {now}" if now else f"most: {main_of(causes)}, none now"
+    message = f"{amount} the last minute rejected, {most}"
+    if recent[NAMES[IMPLAUSIBLE_TORQUE]] > MANY_TORQUES * max(recent["received"], _ENOUGH):
+        message += f"; {BEYOND_LIMIT}"
     return Status("measurements", Level.WARN if many else Level.OK, message, values)
 
 
@@ -148,24 +157,20 @@ def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Stat
         return statuses
     if isinstance(request, ArmRequest):
         level, message = HYPOTHESES[estimate.hypothesis]
-        values = {"hypothesis": _words(estimate.hypothesis)}
+        values = {"hypothesis": words(estimate.hypothesis)}
         values |= _since(joint, EventKind.HYPOTHESIS, now)
         statuses.append(Status("hypothesis", level, message, values))
     if joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
-        values["learning"] = _words(estimate.learning)
+        values["learning"] = words(estimate.learning)
         values |= _since(joint, EventKind.LEARNING, now)
         level, message = LEARNINGS[estimate.learning]
-        if estimate.learning in (Learning.ACTIVE, Learning.STARTING):
+        if estimate.learning is Learning.ACTIVE:
             valid = estimate.parameters_valid
             message = "learnt" if valid else "not yet: the motion is too poor"
         statuses.append(Status("parameters", level, message, values))
     return statuses
-
-
-def _words(code: enum.Enum) -> str:
-    return code.name.lower().replace("_", " ")
 
 
 def _since(joint: ObservedJoint, kind: EventKind, now: int) -> dict[str, str]:
@@ -195,7 +200,7 @@ def _innovation_status(joint: ObservedJoint) -> Status:
         if scale >= NOISY:
             level, message = Level.WARN, f"the noise is {scale:.2g} times the design's"
     recent = joint.recent.growth
-    for event in ("outliers downweighted", "sensor jumps"):
+    for event in ("outliers left out", "sensor jumps", "hits", "torque steps not made"):
         values[f"last minute: {event}"] = str(recent[event])
     return Status(name, level, message, values)
 
@@ -238,14 +243,14 @@ def _certificate_status(joint: ObservedJoint, method: str, now: int) -> Status:
         "design sha256": loaded.identity,
         "disturbance model": request.disturbance_model.label,
         "design rate [Hz]": f"{request.rate:g}",
+        "measured rate [Hz]": f"{joint.measured_rate:.4g}",
         "margin [1/s]": f"{loaded.design.certificate.worst.margin:.3e}",
     }
     if estimate is None:
         return Status("certificate", Level.OK, "no estimate yet", values)
     level, message = BOUNDS[estimate.basis]
-    along = "certified" if estimate.certified else "along the estimate"
-    values["bound"] = "void" if level is Level.WARN else along
-    values["basis"] = _words(estimate.basis)
+    values["claimed"] = "yes" if estimate.claimed else "no"
+    values["basis"] = words(estimate.basis)
     values |= _since(joint, EventKind.BOUND, now)
     return Status("certificate", level, message, values)
 

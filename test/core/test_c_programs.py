@@ -1,0 +1,265 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""The program of examples/c steps exported designs to the bits of Python, whatever the compiler."""
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import tsobs_ros as ts
+from tsobs_ros import exported
+from tsobs_ros.checks import Array
+from tsobs_ros.cli.main import main
+from tsobs_ros.core import native
+from tsobs_ros.design.record import Design
+from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
+from tsobs_ros.estimation.records import Measurement
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+
+ROOT = Path(__file__).resolve().parents[2]
+CORE = ROOT / "tsobs_ros" / "core"
+PROGRAM = ROOT / "examples" / "c" / "step_log.c"
+LIBRARY = sorted(p for p in CORE.glob("*.c") if not p.name.startswith(("python_", "module")))
+WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Werror")
+# The compiler of the library, and that of the program.
+COMPILERS = [
+    pytest.param(*pair, id=pair[1], marks=() if found else pytest.mark.skip("not installed"))
+    for pair in (("gcc", "gcc"), ("clang", "clang"), ("gcc", "g++"))
+    for found in [all(map(shutil.which, pair))]
+]
+FIRST = 10**9
+
+
+def run(*command: Any, **options: Any) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run([*map(str, command)], capture_output=True, text=True, **options)
+
+
+@pytest.fixture(scope="module")
+def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Build the program once by each pair of compilers."""
+    built: dict[tuple[str, str], Path] = {}
+
+    def build(library: str, program: str) -> Path:
+        if (library, program) not in built:
+            folder = tmp_path_factory.mktemp(program)
+            strict = ("-O2", "-ffp-contract=off", "-fno-math-errno", f"-I{CORE}")
+            done = run(library, "-std=c99", *strict, "-c", *LIBRARY, cwd=folder)
+            assert done.returncode == 0, done.stderr
+            language = ("-x", "c++") if "++" in program else ("-std=c99", "-pedantic")
+            done = run(program, *language, *strict, *WARNINGS, "-c", PROGRAM, cwd=folder)
+            assert (done.returncode, done.stderr) == (0, "")
+            done = run(program, *folder.glob("*.o"), "-lm", "-o", folder / "step_log")
+            assert done.returncode == 0, done.stderr
+            built[library, program] = folder / "step_log"
+        return built[library, program]
+
+    return build
+
+
+def two_outputs() -> Design:
+    pytest.importorskip("cvxpy")
+    outputs = (
+        Output("link_angle", 0.005, (DisturbanceTerm("bias"),)),
+        Output("motor_angle", 0.002),
+    )
+    return ts.synthesise(ArmRequest(outputs=outputs))
+
+
+DESIGNS: dict[str, Callable[[], Design]] = {
+    "adaptive": lambda: ts.load_design(config_path(SHIPPED_DESIGN)),
+    "fixed": lambda: ts.load_design(config_path(FIXED_DESIGN)),
+    "two outputs": two_outputs,
+}
+
+
+@pytest.fixture(scope="module", params=DESIGNS)
+def design(request: pytest.FixtureRequest) -> Design:
+    return DESIGNS[request.param]()
+
+
+def log_of(design: Design) -> tuple[Array, Array, Array]:
+    """Return a log with jitter, a gap, a jump, outliers, and late, lost and doubled samples."""
+    run_ = ts.simulate(design, duration=8.0, seed=7, mismatch={"stiffness": 0.1})
+    keep = np.r_[0:700, 900:1500]
+    time = np.round(run_.time[keep] + 2.0 + 1e-4 * np.sin(17.0 * np.arange(len(keep))), 6)
+    angle = run_.angle[keep].reshape(len(keep), -1).copy()
+    torque = run_.torque[keep].copy()
+    angle[300, 0] += 1.0
+    angle[500:, 0] += 0.2
+    angle[[310, 311]] = np.nan
+    torque[[40, 90]] += 30.0, np.inf
+    torque[800:810] -= 5.0
+    order = np.arange(len(keep))
+    order[[20, 30]], order[[430, 431]], order[50] = order[[30, 20]], order[[431, 430]], 49
+    return time[order], angle[order], torque[order]
+
+
+def of_python(design: Design, time: Array, angle: Array, torque: Array) -> Array:
+    tracker = ts.make_tracker(design)
+    rows = np.full((len(time), tracker.history.row_width), np.nan)
+    now = 0
+    for at, y, u, row in zip(time.tolist(), angle, torque.tolist(), rows, strict=True):
+        stamp = round(at * 1e9)
+        now = max(now, stamp)
+        tracker.offer(Measurement(stamp, y, np.array([u])), now)
+        if not tracker.history.estimate_at(stamp, row):
+            row[:] = np.nan
+    return rows
+
+
+@pytest.mark.parametrize(("library", "program"), COMPILERS)
+def test_every_bit_is_that_of_python(
+    library: str, program: str, design: Design, build: Callable[..., Path], tmp_path: Path
+) -> None:
+    time, angle, torque = log_of(design)
+    table = np.column_stack([time, angle, torque])
+    lines = [",".join("" if np.isnan(x) else repr(float(x)) for x in row) for row in table]
+    log, file = tmp_path / "log.csv", tmp_path / "my_arm.tsobs"
+    log.write_text("\n".join(["time,outputs,torque", *lines, ""]), "ascii")
+    ts.export_c(design, file)
+
+    done = run(build(library, program), file, log)
+
+    assert done.returncode == 0, done.stderr
+    names, *printed = [line.split(",") for line in done.stdout.splitlines()]
+    expected = of_python(design, time, angle, torque)
+    assert len(names) == 1 + expected.shape[1]
+    found = np.full_like(expected, np.nan)
+    for row, line in zip(found, printed, strict=True):
+        if len(line) > 1:
+            row[:] = [float(each) for each in line[1:]]
+    assert np.isfinite(expected).all(axis=1).mean() > 0.99
+    np.testing.assert_array_equal(found, expected)
+    assert found.tobytes() == np.where(np.isnan(expected), np.nan, expected).tobytes()
+    estimates = ts.estimate(design, time, angle, torque)
+    state = [names.index(f"state_{i}") - 1 for i in range(1, 5)]
+    bound = [names.index(f"state_bound_{i}") - 1 for i in range(1, 5)]
+    np.testing.assert_array_equal(found[:, state], estimates.state)
+    np.testing.assert_array_equal(found[:, bound], estimates.state_bound)
+    assert len(set(found[:, names.index("hypothesis_1") - 1])) > 2  # the bank was awake
+
+
+def test_the_build_instruction_is_the_one_in_the_program_and_on_its_page(tmp_path: Path) -> None:
+    def lines(text: str) -> str:
+        found = re.search(r"cc -std=c99 .*?-o step_log", text.replace(" * ", " "), re.DOTALL)
+        assert found is not None
+        return re.sub(r"\s*\\\n\s*", " ", found[0])
+
+    command = lines(PROGRAM.read_text("utf-8"))
+    assert lines((ROOT / "docs" / "c_programs.md").read_text("utf-8")) == command
+    if shutil.which("cc") is None:
+        pytest.skip("no compiler")
+    done = run(
+        "sh", "-c", command.replace("-o step_log", f"-o {tmp_path / 'step_log'}"), cwd=ROOT,
+        env={**os.environ, "CORE": str(CORE)},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+# --- the file ---
+
+
+@pytest.fixture(scope="module")
+def words() -> Any:
+    return exported.exported(DESIGNS["fixed"](), max_steps=4)
+
+
+HEAD = [name for name, *_ in native.exported_layout()]
+BEGIN = sum(rows for *_, rows, _ in native.exported_layout())
+
+
+def test_its_lengths_are_those_of_a_tracker(words: Any) -> None:
+    tracker = ts.make_tracker(DESIGNS["fixed"]())
+    model, memory, ring, scratch, row = native.exported_open(words)
+
+    numbers = tracker.estimator.model.view(np.float64)
+    assert model == len(numbers)
+    assert 8 * memory == tracker.memory.dtype.itemsize
+    assert 8 * ring == (4 + 4) * tracker.ring.dtype.itemsize
+    assert scratch == native.history_scratch_size(numbers, 8)
+    assert row == tracker.history.row_width
+    assert len(words) == BEGIN + model + memory
+    np.testing.assert_array_equal(words[BEGIN : BEGIN + model], numbers.view(np.int64))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda w: w[: BEGIN - 1], "too short for a design"),
+        (lambda w: w[:-1], "incomplete"),
+        (lambda w: np.append(w, 0), "incomplete, or longer than it says"),
+        (lambda w: w.byteswap(), "no design that `tsobs export-c` wrote, or of another byte order"),
+        (lambda w: {"magic": 0}, "no design that `tsobs export-c` wrote"),
+        (lambda w: {"format": 2}, "exported by another version of tsobs_ros: export it by the one"),
+        (lambda w: {"layout": 1}, "exported by another version of tsobs_ros"),
+        (lambda w: {"words": -1}, "incomplete"),
+        (lambda w: {"model_length": -1}, "its lengths do not add up"),
+        (lambda w: {"model_length": 10}, "its lengths do not add up"),
+        (lambda w: {"memory_length": 2**62}, "its lengths do not add up"),
+        (lambda w: {"checksum": 0}, "its checksum is another one"),
+        (lambda w: {-1: 5}, "its checksum is another one"),
+        (lambda w: {BEGIN - 1: -1}, "its text does not end"),
+    ],
+)
+def test_a_file_that_is_not_whole_or_of_another_version_is_refused(
+    change: Callable[[Any], Any], message: str, words: Any
+) -> None:
+    changed = change(words)
+    if isinstance(changed, dict):
+        changes, changed = changed, words.copy()
+        for name, value in changes.items():
+            changed[HEAD.index(name) if isinstance(name, str) else name] = value
+
+    with pytest.raises(ValueError, match=f"exported_open: .*{re.escape(message)}"):
+        native.exported_open(changed)
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "message"),
+    [(BEGIN, 999, "no model record"), (-2, 0, "no memory record of a new tracker")],
+)
+def test_records_that_do_not_fit_are_refused(
+    place: int, value: int, message: str, words: Any
+) -> None:
+    changed = words.copy()
+    changed[place] = value
+    native.exported_seal(changed)
+
+    with pytest.raises(ValueError, match=message):
+        native.exported_open(changed)
+
+
+def test_what_cannot_be_exported_is_said(tmp_path: Path) -> None:
+    design, path = DESIGNS["fixed"](), tmp_path / "x.tsobs"
+    with pytest.raises(ts.TsobsError, match="method ekf: runs over recordings and arrays only"):
+        ts.export_c(design, path, ts.ObserverSettings(method="ekf"))
+    with pytest.raises(ts.TsobsError, match="max_steps: expected 1 to 1000000, got 0"):
+        ts.export_c(design, path, max_steps=0)
+    assert not path.exists()
+
+
+def test_the_command_writes_what_the_settings_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x.tsobs"
+    command = ["export-c", str(config_path(SHIPPED_DESIGN)), "--output", str(path)]
+    assert main([*command, "--param", "adapt=false,history=0.0", "--max-steps", "1"]) == 0
+    out = capsys.readouterr().out
+    assert re.match(rf"{path}: [\d,]+ bytes; a tracker needs [\d,]+ bytes of memory", out)
+    settings = replace(ts.ObserverSettings(), adapt=False, history=0.0)
+    design = ts.load_design(config_path(SHIPPED_DESIGN))
+    expected = exported.exported(design, settings, max_steps=1).tobytes()
+    assert path.read_bytes() == expected
+    assert b", certified, tsobs_ros " in expected[:200]
+
+    assert main(command) == 1
+    assert "exists already; --force replaces it" in capsys.readouterr().err
+    assert main([*command, "--force"]) == 0

@@ -1,0 +1,89 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""Designs for C and C++ programs: all that a tracker is made of, as one file that needs no Python.
+
+The file is a head, the model record and the memory record of a new tracker, as little-endian words
+of 8 bytes. core/tsobs.h lists the head's fields and has the functions that open it.
+"""
+
+import sys
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsobs_ros import __version__
+from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
+from tsobs_ros.design.file import DesignFile
+from tsobs_ros.design.record import Design
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import FILTERS, ObserverSettings, make_tracker
+
+MAX_STEPS = 1024
+"""Most measurements in a history, as that of the node."""
+
+
+def exported(
+    design: Design, settings: ObserverSettings | None = None, *, max_steps: int = MAX_STEPS
+) -> NDArray[np.int64]:
+    """Return the words of an exported design.
+
+    Args:
+        design: From `load_design` or `synthesise`.
+        settings: Method, gates and timeouts; the node's defaults if None.
+        max_steps: Most measurements to which a late one can rewind. Each takes the room of a state.
+
+    Raises:
+        ModelError: The method cannot observe this model or runs over recordings only, or the
+            number of measurements is not within 1 and a million.
+    """
+    settings = settings or ObserverSettings()
+    if settings.method in FILTERS:
+        raise ModelError(f"method {settings.method}: runs over recordings and arrays only")
+    if not 1 <= max_steps <= 10**6:
+        raise ModelError(f"max_steps: expected 1 to 1000000, got {max_steps}")
+    tracker: Tracker = make_tracker(design, settings)
+    memory = tracker.memory.copy()
+    memory["max_steps"] = max_steps
+    parts = [tracker.estimator.model.view(np.int64), memory.view(np.int64)]
+    head = np.zeros(1, record_type(native.exported_layout()))
+    head["model_length"], head["memory_length"] = map(len, parts)
+    text = f"{DesignFile.of(design).identity}, {settings.method}, tsobs_ros {__version__}"
+    about = head["about"][0].view(np.uint8)
+    about[: len(text)] = np.frombuffer(text.encode("ascii"), np.uint8)
+    words = np.concatenate([head.view(np.int64), *parts])
+    native.exported_seal(words)
+    return words
+
+
+def export_c(
+    design: Design,
+    output: str | PathLike[str],
+    settings: ObserverSettings | None = None,
+    *,
+    max_steps: int = MAX_STEPS,
+) -> tuple[int, int]:
+    """Write a design's estimator into a file for C and C++ programs, as `tsobs export-c`.
+
+    Args:
+        design: See `exported`.
+        output: The file, which is replaced.
+        settings: See `exported`.
+        max_steps: See `exported`.
+
+    Returns:
+        The bytes of the file, and those of the room that a tracker needs in the program.
+
+    Raises:
+        ModelError: See `exported`.
+        OSError: The file cannot be written.
+    """
+    words = exported(design, settings, max_steps=max_steps)
+    _, *memories, _ = native.exported_open(words)
+    if sys.byteorder == "big":
+        words = words.byteswap()
+    Path(output).write_bytes(words.tobytes())
+    return words.nbytes, 8 * sum(memories)
