@@ -6,10 +6,11 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
 SOURCES := setup.py setup.cfg pyproject.toml package.xml \
   $(wildcard config/*.yaml examples/*.py tsobs_ros/core/*.[ch])
-# Everything that the README shows; the tests need more.
+# What the demo and the tutorial need, and everything that the README shows; tests need more.
+DEMO_EXTRAS ?= report,design,watch
 EXTRAS := design,report,export,campaign,watch
 # The NumPy that a ROS found was built for; another one breaks its messages.
 NUMPY = $$(test -s $(VENV)/.ros || $(BIN)/python -c 'import numpy; print("numpy==" + numpy.__version__)')
@@ -46,6 +47,7 @@ demo: $(VENV)/.demo ## Simulate the arm, observe it, record, and report (DEMO_AR
 	@$(BIN)/tsobs demo $(DEMO_ARGS)
 	@echo "the tsobs command is in $(BIN): source $(BIN)/activate, then try" \
 	  "tsobs design config/elastic_joint.request.yaml --output my_arm.design.yaml" >&2
+	@echo "Parquet files and campaigns take more: pip install -e '.[export,campaign]'" >&2
 
 test: $(VENV)/.test ## Lint, check types and run all tests (PYTEST_ARGS=…)
 	$(BIN)/ruff check .
@@ -109,7 +111,7 @@ clean: ## Remove the virtual environment and everything built
 
 $(VENV)/.demo: $(SOURCES) | $(BIN)/python
 	@echo "Installing tsobs_ros into $(VENV) (once)"
-	@$(PIP) $(NUMPY) -e ".[$$(cat $(VENV)/.ros)$(EXTRAS)]"
+	@$(PIP) $(NUMPY) -e ".[$$(cat $(VENV)/.ros)$(DEMO_EXTRAS)]"
 	@touch $@
 
 $(VENV)/.test: $(SOURCES) | $(BIN)/python

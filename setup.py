@@ -20,7 +20,7 @@ EXECUTABLES = {
     "recorder": "tsobs_ros.executables:recorder",
     "player": "tsobs_ros.executables:player",
     "visualizer": "tsobs_ros.executables:visualizer",
-    "tsobs": "tsobs_ros.cli.main:main",
+    "tsobs": "tsobs_ros.executables:tsobs",
 }
 INSTALL = "apt install build-essential python3-dev"
 LAUNCHER = """#!/bin/sh
@@ -145,6 +145,10 @@ setup(
     distclass=AmentDistribution,
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    # Said although it is the default: "pip install -e" then puts this folder on the path. Else a
+    # finder looks for the package last, behind a clone in the current folder: that is called as the
+    # package is, and passes for a namespace package without anything in it.
+    package_dir={"": "."},
     package_data={
         NAME: ["py.typed", "report/page.css", "report/page.js", "core/*.[ch]", "core/*.pyi"]
     },
@@ -164,7 +168,7 @@ setup(
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
-        "design": ["cvxpy", "clarabel"],
+        "design": ["cvxpy-base", "clarabel"],  # cvxpy adds 150 MB of solvers that are not used
         "report": ["matplotlib", "plotly", "tqdm", "mcap-ros2-support"],
         "export": ["mcap-ros2-support", "pyarrow"],
         "campaign": ["distributed", "pyarrow", "tqdm"],

@@ -22,7 +22,7 @@ except ts.TsobsError as error:
 for joint, estimates in whole.joints.items():
     span = estimates.time[-1] - estimates.time[0]
     print(f"{joint}: {len(estimates.time)} estimates over {span:.1f} s")
-    print(f"  certified bound in {estimates.certified.mean():.0%} of them")
+    print(f"  proved bound in {estimates.proved.mean():.0%} of them")
     print(f"  innovation {np.sqrt(np.mean(estimates.innovation**2)):.4f} rad RMS")
     print(f"  sensor disturbance at the end {estimates.disturbance[-1]:+.4f} rad")
     print(f"  rejected: {estimates.rejected or 'none'}")

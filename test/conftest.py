@@ -341,8 +341,7 @@ def executable(name: str) -> list[str]:
     for folder in [p / "lib" / "tsobs_ros" for p in prefixes] + [Path(sys.prefix) / "bin"]:
         if (folder / name).is_file():
             return [str(folder / name)]
-    where, function = ("cli.main", "main") if name == "tsobs" else ("executables", name)
-    code = f"import sys; from tsobs_ros.{where} import {function}; sys.exit({function}())"
+    code = f"import sys; from tsobs_ros.executables import {name}; sys.exit({name}())"
     return [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); {code}"]
 
 

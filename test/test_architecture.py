@@ -20,6 +20,7 @@ COMMON = {
     "resources",
     "schema",
     "stop",
+    "streams",
     "style",
     "yaml_files",
 }
@@ -39,15 +40,18 @@ MAY_IMPORT: dict[str, set[str]] = {
     "report": {*CORE, "bag", "design", "methods", "replay"},
     "plants": {"design", "simulation"},
     "nodes": {*CORE, "bag", "design", "methods", "plants", "simulation"},
-    "executables": {"nodes"},
+    "executables": {"cli", "nodes"},
     "cli": {
         *CORE,
         "bag",
         "campaign",
         "comparison",
         "design",
+<<<<<<< HEAD
         "executables",
         "exported",
+=======
+>>>>>>> main
         "methods",
         "nodes",
         "paper",

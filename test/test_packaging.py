@@ -3,6 +3,7 @@
 """What pip installs is a ROS package: marker, manifest, config, and launchers for `ros2 run`."""
 
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -28,7 +29,7 @@ DATA = f"{STEM}.data/data"
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Copy what a build needs, since it writes next to the sources."""
-    copy = tmp_path_factory.mktemp("sources")
+    copy = tmp_path_factory.mktemp("sources") / "tsobs_ros"
     ignored = shutil.ignore_patterns("__pycache__", "*.so")
     for name in ("tsobs_ros", "config", "examples", "resource", *VIEWS):
         shutil.copytree(ROOT / name, copy / name, ignore=ignored)
@@ -83,6 +84,23 @@ def test_a_wheel_carries_the_whole_package(wheel: ZipFile) -> None:
     assert "tsobs_ros/core/native.abi3.so" in wheel.namelist()
     assert "tsobs_ros/core/layout.h" in files
     assert not [name for name in wheel.namelist() if name.startswith("test")]
+
+
+def test_the_folder_of_a_clone_does_not_pass_for_the_package(
+    editable: ZipFile, sources: Path, tmp_path: Path
+) -> None:
+    """From a workspace's `src`, or wherever the clone is, which Python looks into first."""
+    editable.extractall(tmp_path)
+    code = (
+        f"import site; site.addsitedir({str(tmp_path)!r}); import tsobs_ros as t; print(t.__file__)"
+    )
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=sources.parent, env=environment, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+    assert done.stdout.strip() == str(sources / "tsobs_ros" / "__init__.py"), done.stderr
 
 
 def test_one_wheel_is_for_all_pythons(wheel: ZipFile) -> None:
@@ -212,6 +230,16 @@ def test_the_advice_on_a_missing_library_is_what_the_package_requires(wheel: Zip
     assert {each for libraries in LIBRARIES.values() for each in libraries} <= requirements(wheel)
 
 
+def test_the_demo_installs_no_library_that_it_does_not_use(wheel: ZipFile) -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    (extras,) = re.findall(r"^DEMO_EXTRAS \?= (.*)$", makefile, re.MULTILINE)
+    lines = wheel.read(f"{STEM}.dist-info/METADATA").decode().splitlines()
+    chosen = [one for one in lines for extra in extras.split(",") if f'extra == "{extra}"' in one]
+
+    assert len(chosen) > 5
+    assert not [one for one in chosen if re.search(r": (pyarrow|distributed|cvxpy)\b(?!-)", one)]
+
+
 def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:
     """ROS has NumPy, for whose first version it is built, and rosdep installs SciPy and PyYAML."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -228,7 +256,7 @@ def test_the_readme_installs_what_the_package_requires(wheel: ZipFile) -> None:
 @pytest.mark.parametrize(
     ("module", "advice"),
     [
-        ("cvxpy.error", "cvxpy is not installed: {} -m pip install cvxpy clarabel"),
+        ("cvxpy.error", "cvxpy is not installed: {} -m pip install cvxpy-base clarabel"),
         ("mcap", "mcap is not installed: {} -m pip install scipy pyyaml"),
         ("rclpy.node", "rclpy is not installed: source ROS 2 Jazzy, or {} -m pip install 'ros-"),
         ("colour", None),
@@ -252,8 +280,8 @@ def test_the_advice_fits_a_python_that_pip_must_not_change(
 
     assert missing_library("cvxpy") == (
         f"cvxpy is not installed: in the workspace, {sys.executable} -m venv "
-        "--system-site-packages .venv && .venv/bin/python -m pip install 'numpy<2' cvxpy clarabel "
-        "&& .venv/bin/python -m colcon build"
+        "--system-site-packages .venv && .venv/bin/python -m pip install 'numpy<2' "
+        "cvxpy-base clarabel && .venv/bin/python -m colcon build"
     )
 
 

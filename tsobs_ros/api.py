@@ -24,6 +24,7 @@ from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_runner
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
+from tsobs_ros.replay.health import PROVED
 from tsobs_ros.replay.passes import Ticks, new_pass
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.integrator import Friction, Payload
@@ -130,6 +131,11 @@ class Estimates:
     def certified(self) -> Flags:
         """Whether the bounds are the certificate's, times the noise's scale, shape (n,)."""
         return np.asarray(self.basis == Basis.CERTIFIED)
+
+    @property
+    def proved(self) -> Flags:
+        """Whether that is so, but for what is uncertain of learnt parameters, shape (n,)."""
+        return np.isin(self.basis, PROVED)
 
 
 def load_design(path: str | Path | None = None) -> Design:

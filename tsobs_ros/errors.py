@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 _BASE = ("scipy", "pyyaml", "msgspec>=0.18.5", "mcap>=1.5", "zstandard", "lz4")
-_DESIGN = ("cvxpy", "clarabel")
+_DESIGN = ("cvxpy-base", "clarabel")
 _REPORT = ("matplotlib", "plotly", "tqdm", "mcap-ros2-support")
 LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "rclpy": ("ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"),

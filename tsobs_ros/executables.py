@@ -13,7 +13,8 @@ from functools import partial
 from importlib import import_module
 
 from tsobs_ros.errors import missing_library
-from tsobs_ros.stop import StopFlag, end_at_once
+from tsobs_ros.stop import StopFlag, end_at_once, end_with_parent, ignore_signals
+from tsobs_ros.streams import keep_standard_streams
 
 # Time for the interpreter's own shutdown, which may still destroy a participant.
 _FINALISE_TIMEOUT = 5.0
@@ -32,6 +33,8 @@ def run(name: str) -> int:
         SystemExit: With 0 after `--help`, with 2 after arguments that are not understood.
     """
     end_at_once()
+    keep_standard_streams()
+    end_with_parent()
     try:
         module = import_module(f"tsobs_ros.nodes.{name}")
         runtime = import_module("tsobs_ros.nodes.runtime")
@@ -42,12 +45,33 @@ def run(name: str) -> int:
             raise
         print(f"error: {advice}", file=sys.stderr)
         return 1
-    arguments.check_arguments(module, sys.argv)
+    try:
+        arguments.check_arguments(module, sys.argv)
+    except OSError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     stop = StopFlag()
     stop.install()
     exit_code: int = runtime.run(module.create, stop=stop)
-    stop.ignore_further()
+    ignore_signals()
     runtime.limit_time_left(_FINALISE_TIMEOUT)
+    return exit_code
+
+
+def tsobs() -> int:
+    """Run the command `tsobs`; a signal ends it with exit code 1 at any time.
+
+    Returns:
+        The process's exit code.
+    """
+    end_at_once(1)
+    keep_standard_streams()
+    try:
+        exit_code: int = import_module("tsobs_ros.cli.main").main()
+    except KeyboardInterrupt:  # a second one, while the first was reported
+        exit_code = 1
+    finally:
+        ignore_signals()
     return exit_code
 
 
@@ -59,8 +83,9 @@ visualizer = partial(run, "visualizer")
 
 if __name__ == "__main__":
     # `python -m tsobs_ros.executables observer …` where no script has been installed.
-    nodes = ("observer", "plant_simulator", "recorder", "player", "visualizer")
-    if len(sys.argv) < 2 or sys.argv[1] not in nodes:
-        print(f"usage: python -m tsobs_ros.executables {'|'.join(nodes)} …", file=sys.stderr)
+    names = ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs")
+    if len(sys.argv) < 2 or sys.argv[1] not in names:
+        print(f"usage: python -m tsobs_ros.executables {'|'.join(names)} …", file=sys.stderr)
         sys.exit(2)
-    sys.exit(run(sys.argv.pop(1)))
+    name = sys.argv.pop(1)
+    sys.exit(tsobs() if name == "tsobs" else run(name))

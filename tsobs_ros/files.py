@@ -1,18 +1,20 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Opening of files that anybody may have put there, regular ones alone; files that are replaced.
+"""Opening of files that anybody may have put there, regular ones alone; files that appear whole.
 
 A pipe that is called `x_0.mcap` waits for a writer for ever, and a link to `/dev/zero` never ends.
 """
 
 import errno
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from stat import S_ISREG
+from tempfile import TemporaryDirectory
 from typing import IO
 
-from tsobs_ros.errors import OutputError
+from tsobs_ros.errors import OutputError, TsobsError
 
 
 def open_regular(path: Path) -> IO[bytes]:
@@ -25,6 +27,22 @@ def open_regular(path: Path) -> IO[bytes]:
         raise OSError(errno.EINVAL, "not a regular file", str(path))
     # Without waiting, should it have become a pipe since.
     return open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
+
+
+def require_nameable(path: Path) -> None:
+    """Refuse a path to write that no bag, page or message can name, or that leads nowhere.
+
+    Raises:
+        OutputError: Its name is no UTF-8, or it is a loop of links.
+    """
+    try:
+        str(path).encode()
+        path.stat()
+    except UnicodeEncodeError as error:
+        raise OutputError(f"{path}: expected a name in UTF-8") from error
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise OutputError(f"{path}: a loop of links") from error
 
 
 def require_new(paths: Iterable[Path], *, force: bool) -> None:
@@ -40,3 +58,51 @@ def require_new(paths: Iterable[Path], *, force: bool) -> None:
     for path in paths:
         if path.exists() and not force:
             raise OutputError(f"{path}: exists already; --force replaces it")
+
+
+@contextmanager
+def written_whole(
+    folder: Path, error: Callable[[str], TsobsError] = OutputError, *, force: bool = False
+) -> Iterator[Path]:
+    """Yield a folder whose content moves to another once the block has ended well.
+
+    Whatever else ends the block, a signal or a full disk, the other folder gets nothing of it. A
+    kill leaves the folder that was yielded, inside of the other: its name ends in `.partial`.
+
+    Args:
+        folder: The other folder, which is made if missing.
+        error: The class of the errors below.
+        force: Whether files may be replaced.
+
+    Raises:
+        TsobsError: A file cannot be written, or exists and may not be replaced.
+    """
+    partial = ""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(
+            suffix=".partial", prefix=".tsobs-", dir=folder, ignore_cleanup_errors=True
+        ) as partial:
+            yield Path(partial)
+            _move(Path(partial), folder, error, force=force)
+    except TsobsError as problem:
+        # Messages name the files as they would have been.
+        problem.args = (str(problem).replace(partial or str(folder), str(folder)),)
+        raise
+    except OSError as problem:
+        reason = str(problem).replace(partial or str(folder), str(folder))
+        raise error(f"{folder}: cannot write it: {reason}") from problem
+
+
+def _move(source: Path, target: Path, error: Callable[[str], TsobsError], *, force: bool) -> None:
+    for entry in sorted(source.iterdir()):
+        there = target / entry.name
+        if entry.is_dir() and there.is_dir():
+            _move(entry, there, error, force=force)
+            continue
+        if not force and os.path.lexists(there):
+            raise error(f"{there}: exists already")
+        if entry.is_file():
+            with entry.open("rb") as stream:  # some disks say only now that they are full
+                os.fsync(stream.fileno())
+        entry.rename(there)

@@ -23,7 +23,7 @@ from typing import Any, TypeVar, get_args, get_origin
 import msgspec
 import numpy as np
 
-from tsobs_ros.checks import shown
+from tsobs_ros.checks import meant, shown
 from tsobs_ros.errors import DesignFileError
 
 T = TypeVar("T")
@@ -106,7 +106,10 @@ def _check(data: Any, kind: Any, place: str) -> None:
                 raise DesignFileError(located(place, f"{name}: missing"))
         for name, value in data.items():
             if name not in known:
-                message = f"unknown entry {shown(name)}, expected some of {', '.join(known)}"
+                message = (
+                    f"unknown entry {shown(name)}{meant(name, known)}, "
+                    f"expected some of {', '.join(known)}"
+                )
                 raise DesignFileError(located(place, message))
             _check(value, known[name][0], f"{place}.{name}" if place else name)
     elif isinstance(data, dict) and issubclass(origin, Mapping) and items:

@@ -22,16 +22,47 @@ if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
     _SIGNALS.append(signal.SIGHUP)
 
 
-def end_at_once() -> None:
-    """Let the signals end the process with exit code 0 while nothing has started."""
+PARENT = "TSOBS_PARENT"
+"""Variable with the id of a process that a node shall not outlive, such as a demo's."""
+_PR_SET_PDEATHSIG = 1
+
+
+def end_at_once(exit_code: int = 0) -> None:
+    """Let the signals end the process while nothing has started."""
     for number in _SIGNALS:
-        signal.signal(number, lambda _number, _frame: os._exit(0))
+        signal.signal(number, lambda _number, _frame: os._exit(exit_code))
+
+
+def end_with_parent() -> None:
+    """Let the end of the process named by `PARENT` interrupt this one, where there is a way."""
+    parent = os.environ.pop(PARENT, "")
+    if parent and os.uname().sysname == "Linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+        if os.getppid() != int(parent):  # it has ended already
+            os._exit(0)
 
 
 def interrupt() -> None:
-    """Let the signals raise KeyboardInterrupt, as SIGINT does by itself."""
+    """Let the first of the signals raise KeyboardInterrupt; further ones change nothing."""
+
+    def raise_once(number: int, frame: FrameType | None) -> None:
+        ignore_signals()
+        raise KeyboardInterrupt
+
     for number in _SIGNALS:
-        signal.signal(number, signal.default_int_handler)
+        signal.signal(number, raise_once)
+
+
+def ignore_signals() -> None:
+    """Ignore the signals for the rest of the process.
+
+    The interpreter resets Python handlers to the default action as it shuts down, so a signal
+    then would still kill the process; an ignored signal stays ignored.
+    """
+    for number in _SIGNALS:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def signal_came() -> bool:
@@ -64,15 +95,6 @@ class StopFlag:
         StopFlag.last = self
         for number in _SIGNALS:
             self._previous[number] = signal.signal(number, self._raise)
-
-    def ignore_further(self) -> None:
-        """Ignore the signals for the rest of the process.
-
-        The interpreter resets Python handlers to the default action as it shuts down, so a signal
-        then would still kill the process; an ignored signal stays ignored.
-        """
-        for number in _SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
 
     def __enter__(self) -> Self:
         """Catch the signals inside the block."""

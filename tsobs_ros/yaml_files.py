@@ -10,6 +10,7 @@ half a million digits in base 60). None of our files needs any of this.
 
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -74,7 +75,7 @@ def read_text(
     except FileNotFoundError as problem:
         raise error(f"{path}: no such {what}") from problem
     except OSError as problem:
-        raise error(f"{path}: cannot read the {what}: {problem.strerror}") from problem
+        raise error(f"{path}: cannot read the {what}: {problem.strerror or problem}") from problem
     except UnicodeDecodeError as problem:
         raise error(f"{path}: not valid YAML: {problem}") from problem
 
@@ -114,14 +115,17 @@ def write_yaml(path: str | PathLike[str], text: str) -> None:
         DesignFileError: The file cannot be written.
     """
     path = Path(path)
-    temporary = path.with_name(path.name + ".tmp")
+    temporary = path.with_name(f".{path.name}.partial")
     try:
         temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)
     except OSError as problem:
         raise DesignFileError(
-            f"{path}: cannot write the design file: {problem.strerror}"
+            f"{path}: cannot write the design file: {problem.strerror or problem}"
         ) from problem
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def load_yaml(text: str) -> object:

@@ -97,7 +97,7 @@ def places(data: bytes, opcode: Opcode) -> list[tuple[int, int]]:
     return found
 
 
-def scanned(data: bytes) -> list[tuple[bytes, int, int]]:
+def scanned(data: bytes, *, checked: bool = False) -> list[tuple[bytes, int, int]]:
     """Return data and times of the messages found, without writing a bag."""
     with TemporaryFile() as stream:
         stream.write(data)
@@ -106,7 +106,7 @@ def scanned(data: bytes) -> list[tuple[bytes, int, int]]:
         return [
             (message, log_time, publish_time)
             for piece in pieces
-            if isinstance(piece, Content)
+            if isinstance(piece, Content) and (piece.is_checked or not checked)
             for _, log_time, publish_time, _, message in split_messages(piece.records)
         ]
 
@@ -275,6 +275,90 @@ def test_damage_in_any_chunk_of_a_finished_file_makes_nothing_up(
         assert len(found) == len(set(found))
     # Nothing can tell the very last byte of a chunk without a checksum from the next record's.
     assert made_up <= 2
+
+
+def unfinished(data: bytes) -> bytes:
+    """Return a file without what stands behind its last chunk."""
+    return data[: places(data, Opcode.CHUNK)[-1][1]]
+
+
+def with_topic(topic: str, payloads: list[bytes], compression: str = "none") -> bytes:
+    """Return a finished file with a chunk for each message."""
+    with TemporaryDirectory() as folder:
+        with BagWriter(Path(folder) / "bag", compression=compression) as writer:
+            writer.add_topic(topic, STRING)
+            for number, payload in enumerate(payloads):
+                writer.write(topic, payload, 10**18 + number, number)
+                writer.write(topic, b"end", 10**18 + number, number)
+                writer.flush()
+        return (Path(folder) / "bag" / "bag_0.mcap").read_bytes()
+
+
+@pytest.mark.parametrize("end", [bytes, unfinished], ids=["finished", "unfinished"])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_files_within_messages_are_not_taken_for_what_was_recorded(
+    compression: str, end: Callable[[bytes], bytes]
+) -> None:
+    """Of whatever their recorder made of them: chunks that were compressed stay as they are."""
+    inner = sample("zstd").data
+    payloads = [inner, inner[sample("zstd").chunks[0][0] :], b"x" + inner * 3]
+    data = end(with_topic("/a", payloads, compression))
+    true = {*payloads, b"end"}
+    choose, kept = random.Random(4), 0
+    for case in range(200):
+        first, last = choose.choice(places(data, Opcode.CHUNK))
+        # Its head, or bytes of what it holds.
+        start = first + choose.randrange(80) if case % 2 else choose.randrange(first, last)
+        damage = choose.choice([overwrite, zero, remove, insert])
+        damaged = damage(data, start, min(last, start + choose.choice([1, 8, 40])))
+        found = [each[0] for each in scanned(damaged, checked=True)]
+        assert set(found) <= true, f"{damage} at byte {start} in a chunk at {first}"
+        kept += len(found)
+    assert kept > 200 * 2 * (2.0 if end is bytes else 0.5)
+
+
+@pytest.mark.parametrize("end", [bytes, unfinished], ids=["finished", "unfinished"])
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_a_chunk_that_stands_twice_is_recovered_once(
+    tmp_path: Path, compression: str, end: Callable[[bytes], bytes]
+) -> None:
+    data, entries, chunks = sample(compression)
+    start, stop = chunks[1]
+    for place in (start, stop, chunks[2][0], chunks[2][1]):
+        folder = tmp_path / str(place)
+        folder.mkdir()
+        result, found = recovered(folder, data[:place] + data[start:stop] + end(data)[place:])
+        assert found == entries
+        assert not result.is_whole
+        assert "there already" in result.text() or "does not state" in result.text()
+
+
+def test_what_a_file_holds_beyond_what_it_states_is_told(tmp_path: Path) -> None:
+    """Without checksums nothing says which of two chunks is too much."""
+    data = unprotected(tmp_path / "x.mcap")
+    start, end = places(data, Opcode.CHUNK)[1]
+    other = bytearray(data[start:end])
+    other[-1] ^= 1
+    result, _ = recovered(tmp_path, data[:end] + bytes(other) + data[end:])
+    assert sum(result.files[0].excess.values()) > 0
+    assert "more than the file states" in result.text()
+    assert result.as_mapping()["whole"] is False
+
+
+@pytest.mark.parametrize("end", [bytes, unfinished], ids=["finished", "unfinished"])
+def test_chunks_of_another_file_come_under_no_wrong_topic(
+    tmp_path: Path, end: Callable[[bytes], bytes]
+) -> None:
+    mine, other = (with_topic(name, [name.encode()] * 3, "zstd") for name in ("/mine", "/other"))
+    start, stop = places(other, Opcode.CHUNK)[0]
+    for number, (_, place) in enumerate(places(mine, Opcode.CHUNK)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        result, found = recovered(folder, mine[:place] + other[start:stop] + end(mine)[place:])
+        assert {each.topic for each in found} == {"/mine"}
+        assert b"/other" not in {each.data for each in found}
+        assert len(found) == (6 if end is bytes else 2 * (number + 1))
+        assert not result.is_whole
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)

@@ -88,14 +88,13 @@ class Cluster:
 
     def __init__(self, folder: Path) -> None:
         self._file = folder / "scheduler.json"
-        self._processes = [
-            self._start("scheduler", "--port", "0", "--host", "127.0.0.1", "--no-dashboard")
-        ]
+        options = ("--port", "0", "--host", "127.0.0.1", "--no-dashboard")
+        self.scheduler = self._start("scheduler", *options)
         self.workers = [
             self._start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard")
             for _ in range(2)
         ]
-        self._processes += self.workers
+        self._processes = [self.scheduler, *self.workers]
 
     def _start(self, what: str, *options: str) -> "subprocess.Popen[bytes]":
         command = [sys.executable, "-m", f"distributed.cli.dask_{what}"]
@@ -148,6 +147,26 @@ def test_a_cluster_whose_worker_is_killed_gives_the_same_bits(
     assert cluster.workers[0].wait(20.0) == -signal.SIGKILL
     assert sum(seen) == 250
     assert files_of(folder) == files_of(done)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_ends_the_campaign_with_one_line(
+    short: Campaign, tmp_path: Path, cluster: Cluster
+) -> None:
+    with pytest.raises(CampaignError, match=r"scheduler tcp.*the same command goes on with the"):
+        run_campaign(
+            short, tmp_path / "campaign", scheduler=cluster.address,
+            progress=lambda runs: cluster.scheduler.kill() if runs else None,
+        )  # fmt: skip
+
+
+def test_a_campaign_goes_on_that_was_killed_while_its_folder_was_made(
+    short: Campaign, tmp_path: Path
+) -> None:
+    folder = CampaignFolder.make(tmp_path, short)
+    (tmp_path / "campaign.yaml").unlink()
+    (tmp_path / ".tsobs-x.partial").mkdir()
+    assert CampaignFolder.make(tmp_path, short).missing() == folder.missing()
 
 
 def test_a_scheduler_that_is_not_there(short: Campaign, tmp_path: Path) -> None:

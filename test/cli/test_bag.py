@@ -57,7 +57,7 @@ def test_info_tells_what_a_bag_is_about(bag: Path, capsys: Captured) -> None:
     assert "Messages:     103" in out
     assert "Custom data:  why: a test" in out
     assert (
-        f"/a | {STRING} | 102 messages | cdr | 2 x reliable, volatile | 51 Hz | "
+        f"/a | {STRING} | 102 messages | cdr | 2 x reliable, volatile | 100 Hz | "
         "largest gap 0.5 s\n" in out
     )
     assert f"/b | {STRING} | 1 messages | cdr | reliable, transient_local\n" in out
@@ -70,7 +70,7 @@ def test_info_is_plain_data_too(bag: Path, chosen: str, capsys: Captured) -> Non
     assert (summary["messages"], summary["problem"]) == (103, "")
     assert summary["end_ns"] - summary["start_ns"] == summary["duration_ns"] == 2_000_000_000
     first, second = summary["topics"]
-    assert (first["name"], first["messages"], first["rate"]) == ("/a", 102, 51.0)
+    assert (first["name"], first["messages"], first["rate"]) == ("/a", 102, 100.0)
     assert (first["largest_gap_ns"], second["largest_gap_ns"]) == (500_000_000, None)
     assert second["qos"][0]["durability"] == "transient_local"
 

@@ -186,6 +186,47 @@ def test_a_request_file_is_followed(tmp_path: Path, capsys: Captured) -> None:
     assert printed["gain"] == design.K[:, 0].tolist()
 
 
+def test_a_design_says_what_arm_it_is_for_and_asks_about_odd_numbers(
+    tmp_path: Path, capsys: Captured
+) -> None:
+    pytest.importorskip("cvxpy")
+    request = tmp_path / "request.yaml"
+    arm = "{link_inertia: 0.8, motor_inertia: 1.5, stiffness: 25.0, gravity_torque: 6.0}"
+    request.write_text(f"arm: {arm}\n", encoding="utf-8")
+    command = ["design", str(request), "--output", str(tmp_path / "new.design.yaml"), "--force"]
+    assert main(command) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    lines = out.splitlines()
+    assert "link_inertia 0.8 kg m^2" in lines[0]
+    assert "motor_damping 0 N m s/rad" in lines[0]
+    # sqrt(25 / 0.8) / 2 pi and sqrt(25 / 0.8 + 25 / 1.5) / 2 pi
+    assert lines[1] == (
+        "resonances: 0.89 Hz with the motor held, 1.1 Hz with both free; they want 11 Hz and more, "
+        "the request has 200 Hz"
+    )
+    assert main([*command, "--json"]) == 0
+    printed = strict_json(capsys.readouterr().out)
+    assert printed["arm"]["stiffness"] == 25.0
+    assert printed["resonances"] == pytest.approx([0.8897, 1.1018], abs=1e-4)
+
+    heavy = arm.replace("0.8", "350000.0")
+    request.write_text(
+        f"arm: {heavy}\nmeasurement_std: 30\nrate: 0.002\ninitial_std: [90, 1, 90, 1]\n",
+        encoding="utf-8",
+    )
+    main(command)
+    asked = [line for line in capsys.readouterr().err.splitlines() if "is it meant so?" in line]
+    assert [line.removeprefix("is it meant so? ") for line in asked] == [
+        "link_inertia: 350000 kg m^2? As kg mm^2 it would be 0.35 kg m^2",
+        "measurement_std: 30 rad? As degrees it would be 0.5236 rad",
+        "initial_std[0]: 90 rad? As degrees it would be 1.571 rad",
+        "initial_std[2]: 90 rad? As degrees it would be 1.571 rad",
+        "rate: 0.002 Hz, below the 6.5 Hz that the arm's resonance wants? As seconds between "
+        "samples it would be 500 Hz",
+    ]
+
+
 def test_an_impossible_request_is_explained(tmp_path: Path, capsys: Captured) -> None:
     pytest.importorskip("cvxpy")
     request, path = tmp_path / "request.yaml", tmp_path / "new.design.yaml"
@@ -320,7 +361,7 @@ def test_a_missing_library_is_one_line_with_the_command_that_installs_it(tmp_pat
         err = process.communicate()[1].decode()
     assert process.returncode == 1
     assert err.startswith(f"error: cvxpy is not installed: {sys.executable} -m pip install ")
-    assert err.endswith("cvxpy clarabel\n")
+    assert err.endswith("cvxpy-base clarabel\n")
 
 
 class Terminal(io.StringIO):

@@ -491,11 +491,43 @@ def test_extreme_entries_are_refused_by_name(
 
 @pytest.mark.parametrize(
     "text",
-    ["arm: {link_inertia: 1.0e-200, motor_inertia: 1.0e-200}", "arm: {stiffness: 1.0e+100}"],
+    [
+        "arm: {link_inertia: 1.0e-200, motor_inertia: 1.0e-200, stiffness: 10, gravity_torque: 1}",
+        "arm: {link_inertia: 1, motor_inertia: 2, stiffness: 1.0e+100, gravity_torque: 1}",
+    ],
 )
 def test_a_request_that_makes_no_model_is_refused_when_read(text: str, tmp_path: Path) -> None:
     with pytest.raises(DesignFileError, match=r"my\.yaml: "):
         load_request(written(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("design: {arm: {stiffness: 9}}", "design.arm.link_inertia: missing; an arm has all of"),
+        ("arm: {link_inertia: 1, motor_inertia: 2, stiffness: 9}", "arm.gravity_torque: missing"),
+        ("arm: {}", "arm.link_inertia: missing"),
+        ("desing: {rate: 100}", "unknown entry 'desing' (did you mean 'design'?)"),
+        ("sistem: {}", "unknown entry 'sistem' (did you mean 'system'?)"),
+        ("design: {arm: {stifness: 9}}", "unknown entry 'stifness' (did you mean 'stiffness'?)"),
+        ("torque_limit: 0", "torque_limit: expected a number above 0, got 0.0; left out it is"),
+        ("torque_rate_limit: 0.0", "torque_rate_limit: expected a number above 0"),
+        ("x_max: 45", "got 45.0 rad; as degrees it would be 0.7854 rad"),
+    ],
+)
+def test_a_request_that_cannot_be_meant_is_asked_about(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DesignFileError, match=re.escape(message)):
+        load_request(written(tmp_path, text))
+
+
+def test_a_limit_beyond_all_torques_is_none(tmp_path: Path) -> None:
+    entries = "torque_limit: 1.0e+9\ntorque_rate_limit: 1.0e+9"
+    request = load_request(written(tmp_path, entries))
+    unlimited = ArmRequest(torque_limit=0.0, torque_rate_limit=0.0).torque_limits()
+    assert request.torque_limits() == unlimited == (math.inf, math.inf, 400.0 / 3.0)
+    assert ArmRequest().torque_limits(1e9, 1e9) == unlimited
 
 
 def test_numpy_numbers_are_saved_as_numbers(shipped: Design, tmp_path: Path) -> None:
@@ -508,16 +540,18 @@ def test_numpy_numbers_are_saved_as_numbers(shipped: Design, tmp_path: Path) -> 
     assert load_design(tmp_path / "a.yaml").request == shipped.request
 
 
-@pytest.mark.parametrize("load", [load_design, load_request])
-def test_what_is_no_file_is_named(load: Any, tmp_path: Path) -> None:
-    with pytest.raises(DesignFileError, match=r"nothing\.yaml: no such design file"):
+@pytest.mark.parametrize(
+    ("load", "what"), [(load_design, "design file"), (load_request, "request")]
+)
+def test_what_is_no_file_is_named(load: Any, what: str, tmp_path: Path) -> None:
+    with pytest.raises(DesignFileError, match=rf"nothing\.yaml: no such {what}"):
         load(tmp_path / "nothing.yaml")
-    with pytest.raises(DesignFileError, match="cannot read the design file: not a regular file"):
+    with pytest.raises(DesignFileError, match=f"cannot read the {what}: not a regular file"):
         load(tmp_path)
     path = tmp_path / "my.yaml"
     with path.open("wb") as file:
         file.truncate(1 << 33)
-    with pytest.raises(DesignFileError, match="larger than 1048576 bytes, not a design file"):
+    with pytest.raises(DesignFileError, match=f"larger than 1048576 bytes, not a {what}"):
         load(path)
     for text in (b"\xff\xfe\x00\x01", b"\x80", bytes(range(256))):
         path.write_bytes(text)

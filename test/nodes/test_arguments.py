@@ -81,8 +81,8 @@ def test_a_parameter_is_shown_with_what_is_accepted(capsys: Any) -> None:
     text = help_of("observer", capsys)
 
     assert (
-        "  rate (double; default 200.0; at least 1.0; at most 2000.0; read-only)\n"
-        "      Rate at which estimates are published [Hz]\n"
+        "  rate (double; default 0.0; at least 0.0; at most 2000.0; read-only)\n"
+        "      Rate at which estimates are published; 0: the design's [Hz]\n"
     ) in text
     assert "(string; default 'silent'; one of: silent, hold)" in text
     assert "(integer; default 20; at least 0)" in text
@@ -155,5 +155,5 @@ def test_a_start_is_one_short_line_and_parameters_are_for_debugging(ros_process:
     lines = finished.stderr.splitlines()
     assert [each for each in lines if not each.startswith("[DEBUG]")] == [line.rstrip()]
     (parameters,) = [each for each in lines if "parameters: " in each]
-    assert "rate=200.0 Hz, publish_on='tick'" in parameters
+    assert "rate=0.0 Hz, publish_on='tick'" in parameters
     assert "settle_time=2.0 s" in parameters

@@ -126,12 +126,18 @@ def test_requests_in_any_order_do_what_the_state_allows_and_are_refused_otherwis
     assert counts[True] > bare
 
 
-def test_transitions_may_be_asked_for_by_number_and_unknown_ones_are_refused(probe: Any) -> None:
+def test_transitions_may_be_asked_for_by_number_and_unknown_ones_are_refused(
+    probe: Any, capfd: Any
+) -> None:
     manager = probe()
     assert manager.request(id=Transition.TRANSITION_CONFIGURE)
     assert not manager.request(id=Transition.TRANSITION_CLEANUP + 90)
     assert not manager.request(id=Transition.TRANSITION_ACTIVE_SHUTDOWN)
-    assert not manager.request(label="fly")
+    capfd.readouterr()
+    assert not manager.request(label="fly\x1b[2J")
+    log = capfd.readouterr().err
+    assert "fly" in log
+    assert "\x1b" not in log
     assert manager.request(id=Transition.TRANSITION_ACTIVATE)
     assert manager.state == "active"
 

@@ -40,6 +40,14 @@ def test_estimate_writes_a_bag_beside_the_bag(bag: Path, capsys) -> None:
     assert "exists already" in capsys.readouterr().err
 
 
+def test_a_log_without_a_number_is_no_success(tmp_path, capsys) -> None:
+    lines = ["t,q,tau", *(f"{0.005 * k},nan,nan" for k in range(400))]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+
+    assert main(["estimate", str(tmp_path / "log.csv")]) == 1
+    assert "error: no estimate was made; rejected: " in capsys.readouterr().err
+
+
 def test_estimate_says_that_measurements_are_unchecked(bag: Path, capsys) -> None:
     (file,) = bag.glob("*.mcap")
     data = bytearray(file.read_bytes())

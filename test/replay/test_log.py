@@ -305,6 +305,16 @@ def test_what_was_exported_can_be_estimated(arms, write_bag, estimate, tmp_path)
         (("t,q,tau", "2024-13-01,2,3"), {}, "line 2, column 't': expected a time"),
         (("t,q,tau", "11/14/2023 1:00:00 PM,2,3"), {}, "expected a time.*HH:MM:SS.sss or ISO 8601"),
         (("t,q,tau", "05:30.5,2,3"), {}, "expected a time.*HH:MM:SS.sss or ISO 8601"),
+        (
+            ("t,q,tau", *["1,2,3"] * 20, '1,"2,3', *["1,2,3"] * 300),
+            {},
+            "line 22: a quote opens a cell that is not closed there",
+        ),
+        (
+            ("t,q,tau,note", *["1,2,3,"] * 600, '1,2,3,"odd', *["1,2,3,"] * 9, '1,2,3,odd"'),
+            {},
+            "line 602: a quote opens a cell that is not closed there",
+        ),
         (("t,q,tau", "1,2", "2,3,4"), {}, "line 2 ends before column 'tau'"),
         (("t,q,tau", "99999999999:00:00,2,3"), {}, "line 2, column 't': expected a time"),
         (("t,q,tau", f"1,0.{'1' * 1000},3"), {}, "line 2: a cell of more than 1,000 characters"),
@@ -338,7 +348,10 @@ def test_what_is_wrong_with_a_log_is_said_with_its_place(tmp_path, lines, option
         (b"PAR1" + bytes(100), "a Parquet file: write it as CSV"),
         (bytes(range(256)) * 20, "no text"),
         (b"1," * MAX_LINE, "line 1 is longer than 1,048,576 characters"),
-        (b't,q,tau\n1,2,"3\n' + b"1,2,3\n" * 50_000, "field larger than field limit"),
+        (
+            b't,q,tau\n1,2,"3\n' + b"1,2,3\n" * 50_000,
+            "a quote opens a cell that is not closed there",
+        ),
     ],
 )
 def test_what_is_no_log_is_refused(tmp_path, content, match) -> None:

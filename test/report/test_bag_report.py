@@ -91,8 +91,17 @@ def test_a_report_that_cannot_be_written_says_where(
 ) -> None:
     (tmp_path / "file").write_text("")
 
-    with pytest.raises(ReportError, match=r"cannot write the report: .*/file"):
+    with pytest.raises(ReportError, match=r"file: cannot write it: .*/file"):
         make_bag_report(write_bag(messages_of(short)), tmp_path / "file", ekf=False)
+
+
+def test_a_bag_without_an_estimate_says_so(short, messages_of, write_bag, tmp_path) -> None:
+    messages = messages_of(short)
+    messages["/observer/joint_states"] = []
+
+    refusal = r"made no estimate of 200 measurements on /joint_measurements; its design may be"
+    with pytest.raises(BagReadError, match=refusal):
+        make_bag_report(write_bag(messages), tmp_path, ekf=False)
 
 
 def test_a_bag_that_is_none_is_refused(tmp_path) -> None:

@@ -94,6 +94,39 @@ def test_a_figure_survives_what_a_bag_may_lack(robot, tmp_path) -> None:
     assert has_colour(tmp_path / "run.png", content.ESTIMATE_COLOUR)
 
 
+SERIES = ("measurements", "truth", "true_disturbance", "innovations", "health", "parameters",
+          "parameter_bounds", "delays", "estimate_delays")  # fmt: skip
+
+
+@pytest.mark.parametrize("gap", ["stamps", "nan", "start", "all"])
+def test_a_figure_has_gaps_where_its_series_have_them(troubled, tmp_path, gap: str) -> None:
+    """Of five seconds: without stamps there, with numbers that are none, or from the start."""
+    learnt = Series(troubled.stamps[::10], 0.01 * np.ones((len(troubled.stamps[::10]), 2)))
+    delays = Series(troubled.stamps, 1e-3 * np.ones((len(troubled.stamps), 1)))
+    whole = replace(
+        troubled,
+        parameters=learnt, parameter_bounds=learnt, delays=delays, estimate_delays=delays,
+    )  # fmt: skip
+    begin, end = {"start": (0.0, 5.0), "all": (0.0, 99.0)}.get(gap, (6.0, 11.0))
+    begin, end = (whole.stamps[0] + int(1e9 * time) for time in (begin, end))
+
+    gaps = {}
+    for name in SERIES:
+        stamps, values = getattr(whole, name)
+        inside = (stamps >= begin) & (stamps < end)
+        gaps[name] = Series(stamps, np.where(inside[:, np.newaxis], np.nan, values))
+        if gap == "stamps":
+            gaps[name] = Series(stamps[~inside], values[~inside])
+    for each in (*({name: series} for name, series in gaps.items()), gaps):
+        run = replace(whole, **each)
+        shown = picture(run, measure(run), learnt=("stiffness", "gravity_torque"))
+        limits = [plot.limits for panel in shown.panels for plot in (panel.values, panel.error)
+                  if plot is not None]  # fmt: skip
+        assert np.isfinite(limits).all(), list(each)
+    draw_run(shown, tmp_path / "run.png")
+    write_html(shown, tmp_path / "run.html")
+
+
 def test_thinning_keeps_every_extreme_and_gap() -> None:
     times = np.arange(30 * MAX_CURVE + 1, dtype=float)
     values = np.sin(0.001 * times)

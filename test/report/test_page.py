@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from tsobs_ros.bag.diagnostics import RecordedStatus
+from tsobs_ros.estimation.events import Event, EventKind
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.replay.health import HealthSum
+from tsobs_ros.replay.health import HealthSum, JointEvent
 from tsobs_ros.report.diagnosed import diagnose
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.page import write_html
@@ -189,6 +190,18 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
         "uncertain of the learnt parameters, for 75 %."
     )
     assert uncertain in but.text
+    assert (but.level, but.sentences[0]) == (Level.OK, good.sentences[0])
+    few = found._replace(bases={Basis.CERTIFIED: 0.18, Basis.STARTING: 0.82})
+    mind = summarise(metrics, few, diagnose([], 0, 20.0), timing, QUANTITIES)
+    assert mind.level is Level.WARN
+    assert "The bounds were proved for only 18 % of the time." in mind.text
+    away = Event(
+        0, EventKind.STATE, Level.WARN, "COASTING: no measurement on /joint_measurements for 1.2 s"
+    )
+    events = [JointEvent("elbow", time, away) for time in (0, 10**9)]
+    silent = summarise(metrics, found, diagnose([], 0, 20.0), timing, QUANTITIES, events)
+    assert silent.level is Level.WARN
+    assert "Measurements stayed away 2 times." in silent.text
 
     wrong = replace(simulated, state_bounds=0.1 * simulated.state_bounds)
     bad = summarise(measure(wrong), None, diagnosed, timing, QUANTITIES)

@@ -41,6 +41,9 @@ CHUNK_HEAD = struct.Struct("<BQQQQII")
 INDEX_HEAD = struct.Struct("<BQHI")
 """The start of a message index: opcode, length, channel, size of its entries."""
 
+CHUNK_INDEX = struct.Struct("<QQQQI")
+"""The body of a chunk index: first and last log time, place, size, size of its offsets."""
+
 MAX_SIZE = 2**28
 """The largest record and chunk content that is read, bytes; larger ones are damage."""
 
@@ -56,7 +59,6 @@ RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
 _MAX_OTHERS = 2**18
 _MESSAGE_BODY_SIZE = MESSAGE.size - RECORD.size
 _MAX_CHUNK_HEAD_SIZE = 80
-_CHUNK_INDEX = struct.Struct("<QQQQI")
 _CHUNK_INDEX_REST = 28
 _INDEX_OFFSET = struct.Struct("<HQ")
 _MAX_STATISTICS_SIZE = 2**20
@@ -350,8 +352,8 @@ def _records(data: bytes) -> Iterator[McapRecord]:
 
 def _chunk_span(summary: bytes, at: int, end: int, rank: int, file_size: int) -> Span:
     """Return the chunk that a chunk index is of; the library takes ten times as long."""
-    start_time, end_time, offset, size, index_size = _CHUNK_INDEX.unpack_from(summary, at)
-    at += _CHUNK_INDEX.size
+    start_time, end_time, offset, size, index_size = CHUNK_INDEX.unpack_from(summary, at)
+    at += CHUNK_INDEX.size
     if index_size % _INDEX_OFFSET.size or at + index_size + _CHUNK_INDEX_REST > end:
         raise RecordError("an index of a chunk is malformed")
     if offset + size > file_size:

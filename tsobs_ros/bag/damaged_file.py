@@ -6,14 +6,21 @@ Three things are certain. The checksum of a chunk covers its records. The head o
 size twice. And a file that was cut off is intact up to the cut. So a chunk is taken if its checksum
 holds, the front of a chunk is taken if the end of the file cuts it off, and after bytes that are no
 record the next record is searched for. A file that ends with a footer was not cut off.
+
+But messages may carry chunks themselves, and a disk may hold chunks of other files. So of a
+finished file only the chunks that its summary states are its own. In others a chunk that comes
+again is dropped, and so is what is found inside of a message, or of a chunk that has lost bytes; if
+messages carry whole files, nothing is searched for.
 """
 
 import os
 import re
 import struct
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from io import BytesIO
 from types import MappingProxyType
 from typing import IO, Any, NamedTuple
@@ -21,13 +28,15 @@ from typing import IO, Any, NamedTuple
 from mcap.data_stream import RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Metadata
+from mcap.records import Channel, Chunk, Footer, McapRecord, Metadata, Statistics
 from mcap.stream_reader import StreamReader
 
 from tsobs_ros.bag.container import (
+    CHUNK_INDEX,
     INDEX_HEAD,
     MAGIC,
     MAX_SIZE,
+    MAX_SUMMARY_SIZE,
     MESSAGE,
     RECORD,
     ContentLimit,
@@ -45,6 +54,10 @@ _MAX_DAMAGES = 10_000
 # A file that ends with them, and perhaps with some bytes behind them, was not cut off.
 _END = re.compile(re.escape(RECORD.pack(Opcode.FOOTER, 20)) + b".{20}" + MAGIC, re.DOTALL)
 _MAX_END_SIZE = 2**16
+_DATA_END = RECORD.pack(Opcode.DATA_END, 4)
+_DATA_END_SIZE = RECORD.size + 4
+_MAX_TRIES = 4
+_FOREIGN = "a chunk that the index of the file does not state"
 _BLOCK_SIZE = 2**20
 _STEP = 2**16
 # Header, schema, channel, message, chunk, metadata or data end, of less than 256 MiB. Looking ahead
@@ -99,6 +112,10 @@ class Damage:
         return f"bytes {self.offset} to {self.offset + self.size}{held}: {self.reason}"
 
 
+_Head = tuple[int, int, int]
+"""What an index states of a chunk: its first and last log time, and its size."""
+
+
 class Lost(NamedTuple):
     """What is known of a lost part: reason, what follows, and whether any of it is kept."""
 
@@ -143,8 +160,16 @@ class DamagedFile:
         self._size = size
         self._keep_unchecked = keep_unchecked
         self._written_end = self._end_without_zeros()
-        end = self._bytes(self._written_end - _MAX_END_SIZE, _MAX_END_SIZE)
-        self._has_end = _END.search(end) is not None
+        # The chunks that the file has, by what is known of them; None if it does not tell.
+        self._places: dict[_Head, set[int]] | None = None
+        self._sizes: dict[int, int] = {}
+        self._moved: dict[_Head, int] = {}
+        self._seen: set[tuple[_Head, int]] = set()
+        self._described: list[McapRecord] = []
+        self._data_end = self._written_end
+        self._has_end = self._read_end()
+        # In front of these there is nothing of the file itself: a damaged chunk, a message.
+        self._inside = self._covered = 0
         # A file without chunks describes its channels before its messages.
         self._bare_channels: set[bytes] = set()
         self._has_chunks = False
@@ -156,6 +181,7 @@ class DamagedFile:
     def pieces(self, progress: Callable[[int], object]) -> Iterator[Content | McapRecord]:
         """Yield what is intact; `progress` is called with the number of bytes got through."""
         at = 0
+        yield from self._described
         while at < self._size:
             try:
                 piece, following = self._read(at)
@@ -208,6 +234,9 @@ class DamagedFile:
         chunk, data_at, size = chunk_head(self._bytes(at, _CHUNK_HEAD_SIZE))
         data_at, end = at + data_at, at + size
         self._has_chunks = True
+        head = chunk.message_start_time, chunk.message_end_time, size
+        if not self._is_own(at, head):
+            return None, self._lose(at, _FOREIGN)
         chunk.data = self._bytes(data_at, end - data_at)
         cost = len(chunk.data)
         try:
@@ -224,6 +253,10 @@ class DamagedFile:
             # If a chunk without a checksum has lost bytes, this shows behind it.
             if not (is_checked or self._starts_record(end)):
                 raise RecordError("the chunk has no checksum, and no record follows it")
+            again = (head, zlib.crc32(records))
+            if self._places is None and head[0] < head[1] and again in self._seen:
+                return None, self._lose(at, "a chunk that was there already", end)
+            self._seen.add(again)
             self._follows_damage = False
             return found.content(records, is_checked), end
         except RecordError as error:
@@ -247,6 +280,7 @@ class DamagedFile:
         if following is None:
             # A chunk that has lost bytes reaches into what follows it: search inside of it.
             self._effort_left -= cost
+            self._inside = max(self._inside, min(end, self._size))
         return content, self._lose(at, reason, following, kept=content is not None)
 
     def _read_other(self, at: int) -> tuple[Content | McapRecord | None, int]:
@@ -308,6 +342,9 @@ class DamagedFile:
 
     def _search(self, at: int) -> int:
         """Return where the next record is; the end if there is none."""
+        if self._places is None and self._carries_files:
+            return self._size
+        self._cover(at - 1)
         step = _CANDIDATE_COST
         while at < self._written_end:
             with suppress(OSError):  # a sparse file has holes of any size
@@ -315,7 +352,10 @@ class DamagedFile:
             block = self._bytes(at, step + RECORD.size - 1)
             for match in _CANDIDATE.finditer(block):
                 place = match.start()
+                if self._places is None and at + place < self._covered:
+                    continue
                 if block[place] == Opcode.MESSAGE and not self._bare_channels:
+                    self._cover(at + place)
                     continue
                 self._effort_left -= _CANDIDATE_COST
                 if self._effort_left < 0:
@@ -325,12 +365,120 @@ class DamagedFile:
             at, step = at + step, min(2 * step, _BLOCK_SIZE)
         return self._size
 
+    @cached_property
+    def _carries_files(self) -> bool:
+        """Whether there are the marks of other files in it, such as messages may carry."""
+        at = self._bytes(0, _MAX_END_SIZE).find(MAGIC) + 1  # behind its own
+        while at < self._data_end:
+            with suppress(OSError):  # a sparse file has holes of any size
+                at = max(at, os.lseek(self._descriptor, at, os.SEEK_DATA))
+            if MAGIC in self._bytes(at, min(_BLOCK_SIZE + len(MAGIC), self._data_end - at)):
+                return True
+            at += _BLOCK_SIZE
+        return False
+
+    def _cover(self, at: int) -> None:
+        """Take account of what may be a message in a damaged chunk, in which there is no record."""
+        with suppress(struct.error):
+            opcode, length = RECORD.unpack(self._bytes(at, RECORD.size))
+            if opcode != Opcode.MESSAGE or not MESSAGE.size - RECORD.size <= length <= MAX_SIZE:
+                return
+            end = at + RECORD.size + length
+            # The next one in the chunk, or the index behind it.
+            following, size = RECORD.unpack(self._bytes(end, RECORD.size))
+            kinds = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.MESSAGE_INDEX)
+            if following in kinds and size <= MAX_SIZE:
+                self._covered = max(self._covered, end)
+
+    def _is_own(self, at: int, head: _Head) -> bool:
+        """Return whether the file states a chunk, there or, once, at a place where it is not."""
+        if self._places is None:
+            return True
+        if at in self._places.get(head, ()):
+            return True
+        if self._sizes.get(at) == head[2] and head not in self._places:
+            return True  # its times are what is damaged
+        if head not in self._moved:
+            places = self._places.get(head, set())
+            self._moved[head] = sum(self._head(place) != head for place in places)
+        self._moved[head] -= 1
+        return self._moved[head] >= 0
+
+    def _head(self, at: int) -> _Head | None:
+        with suppress(RecordError):
+            chunk, _, size = chunk_head(self._bytes(at, _CHUNK_HEAD_SIZE))
+            return chunk.message_start_time, chunk.message_end_time, size
+        return None
+
+    def _read_end(self) -> bool:
+        """Return whether the file has an end, and take the summary in front of it, if it is sound.
+
+        It has moved if bytes were lost or added.
+        """
+        begin = max(0, self._written_end - _MAX_END_SIZE)
+        ends = list(_END.finditer(self._bytes(begin, _MAX_END_SIZE)))
+        if not ends:
+            return False
+        footer = parse_record(ends[-1][0][: -len(MAGIC)])
+        assert isinstance(footer, Footer)
+        footer_at = begin + ends[-1].start()
+        self._data_end, stated_at = footer_at, footer.summary_start
+        tail = self._bytes(max(0, footer_at - _MAX_OTHER_SIZE), _MAX_OTHER_SIZE)[:footer_at]
+        tries, place = [stated_at], len(tail)
+        for _ in range(_MAX_TRIES):
+            place = tail.rfind(_DATA_END, 0, max(0, place))
+            tries += [footer_at - len(tail) + place + _DATA_END_SIZE] if place >= 0 else []
+        for start in tries if stated_at else ():
+            if not 0 < start <= footer_at <= start + MAX_SUMMARY_SIZE:
+                continue
+            summary = self._bytes(start, footer_at - start)
+            covered = ends[-1][0][: RECORD.size + 16]
+            if zlib.crc32(covered, zlib.crc32(summary)) == footer.summary_crc:
+                with suppress(RecordError, struct.error):
+                    self._take(summary, has_moved=start > stated_at)
+                break
+        return True
+
+    def _take(self, summary: bytes, *, has_moved: bool) -> None:
+        """Take the chunks that a summary states, and the channels.
+
+        One that has moved back may be that of a file within a message: it must state a chunk that
+        has not.
+
+        Raises:
+            RecordError, struct.error: It is malformed.
+        """
+        at, places, described, chunks = 0, dict[_Head, set[int]](), list[McapRecord](), -1
+        while at < len(summary):
+            opcode, length = RECORD.unpack_from(summary, at)
+            body, at = at + RECORD.size, at + RECORD.size + length
+            if opcode == Opcode.CHUNK_INDEX:
+                first, last, place, size, _ = CHUNK_INDEX.unpack_from(summary, body)
+                places.setdefault((first, last, size), set()).add(place)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+                if length > _MAX_OTHER_SIZE:
+                    raise RecordError("too large")
+                described.append(parse_record(summary[body - RECORD.size : at]))
+                if isinstance(described[-1], Statistics):
+                    chunks = described[-1].chunk_count
+        stated = [(head, place) for head, own in places.items() for place in own]
+        if has_moved and not any(self._head(place) == head for head, place in stated):
+            return
+        if chunks == len(stated):
+            self._places, self._described = places, described
+            self._sizes = {place: head[2] for head, place in stated}
+
     def _has_record(self, at: int, opcode: int) -> bool:
         try:
             if opcode == Opcode.CHUNK:
-                size = chunk_head(self._bytes(at, _CHUNK_HEAD_SIZE))[2]
-                return at + size <= self._size or not self._has_end
-            self._read_other(at)
+                end = at + chunk_head(self._bytes(at, _CHUNK_HEAD_SIZE))[2]
+                if self._places is None and end <= self._inside:
+                    return False
+                if self._has_end and end > self._size:  # it has lost bytes
+                    self._inside = self._size
+                    return False
+            else:
+                self._read_other(at)
         except RecordError:
             return False
         return True

@@ -378,7 +378,7 @@ def read_metadata(folder: Path) -> BagMetadata:
     except FileNotFoundError as error:
         raise BagReadError(f"{folder}: not a bag folder, it has no {FILE_NAME}") from error
     except OSError as error:
-        raise BagReadError(f"{folder}: cannot read it: {error.strerror}") from error
+        raise BagReadError(f"{folder}: cannot read it: {error.strerror or error}") from error
     root = read_yaml(path, "bag's metadata", BagReadError)
     try:
         if ROOT_KEY not in root:

@@ -26,7 +26,7 @@ from tsobs_ros.bag.metadata import (
     TopicInfo,
     read_metadata,
 )
-from tsobs_ros.bag.writer import LIBRARY, BagWriter
+from tsobs_ros.bag.writer import LIBRARY, BagWriter, whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
 from tsobs_ros.files import open_regular
 
@@ -82,9 +82,15 @@ class FileRecovery:
         return dict(self.stated - self.kept)
 
     @property
+    def excess(self) -> dict[str, int]:
+        """The number of messages that the file holds beyond those that it states, by topic."""
+        return dict(self.kept - self.stated) if self.stated else {}
+
+    @property
     def is_whole(self) -> bool:
-        """Whether nothing is known to be lost."""
-        return not (self.error or self.damage or self.dropped or self.missing)
+        """Whether nothing is known to be lost, or to be too much."""
+        wrong = self.error or self.damage or self.dropped or self.missing or self.excess
+        return not wrong
 
     @property
     def reason(self) -> str:
@@ -130,6 +136,7 @@ class FileRecovery:
             "end_ns": self.end_ns,
             "dropped": dict(self.dropped),
             "missing": self.missing,
+            "excess": self.excess,
             "damage": [vars(part) for part in self.damage],
             "bytes_damaged": sum(part.size for part in self.damage),
         }
@@ -147,6 +154,7 @@ class FileRecovery:
         if self.unchecked:
             lines.append(f"  unchecked {self.unchecked}: no checksum covers these messages")
         lines += [f"  lost {count} of {topic}" for topic, count in self.missing.items()]
+        lines += [f"  {count} of {t} more than the file states" for t, count in self.excess.items()]
         lines += [f"  dropped {count}: {reason}" for reason, count in self.dropped.items()]
         lines += [f"  damaged: {part}" for part in self.damage[:_SHOWN]]
         if len(self.damage) > _SHOWN:
@@ -253,6 +261,23 @@ class _File:
                 if isinstance(piece, Content):
                     yield piece
         account.damage = self._damage
+
+    def contradicted(self, content: Content) -> Iterator[int]:
+        """Yield the channels that a chunk describes as others: it may be of another file."""
+        for description in content.descriptions:
+            with suppress(RecordError):
+                match parse_record(description):
+                    case Channel() as record if known := self.channels.get(record.id):
+                        mine, its = (
+                            (one.topic, one.schema_id, one.message_encoding)
+                            for one in (known, record)
+                        )
+                        if mine != its:
+                            yield record.id
+                    case Schema() as record if (schema := self.schemas.get(record.id)) and (
+                        schema.name != record.name
+                    ):
+                        yield from (i for i, c in self.channels.items() if c.schema_id == schema.id)
 
     def _pieces(self, stream: IO[bytes], progress: Progress) -> Iterator[Content | McapRecord]:
         damaged = DamagedFile(stream, self.size, lost=self._lost, **self._options)
@@ -400,8 +425,12 @@ class DamagedBag:
                     file.statistics.channel_message_counts if file.statistics else {}
                 ).items():
                     account.stated[destinations.topics.get(id_, f"channel {id_}")] += count
+                own = _Destinations(dict(destinations.topics), dict(destinations.reasons))
                 for content in file.contents(account, progress):
-                    account.add(content, destinations, keep)
+                    for id_ in file.contradicted(content):
+                        own.topics.pop(id_, None)
+                        own.reasons[id_] = f"of channel {id_}, which is described as two topics"
+                    account.add(content, own, keep)
             accounts.append(account)
         return tuple(accounts)
 
@@ -498,7 +527,7 @@ def recover(
         nonlocal writer
         if writer is None:
             writer = stack.enter_context(
-                BagWriter(target, compression=compression, custom_data=damaged.custom_data)
+                whole_bag(target, compression=compression, custom_data=damaged.custom_data)
             )
             for each in damaged.topics.values():
                 writer.add_topic(

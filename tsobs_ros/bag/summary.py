@@ -50,6 +50,7 @@ class BagSummary:
         end_ns: The largest log time, ns since the epoch; None without messages.
         metadata: The content of its metadata.yaml, if it has any.
         largest_gaps_ns: The longest time between two messages of a topic, ns, if it is known.
+        spans_ns: The time from the first to the last message of a topic, ns, if it is known.
         unchecked: The number of messages that no checksum covers, so that damage is not noticed.
     """
 
@@ -61,6 +62,7 @@ class BagSummary:
     end_ns: int | None
     metadata: BagMetadata | None
     largest_gaps_ns: Mapping[str, int]
+    spans_ns: Mapping[str, int]
     unchecked: int
 
     @property
@@ -89,8 +91,15 @@ class BagSummary:
         return 0 if self.start_ns is None or self.end_ns is None else self.end_ns - self.start_ns
 
     def rate(self, topic: TopicInfo) -> float | None:
-        """Return a topic's mean rate over the whole bag, Hz; None if that has no duration."""
-        return topic.count * 1e9 / self.duration_ns if self.duration_ns else None
+        """Return a topic's mean rate, without its largest gap, Hz; None if that is unknown.
+
+        A gap, and the time before the first message, would make 200 Hz look like 93.
+        """
+        steps, span = topic.count - 1, self.spans_ns.get(topic.name, self.duration_ns) or 0
+        if steps > 1:
+            gap = self.largest_gaps_ns.get(topic.name, 0)
+            steps, span = (steps - 1, span - gap) if gap else (steps, span)
+        return steps * 1e9 / span if steps > 0 and span > 0 else None
 
     def as_mapping(self) -> dict[str, Any]:
         """Return plain data."""
@@ -148,7 +157,7 @@ class BagSummary:
         return "\n".join(map(printable, lines))
 
     def _pace(self, topic: TopicInfo) -> str:
-        rate = self.rate(topic) if topic.count > 1 else None
+        rate = self.rate(topic)
         text = "" if rate is None else f" | {rate:.4g} Hz"
         gap = self.largest_gaps_ns.get(topic.name)
         return text if gap is None else f"{text} | largest gap {gap * 1e-9:.6g} s"
@@ -168,7 +177,7 @@ def summarise(bag: str | Path) -> BagSummary:
         reader = BagReader(path)
     except BagReadError as error:
         return _of_damaged(path, error)
-    gaps, unchecked = _look_into_indexes(reader.summaries)
+    gaps, topic_spans, unchecked = _look_into_indexes(reader.summaries)
     return BagSummary(
         path=path,
         problem="",
@@ -181,6 +190,7 @@ def summarise(bag: str | Path) -> BagSummary:
         end_ns=reader.end_time,
         metadata=reader.metadata,
         largest_gaps_ns=gaps,
+        spans_ns=topic_spans,
         unchecked=unchecked,
     )
 
@@ -200,6 +210,7 @@ def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
         end_ns=max((f.end_ns for f in files if f.end_ns is not None), default=None),
         metadata=damaged.metadata,
         largest_gaps_ns={},
+        spans_ns={},
         unchecked=sum(file.unchecked for file in files),
     )
 
@@ -209,6 +220,7 @@ class _Gap:
 
     def __init__(self) -> None:
         self.largest: int | None = None
+        self.first, self.last = 2**64, 0
         self._open: NDArray[np.uint64] = np.empty(0, np.uint64)
         self._added: list[NDArray[np.uint64]] = []
         self._room = _FEW_TIMES
@@ -230,17 +242,22 @@ class _Gap:
         end = max(1, int(np.searchsorted(self._open, np.uint64(start), side="right")))
         if end > 1:
             self.largest = max(self.largest or 0, int(np.diff(self._open[:end]).max()))
+        self.first = min(self.first, int(self._open[0]))
+        self.last = max(self.last, int(self._open[-1]))
         self._open = self._open[end - 1 :]
         # Sorting only what has doubled takes n log n, however the chunks overlap.
         self._added, self._room = [], max(_FEW_TIMES, self._open.size)
 
 
-def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, int], int]:
+def _look_into_indexes(
+    summaries: Sequence[Summary],
+) -> tuple[dict[str, int], dict[str, int], int]:
     """Return what the indexes and the heads of the chunks tell, without reading any message.
 
     Returns:
         The longest time between two messages of each topic, ns, but for topics with fewer than two
-        messages, and of files without message indexes; and the number of unchecked messages.
+        messages, and of files without message indexes; the time from the first to the last of
+        them; and the number of unchecked messages.
 
     Raises:
         BagReadError: An index is damaged.
@@ -275,7 +292,8 @@ def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, int], in
             raise BagReadError(f"{path}: {error}") from error
     found = {topic: gap.finish() for topic, gap in gaps.items() if topic not in unknown}
     counts = [summaries[rank].statistics.message_count - checked[rank] for rank in unchecked]
-    return {topic: gap for topic, gap in found.items() if gap is not None}, sum(counts)
+    known = {topic: gap for topic, gap in found.items() if gap is not None}
+    return known, {topic: gaps[topic].last - gaps[topic].first for topic in known}, sum(counts)
 
 
 def _index_times(stream: IO[bytes], offset: int) -> NDArray[np.uint64]:

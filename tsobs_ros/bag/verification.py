@@ -179,7 +179,7 @@ def _check_folder(bag: Path, errors: _Findings) -> tuple[BagMetadata | None, lis
     try:
         present = {path.name: path for path in sorted(bag.iterdir())}
     except OSError as error:
-        raise BagReadError(f"{bag}: cannot read it: {error.strerror}") from error
+        raise BagReadError(f"{bag}: cannot read it: {error.strerror or error}") from error
     unlisted = [path for name, path in present.items() if name.endswith(".mcap")]
     try:
         metadata = read_metadata(bag)

@@ -35,6 +35,7 @@ from tsobs_ros.bag.metadata import (
     write_metadata,
 )
 from tsobs_ros.errors import BagWriteError
+from tsobs_ros.files import written_whole
 
 LIBRARY = "tsobs_ros"
 CHUNK_SIZE = 786_432
@@ -591,6 +592,27 @@ class BagWriter:
     def _check_open(self) -> None:
         if self._closed:
             raise BagWriteError(f"{self.path}: the bag is closed")
+
+
+@contextmanager
+def whole_bag(path: str | Path, **options: Any) -> Iterator[BagWriter]:
+    """Yield the writer of a bag that appears once it is complete, and not at all otherwise.
+
+    Args:
+        path: The bag's folder, which must not exist.
+        options: Those of `BagWriter`.
+
+    Raises:
+        BagWriteError: As for `BagWriter`, or the bag cannot be closed.
+    """
+    path = Path(path).absolute()
+    if os.path.lexists(path):
+        raise BagWriteError(f"{path}: exists already, bags are not overwritten")
+    with (
+        written_whole(path.parent, BagWriteError) as folder,
+        BagWriter(folder / path.name, **options) as writer,
+    ):
+        yield writer
 
 
 def _free(wanted: int, taken: Mapping[int, object]) -> int:

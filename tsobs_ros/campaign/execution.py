@@ -5,7 +5,7 @@
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -90,18 +90,25 @@ def _on_cluster(
         client = dask.Client(scheduler, timeout=_CONNECT_TIMEOUT)
     except (OSError, ValueError) as error:
         raise CampaignError(f"scheduler {scheduler}: cannot be reached: {error}") from error
-    with client:
-        futures = {
-            client.submit(carry_out, order(campaign, *part), pure=False, retries=0): part
-            for part in parts
-        }
-        for future in dask.as_completed(futures):
-            try:
-                columns = future.result()
-            except dask.KilledWorker as error:
-                raise CampaignError(
-                    f"scheduler {scheduler}: workers died again and again at runs from "
-                    f"{futures[future][0]}: {error}"
-                ) from error
-            yield futures[future], columns
-            future.release()
+    try:
+        with client:
+            futures = {
+                client.submit(carry_out, order(campaign, *part), pure=False, retries=0): part
+                for part in parts
+            }
+            for future in dask.as_completed(futures):
+                try:
+                    columns = future.result()
+                except dask.KilledWorker as error:
+                    raise CampaignError(
+                        f"scheduler {scheduler}: workers died again and again at runs from "
+                        f"{futures[future][0]}: {error}"
+                    ) from error
+                yield futures[future], columns
+                future.release()
+    except (CancelledError, OSError) as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise CampaignError(
+            f"scheduler {scheduler}: the connection was lost: {reason}; the same command goes on "
+            "with the runs that are missing"
+        ) from error

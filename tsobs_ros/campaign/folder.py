@@ -5,7 +5,6 @@
 A file appears once it is complete. So a campaign goes on from whatever is there.
 """
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from tsobs_ros import __version__
 from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
 from tsobs_ros.campaign.runs import PART, Columns
 from tsobs_ros.errors import DesignFileError
+from tsobs_ros.files import written_whole
 
 CAMPAIGN, DESIGN, RUNS = "campaign.yaml", "campaign.design.yaml", "runs"
 SUMMARY = ("summary.json", "summary.txt")
@@ -70,7 +70,7 @@ class CampaignFolder:
             folder._remove()
         elif (path / CAMPAIGN).exists():
             folder._require_same()
-        elif path.is_dir() and any(path.iterdir()):
+        elif path.is_dir() and any(map(_is_foreign, path.iterdir())):
             raise CampaignError(f"{path}: has other files than a campaign's; choose another folder")
         (path / RUNS).mkdir(parents=True, exist_ok=True)
         _write(path / DESIGN, campaign.file.text.encode())
@@ -164,6 +164,11 @@ class CampaignFolder:
             path.unlink(missing_ok=True)
 
 
+def _is_foreign(path: Path) -> bool:
+    """Return whether a file or folder is none of what a campaign writes before it is begun."""
+    return path.name not in (DESIGN, RUNS) and path.suffix != ".partial"
+
+
 def _difference(there: Campaign, asked: Campaign) -> str:
     if there.file.sha256 != asked.file.sha256:
         return f"design {there.file.identity} and not {asked.file.identity}"
@@ -179,10 +184,5 @@ def _is_text(table: Any, name: str) -> bool:
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file that appears once it is complete."""
-    temporary = path.with_name(f"{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    except OSError as error:
-        raise CampaignError(f"{path}: cannot be written: {error.strerror}") from error
+    with written_whole(path.parent, CampaignError, force=True) as folder:
+        (folder / path.name).write_bytes(content)

@@ -55,8 +55,13 @@ def json_text(mapping: dict[str, Any]) -> str:
 def complain(problem: object) -> None:
     """Print what is wrong, to stderr; only what is wrong with a design has several lines."""
     text = printable(str(problem), newline="\n" if isinstance(problem, DesignError) else " ")
+    note(f"error: {text}")
+
+
+def note(text: str) -> None:
+    """Print a line that is no result, to stderr."""
     with suppress(OSError):  # the terminal has gone
-        print(f"error: {text}", file=sys.stderr)
+        print(text, file=sys.stderr)
 
 
 @contextmanager

@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
 def _on_scenarios(options: argparse.Namespace) -> int:
     from tsobs_ros.comparison import DEFAULT_SCENARIOS, compare_scenarios
     from tsobs_ros.design.file import load_design
-    from tsobs_ros.files import require_new
+    from tsobs_ros.files import require_new, written_whole
     from tsobs_ros.methods import ObserverSettings
     from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
@@ -91,11 +91,11 @@ def _on_scenarios(options: argparse.Namespace) -> int:
     if paths:
         from tsobs_ros.report.scenario_figure import draw_comparison
 
-        figure, data, page = paths
-        options.output.mkdir(parents=True, exist_ok=True)
-        draw_comparison(found, figure)
-        data.write_text(json_text(mapping) + "\n", encoding="utf-8")
-        page.write_text(found.markdown(figure.name), encoding="utf-8")
+        with written_whole(options.output, force=options.force) as folder:
+            figure, data, page = (folder / name for name in FILES)
+            draw_comparison(found, figure)
+            data.write_text(json_text(mapping) + "\n", encoding="utf-8")
+            page.write_text(found.markdown(figure.name), encoding="utf-8")
         text += f"\n\nwrote {', '.join(printable(str(path)) for path in paths)}"
     seconds = time.monotonic() - begin
     show(mapping, f"{text}\n{len(scenarios) * seeds} runs in {seconds:.0f} s", options.json)

@@ -25,7 +25,7 @@ from tsobs_ros.cli.common import Commands, add_json, positive
 from tsobs_ros.cli.report import report_on
 from tsobs_ros.errors import NodeError
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.stop import StopFlag, signal_came
+from tsobs_ros.stop import PARENT, StopFlag, signal_came
 
 MARKERS = "/visualizer/markers"
 RECORDED_TOPICS = (
@@ -124,6 +124,8 @@ def _record(
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "ROS_LOG_DIR": str(output / "log"),
         "PYTHONUNBUFFERED": "1",
+        # What ends the demo by force must not leave its nodes to themselves.
+        PARENT: str(os.getpid()),
     }
     environment.pop("ROS_LOCALHOST_ONLY", None)
 

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from tsobs_ros.cli.common import Commands, add_json, show
+from tsobs_ros.cli.common import Commands, add_json, note, show
 from tsobs_ros.errors import printable
 from tsobs_ros.files import require_new
 
@@ -38,19 +38,24 @@ def add_parser(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Design a gain and write its file."""
     from tsobs_ros.design.file import load_request, save_design
+    from tsobs_ros.design.plausible import description, questions, resonances
     from tsobs_ros.design.request import ArmRequest
     from tsobs_ros.design.synthesis import synthesise
 
     require_new([options.output], force=options.force)
     if options.method == "paper":
         return _design_by_the_paper(options)
-    design = synthesise(load_request(options.request) if options.request else ArmRequest())
+    request = load_request(options.request) if options.request else ArmRequest()
+    for question in questions(request):
+        note(f"is it meant so? {question}")
+    design = synthesise(request)
     save_design(design, options.output)
-    show(
-        {"design": str(options.output), **design.summary()},
-        f"{design.text()}\nwritten to {printable(str(options.output))}",
-        options.json,
-    )
+    summary, lines = {"design": str(options.output), **design.summary()}, []
+    if isinstance(request, ArmRequest):
+        lines = description(request)
+        summary |= {"arm": asdict(request.arm), "resonances": list(resonances(request.arm))}
+    lines += [design.text(), f"written to {printable(str(options.output))}"]
+    show(summary, "\n".join(lines), options.json)
     return 0
 
 

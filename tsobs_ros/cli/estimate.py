@@ -174,6 +174,10 @@ def estimate(
     show(mapping, text, options.json)
     if source.damage is not None:
         complain(f"{source.damage}; estimated up to there")
+    if not any(run.estimates for run in runs):
+        reasons = {reason.value for run in runs for reason in run.replay.rejected}
+        complain(f"no estimate was made; rejected: {', '.join(sorted(reasons)) or 'none'}")
+        return 1
     return 0 if source.damage is None else 1
 
 

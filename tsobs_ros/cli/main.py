@@ -10,7 +10,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from pathlib import Path
 
 from tsobs_ros import __version__
 from tsobs_ros.cli import (
@@ -28,9 +28,11 @@ from tsobs_ros.cli import (
     verify,
     watch,
 )
-from tsobs_ros.cli.common import complain
+from tsobs_ros.cli.common import complain, note
 from tsobs_ros.errors import TsobsError, missing_library, printable
+from tsobs_ros.files import require_nameable
 from tsobs_ros.stop import interrupt
+from tsobs_ros.streams import Parser
 
 _COMMANDS = (
     demo,
@@ -52,14 +54,16 @@ _COMMANDS = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `tsobs` with the given arguments, `sys.argv` by default; return the exit code."""
-    parser = _parser()
-    options, unknown = parser.parse_known_args(argv)
-    if unknown:  # as parse_args, but they may be any file's name, by a pattern
-        parser.error(printable(f"unrecognized arguments: {' '.join(unknown)}"))
-    command: Callable[[argparse.Namespace], int] = options.command
     if threading.current_thread() is threading.main_thread():
         interrupt()
     try:
+        parser = _parser()
+        options, unknown = parser.parse_known_args(argv)
+        if unknown:  # as parse_args, but they may be any file's name, by a pattern
+            parser.error(printable(f"unrecognized arguments: {' '.join(unknown)}"))
+        command: Callable[[argparse.Namespace], int] = options.command
+        if isinstance(output := getattr(options, "output", None), Path):
+            require_nameable(output)
         return command(options)
     except TsobsError as error:
         complain(error)
@@ -69,8 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         complain(advice)
     except KeyboardInterrupt:
-        with suppress(OSError):  # the terminal has gone
-            print("interrupted", file=sys.stderr)
+        note("interrupted")
     except OSError as error:
         if not isinstance(error, BrokenPipeError):  # the reader of our output has gone
             complain(error)
@@ -82,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="tsobs",
         description="State and sensor-disturbance estimation for an arm with an elastic joint.",
     )

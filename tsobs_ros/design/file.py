@@ -8,6 +8,7 @@ about a T–S system given by its matrices has a top-level `system`, one about a
 """
 
 import hashlib
+from dataclasses import fields
 from os import PathLike
 from typing import Any, NamedTuple, TypeAlias
 
@@ -15,7 +16,7 @@ import msgspec
 import numpy as np
 from msgspec import UNSET, UnsetType
 
-from tsobs_ros.checks import Array, as_matrix, shown
+from tsobs_ros.checks import Array, as_matrix, meant, shown
 from tsobs_ros.design.names import NO_LABELS, Labels
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
@@ -33,6 +34,10 @@ Request: TypeAlias = ArmRequest | TSRequest
 Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 VERSION = 1
+_REQUEST = ("design", "system")
+_ARM_ENTRIES = {each.name for each in fields(ArmRequest)}
+_ARM_PARAMETERS = ("link_inertia", "motor_inertia", "stiffness", "gravity_torque")
+"""Those of an arm that have no default in a file; dampings are 0."""
 IDENTITY_LENGTH = 12
 """Digits of a checksum that people are shown."""
 _ARM, _SYSTEM = "tsobs_ros design", "tsobs_ros T-S design"
@@ -197,7 +202,8 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
 def load_request(path: FilePath) -> Request:
     """Read what `tsobs design` is asked for from a commented YAML file.
 
-    The arm's entries may stand alone or under `design`; what is left out keeps its default.
+    The arm's entries may stand alone or under `design`; what is left out keeps its default, but
+    of an arm that is given only the dampings may be left out.
 
     Raises:
         DesignFileError: As for `load_design`, or the file is a design.
@@ -206,7 +212,7 @@ def load_request(path: FilePath) -> Request:
     >>> load_request(config_path("ts_example.request.yaml")).model.rule_count
     2
     """
-    data = read_yaml(path)
+    data = read_yaml(path, "request")
     found = [name for name in ("format", *AnswerEntries.__struct_fields__) if name in data]
     if found:
         raise DesignFileError(
@@ -216,12 +222,29 @@ def load_request(path: FilePath) -> Request:
         )
     with naming(path):
         request: Request
+        for name in data if data.keys().isdisjoint(_REQUEST) else ():
+            if name not in _ARM_ENTRIES and (question := meant(name, _REQUEST)):
+                raise DesignFileError(f"unknown entry {shown(name)}{question}")
         if "system" in data:
             request = decode(data, SystemFile).request()
         else:
             request = _arm_request(data, stands_alone="design" not in data)
+            arm = data.get("design", data).get("arm", _ARM_PARAMETERS)
+            # In silence the shipped arm's would be taken for one that is not like it at all.
+            if missing := [name for name in _ARM_PARAMETERS if name not in arm]:
+                raise DesignFileError(
+                    f"{'design.' * ('design' in data)}arm.{missing[0]}: missing; an arm has all of "
+                    f"{', '.join(_ARM_PARAMETERS)}"
+                )
         # Built here, so that a request no model can be made of is refused with the file's name.
         _ = request.flow
+        for name in ("torque_limit", "torque_rate_limit"):
+            if getattr(request, name, None) == 0.0:
+                # The observer's parameter of this name means the design's by 0.
+                raise DesignFileError(
+                    f"{name}: expected a number above 0, got 0.0; left out it is generous for any "
+                    "arm, and 1e9 is no limit"
+                )
         return request
 
 

@@ -13,6 +13,7 @@ by a matrix that is re-checked by eigenvalues:
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import clarabel
 import cvxpy as cp
 import numpy as np
 
@@ -149,3 +150,8 @@ def _positive(Z: Sequence[Array]) -> Array:
     values, vectors = np.linalg.eigh(np.array(Z))
     parts = vectors * np.maximum(values, 0.0)[:, None, :] @ vectors.transpose(0, 2, 1)
     return np.asarray(parts / np.trace(parts, axis1=1, axis2=2).sum())
+
+
+def solver_version() -> str:
+    """Return the versions of the solver and of what calls it; of cvxpy any distribution will do."""
+    return f"{clarabel.__version__} (cvxpy {cp.__version__})"

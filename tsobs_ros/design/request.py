@@ -121,6 +121,10 @@ class DisturbanceTerm(FrozenMapping):
         return DISTURBANCE_KINDS[self.kind](**{k: v for k, v in self.items() if k != "kind"})
 
 
+NO_LIMIT = 1e9
+"""A torque [N m], or rate of it [N m/s], from which on any is plausible."""
+
+
 def _require_no_alias(terms: Iterable[DisturbanceTerm], rate: float) -> None:
     """Refuse tones that look slower in samples than they are, in the limit like a bias."""
     for term in terms:
@@ -240,7 +244,8 @@ class ArmRequest(DesignProblem):
             `model.uncertainty.ARM_DIRECTIONS`: relative, or N m s/rad for a damping. That of
             gravity is left out if there is none.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
-        torque_limit: Largest plausible torque [N m]; 0: any is; None: see `torque_limits`.
+        torque_limit: Largest plausible torque [N m]; None: see `torque_limits`; any is from
+            `NO_LIMIT` on, or by 0, which a file that asks for a design may not have.
         torque_rate_limit: Its largest plausible rate [N m/s]; likewise.
 
     Raises:
@@ -290,7 +295,9 @@ class ArmRequest(DesignProblem):
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         if not 0.0 < self.x_max <= math.pi:
-            raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}")
+            degrees = f" rad; as degrees it would be {math.radians(self.x_max):.4g} rad"
+            hint = degrees if math.pi < self.x_max <= 180.0 else ""
+            raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}{hint}")
         _require_squares("measurement_std", [self.measurement_std])
         _require_squares("initial_std", self.initial_std)
         if not self.disturbance:
@@ -383,12 +390,21 @@ class ArmRequest(DesignProblem):
             rate_limit: Largest rate instead of the request's [N m/s]; 0 for that.
         """
         arm = self.arm
+<<<<<<< HEAD
         inertia = arm.link_inertia + arm.motor_inertia
         angle, speed = self.reach[:2].tolist()
         largest = 10.0 * (arm.gravity_torque + inertia * speed * speed / angle)
         return TorqueLimits.of(
             limit or self.torque_limit, rate_limit or self.torque_rate_limit, largest
+=======
+        largest = 10.0 * arm.gravity_torque + 100.0 * (arm.link_inertia + arm.motor_inertia)
+        # What a torque may be while it is unknown stays of the arm's size.
+        known, rate = (
+            0.0 if each is not None and each >= NO_LIMIT else each
+            for each in (limit or self.torque_limit, rate_limit or self.torque_rate_limit)
+>>>>>>> main
         )
+        return TorqueLimits.of(known, rate, largest)
 
     @property
     def reach(self) -> Array:

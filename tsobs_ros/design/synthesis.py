@@ -24,7 +24,6 @@ equilibration of the problem takes the solver there.
 import time
 import warnings
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import NamedTuple
 
 import cvxpy as cp
@@ -34,6 +33,7 @@ from scipy.linalg import solve_discrete_are
 from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.feasibility import is_detectable, require_detectable
+from tsobs_ros.design.lyapunov import solver_version
 from tsobs_ros.design.problem import DesignProblem, ErrorVertex
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.remedies import helpful, remedies_of_gain
@@ -143,7 +143,7 @@ def solve_gain(problem: DesignProblem, effort: Effort = _FULL) -> Gain:
         K,
         SolverReport(
             name="Clarabel",
-            version=_solver_version(),
+            version=solver_version(),
             status=solution.status,
             iterations=solution.iterations,
             seconds=round(time.perf_counter() - started, 3),
@@ -278,7 +278,3 @@ def _no_common_matrix(problem: DesignProblem, share: float | None) -> str:
         f"no common matrix P exists, or none the solver can find, for {problem.domain} at decay "
         f"rate {problem.decay_rate:.4g} 1/s and {1.0 / problem.period:.4g} Hz; {reached}"
     )
-
-
-def _solver_version() -> str:
-    return f"{version('clarabel')} (cvxpy {version('cvxpy')})"

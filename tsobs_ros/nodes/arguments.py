@@ -11,6 +11,7 @@ from rclpy.utilities import remove_ros_args
 
 from tsobs_ros.errors import printable
 from tsobs_ros.nodes.parameters import describe
+from tsobs_ros.streams import Parser
 
 _HELP = {"-h", "--help"}
 
@@ -27,7 +28,7 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
         SystemExit: With 0 after the help, with 2 after an error.
     """
     name = module.__name__.rpartition(".")[2]
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=name,
         usage=f"{name} [--help] [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r OLD:=NEW] …]",
         description=inspect.getdoc(module),

@@ -349,7 +349,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 service.callback = self._set_at_once
 
     def _change_state(self, change: Callable[..., Any], request: Any, response: Any) -> Any:
-        """Answer a transition that the state does not allow."""
+        """Answer a transition that the state does not allow, whose label rcl would log as it is."""
+        request.transition.label = printable(request.transition.label)
         try:
             return change(request, response)
         except RuntimeError:  # rcl's, as no step of ours lets one pass

@@ -26,7 +26,6 @@ converted is replaced there by a stand-in of the right type that carries the rea
 on-set callback may refuse with one.
 """
 
-import difflib
 import math
 import re
 import sys
@@ -43,6 +42,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from tsobs_ros.checks import meant
 from tsobs_ros.errors import ModelError, ParameterError, printable
 
 T = TypeVar("T")
@@ -243,7 +243,7 @@ class ParameterBinding(Generic[P]):
         for name, entry in self._entries.items():
             _declare(node, entry, self._values[name])
         if unknown := sorted(given.keys() - self._entries.keys()):
-            listed = ", ".join(_with_suggestion(name, self._entries) for name in unknown)
+            listed = ", ".join(f"'{name}'{meant(name, self._entries)}" for name in unknown)
             node.get_logger().warning(printable(f"ignored unknown parameters: {listed}"))
         node.get_logger().debug(printable(f"parameters: {self._listed()}"))
         node.add_pre_set_parameters_callback(self._convert_proposal)
@@ -449,8 +449,3 @@ def _shown(value: Any) -> str:
 
 def _to_ros(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
-
-
-def _with_suggestion(name: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name, list(known), n=1)
-    return f"'{name}' (did you mean '{close[0]}'?)" if close else f"'{name}'"

@@ -22,7 +22,7 @@ from tqdm import tqdm
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.files import require_new
+from tsobs_ros.files import require_new, written_whole
 from tsobs_ros.paper.analysis import analyse, check_stability
 from tsobs_ros.paper.claims import Claim, Verdict, check_printed, claims_text, judge
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2, example_3
@@ -151,16 +151,14 @@ def make_paper_report(
         force: Whether to replace existing files.
 
     Raises:
-        OutputError: The folder has such files already.
+        OutputError: The folder has such files already, or a file cannot be written.
         ModelError: `seeds` is below 1.
-        OSError: The folder or a file cannot be written.
     """
     if seeds < 1:
         raise ModelError(f"seeds: expected at least 1, got {seeds!r}")
-    page, table, data = (output / f"paper.{kind}" for kind in ("html", "md", "json"))
-    require_new([page, table, data, *output.glob("example_*.png")], force=force)
+    names = [f"paper.{kind}" for kind in ("html", "md", "json")]
+    require_new([*map(output.joinpath, names), *output.glob("example_*.png")], force=force)
     started = time.perf_counter()
-    output.mkdir(parents=True, exist_ok=True)
     examples = first, second, arm = example_1(), example_2(), example_3()
     runs = {}
     with tqdm(total=3, disable=not progress, unit="example", leave=False) as bar:
@@ -171,16 +169,22 @@ def make_paper_report(
         bar.update()
         verdict = check_stability(arm.system.A, arm.alpha)
         claims = tuple(judge(runs, verdict, check_printed(first, arm), comparison))
-        figures = {name: draw_example(run, output) for name, run in runs.items()}
-        figures[arm.name] = draw_arm(comparison, output)
-    parts = _parts(claims, runs, comparison, "\n\n".join(map(_analysis, examples)), figures)
-    drawn = tuple(each for own in figures.values() for each in own)
-    seconds = time.perf_counter() - started
-    report = PaperReport(output, claims, _numbers(runs, comparison), drawn, seconds)
-    page.write_text(html_page(parts), encoding="utf-8")
-    table.write_text(markdown(parts), encoding="utf-8")
-    text = json.dumps(report.as_mapping(), indent=2, ensure_ascii=False)
-    data.write_text(text + "\n", encoding="utf-8")
+    with written_whole(output, force=force) as folder:
+        figures = {name: draw_example(run, folder) for name, run in runs.items()}
+        figures[arm.name] = draw_arm(comparison, folder)
+        parts = _parts(claims, runs, comparison, "\n\n".join(map(_analysis, examples)), figures)
+        drawn = tuple(
+            one._replace(path=output / one.path.name, narrow=output / one.narrow.name)
+            for own in figures.values()
+            for one in own
+        )
+        seconds = time.perf_counter() - started
+        report = PaperReport(output, claims, _numbers(runs, comparison), drawn, seconds)
+        page, table, data = (folder / name for name in names)
+        page.write_text(html_page(parts), encoding="utf-8")
+        table.write_text(markdown(parts), encoding="utf-8")
+        text = json.dumps(report.as_mapping(), indent=2, ensure_ascii=False)
+        data.write_text(text + "\n", encoding="utf-8")
     return report
 
 

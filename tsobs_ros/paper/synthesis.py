@@ -15,13 +15,12 @@ when P and Qᵢ are multiplied by a number, so (38) never decides whether a desi
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import version
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, non_negative
-from tsobs_ros.design.lyapunov import smallest_lyapunov
+from tsobs_ros.design.lyapunov import smallest_lyapunov, solver_version
 from tsobs_ros.design.record import SolverReport
 from tsobs_ros.errors import DesignError, DetectabilityError
 from tsobs_ros.paper.analysis import StabilityVerdict, check_stability
@@ -157,7 +156,7 @@ def design_adaptive_observer(
             Gamma=gains,
             solver=SolverReport(
                 name="Clarabel",
-                version=f"{version('clarabel')} (cvxpy {version('cvxpy')})",
+                version=solver_version(),
                 status=solution.status,
                 iterations=solution.iterations,
                 seconds=round(time.perf_counter() - started, 3),

@@ -255,11 +255,22 @@ def _split(lines: Iterable[str], separator: str) -> Iterator[Row]:
         lines = map(_single_blanks, lines)
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=separator != " ")
     try:
+        last = 0
         for cells in reader:
+            if reader.line_num > last + 1:
+                _check_quotes(last + 1, cells, separator)
+            last = reader.line_num
             if cells:
-                yield reader.line_num, cells
+                yield last, cells
     except csv.Error as error:
         raise LogError(f"line {reader.line_num}: {error}") from error
+
+
+def _check_quotes(line: int, cells: Sequence[str], separator: str) -> None:
+    """Raise `LogError` if a cell of several lines has whole lines of the log in it."""
+    for inner in (inner for cell in cells for inner in cell.splitlines()[1:-1]):
+        if inner.count(separator) + 1 >= len(cells):
+            raise LogError(f"line {line}: a quote opens a cell that is not closed there")
 
 
 def _stripped(rows: Iterable[Row]) -> list[Row]:

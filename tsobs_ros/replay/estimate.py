@@ -24,7 +24,7 @@ from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.joint_series import JointSeries, Times
 from tsobs_ros.bag.joint_states import JOINT_STATE
 from tsobs_ros.bag.metadata import QosProfile
-from tsobs_ros.bag.writer import BagWriter, Message, MessageSeries
+from tsobs_ros.bag.writer import Message, MessageSeries, whole_bag
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
@@ -418,7 +418,7 @@ def run_all(
         return
     own = (topic.definition for topic in source.topics if topic.type == JOINT_STATE)
     definition = next(own, None) or find_definition(JOINT_STATE)
-    with BagWriter(output, custom_data={"estimated from": str(source.path)}) as writer:
+    with whole_bag(output, custom_data={"estimated from": str(source.path)}) as writer:
         bag = EstimateBag(source, writer, estimates_only=estimates_only)
         for name in chain.from_iterable(run.topics for run in runs):
             writer.add_topic(name, JOINT_STATE, [QosProfile()], definition=definition)

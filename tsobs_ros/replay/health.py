@@ -38,6 +38,8 @@ _FORMER_BASES = (0, 1, 3, 4, 5, 6, 7, 8, 9)
 _FORMER_LEARNING = (0, 1, 2, 2, 2)
 _FORMER_HYPOTHESES = (0, 1, 1, 4, 5)
 
+PROVED = (Basis.CERTIFIED, Basis.LEARNT)
+"""What bounds rest on that are proved, of learnt parameters but for what is uncertain of them."""
 _WRONG = (Basis.CONTRADICTED, Basis.HYPOTHESIS, Basis.OUTSIDE)
 _OF_SENSOR = (Hypothesis.LOUD, Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT, Hypothesis.TONE)
 # Of simulated arms: at most .05 of the time if the design is theirs, at least .4 with another arm,
@@ -143,6 +145,11 @@ class Health(NamedTuple):
     def certified(self) -> float:
         """Share of the estimates with a certified bound."""
         return self.bases.get(Basis.CERTIFIED, 0.0)
+
+    @property
+    def proved(self) -> float:
+        """Share of the estimates with a bound of `PROVED`."""
+        return sum(self.bases.get(basis, 0.0) for basis in PROVED)
 
     @property
     def misfit(self) -> str | None:

@@ -10,7 +10,7 @@ _MAX_KEPT = 2**16
 
 
 class ThinnedValues:
-    """Every k-th of the values that were added; all of them until there are 65,536.
+    """Every k-th of the finite values that were added; all of them until there are 65,536.
 
     A quantile of n values kept is one of all values whose share is off by about √(¼/n) at most if
     neighbours are independent: 0.2 % of the values. Neighbours that are alike make it better.
@@ -34,7 +34,8 @@ class ThinnedValues:
         return self._parts[0]
 
     def add(self, values: Array) -> None:
-        """Add values, shape (n,)."""
+        """Add values, shape (n,); those that are unknown are left out."""
+        values = values[np.isfinite(values)]
         chosen = values[-self._count % self._step :: self._step].copy()
         self._count += len(values)
         self._parts.append(chosen)

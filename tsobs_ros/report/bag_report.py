@@ -17,7 +17,7 @@ from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import TsobsError, missing_library, printable
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.files import require_new
+from tsobs_ros.files import require_new, written_whole
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs
 from tsobs_ros.replay.health import (
     EventFinder,
@@ -200,8 +200,7 @@ def make_bag_report(
         )
     if html and not page:
         remarks.append(f"note: no report.html: {missing_library('plotly')}")
-    try:
-        output.mkdir(parents=True, exist_ok=True)
+    with written_whole(output, ReportError, force=force) as folder:
         # Here, so that matplotlib and plotly are needed only for what they draw.
         from tsobs_ros.report.figures import draw_run
 
@@ -216,32 +215,32 @@ def make_bag_report(
             diagnosed=diagnosed,
             rival=None if comparison is None else rival.of(comparison.method),
         )
-        health = health_of.sum.result()
+        health, events = health_of.sum.result(), tuple(health_of.finder.events)
         report = BagReport(
             bag=bag,
             joint=run.joint,
             design=file,
             metrics=metrics,
             health=health,
-            events=tuple(health_of.finder.events),
+            events=events,
             begin=run.origin,
             comparison=comparison,
-            summary=summarise(metrics, health, diagnosed, shown.timing, quantities_of(request)),
+            summary=summarise(
+                metrics, health, diagnosed, shown.timing, quantities_of(request), events
+            ),
             diagnosed=diagnosed,
             timing=shown.timing,
             notes=dict(notes),
             files=written,
             remarks=tuple(remarks),
         )
-        draw_run(shown, *written[:2])
+        draw_run(shown, *(folder / name for name in names[:2]))
         if page:
             from tsobs_ros.report.page import write_html
 
-            write_html(shown, written[2], about(report, ran))
+            write_html(shown, folder / names[2], about(report, ran))
         text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
-        written[-1].write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ReportError(f"cannot write the report: {error}") from error
+        (folder / names[-1]).write_text(text + "\n", encoding="utf-8")
     return report
 
 

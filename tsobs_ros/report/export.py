@@ -27,6 +27,7 @@ from tsobs_ros.design.file import parse_design
 from tsobs_ros.design.request import ArmRequest
 from tsobs_ros.design.signals import signals
 from tsobs_ros.errors import BagReadError, ExportError, MessageError, TsobsError
+from tsobs_ros.files import written_whole
 from tsobs_ros.replay.designs import recorded_observer
 
 FORMATS = ("csv", "parquet")
@@ -383,13 +384,13 @@ def export_bag(
     units = _units_of_systems(reader)
     tables = [(Table(reader, topic, units), path) for topic, path in paths.items()]
     exported = []
-    for table, path in tables:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write(table, path)
-        except OSError as error:
-            raise ExportError(f"{path}: cannot write it: {error}") from error
-        exported.append(Exported(table.topic, path, table.count, len(table.columns), table.damage))
+    with written_whole(Path(output), ExportError) as folder:
+        for table, path in tables:
+            partial = folder / path.relative_to(output)
+            partial.parent.mkdir(parents=True, exist_ok=True)
+            write(table, partial)
+            counts = table.count, len(table.columns)
+            exported.append(Exported(table.topic, path, *counts, table.damage))
     return exported
 
 

@@ -480,9 +480,9 @@ class _Quantity:
         values, bound, truth = one.values, one.bounds, one.truth
         self._estimate.add(run.times, values)
         self._bands.add(run.times, values, bound)
-        self._show("estimate", values)
-        self._show("upper", values + SIGMAS * bound)
-        self._show("lower", values - SIGMAS * bound)
+        self._shares["estimate"][1].add(values)
+        self._shares["upper"][1].add(values + SIGMAS * bound)
+        self._shares["lower"][1].add(values - SIGMAS * bound)
         if truth is not None:
             own = run.covers(truth.stamps)
             self._truth.add(truth.seconds(run.origin)[own], truth.values[own, 0])
@@ -492,7 +492,7 @@ class _Quantity:
             # What is outside of the time axis must not squeeze the rest.
             own = (times >= 0.0) & (times <= run.times.max(initial=0.0) + _MAX_AHEAD)
             self._dots.add(times[own], measured.values[own, column])
-            self._show("dots", measured.values[:, column])
+            self._shares["dots"][1].add(measured.values[:, column])
         if truth is not None:
             error = one.error
             self._error_is_known |= bool(np.isfinite(error).any())
@@ -501,9 +501,6 @@ class _Quantity:
             size = _max_error(run, self._metrics, error, bound)
             self._error_size = max(self._error_size, size)
         return truth is not None
-
-    def _show(self, name: str, values: Array) -> None:
-        self._shares[name][1].add(values[np.isfinite(values)])
 
     def panel(self, rival: tuple[Curve, Curve] | None) -> Panel:
         quantity = self._quantity
@@ -799,20 +796,26 @@ class _Health:
 
     def panel(self) -> Panel:
         scale, coloured = self._scale.curve(), self._coloured.curve()
-        largest = float(scale.values.max())
-        low = min(0.0, float(coloured.values.min()))
-        high = max(largest, 1.5, float(coloured.values.max()))
-        margin = 0.08 * (high - low)
+        known = self._scales.values
+        sizes = "not known"
+        if len(known):
+            sizes = f"median {np.median(known):.2f}, at most {np.nanmax(scale.values):.2f}"
         shares = zip(Hypothesis, (self._hypotheses / self.count).tolist(), strict=True)
         remark = (
+<<<<<<< HEAD
             f"median {np.median(self._scales.values):.2f}, at most {largest:.2f}",
             f"marked: no bound is claimed, {100.0 * self._void / self.count:.3g} %",
             *(f"{100.0 * share:.3g} % {words(one)}" for one, share in shares if share),
+=======
+            sizes,
+            f"marked: void bound, {100.0 * self._void / self.count:.3g} %",
+            *(f"{100.0 * share:.3g} % {_words(one)}" for one, share in shares if share),
+>>>>>>> main
         )
         ends = [*self._edges, self._last][: 2 * ((len(self._edges) + 1) // 2)]
         plot = Plot(
             "noise scale",
-            (low - margin, high + margin),
+            _around([scale.values, coloured.values, np.array([1.5])], zero=True),
             estimate=scale,
             other=(coloured, "coloured power"),
             spans=tuple(zip(ends[::2], ends[1::2], strict=True)),

@@ -347,6 +347,7 @@ class FoundObserver:
         entries: tuple[str, ...],
     ) -> None:
         self._reader, self._observer, self._names, self.ran = reader, observer, names, ran
+        self._entries = entries
         links = [one.removesuffix("_link") for one in entries if one.endswith("_link")]
         arms = [joint for joint in links if topics.sides(joint)[1] in entries]
         self._has_names = {one.partition("/")[0] for one in entries if "/" in one}
@@ -363,6 +364,14 @@ class FoundObserver:
             BagReadError: There are no estimates of such a joint, or of several.
         """
         self._require({key: self._names[key] for key in ("states",)})
+        if not self._entries:
+            made = self._reader.topics.get(self._names["measurements"] or "")
+            of = "" if made is None else f" of {made.count} measurements on {made.name}"
+            raise BagReadError(
+                f"{self._reader.path}: the observer made no estimate{of}; its design may be of "
+                "another arm or system, and its log and /diagnostics say why measurements were "
+                "rejected"
+            )
         return _choose_joint(self._reader.path, self.joints, joint)
 
     def run(
@@ -777,6 +786,7 @@ def interpolate_motion(series: Series, stamps: Stamps, max_gap: float = MAX_GAP)
         The motion, shape (m, 4).
     """
     result = np.full((len(stamps), 4), np.nan)
+    series = _known(series)
     if len(series.stamps) < 2:
         return result
     inside = _between_close_samples(series.stamps, stamps, max_gap)
@@ -786,6 +796,12 @@ def interpolate_motion(series: Series, stamps: Stamps, max_gap: float = MAX_GAP)
     result[inside, 0::2] = spline(wanted)
     result[inside, 1::2] = spline(wanted, 1)
     return result
+
+
+def _known(series: Series) -> Series:
+    """Return the samples without those that have a number that is none."""
+    known = np.isfinite(series.values).all(axis=1)
+    return Series(series.stamps[known], series.values[known])
 
 
 def interpolate(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
@@ -799,6 +815,7 @@ def interpolate(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Arr
         max_gap: Distance of neighbouring samples that still counts as sampled [s].
     """
     result = np.full((len(stamps), series.values.shape[1]), np.nan)
+    series = _known(series)
     if len(series.stamps) < 2:
         return result
     inside = _between_close_samples(series.stamps, stamps, max_gap)

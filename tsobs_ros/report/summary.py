@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run in plain words: how it went, and what its page has besides the panels."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from tsobs_ros.estimation.health import Level
+from tsobs_ros.estimation.health import Level, Phase
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.replay.health import Health
+from tsobs_ros.replay.health import Health, JointEvent
 from tsobs_ros.report.diagnosed import Diagnosed
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
 from tsobs_ros.report.panels import TimingSummary
@@ -17,7 +17,8 @@ from tsobs_ros.report.quantities import Quantity
 _INSIDE, _TOO_FEW = 0.99, 8.0 / 9.0
 _EXPECTED = (0.5, 2.0)
 _MANY_LOST = 0.01
-_PROVED = (Basis.CERTIFIED, Basis.LEARNT)
+_CLAIMED = 0.4
+"""Share of bounds that have to be claimed in a good run: a start and a jump of 20 s leave more."""
 
 
 class Table(NamedTuple):
@@ -79,6 +80,7 @@ def summarise(
     diagnosed: Diagnosed,
     timing: TimingSummary,
     quantities: Sequence[Quantity],
+    events: Iterable[JointEvent] = (),
 ) -> Summary:
     """Return how a run went, by its errors if they are known, else by its innovations.
 
@@ -88,12 +90,15 @@ def summarise(
         diagnosed: Faults and rejects, if recorded.
         timing: Of its measurements.
         quantities: What is estimated.
+        events: Changes of the estimates' health.
     """
+    silent = sum(one.event.text.startswith(Phase.COASTING.value) for one in events)
     parts = [
         _of_estimates(metrics, quantities),
         _of_bounds(health),
         _of_faults(diagnosed, metrics),
         _of_data(metrics, diagnosed, timing),
+        (Level.WARN, f"Measurements stayed away {silent} times.") if silent else None,
     ]
     levels, sentences = zip(*[part for part in parts if part is not None], strict=True)
     return Summary(max(levels), sentences)
@@ -135,11 +140,12 @@ def _of_bounds(health: Health | None) -> tuple[Level, str] | None:
         return None
     if health.misfit:
         return Level.WARN, f"{health.misfit[0].upper()}{health.misfit[1:]}."
-    proved, learnt = (health.bases.get(basis, 0.0) for basis in _PROVED)
+    learnt = health.bases.get(Basis.LEARNT, 0.0)
     but = ", but for what is uncertain of the learnt parameters," if learnt else ""
-    return Level.OK, (
-        f"The bounds were claimed to hold for {_percent(health.claimed)} of the time, and "
-        f"proved{but} for {_percent(proved + learnt)}."
+    level, only = (Level.OK, "") if health.claimed >= _CLAIMED else (Level.WARN, "only ")
+    return level, (
+        f"The bounds were claimed to hold for {only}{_percent(health.claimed)} of the time, and "
+        f"proved{but} for {_percent(health.proved)}."
     )
 
 

@@ -62,7 +62,7 @@ def test_senseless_or_structural_changes_are_refused_with_a_reason(
 @pytest.mark.parametrize(
     ("overrides", "reason"),
     [
-        ({"rate": 0.0}, "rate"),
+        ({"rate": -1.0}, "rate"),
         ({"joints": [""]}, "joints: expected names"),
         ({"joints": []}, "joints: expected names"),
         ({"joints": ["hip", "knee", "hip"]}, "joints: expected names, each once"),

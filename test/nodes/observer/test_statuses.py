@@ -68,6 +68,7 @@ def test_a_joint_waits_tracks_coasts_and_is_stale(hold: bool) -> None:
     waiting, _ = statuses(joints, BEGIN)
     assert waiting["state"][1:3] == (Level.WARN, "WAITING")
     assert waiting["premise domain"].message == "no estimate yet"
+    assert not any("nan" in value for each in waiting.values() for value in each.values.values())
     assert joint.estimate(BEGIN, hold=hold) is None
     last = feed(joints, 40)
     for age, phase, level in (
@@ -215,6 +216,8 @@ def test_another_rate_than_the_designs_is_told_once_and_when_it_is_over(
     assert news[3][0] == Level.WARN
     assert news[3][1].startswith(f"measurements come {text}; set `rate` of its request")
     assert news[13] == (Level.OK, "measurements come at 200 Hz, the design is for that")
+    measured = statuses([joint], round(stamp))[0]["certificate"].values["measured rate [Hz]"]
+    assert float(measured) == pytest.approx(200.0, rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -42,10 +42,20 @@ def swing(count: int, prefix: str = "") -> list[Event]:
     return found
 
 
+def test_estimates_come_as_often_as_the_design_expects_measurements(
+    stage: Stage, pendulum: Path
+) -> None:
+    stage.add(joints=["pendulum"], design=str(pendulum))
+    stage.step(BEGIN - PERIOD)
+    stage.play(swing(60))
+    # The file's rate is 100 Hz, the time goes on by 5 ms.
+    assert set(np.diff(stage.watcher.stamps)) == {2 * PERIOD}
+
+
 def test_a_system_alone_has_the_names_of_its_file(
     stage: Stage, pendulum: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    observer = stage.add(joints=["pendulum"], design=str(pendulum))
+    observer = stage.add(joints=["pendulum"], design=str(pendulum), rate=200.0)
     stage.step(BEGIN - PERIOD)
     events = swing(60)
     # Without a gyroscope, and without any output.

@@ -63,7 +63,7 @@ def test_senseless_sets_are_refused_with_a_reason(
 @pytest.mark.parametrize(
     ("overrides", "reason"),
     [
-        ({"rate": 0.0}, "rate"),
+        ({"rate": -1.0}, "rate"),
         ({"initial_state": [0.1, 0.2]}, "initial_state: expected four"),
         ({"mismatch__stiffness": -1.0}, "mismatch stiffness"),
         ({"arm__link_inertia": 0.0}, "link_inertia"),

@@ -44,6 +44,8 @@ _WARNING_PERIOD = 5.0
 # left of half a period is for the estimation. The rest waits in the queue.
 _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
+# What one node can do [Hz]; a design may be for more.
+_FASTEST = 2000.0
 _PATIENCE = 3_000_000_000
 """Time for which an output is missing before that is logged [ns]."""
 
@@ -82,7 +84,10 @@ class Observer(ManagedNode[ObserverParameters]):
         self._newest = b""
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
         self._next_warning: dict[object, float] = {}
-        self._meter = statuses.TickMeter(parameters.rate)
+        # That of the design, as its `rate` is that of the measurements; of several the fastest.
+        own = max(joint.loaded.design.request.rate for joint in self._joints)
+        self._rate = parameters.rate or min(own, _FASTEST)
+        self._meter = statuses.TickMeter(self._rate)
 
         places = {joint.name: joint.signals for joint in self._joints}
         self._reader = MeasurementReader(places, parameters.assume_zero_torque)
@@ -100,7 +105,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=", ".join(parameters.joints))
         self.offer_triggers({"reset": self._on_reset})
         self.create_service(SetBool, "~/enable", self._on_enable)
-        self._ticker = Ticker(self, 1.0 / parameters.rate, self._on_tick)
+        self._ticker = Ticker(self, 1.0 / self._rate, self._on_tick)
         # Only an executor notices arrivals.
         self.ticker = self._ticker if self._measurements.in_bulk and not at_once else None
         # Not the node's clock: a paused simulation is still worth a diagnosis.
@@ -217,7 +222,7 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _until(self) -> float:
         """Return when a tick that begins now has to stop working on what waits."""
-        return time.monotonic() + min(_MAX_SHARE / self.parameters.rate, _MAX_BACKLOG)
+        return time.monotonic() + min(_MAX_SHARE / self._rate, _MAX_BACKLOG)
 
     def _warn(self, joint: ObservedJoint, code: int, data: bytes, now: int) -> None:
         what, name = "torque" if code in OF_INPUT else "measurement", NAMES[code]

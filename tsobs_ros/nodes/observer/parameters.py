@@ -44,7 +44,11 @@ class ObserverParameters(ManagedParameters):
         maximum=100.0,
     )
     rate: float = fixed_parameter(
-        200.0, "Rate at which estimates are published", unit="Hz", minimum=1.0, maximum=2000.0
+        0.0,
+        "Rate at which estimates are published; 0: the design's",
+        unit="Hz",
+        minimum=0.0,
+        maximum=2000.0,
     )
     publish_on: str = fixed_parameter(
         "tick",

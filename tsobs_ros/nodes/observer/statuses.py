@@ -243,9 +243,10 @@ def _certificate_status(joint: ObservedJoint, method: str, now: int) -> Status:
         "design sha256": loaded.identity,
         "disturbance model": request.disturbance_model.label,
         "design rate [Hz]": f"{request.rate:g}",
-        "measured rate [Hz]": f"{joint.measured_rate:.4g}",
         "margin [1/s]": f"{loaded.design.certificate.worst.margin:.3e}",
     }
+    if not math.isnan(joint.measured_rate):
+        values["measured rate [Hz]"] = f"{joint.measured_rate:.4g}"
     if estimate is None:
         return Status("certificate", Level.OK, "no estimate yet", values)
     level, message = BOUNDS[estimate.basis]

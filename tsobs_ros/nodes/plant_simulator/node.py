@@ -66,7 +66,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         self._publish_sample = SamplePublisher(self, parameters)
         self._commands = TorqueCommands(self, parameters)
         self.offer_triggers({"reset": self._reset})
-        self._schedule = SampleSchedule(parameters.rate)
+        self._schedule = SampleSchedule(parameters.sample_rate)
         self._driven: ScaledTime | None = None
         if parameters.publish_clock:
             self._driven = ScaledTime(parameters.real_time_factor)
@@ -149,7 +149,7 @@ class PlantSimulatorNode(ManagedNode[PlantSimulatorParameters]):
         # A timer on the node's clock wakes up with each /clock message; only then does it serve,
         # since a system clock that is set back would stop it.
         clock = self.get_clock() if self._follows_clock else self._steady
-        self._timer = self.create_timer(1.0 / self._settings.rate, self._tick, clock=clock)
+        self._timer = self.create_timer(1.0 / self._settings.sample_rate, self._tick, clock=clock)
         self._tick()
 
     def _is_subscribed(self, waited: int) -> bool:

@@ -242,7 +242,13 @@ class PlantSimulatorParameters(ManagedParameters):
     joint_designs: tuple[str, ...] = fixed_parameter(
         (), "Such a file for each of `joints`, empty for that of `design`; no list: that for all"
     )
-    rate: float = fixed_parameter(200.0, "Samples a second", unit="Hz", minimum=1.0, maximum=5000.0)
+    rate: float = fixed_parameter(
+        0.0,
+        "Samples a second; 0: the design's, 200 without one",
+        unit="Hz",
+        minimum=0.0,
+        maximum=5000.0,
+    )
     seed: int = parameter(0, "Seed of everything random, used from the next reset on", minimum=0)
     duration: float = fixed_parameter(
         0.0, "Simulated time after which the process ends; 0: never", unit="s", minimum=0.0
@@ -370,6 +376,11 @@ class PlantSimulatorParameters(ManagedParameters):
             joint: _request(path) if path else ArmRequest()
             for joint, path in self.design_of.items()
         }
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples a second of all joints [Hz]: `rate`, or the design's; of several the fastest."""
+        return self.rate or max(request.rate for request in self.requests.values())
 
     def sensor(self, noise_std: float) -> Sensor:
         """Return the sensor of an output with a standard deviation of its noise."""

@@ -81,7 +81,7 @@ def scenarios_of(parameters: "PlantSimulatorParameters") -> dict[str, Scenario |
         else:
             base = _own_arm(parameters, mismatch)
         own: dict[str, Any] = {
-            "rate": parameters.rate,
+            "rate": parameters.sample_rate,
             "duration": parameters.duration,
             "outputs": tuple(
                 _output(

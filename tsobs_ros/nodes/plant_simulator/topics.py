@@ -78,7 +78,7 @@ class TorqueCommands:
                 self._torques.append(own)
             held = math.inf
             if given.command_timeout > 0.0:
-                held = max(1, round(given.command_timeout * given.rate))
+                held = max(1, round(given.command_timeout * given.sample_rate))
             self._end = sample + held
 
     def at(self, sample: int) -> list[list[float]] | list[None]:

@@ -18,7 +18,9 @@ class PlayerParameters(ManagedParameters):
     """The node's parameters; `config/player.yaml` shows them with their reasons."""
 
     bag: str = fixed_parameter("", "Bag folder or .mcap file to play")
-    rate: float = parameter(1.0, "Seconds of the bag per second", minimum=0.01, maximum=100.0)
+    rate: float = parameter(
+        1.0, "Speed of the playback: seconds of the bag per second", minimum=0.01, maximum=100.0
+    )
     loop: bool = parameter(False, "Start again at the end")
     start_offset: float = fixed_parameter(
         0.0, "Start of each pass, from the bag's start", unit="s", minimum=0.0
