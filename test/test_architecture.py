@@ -47,11 +47,7 @@ MAY_IMPORT: dict[str, set[str]] = {
         "campaign",
         "comparison",
         "design",
-<<<<<<< HEAD
-        "executables",
         "exported",
-=======
->>>>>>> main
         "methods",
         "nodes",
         "paper",

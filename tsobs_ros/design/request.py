@@ -390,19 +390,13 @@ class ArmRequest(DesignProblem):
             rate_limit: Largest rate instead of the request's [N m/s]; 0 for that.
         """
         arm = self.arm
-<<<<<<< HEAD
         inertia = arm.link_inertia + arm.motor_inertia
         angle, speed = self.reach[:2].tolist()
         largest = 10.0 * (arm.gravity_torque + inertia * speed * speed / angle)
-        return TorqueLimits.of(
-            limit or self.torque_limit, rate_limit or self.torque_rate_limit, largest
-=======
-        largest = 10.0 * arm.gravity_torque + 100.0 * (arm.link_inertia + arm.motor_inertia)
         # What a torque may be while it is unknown stays of the arm's size.
         known, rate = (
             0.0 if each is not None and each >= NO_LIMIT else each
             for each in (limit or self.torque_limit, rate_limit or self.torque_rate_limit)
->>>>>>> main
         )
         return TorqueLimits.of(known, rate, largest)
 

@@ -802,15 +802,9 @@ class _Health:
             sizes = f"median {np.median(known):.2f}, at most {np.nanmax(scale.values):.2f}"
         shares = zip(Hypothesis, (self._hypotheses / self.count).tolist(), strict=True)
         remark = (
-<<<<<<< HEAD
-            f"median {np.median(self._scales.values):.2f}, at most {largest:.2f}",
+            sizes,
             f"marked: no bound is claimed, {100.0 * self._void / self.count:.3g} %",
             *(f"{100.0 * share:.3g} % {words(one)}" for one, share in shares if share),
-=======
-            sizes,
-            f"marked: void bound, {100.0 * self._void / self.count:.3g} %",
-            *(f"{100.0 * share:.3g} % {_words(one)}" for one, share in shares if share),
->>>>>>> main
         )
         ends = [*self._edges, self._last][: 2 * ((len(self._edges) + 1) // 2)]
         plot = Plot(
