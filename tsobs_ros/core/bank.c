@@ -469,14 +469,14 @@ static void open_fork(
     }
 }
 
-/* Suppose that something happened at this sample, of which the best one takes an output for an
- * outlier. */
+/* Suppose that something happened at this sample, which the parent did not expect from an output and
+ * is not corrected by yet; the outputs that it takes for regular are of `weigh`. */
 static void suppose(
-    const model *m, state *at, long parent, int64_t fork, long output, double likelihood,
-    double innovation, correction *effect)
+    const model *m, state *at, long parent, int64_t fork, long output, correction *effect)
 {
     const double price = m->constants[fork == MOVED ? LOST_PRICE : FORK_PRICE];
     const double score = *hypothesis_of(m, at, parent).score - price;
+    const double innovation = effect->innovation[output];
     const long place = place_for(m, at, score);
     hypothesis h = hypothesis_of(m, at, parent);
     const double disturbance
@@ -486,13 +486,20 @@ static void suppose(
     }
     copy_hypothesis(m, at, parent, place);
     h = hypothesis_of(m, at, place);
-    leave_certified(m, &h, fork == JUMPED ? BASIS_JUMP : BASIS_STARTING);
+    leave_certified(m, &h, BASIS_STARTING);
     *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
     *h.fork = fork;
     *h.age = 0.0;
     *h.inlier = 1.0;
+    *h.score = score;
     open_fork(m, &h, fork, output, innovation);
-    *h.score = score - likelihood + correct_by(m, at, &h, output, 0, effect);
+    for (long i = 0; i < m->s.p; i++) {
+        if (i == output || effect->used[i]) {
+            *h.score += correct_by(m, at, &h, i, 0, effect);
+        } else {
+            *h.score += effect->likelihoods[i];
+        }
+    }
     *h.corrected = 1;
     if (!isfinite(*h.score)) {
         drop(m, at, place);
@@ -578,7 +585,7 @@ static void compare(const model *m, state *at)
         if (*h.live == 0) {
             continue;
         }
-        *h.score -= most;
+        *h.score = (*h.score - most) * (1.0 - share_of(*at->since, m->constants[FADE]));
         if (i < STANDING && *h.score < -m->constants[FLOOR]) {
             *h.score = -m->constants[FLOOR];
         }
@@ -663,68 +670,79 @@ static void report(const model *m, const hypothesis *best, correction *effect)
     }
 }
 
-/* Correct all hypotheses, and fork the best one where it takes samples for outliers. */
+/* Fork the best hypothesis where it takes a sample for an outlier; a sensor may have jumped where a
+ * sample is only unlikely. Return whether there are outliers. */
+static int fork_best(const model *m, state *at, long best, correction *effect)
+{
+    int outliers = 0;
+    for (long i = 0; i < m->s.p; i++) {
+        const double square = effect->innovation[i] * effect->innovation[i];
+        const double sudden = m->constants[SUDDEN] * m->constants[SUDDEN];
+        if (!(effect->weight[i] > 0.0)) {
+            continue;
+        }
+        if (!effect->used[i]) {
+            outliers = 1;
+            if (*m->design_flow.kind == KIND_ARM) {
+                suppose(m, at, best, HIT, i, effect);
+            }
+            suppose(m, at, best, MOVED, i, effect);
+        }
+        if (!effect->used[i]
+            || (m->disturbed[i] != 0
+                && square > sudden * effect->innovation_covariance[i * m->s.p + i])) {
+            suppose(m, at, best, JUMPED, i, effect);
+        }
+    }
+    return outliers;
+}
+
+/* Correct one hypothesis by a sample. */
+static void correct_one(const model *m, state *at, long place, correction *effect)
+{
+    hypothesis h = hypothesis_of(m, at, place);
+    distrust_stuck(m, at, &h, effect);
+    weigh(m, at, &h, effect);
+    if (place == AS_DESIGNED && *at->awake > 0.0) {
+        listen(m, at, effect);
+        weigh(m, at, &h, effect);
+    }
+    *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
+}
+
+/* Correct all hypotheses, and fork the best one where it does not expect a sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
-    const long p = (long)m->s.p, parent = (long)*at->best;
-    int outliers = 0, signs;
-    hypothesis h = hypothesis_of(m, at, parent);
+    const long p = (long)m->s.p, best = (long)*at->best;
+    int outliers, signs;
+    hypothesis h = hypothesis_of(m, at, best);
     examine(m, at, effect);
     weigh(m, at, &h, effect);
     report(m, &h, effect);
     *at->moving = moves(m, at, &h);
-    for (long i = 0; i < p; i++) {
-        outliers += effect->weight[i] > 0.0 && !effect->used[i];
-    }
-    signs = outliers > 0 || shows_signs(m, &h);
-    if (signs && *at->age > 0.0) {
-        wake(m, at);
-    }
     if (*at->torque_step != 0.0) {
         suppose_no_step(m, at);
     }
-    for (long i = m->s.hypotheses - 1; i >= 0; i--) {
-        if (i == parent) {
-            continue;
-        }
-        h = hypothesis_of(m, at, i);
-        if (*h.live != 0) {
-            distrust_stuck(m, at, &h, effect);
-            weigh(m, at, &h, effect);
-            if (i == AS_DESIGNED && *at->awake > 0.0) {
-                listen(m, at, effect);
-                weigh(m, at, &h, effect);
-            }
-            *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
-        }
-    }
-    h = hypothesis_of(m, at, parent);
-    distrust_stuck(m, at, &h, effect);
-    weigh(m, at, &h, effect);
-    if (parent == AS_DESIGNED && *at->awake > 0.0) {
-        listen(m, at, effect);
-        weigh(m, at, &h, effect);
-    }
+    signs = shows_signs(m, &h);
     for (long i = 0; i < p; i++) {
-        if (effect->weight[i] > 0.0 && !effect->used[i]) {
-            effect->weight[i] = 0.0;
+        signs = signs || (effect->weight[i] > 0.0 && !effect->used[i]);
+    }
+    if (signs && *at->age > 0.0) {
+        wake(m, at);
+    }
+    for (long i = m->s.hypotheses - 1; i >= 0; i--) {
+        if (i != best && *hypothesis_of(m, at, i).live != 0) {
+            correct_one(m, at, i, effect);
         }
     }
+    weigh(m, at, &h, effect);
+    outliers = fork_best(m, at, best, effect);
     memset(effect->gain, 0, (size_t)(m->s.width * p) * sizeof(double));
-    *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
-    for (long i = 0; outliers > 0 && i < p; i++) {
-        const sensor of = sensor_of(m, at, i);
-        if (at->y[i] == at->y[i] && effect->weight[i] == 0.0 && !is_stuck(m, &of)) {
-            const double likelihood = effect->likelihoods[i];
-            const double innovation = effect->innovation[i];
-            suppose(m, at, parent, JUMPED, i, likelihood, innovation, effect);
-            if (*m->design_flow.kind == KIND_ARM) {
-                suppose(m, at, parent, HIT, i, likelihood, innovation, effect);
-            }
-            suppose(m, at, parent, MOVED, i, likelihood, innovation, effect);
-        }
+    correct_one(m, at, best, effect);
+    for (long i = 0; i < p; i++) {
+        effect->weight[i] = effect->used[i] ? effect->weight[i] : 0.0;
     }
-    *at->outliers += outliers > 0;
+    *at->outliers += outliers;
     compare(m, at);
     select_forks(m, at);
     for (long kind = 0; kind < STANDING; kind++) {

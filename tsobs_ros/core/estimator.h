@@ -65,6 +65,8 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
     C(FORK_PRICE, 10.0, "prior of a jump or a hit at an outlier [nat]")                        \
     C(LOST_PRICE, 14.0, "prior of an arm that is elsewhere at an outlier [nat]")               \
     C(TORQUE_PRICE, 2.2, "prior of a torque step that the arm did not get [nat]")              \
+    C(SUDDEN, 4.0, "innovation at which a sensor may have jumped [sigma]")                     \
+    C(FADE, 30.0, "time in which scores are forgotten [s]")                                    \
     C(TRIAL, 1.0, "age at which the best fork takes its parent's place [s]")                   \
     C(LIFE, 3.0, "age to which other forks live [s]")                                          \
     C(NOISE_FACTOR, 16.0, "variance of loud noise, by the design's")                           \
@@ -82,7 +84,7 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
     C(SIGN_COLOUR, 0.3, "product of neighbouring innovations that does")                       \
     C(AWAKE, 5.0, "time from the last sign to sleep [s]")                                      \
     C(SLOW_TIME, 0.4, "time constant of slow innovations [s]")                                 \
-    C(POWER_TIME, 5.0, "time constant of their power [s]")                                     \
+    C(POWER_TIME, 2.5, "time constant of their power [s]")                                     \
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
     C(CURVED, 0.3, "share of a learnt distance by which regressors are wrong")                 \
     C(QUIET, 0.28, "slow power that white noise leaves, by that of all innovations")           \
