@@ -64,13 +64,13 @@ ABLATIONS: dict[str, dict[str, float]] = {
         "DRIFT_SIZE": 0.0, "TONE_SIGN": _OFF, "FORK_PRICE": _OFF, "LOST_PRICE": _OFF,
         "TORQUE_PRICE": _OFF,
     },
+    "jumps at outliers only": {"SUDDEN": _OFF},
     "no OCCAM": {"OCCAM": 0.0},
+    "no FADE": {"FADE": _OFF},
     "no significance": {"significance": 0.0},
     "no passes": {"pass_time": _OFF},
-    "learning at rest": {"MOVING": 0.0},
     "no widening": {"QUIET": _OFF},
     "no CURVED": {"CURVED": 0.0},
-    "no VOID": {"VOID": _OFF},
 }  # fmt: skip
 """What is changed of constants and of the model's record, by what is lost."""
 
