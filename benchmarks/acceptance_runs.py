@@ -76,8 +76,8 @@ class Outcome(NamedTuple):
         inside: Shares of errors within three bounds, of the states and the disturbance, (runs, 5).
         claimed: Share of samples whose bounds are claimed to hold, shape (runs,).
         broken: Share of them in which an error is beyond three bounds, 0 if there are none.
-        honest: Share of samples with every error within three bounds, or with bounds said to be
-            none.
+        honest: Share of samples with every error within three bounds, or with bounds that are not
+            claimed to hold.
         foreign: Longest time with another hypothesis than the design's, from the start on [s].
         theta: RMS error of each parameter over the settled window, shape (runs, k).
         theta_inside: Share of valid parameters within three bounds, NaN if none is valid, (runs,).
@@ -146,7 +146,7 @@ def kalman(
         ekf.reset()
         rows.append(ekf.follow(stamps, y, u))
     x, std, disturbance, disturbance_std, theta = (
-        np.stack([row[:, ekf.row_parts[name]] for row in rows])
+        np.stack([row[:, ekf.estimator.row_parts[name]] for row in rows])
         for name in ("state", "state_bound", "disturbance", "disturbance_bound", "parameters")
     )
     to_design = design.arm_request.arm.from_physical

@@ -88,10 +88,10 @@ def rivals(path: Path) -> None:
     """The table of docs/acceptance.md as a figure: our error over the better Kalman filter's."""
     page = (ROOT / "docs" / "acceptance.md").read_text(encoding="utf-8")
     table = page.partition("## Ours and its rivals")[2].partition("\n## ")[0]
-    rows = re.findall(r"^\| ([\w.]+) \|(?:[^|]*\|){4} (\d+\.\d+)[^|]*\|", table, re.MULTILINE)
+    rows = re.findall(r"^\| ([\w.]+) \|[^|]*\| \**(\d+\.\d+)[^|]*\|", table, re.MULTILINE)
     names, ratios = zip(*sorted(rows, key=lambda row: -float(row[1])), strict=True)
     values = np.array(ratios, float)
-    figure, axis = plt.subplots(layout="constrained", figsize=(7, 10))
+    figure, axis = plt.subplots(layout="constrained", figsize=(7, 1 + 0.18 * len(names)))
     for better, colour in ((True, BLUE), (False, ORANGE)):
         chosen = np.flatnonzero((values <= 1.0) == better)
         label = "more accurate" if better else "less accurate"

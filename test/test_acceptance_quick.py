@@ -186,11 +186,12 @@ def test_demands_are_of_the_better_rival_and_of_the_bounds(
         return {one.kind: one.passed for one in judge.demands(results)}
 
     assert judge.rival(found) == "ekf_gated"
-    assert verdicts() == {"ratio": True, "inside": True, "broken": True}
+    assert verdicts() == {"ratio": True, "inside": True, "broken": True, "claimed": True}
     assert not verdicts(errors=lost.errors)["ratio"]
     assert not verdicts(errors={"settled": np.array([np.nan, 0.01])})["ratio"]
     assert not verdicts(inside=good.inside - [0.0, 0.04, 0.0, 0.0, 0.0])["inside"]
     assert not verdicts(broken=good.broken + 0.04)["broken"]
+    assert not verdicts(claimed=0.8 * good.claimed)["claimed"]
 
 
 def test_settled_again_means_to_stay(bench: ModuleType) -> None:

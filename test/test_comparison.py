@@ -77,7 +77,9 @@ def test_what_has_no_bound_is_named_with_the_reason(comparison) -> None:
         "stiff_bursts", "coarse", "stiff_coarse", "wrong_effort_10", "wrong_effort_50",
         "wrong_effort_200", "wrong_effort_1000", "slight_friction", "friction", "link_friction",
         "stiff_friction", "correlated_0.8", "correlated_0.9", "correlated_0.97",
-        "stiff_correlated_0.9", "late_10ms", "late_20ms",
+        "stiff_correlated_0.9", "late_10ms", "late_20ms", "late_payload", "stiff_late_payload",
+        "backlash_0.005", "backlash_0.03", "stiff_backlash_0.03", "mix_friction_loud_steps",
+        "mix_payload_correlated_step",
     }  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
-from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_runner
+from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_tracker
 from tsobs_ros.model import disturbance
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
@@ -77,7 +77,7 @@ def compare_scenarios(
 ) -> ScenarioComparison:
     """Run observers on simulated scenarios, on all cores.
 
-    The scenarios' arm, rate and noise are the design's.
+    The scenarios' arm is the design's; rate and noise are in proportion to its own.
 
     Args:
         design: Of an arm with the link angle as its only output.
@@ -107,7 +107,7 @@ def compare_scenarios(
     for name in methods:
         chosen = contender(settings or ObserverSettings(), name)
         try:
-            make_runner(design, chosen)
+            make_tracker(design, chosen)
         except ModelError as error:
             remarks.append(f"{name} is left out: {error}")
             continue
@@ -128,13 +128,13 @@ def compare_scenarios(
 
 
 def fitted(scenario: Scenario, design: Design) -> Scenario:
-    """Return a scenario with the arm, the rate and the noise of a design."""
+    """Return a scenario with the arm of a design, and rate and noise in proportion to its own."""
     request, before = design.arm_request, Sensor().noise_std
     noise = scenario.sensor.noise_std * request.measurement_std / before
     return replace(
         scenario,
         arm=request.arm,
-        rate=request.rate,
+        rate=request.rate * scenario.rate / Scenario().rate,
         process_noise=request.process_noise,
         sensor=replace(scenario.sensor, noise_std=noise),
     )
@@ -176,6 +176,7 @@ def why_unbounded(scenario: Scenario) -> str:
     for there, why in (
         (friction, "friction, which no method has a model of"),
         (scenario.payload != Payload(), "a payload, which no method has a model of"),
+        (scenario.backlash > 0.0, "backlash, which no method has a model of"),
         (scenario.torque_disturbance != TorqueDisturbance(), "torques that no method knows"),
         (bool(scenario.torque_error), "a wrong torque, which no method has a model of"),
         (sensor.noise_time_constant > 0.0, "noise that is not white"),

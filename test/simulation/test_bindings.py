@@ -49,8 +49,8 @@ def system(**changes: Any) -> list[Any]:
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"arms": np.zeros(37)}, "arms: expected at least 38 numbers, got 37"),
-        ({"arms": np.zeros(38)}, "kicks: expected none, or two for each"),
+        ({"arms": np.zeros(39)}, "arms: expected at least 40 numbers, got 39"),
+        ({"arms": np.zeros(40)}, "kicks: expected none, or two for each"),
         ({"carried": np.array([0, 2, 0])}, "carried: expected 0 or 1"),
         ({"inputs": np.zeros(5)}, "inputs: expected at least 6"),
         ({"kicks": np.zeros(59)}, "kicks: expected none, or two for each"),

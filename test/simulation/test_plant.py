@@ -463,6 +463,34 @@ def test_a_payload_makes_another_arm_for_a_while() -> None:
     assert not run.torque_disturbances[:, 0].any()
 
 
+def test_play_frees_the_spring_within_it_and_is_a_torque_that_the_nominal_arm_lacks() -> None:
+    still = replace(QUIET, initial_state=(0.0,) * 4, excitation=NoTorque(), backlash=0.04)
+    arm = still.arm
+    free, held = (
+        Plant(
+            replace(still, initial_state=tuple(arm.from_physical([0.0, 0.0, twist, 0.0]).tolist()))
+        ).run(2)
+        for twist in (0.02, 0.03)
+    )
+    assert not free.physical[1, [1, 3]].any()
+    assert free.torque_disturbances[0] == pytest.approx([0.2, -0.2])
+    assert held.torque_disturbances[0] == pytest.approx([0.2, -0.2])
+    speeds = [0.1 / arm.link_inertia * 0.005, -0.1 / arm.motor_inertia * 0.005]
+    assert held.physical[1, [1, 3]] == pytest.approx(speeds, rel=0.01)
+
+
+def test_samples_get_lost_each_by_itself_and_no_outlier_does() -> None:
+    sensor = Sensor(0.0, outlier_probability=0.5, loss_probability=0.2)
+    run = Plant(replace(QUIET, sensor=sensor), [1, 2, 3]).run(4000)
+    lost = np.isnan(run.measurements[..., 0])
+    far = np.abs(run.measurements - run.physical[..., :1])[..., 0] > 0.5
+    assert lost.mean() == pytest.approx(0.2, abs=0.02)
+    assert (lost[:, 1:] & lost[:, :-1]).mean() == pytest.approx(0.04, abs=0.01)
+    assert far.mean() == pytest.approx(0.5, abs=0.03)
+    with pytest.raises(ModelError, match="loss_probability: expected 0 to 1, got"):
+        Sensor(loss_probability=1.5)
+
+
 def test_torque_disturbances_are_exchanged_on_the_way_and_move_an_arm_without_gravity() -> None:
     arm = ElasticJointArm(gravity_torque=0.0)
     rest = replace(QUIET, arm=arm, excitation=NoTorque(), initial_state=(0.0,) * 4)

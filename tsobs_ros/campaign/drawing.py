@@ -158,6 +158,8 @@ def _scenario(
     }
     return replace(
         base,
+        rate=known.rate,
+        backlash=known.backlash,
         mismatch=_together(known.mismatch, given.mismatch, mismatch),
         friction=_sum(known.friction, given.friction, damping),
         duration=duration,
@@ -175,8 +177,8 @@ def _scenario(
 def scenario_like(base: Scenario, name: str) -> Scenario:
     """Return a scenario of the simulator with the arm and the sensors of another.
 
-    What befalls the sensor befalls the first output; the noise's 1σ is in the same proportion to
-    the designed one.
+    What befalls the sensor befalls the first output; the noise's 1σ and the rate are in the same
+    proportion to the designed ones.
 
     Args:
         base: The plant as it is designed, of `plants.scenario_of`.
@@ -197,7 +199,7 @@ def scenario_like(base: Scenario, name: str) -> Scenario:
     return replace(
         known,
         arm=base.arm,
-        rate=base.rate,
+        rate=base.rate * known.rate / plain.rate,
         process_noise=base.process_noise,
         sensor=Sensor(),
         disturbance=(),

@@ -35,6 +35,8 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
     found = set(_arm(scenario, request))
     if scenario.payload.link_inertia or scenario.payload.gravity_torque:
         found.add("payload")
+    if scenario.backlash:
+        found.add("backlash")
     if scenario.torque_error:
         found.add("torque error")
     noise, designed = scenario.process_noise, request.process_noise

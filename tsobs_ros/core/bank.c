@@ -36,6 +36,9 @@ enum { REGULAR = 1, OUTLIER = 2 };
 /* Time for which they are listened to [s], which is a trial's of a tone, too. */
 #define TONE_MEMORY 5.0
 
+/* A filter that is alone starts its covariance again by what it left out for so long [s]. */
+#define PATIENCE 0.5
+
 /* --- views --- */
 
 int sizes_are_sound(const int64_t *numbers)
@@ -746,9 +749,6 @@ static void correct_bank(const model *m, state *at, correction *effect)
     outliers = fork_best(m, at, best, effect);
     memset(effect->gain, 0, (size_t)(m->s.width * p) * sizeof(double));
     correct_one(m, at, best, effect);
-    for (long i = 0; i < p; i++) {
-        effect->weight[i] = effect->used[i] ? effect->weight[i] : 0.0;
-    }
     *at->outliers += outliers;
     compare(m, at);
     select_forks(m, at);
@@ -760,6 +760,40 @@ static void correct_bank(const model *m, state *at, correction *effect)
         }
     }
     rest(m, at, signs);
+}
+
+/* Begin with the initial covariance again, and with the estimate as it is. */
+static void start_covariance(const model *m, hypothesis *h)
+{
+    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
+    state initial;
+    hypothesis first;
+    state_bind(&initial, &m->s, m->initial);
+    first = hypothesis_of(m, &initial, 0);
+    copy_matrix(first.covariance, width, h->covariance, width, n, n);
+    copy_matrix(first.gamma, k, h->gamma, k, k, k);
+    copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
+    *h->inlier = 1.0;
+    *h->age = 0.0;
+}
+
+/* Correct the only hypothesis, which starts its covariance again if it leaves out most samples. */
+static void correct_alone(const model *m, state *at, correction *effect)
+{
+    const double elapsed = minimum(larger(*at->since, *m->period), *m->longest);
+    hypothesis h = hypothesis_of(m, at, 0);
+    int there = 0, used = 0;
+    weigh(m, at, &h, effect);
+    report(m, &h, effect);
+    correct_hypothesis(m, at, &h, moves(m, at, &h), effect);
+    for (long i = 0; i < m->s.p; i++) {
+        there = there || effect->weight[i] > 0.0;
+        used = used || effect->used[i];
+    }
+    *h.inlier += there ? share_of(elapsed, PATIENCE) * ((double)used - *h.inlier) : 0.0;
+    if (*h.inlier < m->constants[REJECTING] && *h.age >= PATIENCE) {
+        start_covariance(m, &h);
+    }
 }
 
 void correct(const model *m, state *at, const double *y, correction *effect)
@@ -778,10 +812,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     if (*m->supervised != 0) {
         correct_bank(m, at, effect);
     } else {
-        hypothesis h = hypothesis_of(m, at, 0);
-        weigh(m, at, &h, effect);
-        report(m, &h, effect);
-        correct_hypothesis(m, at, &h, moves(m, at, &h), effect);
+        correct_alone(m, at, effect);
     }
     *at->since = 0.0;
     for (long i = 0; i < p; i++) {
@@ -790,7 +821,8 @@ void correct(const model *m, state *at, const double *y, correction *effect)
         if (there) {
             *of.since = 0.0;
         }
-        if (effect->weight[i] == 0.0) {
+        if (!effect->used[i]) {
+            effect->weight[i] = 0.0;
             *(there ? of.gated : of.missing) += 1;
         }
     }

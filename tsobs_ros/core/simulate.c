@@ -21,11 +21,21 @@ static double rub(double level, double speed)
     return level * (share < -1.0 ? -1.0 : share > 1.0 ? 1.0 : share);
 }
 
+/* Return the spring's twist, which is 0 within the play. */
+static double twist_of(const simulated_arm *arm, const double *x)
+{
+    const double turn = x[2] - x[0], free = *arm->free_play;
+    if (!(free > 0.0)) {
+        return turn;
+    }
+    return turn > free ? turn - free : turn < -free ? turn + free : 0.0;
+}
+
 /* Write the slope of an arm's state x, (4), by the motor's drive and the link's brake [rad/s2]. */
 static void arm_slope(
     const simulated_arm *arm, const double *x, double drive, double brake, double *slope)
 {
-    const double twist = x[2] - x[0];
+    const double twist = twist_of(arm, x);
     slope[0] = x[1];
     slope[1] = *arm->link_spring * twist - *arm->gravity * sine(x[0]) - *arm->link_drag * x[1] -
                rub(*arm->link_rub, x[1]) - brake;
@@ -60,16 +70,21 @@ static void step_arm(const simulated_arm *arm, double drive, double brake, doubl
 }
 
 /* Turn pushes on motor and link into the torques that an arm without friction and payload would
- * need: less friction, and on the link less what turns the payload and holds it,
- * dJ q1'' + dmgl sin q1. */
+ * need: less friction, the spring's torque that play lacks, and on the link less what turns the
+ * payload and holds it, dJ q1'' + dmgl sin q1. */
 static void less_friction_and_payload(const simulated_arm *arm, const double *x, double *torques)
 {
     const double push = torques[1], inertia = *arm->added_inertia, weight = *arm->added_gravity;
     torques[0] = torques[0] - *arm->motor_viscous * x[3] - rub(*arm->motor_coulomb, x[3]);
     torques[1] = push - *arm->link_viscous * x[1] - rub(*arm->link_coulomb, x[1]);
+    if (*arm->free_play > 0.0) {
+        const double slack = x[2] - x[0] - twist_of(arm, x);
+        torques[0] += *arm->motor_inertia * *arm->motor_spring * slack;
+        torques[1] -= *arm->link_inertia * *arm->link_spring * slack;
+    }
     if (inertia > 0.0 || weight > 0.0) {
         const double pull = *arm->gravity * sine(x[0]);
-        double speeding = *arm->link_spring * (x[2] - x[0]) - pull - *arm->link_drag * x[1];
+        double speeding = *arm->link_spring * twist_of(arm, x) - pull - *arm->link_drag * x[1];
         speeding -= rub(*arm->link_rub, x[1]);
         speeding += push / *arm->link_inertia;
         torques[1] -= inertia * speeding + weight * sine(x[0]);

@@ -20,7 +20,8 @@
  * link_inertia, motor_inertia: J1 and J2 [kg m2].
  * link_viscous to motor_coulomb: friction [N m s/rad], [N m].
  * added_inertia, added_gravity: the payload's [kg m2], [N m].
- * link_kick, motor_kick: what multiplies the normal numbers of the process noise [rad/s]. */
+ * link_kick, motor_kick: what multiplies the normal numbers of the process noise [rad/s].
+ * free_play: twist to either side that the spring does not feel [rad]. */
 #define SIMULATED_ARM_FIELDS(F, s)     \
     F(COUNT, substeps, 1, 1)           \
     F(NUMBER, substep, 1, 1)           \
@@ -40,7 +41,8 @@
     F(NUMBER, added_inertia, 1, 1)     \
     F(NUMBER, added_gravity, 1, 1)     \
     F(NUMBER, link_kick, 1, 1)         \
-    F(NUMBER, motor_kick, 1, 1)
+    F(NUMBER, motor_kick, 1, 1)        \
+    F(NUMBER, free_play, 1, 1)
 LAYOUT_DECLARE(simulated_arm, SIMULATED_ARM_FIELDS, void)
 
 /* Sizes of a T-S system: states, inputs, scheduled signals, outputs, rules and premises. */

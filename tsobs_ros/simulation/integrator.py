@@ -119,6 +119,7 @@ class ArmIntegrator:
         longest_substep: Upper limit of the integration step [s].
         payload: What the arm carries besides.
         process_noise: What `advance` is to make of kicks that are normal numbers.
+        backlash: Play of the gear [rad]; the spring is free within half of it to either side.
 
     Attributes:
         numbers: The numbers of the record that the compiled core takes.
@@ -135,6 +136,7 @@ class ArmIntegrator:
         longest_substep: float = LONGEST_SUBSTEP,
         payload: Payload | None = None,
         process_noise: ProcessNoise | None = None,
+        backlash: float = 0.0,
     ) -> None:
         friction, payload = friction or Friction(), payload or Payload()
         arm = payload.on(arm)
@@ -164,6 +166,7 @@ class ArmIntegrator:
             payload.gravity_torque,
             1.0 if noise is None else math.sqrt(noise.link * self.substep),
             1.0 if noise is None else math.sqrt(noise.motor * self.substep),
+            0.5 * non_negative("backlash", backlash),
         )
         self.numbers: Array = record.view(np.float64)
 

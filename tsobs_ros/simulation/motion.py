@@ -103,6 +103,7 @@ class ArmMotion(Motion):
         friction: Its friction.
         payload: What it carries for a time.
         process_noise: Densities of its random accelerations.
+        backlash: Play of its gear [rad].
         columns: Places of the measured quantities in the state, shape (p,).
         rate: Samples a second [Hz].
         seeds: One for each run.
@@ -116,15 +117,23 @@ class ArmMotion(Motion):
         friction: Friction,
         payload: Payload,
         process_noise: ProcessNoise,
+        backlash: float,
         columns: Sequence[int],
         rate: float,
         seeds: Sequence[int],
         states: Array,
         block: int,
     ) -> None:
-        bare = ArmIntegrator(arm, 1.0 / rate, friction, process_noise=process_noise)
-        loaded = ArmIntegrator(
-            arm, 1.0 / rate, friction, payload=payload, process_noise=process_noise
+        bare, loaded = (
+            ArmIntegrator(
+                arm,
+                1.0 / rate,
+                friction,
+                payload=carried,
+                process_noise=process_noise,
+                backlash=backlash,
+            )
+            for carried in (None, payload)
         )
         self._arms = np.concatenate([bare.numbers, loaded.numbers])
         self._payload, self._columns = payload, list(columns)

@@ -172,6 +172,7 @@ class Scenario(PlantScenario):
             link angle alone, by `sensor` and with `disturbance`.
         torque_disturbance: Torques besides the drive's.
         payload: What the link carries for a time.
+        backlash: Play of the true arm's gear [rad], half of it to either side.
 
     Raises:
         ModelError: A number is not finite, of the wrong sign, a state has not four entries, or an
@@ -193,10 +194,12 @@ class Scenario(PlantScenario):
     outputs: tuple[SimulatedOutput, ...] = ()
     torque_disturbance: TorqueDisturbance = field(default_factory=TorqueDisturbance)
     payload: Payload = field(default_factory=Payload)
+    backlash: float = 0.0
 
     def __post_init__(self) -> None:
         positive("rate", self.rate)
         non_negative("duration", self.duration)
+        non_negative("backlash", self.backlash)
         for name in ("initial_state", "initial_spread"):
             values = getattr(self, name)
             if len(values) != 4 or not all(math.isfinite(value) for value in values):
@@ -256,6 +259,7 @@ class Scenario(PlantScenario):
             self.friction,
             self.payload,
             self.process_noise,
+            self.backlash,
             [QUANTITIES.index(output.measures) for output in self.measured],
             self.rate,
             seeds,
@@ -314,10 +318,11 @@ class Trajectories(NamedTuple):
             error, shape (runs, samples, 1).
         physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (runs, samples, 4).
         torque_disturbances: Torques on motor and link that the true arm (with its mismatch) would
-            need besides the reported one, without friction and payload, to accelerate as it does,
-            shape (runs, samples, 2) [N m]. They count the torque disturbance, friction, the
-            payload's inertia and weight, and the error of the reported torque; not the mismatch,
-            which is a matter of parameters, nor the random accelerations.
+            need besides the reported one, without friction, payload and backlash, to accelerate as
+            it does, shape (runs, samples, 2) [N m]. They count the torque disturbance, friction,
+            the payload's inertia and weight, what the spring lacks by play, and the error of the
+            reported torque; not the mismatch, which is a matter of parameters, nor the random
+            accelerations.
     """
 
     times: Array

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from tsobs_ros.simulation.integrator import Friction
+from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario, Trajectories
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
@@ -16,6 +16,7 @@ from tsobs_ros.simulation.signals import (
     GaussMarkov,
     Pulses,
     Ramp,
+    Sine,
     Sinusoid,
 )
 
@@ -133,7 +134,94 @@ outliers anywhere in ±π, pulses of 0.5 rad, steps of ±0.15 rad every four sec
 bits, one wrong sample of the torque, friction of the motor of 0.3 N m s/rad and 0.15 N m, and noise
 with a pole from sample to sample."""
 
-SCENARIOS: dict[str, Scenario] = PLAIN | HARD
+
+def _tone(size: float, frequency: float) -> Sinusoid:
+    return Sinusoid(size, frequency, 2.0)
+
+
+def _wander(density: float) -> GaussMarkov:
+    """Return a bias that wanders, so slowly that a minute of it is a random walk [rad²/s]."""
+    time = 1000.0
+    return GaussMarkov(math.sqrt(0.5 * density * time), time)
+
+
+_NEAR_REST = replace(
+    _NOISE, initial_state=(0.0,) * 4, initial_spread=(0.0,) * 4, excitation=Sine(0.05, 1.0)
+)
+_MISSING = Sensor(loss_probability=0.2)
+_LOAD, _SMALL_LOAD = Payload(0.2, 2.0, 30.0), Payload(0.1, 1.0, 25.0)
+_MANY = _anywhere(0.05)
+_SLIGHT = Friction(motor_viscous=0.1, motor_coulomb=0.05)
+
+TONES: dict[str, Scenario] = {
+    f"tone_{size:g}_{frequency:g}": replace(_NOISE, disturbance=(_tone(size, frequency),))
+    for size, frequency in (
+        (0.03, 3.0), (0.03, 8.0), (0.1, 1.0), (0.1, 3.0), (0.1, 8.0), (0.1, 12.0), (0.3, 1.0),
+        (0.3, 3.0), (0.3, 12.0),
+    )
+} | {
+    "stiff_tone_0.1_3": _stiff(_tone(0.1, 3.0)),
+    "stiff_tone_0.1_8": _stiff(_tone(0.1, 8.0)),
+}  # fmt: skip
+"""A sensor that oscillates by so many rad at so many rad/s, of which no design knows."""
+
+FURTHER: dict[str, Scenario] = {
+    "wander": replace(_NOISE, disturbance=(_wander(1e-4),)),
+    "wander_3": replace(_NOISE, disturbance=(_wander(3e-4),)),
+    "stiff_wander": _stiff(_wander(1e-4)),
+    "light_link": replace(_NOISE, mismatch=Mismatch(link_inertia=-0.1)),
+    "heavy_link": replace(_NOISE, mismatch=Mismatch(link_inertia=0.1)),
+    "light_motor": replace(_NOISE, mismatch=Mismatch(motor_inertia=-0.1)),
+    "heavy_motor": replace(_NOISE, mismatch=Mismatch(motor_inertia=0.1)),
+    "late_payload": replace(_NOISE, payload=_LOAD),
+    "stiff_late_payload": replace(_NOISE, mismatch=_STIFF, payload=_LOAD),
+    "backlash_0.005": replace(_NOISE, backlash=0.005),
+    "backlash_0.03": replace(_NOISE, backlash=0.03),
+    "stiff_backlash_0.03": replace(_NOISE, mismatch=_STIFF, backlash=0.03),
+    "quiet": _with(Sensor(0.5 * _SIGMA)),
+    "missing": _with(_MISSING),
+    "stiff_missing": _with(_MISSING, _STIFF),
+    "missing_outliers": _with(replace(_MANY, loss_probability=0.2)),
+    "half_rate": replace(_NOISE, rate=100.0),
+    "stiff_half_rate": replace(_NOISE, rate=100.0, mismatch=_STIFF),
+    "near_rest": _NEAR_REST,
+    "stiff_near_rest": replace(_NEAR_REST, mismatch=_STIFF),
+    "mix_stiff_outliers_step": replace(
+        _NOISE, mismatch=_STIFF, sensor=_MANY, disturbance=(BiasStep(0.1, 30.0),)
+    ),
+    "mix_stiff_missing_loud": _with(
+        Sensor(2.0 * _SIGMA, loss_probability=0.2), Mismatch(stiffness=0.25)
+    ),
+    "mix_stiff_pulses_outliers": replace(
+        _NOISE, mismatch=_STIFF, sensor=_MANY, disturbance=(_PULSES,)
+    ),
+    "mix_heavy_tone_outliers": replace(
+        _NOISE,
+        mismatch=Mismatch(gravity_torque=0.15),
+        sensor=_MANY,
+        disturbance=(_tone(0.1, 3.0),),
+    ),
+    "mix_friction_loud_steps": replace(
+        _NOISE, friction=_SLIGHT, sensor=Sensor(2.0 * _SIGMA), disturbance=_STEPS
+    ),
+    "mix_inertia_wander_student": replace(
+        _NOISE,
+        mismatch=Mismatch(link_inertia=0.1),
+        sensor=Sensor(noise_degrees=3),
+        disturbance=(_wander(1e-4),),
+    ),
+    "mix_payload_correlated_step": replace(
+        _NOISE,
+        payload=_SMALL_LOAD,
+        sensor=_correlated(0.9),
+        disturbance=(BiasStep(0.1, 30.0),),
+    ),
+}
+"""A bias that wanders as designed and three times as much; inertias 10 % off; a payload of 20 %
+from 30 s on; play of the gear [rad]; every fifth sample missing at random; half the rate; a motion
+of a twentieth; and mixtures of three."""
+
+SCENARIOS: dict[str, Scenario] = PLAIN | HARD | TONES | FURTHER
 """All of them by name."""
 
 

@@ -40,6 +40,7 @@ class Sensor:
         latency: Age of the value that is measured [s], rounded to whole samples; a disturbance is
             that of the sample.
         resolution: Step of the measured value [rad]; 0 for none.
+        loss_probability: Probability that a sample is lost, each by itself.
     """
 
     noise_std: float = 0.028
@@ -55,14 +56,14 @@ class Sensor:
     burst_factor: float = 4.0
     latency: float = 0.0
     resolution: float = 0.0
+    loss_probability: float = 0.0
 
     def __post_init__(self) -> None:
         names = [item.name for item in fields(self)]
         check_each(non_negative, self, *(name for name in names if "outlier" not in name))
-        if not 0.0 <= self.outlier_probability <= 1.0:
-            raise ModelError(
-                f"outlier_probability: expected 0 to 1, got {self.outlier_probability!r}"
-            )
+        for name in ("outlier_probability", "loss_probability"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ModelError(f"{name}: expected 0 to 1, got {getattr(self, name)!r}")
         if not math.isfinite(self.outlier_size):
             raise ModelError(f"outlier_size: expected a finite number, got {self.outlier_size!r}")
 
@@ -175,6 +176,8 @@ class Sensors:
             values = np.where(np.isfinite(values), rounded, values)
         lost = is_within(times, sensor.dropout_interval, sensor.dropout_duration)
         self._was_lost[output] = lost[-1]
+        if sensor.loss_probability > 0.0:  # by the numbers that make outliers, from the other end
+            lost = lost | (span.drawn_for(self._luck[output]) >= 1.0 - sensor.loss_probability)
         return np.where(lost, np.nan, values)
 
     def _late(self, output: int, truth: Array) -> Array:
