@@ -240,7 +240,7 @@ COVERED = {"noise", "outliers", "dropouts", "loud", "stiff", "bias_step", "pulse
 
 @pytest.mark.parametrize("scenario", sorted(SCENARIOS.keys() - {"late_20ms", "light_link"}))
 def test_what_is_claimed_holds_in_every_scenario(scenario: str) -> None:
-    """But where stamps are wrong, or an inertia is; and of what the design covers most is claimed."""
+    """But where stamps or an inertia are wrong; of what the design covers most is claimed."""
     got = course("learning", simulated(SCENARIOS[scenario], 11, 40))
     claimed, inside = got.claimed[3 * RATE :], got.inside[3 * RATE :]
     assert (claimed & ~inside).sum() <= 0.03 * claimed.sum()
