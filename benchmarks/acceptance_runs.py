@@ -146,7 +146,7 @@ def kalman(
         ekf.reset()
         rows.append(ekf.follow(stamps, y, u))
     x, std, disturbance, disturbance_std, theta = (
-        np.stack([row[:, ekf.row_parts[name]] for row in rows])
+        np.stack([row[:, ekf.estimator.row_parts[name]] for row in rows])
         for name in ("state", "state_bound", "disturbance", "disturbance_bound", "parameters")
     )
     to_design = design.arm_request.arm.from_physical

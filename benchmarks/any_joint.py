@@ -29,7 +29,7 @@ from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.faults import FaultMonitor, add_samples, new_watches
 from tsobs_ros.estimation.records import NANOSECONDS
-from tsobs_ros.methods import ObserverSettings, make_ekf, make_runner
+from tsobs_ros.methods import ObserverSettings, make_ekf, make_tracker
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.simulation import plant
 from tsobs_ros.simulation.integrator import Friction
@@ -181,7 +181,7 @@ def _ekf(design: Design, runs: Trajectories, gate: float) -> Array:
     rows = []
     for y, u in zip(runs.measurements, runs.torques, strict=True):
         ekf.reset()
-        rows.append(ekf.follow(stamps, y, u)[:, ekf.row_parts["state"]])
+        rows.append(ekf.follow(stamps, y, u)[:, ekf.estimator.row_parts["state"]])
     return np.stack(rows)
 
 
@@ -201,7 +201,7 @@ def contact(case: Case, design: Design, seeds: Sequence[int]) -> Contact:
     counts = {when: {name: Counter[str]() for name in names} for when in ("before", "after")}
     side = request.torque_sides.index("link")
     for place in range(len(seeds)):
-        tracker = make_runner(design, ObserverSettings())
+        tracker = make_tracker(design, ObserverSettings())
         watches = new_watches([each.measurement_std for each in request.sensors])
         monitors = [
             FaultMonitor(each.measurement_std, watch=watches[output : output + 1])

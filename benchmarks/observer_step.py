@@ -29,11 +29,11 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.estimation.baselines import THETA_WANDER
+from tsobs_ros.estimation.baselines import THETA_STD, THETA_WANDER
 from tsobs_ros.estimation.estimator import Estimator, State
 from tsobs_ros.estimation.records import NANOSECONDS, Hypothesis, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.methods import make_ekf, make_tracker
+from tsobs_ros.methods import make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.uncertainty import SINE
 from tsobs_ros.resources import FIXED_DESIGN, config_path
@@ -84,10 +84,10 @@ class _LibraryEkf(ExtendedKalmanFilter):  # type: ignore[misc]
 
 
 class _LibraryAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
-    """The same with θ as states, from the parts that `KalmanFilter` is made of."""
+    """The same with θ as states."""
 
     def __init__(self, design: Design) -> None:
-        request, model = design.arm_request, make_ekf(design, learns=True).model[0]
+        request = design.arm_request
         flow, uncertainty = request.flow, request.uncertainty_model
         n, k, step = flow.state_count, uncertainty.count, flow.nominal
         super().__init__(dim_x=n + k, dim_z=1, dim_u=1)
@@ -97,8 +97,9 @@ class _LibraryAugmentedEkf(ExtendedKalmanFilter):  # type: ignore[misc]
         self.Q[n:, n:] = THETA_WANDER * flow.period * np.eye(k)
         self.gamma = np.concatenate([step.gamma[:, 0], np.zeros(k)])
         self.x = np.zeros((n + k, 1))
-        self.P, self.R = model["initial"].copy(), design.request.measurement_covariance
-        self.H = model["output"].copy()
+        self.P = block_diag(request.initial_covariance, THETA_STD**2 * np.eye(k))
+        self.R = request.measurement_covariance
+        self.H = np.hstack([flow.output_matrix, np.zeros((1, k))])
         self._identity = np.eye(n + k)
 
     def predict_x(self, u: Array) -> None:  # type: ignore[override]

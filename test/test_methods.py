@@ -16,7 +16,6 @@ from tsobs_ros.methods import (
     METHODS,
     ObserverSettings,
     make_estimator,
-    make_runner,
     make_tracker,
     warning,
 )
@@ -72,7 +71,7 @@ def test_a_system_is_observed_by_the_methods_that_fit(method: str, example_1: De
     settings = ObserverSettings(method=method)
     if method not in ("certified", "ekf", "paper"):
         with pytest.raises(ModelError, match=f"method {method}: expected a design for an arm"):
-            make_runner(example_1, settings)
+            make_tracker(example_1, settings)
         return
     time = np.arange(0.0, 4.0, example_1.request.period)
     y = np.zeros((len(time), 3))

@@ -16,16 +16,15 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.history import CORRECTING, EXTRA, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, Basis
 from tsobs_ros.estimation.state import CONDITIONS
-from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_runner
+from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
-from tsobs_ros.replay.passes import Ticks, new_pass
+from tsobs_ros.replay.passes import Pass, Ticks
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput, TorqueDisturbance
@@ -303,11 +302,11 @@ def estimate(
     outputs = flow.output_matrix.shape[0]
     y = _columns("angle", angle, len(times), outputs)
     u = _columns("torque", torque, len(times), len(design.request.input_names))
-    stamps, tracker = _stamps(times), make_runner(design, settings or ObserverSettings())
+    stamps, tracker = _stamps(times), make_tracker(design, settings or ObserverSettings())
     count = len(stamps)
     known, never = np.arange(1, count + 1), np.full(count, -1)
     ticks = Ticks(stamps, np.maximum.accumulate(stamps), known, known, never, np.zeros((0, 8)))
-    series = new_pass(tracker, stamps, y, u, ticks)
+    series = Pass(tracker, stamps, y, u, ticks)
     rows = series.new_rows(count)
     for begin in range(0, count, _BLOCK):
         end = min(begin + _BLOCK, count)
@@ -546,9 +545,7 @@ def _torques(torque: Any, times: Array, inputs: int) -> Array:
     return _columns("torque", torque, len(times), inputs)
 
 
-def _columns_of(
-    rows: Array, estimator: Estimator | KalmanFilter, outputs: tuple[int, ...]
-) -> dict[str, Any]:
+def _columns_of(rows: Array, estimator: Estimator, outputs: tuple[int, ...]) -> dict[str, Any]:
     """Return the fields of `Estimates` that are in rows of `History.estimate_at`."""
     columns: dict[str, Any] = {}
     torques = estimator.shape.t

@@ -17,7 +17,7 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD
 from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
-from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_runner
+from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_tracker
 from tsobs_ros.model import disturbance
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
@@ -107,7 +107,7 @@ def compare_scenarios(
     for name in methods:
         chosen = contender(settings or ObserverSettings(), name)
         try:
-            make_runner(design, chosen)
+            make_tracker(design, chosen)
         except ModelError as error:
             remarks.append(f"{name} is left out: {error}")
             continue

@@ -8,14 +8,11 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tsobs_ros.checks import check_each, non_negative, shown
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.estimation import baselines
-from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.events import STALE_AFTER
 from tsobs_ros.estimation.options import TORQUE_RATE, GainMode, SupervisionOptions
@@ -44,7 +41,7 @@ EKFS = ("ekf", "ekf_augmented")
 """The rivals of a report: EKFs that leave outliers out."""
 
 FILTERS = ("ekf_plain", *EKFS)
-"""Those that run over recordings and arrays only."""
+"""All EKFs."""
 
 CONTENDERS: Mapping[str, Mapping[str, Any]] = {
     "certified": {"method": "certified"},
@@ -226,15 +223,20 @@ def warning(design: Design, method: str) -> str:
 def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     """Return the observer that the settings name, for the model of a design.
 
+    The EKF of a T–S system leaves no sample out.
+
     Raises:
         ModelError: The method cannot observe this model.
     """
-    if settings.method in FILTERS:
-        raise ModelError(f"method {settings.method}: runs over recordings and arrays only")
-    request = design.request
+    request, method = design.request, settings.method
+    is_arm = isinstance(request, ArmRequest)
+    if not is_arm:
+        _require_any_model(method)
+    if method in FILTERS:
+        gate = baselines.GATE if is_arm and method != "ekf_plain" else math.inf
+        return _extended_kalman(request, learns=method == "ekf_augmented", gate=gate)
     if not isinstance(request, ArmRequest):
-        _require_any_model(settings.method)
-        if settings.method == "paper":
+        if method == "paper":
             return paper_system_observer(request)
         return _certified(design, settings, None)
     estimator = _make_arm_estimator(design, settings)
@@ -309,28 +311,6 @@ def make_tracker(
     return Tracker(estimator or make_estimator(design, settings), _limits(design, settings))
 
 
-def make_runner(
-    design: Design, settings: ObserverSettings, estimator: Estimator | None = None
-) -> Tracker | KalmanFilter:
-    """Return what runs a method over a recording or arrays; see `make_tracker`.
-
-    The EKF of a T–S system is the design's observer with Riccati gains along the estimate, which
-    leaves no sample out.
-    """
-    if (method := settings.method) in FILTERS:
-        if not isinstance(design.request, ArmRequest):
-            _require_any_model(method)
-            estimator = design.observer(gain_mode=GainMode.RICCATI)
-            return make_tracker(design, settings, estimator)
-        return make_ekf(
-            design,
-            settings,
-            learns=method == "ekf_augmented",
-            gate=math.inf if method == "ekf_plain" else baselines.GATE,
-        )
-    return make_tracker(design, settings, estimator)
-
-
 def make_ekf(
     design: Design,
     settings: ObserverSettings | None = None,
@@ -338,8 +318,8 @@ def make_ekf(
     arm: ElasticJointArm | None = None,
     learns: bool = False,
     gate: float = baselines.GATE,
-) -> KalmanFilter:
-    """Return the EKF of a design for an arm: with its disturbance model, noise and start.
+) -> Tracker:
+    """Return a tracker with the EKF of a design: with its disturbance model, noise and start.
 
     Args:
         design: The design.
@@ -349,18 +329,20 @@ def make_ekf(
         gate: Sigmas of an innovation beyond which a sample is left out; infinite: none is.
 
     Raises:
-        ModelError: The design is not for an arm, or calls nothing uncertain that is to be a state.
+        ModelError: The design calls nothing uncertain that is to be a state, or an arm is given for
+            one that is not for an arm.
     """
-    request = design.arm_request
-    if arm is not None:
-        request = replace(request, arm=arm)
+    request = design.request if arm is None else replace(design.arm_request, arm=arm)
+    estimator = _extended_kalman(request, learns=learns, gate=gate)
+    return make_tracker(design, settings, estimator)
+
+
+def _extended_kalman(request: ArmRequest | TSRequest, *, learns: bool, gate: float) -> Estimator:
     uncertainty = request.uncertainty_model if learns else None
     if uncertainty is not None and not uncertainty.count:
         raise ModelError("method ekf_augmented: the design calls no parameter uncertain")
-    std = np.sqrt(np.diag(request.initial_covariance))
-    options = _limits(design, settings or ObserverSettings())
-    variances = np.diag(request.measurement_covariance).copy()
-    return KalmanFilter(request.flow, variances, std, uncertainty, gate=gate, options=options)
+    covariances = (request.measurement_covariance, request.initial_covariance)
+    return baselines.extended_kalman(request.flow, *covariances, uncertainty, gate=gate)
 
 
 def _limits(design: Design, settings: ObserverSettings) -> TrackerOptions:

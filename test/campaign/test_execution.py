@@ -191,7 +191,7 @@ def test_the_certified_bound_holds_if_its_premises_do(write: Callable[..., Path]
     held, others = summary.bounds["premises hold"], summary.bounds["they do not"]
     assert summary.scenarios["as_designed"]["premises_hold"] == 1.0
     assert summary.violated["parameters"] == 30
-    assert held["certified"]["samples"] > 0.5
+    assert held["certified"]["samples"] > 0.4
     for one in held["certified"]["quantities"].values():
         assert one["inside"] > 0.997
         assert one["rms"] < 1.05

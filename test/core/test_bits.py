@@ -30,8 +30,8 @@ from pathlib import Path
 import numpy as np
 import tsobs_ros as ts
 from tsobs_ros.estimation.estimator import certified_estimator
-from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions
-from tsobs_ros.methods import FILTERS, METHODS, make_runner
+from tsobs_ros.estimation.options import CertifiedGain
+from tsobs_ros.methods import METHODS, make_estimator
 
 from tsobs_ros.core import native
 
@@ -62,15 +62,10 @@ for file in ("elastic_joint_fixed.design.yaml", "elastic_joint.design.yaml"):
     assert np.isnan(numbers[:, 91:]).any()  # after an infinite torque, and not all of one sign
     show("settled", np.where(np.isnan(numbers), np.nan, numbers))
     for method in METHODS if settled.shape.k else ["certified"]:
-        settings = ts.ObserverSettings(
-            method=method, settle_time=0.2, supervision=SupervisionOptions(jump_quiet=0.0)
-        )
-        runner = make_runner(design, settings)
-        show(f"model {method}", (runner if method in FILTERS else runner.estimator).model)
+        settings = ts.ObserverSettings(method=method, settle_time=0.2)
+        show(f"model {method}", make_estimator(design, settings).model)
         found = ts.estimate(design, *np.load(folder / "arrays.npy"), settings=settings)
         show(f"arrays {method}", found)
-        if method in FILTERS:  # the same steps, slow where they are interpreted
-            continue
         (found,) = ts.estimate_bag(folder / "bag", design, settings=settings).joints.values()
         show(f"bag {method}", found)
 disturbed = {"mismatch": {"stiffness": 0.2}, "disturbance": "bias_step+sinusoid"}

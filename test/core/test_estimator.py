@@ -3,6 +3,7 @@
 """What the steps of the compiled core refuse, before they touch memory."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.estimator import Estimator, State
+from tsobs_ros.estimation.estimator import State
 from tsobs_ros.estimation.state import types_of_model
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
@@ -60,7 +61,7 @@ def predict(state: State, u: int = 1, duration: float = 0.005, work: int | None 
             ),
             "estimator_observe: samples: expected a number of at least 0",
         ),
-        (lambda m, s: native.estimator_layouts(*[1] * 13), "estimator_layouts: sizes: expected"),
+        (lambda m, s: native.estimator_layouts(*[-1] * 10), "estimator_layouts: sizes: expected"),
     ],
 )
 def test_arrays_of_other_lengths_are_refused(call: Callable[..., Any], message: str) -> None:
@@ -68,7 +69,9 @@ def test_arrays_of_other_lengths_are_refused(call: Callable[..., Any], message: 
         call(ESTIMATOR.model, numbers(ESTIMATOR.new_states(1)))
 
 
-@pytest.mark.parametrize("name", ["n", "width", "p", "k", "n_gap", "bank", "flow_size", "scratch"])
+@pytest.mark.parametrize(
+    "name", ["n", "width", "p", "k", "hypothesis_count", "flow_size", "scratch"]
+)
 @pytest.mark.parametrize("size", [-1, 0, 1, 3, 2**40])
 def test_a_model_of_other_sizes_is_refused(name: str, size: int) -> None:
     model = ESTIMATOR.model.copy()
@@ -81,24 +84,49 @@ def test_a_model_of_other_sizes_is_refused(name: str, size: int) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("hypothesis", 5), ("hypothesis", -1), ("watched", 25), ("watched", -1), ("jump_count", 33)],
+    [("kind", 7), ("kind", -1), ("fork", 5), ("output", 1), ("best", 13), ("best", 3), ("live", 0)],
 )
 def test_a_state_whose_counts_lie_outside_of_its_fields_is_refused(name: str, value: int) -> None:
-    state = ESTIMATOR.initial().changed(**{name: value})
+    state = ESTIMATOR.initial()
+    owner = state.records if name == "best" else state.records["hypotheses"]
+    owner[name] = value
     with pytest.raises(ValueError, match="state 0 is no state of this model"):
         ESTIMATOR.predict(state, [0.0], 0.005)
-
-
-def test_a_jump_budget_beyond_the_room_for_jumps_is_refused() -> None:
-    model = ESTIMATOR.model.copy()
-    model["jump_budget"] = native.MAX_JUMP_BUDGET + 1
-    estimator = Estimator(ESTIMATOR.shape, model, bounded=True, disturbed=True)
-    with pytest.raises(ValueError, match="expected a model's record"):
-        estimator.correct(estimator.initial(), [0.0])
 
 
 def test_the_types_of_records_are_made_from_the_sizes_in_the_model() -> None:
     types = types_of_model(ESTIMATOR.model)
     assert types.model == ESTIMATOR.model.dtype
     assert types.state == ESTIMATOR.new_states(1).dtype
-    assert types.state["covariance"].shape == (ESTIMATOR.model["width"][0],) * 2
+    width = (ESTIMATOR.model["width"][0],) * 2
+    assert types.state["hypotheses"].base["covariance"].shape == width
+
+
+@pytest.mark.parametrize("outputs", [1, 2])
+def test_what_is_left_in_scratch_memory_decides_nothing(outputs: int) -> None:
+    """Of a run with all that wakes the bank: forks, a tone, a stuck sensor, missing numbers."""
+    design = "both_encoders.design.yaml"
+    folder = Path(__file__).resolve().parents[1] / "estimation" / "data"
+    one = ESTIMATOR if outputs == 1 else load_design(folder / design).supervised()
+    rng, count = np.random.default_rng(3), 1200
+    y = np.tile(0.3 * np.sin(0.02 * np.arange(count))[:, np.newaxis], outputs)
+    y += 0.02 * rng.standard_normal(y.shape)
+    u = np.sin(0.01 * np.arange(count))[:, np.newaxis]
+    y[200:] += 0.3
+    y[400:, 0] += 0.2 * np.sin(0.03 * np.arange(count - 400))
+    y[600:640], u[700:720], u[900] = y[600], np.nan, 20.0
+    y[[100, 101, 300, 1000], 0] = 5.0, 1e150, np.nan, 1e200
+    found = []
+    for fill in (0.0, np.nan, 1e300):
+        states, rows = one.new_states(1), np.empty((count, one.row_width))
+        made = (one.new_corrections(), one.new_readouts(), one.new_work())
+        scratch = [numbers(each) for each in made]
+        for each in scratch:
+            each[:] = fill
+        native.estimator_observe(
+            numbers(one.model), numbers(states), y, u, one.period, count, *scratch, rows
+        )
+        found.append(rows.tobytes() + states.tobytes())
+        assert np.isfinite(rows).all()
+    assert states["hypotheses"]["live"][0, 1:].any()
+    assert found[0] == found[1] == found[2]

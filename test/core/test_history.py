@@ -110,7 +110,7 @@ def test_a_checkpoint_with_another_estimators_numbers_is_refused() -> None:
     arguments = arrays(one.history)
     one.history.follow(*arguments["follow"])
     memory, ring = one.checkpoint()
-    ring["hypothesis"][:COUNT] = 10**6
+    ring["hypotheses"]["kind"][:COUNT] = 10**6
     with pytest.raises(ModelError, match="expected the numbers of this estimator"):
         other.restore(Checkpoint(memory, ring))
     memory["length"] = 10**6

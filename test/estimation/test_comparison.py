@@ -14,21 +14,22 @@ from scipy.linalg import block_diag, expm
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation import baselines
 from tsobs_ros.estimation.baselines import (
+    THETA_STD,
+    THETA_WANDER,
+    extended_kalman,
     high_gain,
     high_gain_matrix,
     place_single_output,
     proportional_integral,
     proportional_integral_matrix,
 )
-from tsobs_ros.estimation.estimator import Estimator, certified_estimator
-from tsobs_ros.estimation.history import EXTRA, GATED
-from tsobs_ros.estimation.options import CertifiedGain, GainMode
-from tsobs_ros.estimation.records import Innovation, Measurement
+from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.history import GATED
+from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_ekf
-from tsobs_ros.model.arm import ElasticJointArm
+from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
 from tsobs_ros.paper.observer import paper_observer
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.integrator import ArmIntegrator
@@ -42,6 +43,7 @@ LINEAR = ElasticJointArm(gravity_torque=1e-12)
 PERIOD = 0.005
 START = np.array([0.3, 0.0, 2.0, 0.0])
 RUN = simulate(SCENARIOS["noise"], [3], 20.0)
+SHIPPED = load_design(config_path(SHIPPED_DESIGN))
 
 
 KNOWN = (PERIOD, 0.028)
@@ -111,97 +113,33 @@ def test_converges_on_a_clean_output_for_every_run_of_a_batch(
     assert (states.x[0] == states.x[2]).all()
 
 
-def test_observing_arrays_is_stepping_from_a_start() -> None:
-    observer = high_gain(ARM, 2.5, *KNOWN)
-    start = observer.initial((2,)).changed(x=[START, -START])
-    y = np.stack([RUN.measurements[0, :50]] * 2)
-    rows = observer.observe(y, RUN.torques[:, :50], PERIOD, start)
-    states = start
-    for k in range(50):
-        states, _ = observer.correct(states, y[:, k])
-        assert (rows.state[:, k] == observer.readout(states).state).all()
-        states = observer.predict(states, RUN.torques[0, k], PERIOD)
-    assert (start.x == [START, -START]).all()
-    with pytest.raises(ModelError, match=r"start: expected a batch of \(2,\), got \(3,\)"):
-        observer.observe(y, RUN.torques[:, :50], PERIOD, observer.initial((3,)))
-
-
-def test_riccati_gains_are_the_textbook_filter_on_a_linear_arm() -> None:
-    request = ArmRequest(arm=LINEAR, disturbance=(DisturbanceTerm("bias"),))
-    flow, covariances = request.flow, (request.measurement_covariance, request.initial_covariance)
-    unused = CertifiedGain(np.zeros((5, 1)), np.eye(5))
-    ekf = certified_estimator(flow, *covariances, unused, gain_mode=GainMode.RICCATI)
-    textbook = KalmanFilter(dim_x=5, dim_z=1, dim_u=1)
-    step = flow.transition(PERIOD)
-    textbook.F, textbook.B, textbook.Q = step.phi, step.gamma, step.noise
-    textbook.H, textbook.R = flow.output_matrix, request.measurement_covariance
-    textbook.P = request.initial_covariance.copy()
-    state = ekf.initial()
-    random = np.random.default_rng(2)
-    for _ in range(300):
-        y, u = random.normal(0.0, 0.3, size=1), random.normal(size=1)
-        state, _ = ekf.correct(state, y)
-        textbook.update(y)
-        np.testing.assert_allclose(state.x, textbook.x[:, 0], atol=1e-8)
-        state = ekf.predict(state, u, PERIOD)
-        textbook.predict(u[:, None])
-    np.testing.assert_allclose(state.covariance, textbook.P, atol=1e-9)
+def stamps_of(count: int) -> NDArray[np.int64]:
+    return 10**9 + 5_000_000 * np.arange(count)
 
 
 @pytest.mark.parametrize("learns", [False, True])
 def test_an_ekf_puts_late_samples_in_their_place(learns: bool) -> None:
-    """The bits are those of samples in order, whatever the order and the ticks."""
-    design = load_design(config_path(SHIPPED_DESIGN))
+    """The bits are those of samples in order, whatever the order."""
     count, random = 400, np.random.default_rng(5)
-    stamps = 10**9 + 5_000_000 * np.arange(count)
-    y, u = RUN.measurements[0, :count].copy(), RUN.torques[0, :count, 0]
+    stamps = stamps_of(count)
+    y, u = RUN.measurements[0, :count].copy(), RUN.torques[0, :count]
     y[100] += 1.0  # is left out
-    ends = [make_ekf(design, learns=learns).follow(stamps, y, u[:, None])[-1]]
+    straight, ekf = make_ekf(SHIPPED, learns=learns), make_ekf(SHIPPED, learns=learns)
+    straight.follow(stamps, y, u)
     late = np.argsort(np.arange(count) + random.uniform(0.0, 8.0, count), kind="stable")
-    ekf = make_ekf(design, learns=learns)
-    known = np.array([150, 151, 300, count])
-    rows = np.empty((4, len(ends[0])))
-    outcomes, newest = np.zeros(count, np.int64), np.zeros(4, np.int64)
-    codes = np.full((count, 1), -1)
-    ticks = (stamps[[200, 200, 320, count - 1]], np.full(4, stamps[-1]), known, np.full(4, -1))
-    samples = (stamps[late], y[late], u[late])
-    ekf.advance(ticks, samples, (outcomes, codes, *np.empty((2, count, 1))), newest, rows)
+    now = int(stamps[-1])
+    codes = [ekf.offer_many(*(each[[k]] for each in (stamps, y, u)), now).codes[0] for k in late]
 
     assert ekf.rewinds > 50
-    assert rows[-1].tolist() == ends[0].tolist()
-    assert outcomes[late == 100] == GATED
-    assert (codes[:, 0] == outcomes).all()
-
-
-def test_an_ekf_refuses_what_its_sizes_do_not_fit() -> None:
-    ekf = make_ekf(load_design(config_path(SHIPPED_DESIGN)))
-    stamps, y = np.arange(1, 4), np.zeros((3, 1))
-    results = (np.zeros(3, np.int64), np.zeros((3, 1), np.int64), y.copy(), y.copy())
-    newest, rows = np.zeros(1, np.int64), np.zeros((1, ekf.row_width + EXTRA))
-
-    def advance(ends: int, rows: Array, u: Array) -> None:
-        ticks = (stamps[-1:], stamps[-1:], np.array([ends]), np.array([-1]))
-        ekf.advance(ticks, (stamps, y, u), results, newest, rows)
-
-    advance(3, rows, np.zeros(3))
-    assert newest[0] == 3
-    with pytest.raises(ValueError, match="kalman_advance: ends: expected at most 3"):
-        advance(4, rows, np.zeros(3))
-    with pytest.raises(ValueError, match="kalman_advance: rows: expected at least"):
-        advance(3, rows[:, :-1].copy(), np.zeros(3))
-    with pytest.raises(ValueError, match="kalman_advance: u: expected at least 3 numbers, got 2"):
-        advance(3, rows, np.zeros(2))
-    ekf.memory["length"] = -1
-    with pytest.raises(ValueError, match="kalman_advance: memory: its ring is damaged"):
-        advance(3, rows, np.zeros(3))
+    assert ekf.state == straight.state
+    assert codes[late.tolist().index(100)] == GATED
+    assert ekf.rejected == {RejectReason.GATED: 1}
 
 
 def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
     request = ArmRequest(arm=LINEAR, disturbance=(DisturbanceTerm("bias"),))
-    std = np.sqrt(np.diag(request.initial_covariance))
-    flow, options = request.flow, TrackerOptions(x_max=0.75)
-    variances = np.diag(request.measurement_covariance).copy()
-    ekf = baselines.KalmanFilter(flow, variances, std, gate=np.inf, options=options)
+    flow, covariances = request.flow, (request.measurement_covariance, request.initial_covariance)
+    ekf = extended_kalman(flow, *covariances, gate=np.inf)
     textbook = KalmanFilter(dim_x=5, dim_z=1, dim_u=1)
     step = flow.transition(PERIOD)
     textbook.F, textbook.B, textbook.Q = step.phi, step.gamma, step.noise
@@ -209,7 +147,7 @@ def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
     textbook.P = request.initial_covariance.copy()
     random = np.random.default_rng(2)
     y, u = random.normal(0.0, 0.3, (300, 1)), random.normal(size=(300, 1))
-    rows = ekf.follow(10**9 + 5_000_000 * np.arange(300), y, u)
+    rows = Tracker(ekf, TrackerOptions(x_max=0.75)).follow(stamps_of(300), y, u)
     for k in range(300):
         textbook.update(y[k])
         states = LINEAR.to_physical(textbook.x[:4, 0])
@@ -217,6 +155,66 @@ def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
         bound = np.sqrt(textbook.P[4, 4])
         np.testing.assert_allclose(rows[k, ekf.row_parts["disturbance_bound"]], bound, rtol=1e-6)
         textbook.predict(u[k, :, None])
+
+
+def test_parameters_of_an_ekf_are_as_states() -> None:
+    """Two stages against the filter of [x; w; θ], whose Jacobian is that of its own steps."""
+    request, count = SHIPPED.arm_request, 2000
+    flow, uncertainty = request.flow, request.uncertainty_model
+    step, n, k = flow.nominal, flow.state_count, uncertainty.count
+    rows, effects = [LINK_VELOCITY, MOTOR_VELOCITY], uncertainty.directions[:, 0]
+    phi, noise = np.eye(n + k), np.zeros((n + k, n + k))
+    phi[:n, :n], noise[:n, :n] = step.phi, step.noise
+    noise[n:, n:] = THETA_WANDER * PERIOD * np.eye(k)
+    C = np.c_[flow.output_matrix, np.zeros((1, k))]
+    x, P = np.zeros(n + k), block_diag(request.initial_covariance, THETA_STD**2 * np.eye(k))
+
+    def kicked(x: Array, torque: float) -> Array:
+        push = effects[:, rows] @ [*x[:4], np.sin(x[0]), torque, 0.0]
+        after = x.copy()
+        after[rows] += 0.5 * step.duration * (x[n:] @ push)
+        after[LINK_VELOCITY] -= step.half_kick * np.sin(x[0])
+        return after
+
+    def slope(x: Array, torque: float) -> Array:
+        columns = 1e-6 * np.eye(n + k)
+        sides = [kicked(x + each, torque) - kicked(x - each, torque) for each in columns]
+        return np.array(sides).T / 2e-6
+
+    ekf = make_ekf(SHIPPED, learns=True, gate=np.inf)
+    found = ekf.follow(stamps_of(count), RUN.measurements[0, :count], RUN.torques[0, :count])
+    parts, to_physical = ekf.estimator.row_parts, request.arm.to_physical
+    for y, (u,), row in zip(RUN.measurements[0], RUN.torques[0], found, strict=False):
+        gain = P @ C.T / (C @ P @ C.T + request.measurement_covariance)
+        x, P = x + gain @ (y - C @ x), P - gain @ C @ P
+        std = np.sqrt(np.diag(P))
+        for name, expected in (
+            ("state", to_physical(x[:4])),
+            ("state_bound", to_physical(std[:4])),
+            ("parameters", x[n:]),
+            ("parameter_bound", std[n:]),
+        ):
+            np.testing.assert_allclose(row[parts[name]], expected, rtol=1e-5, atol=1e-6)
+        F, x = slope(x, u), kicked(x, u)
+        x = phi @ x
+        x[:n] += step.gamma[:, 0] * u
+        F, x = slope(x, u) @ phi @ F, kicked(x, u)
+        P = F @ P @ F.T + noise
+
+
+def test_an_ekf_that_leaves_out_most_samples_starts_its_covariance_again() -> None:
+    y, u = RUN.measurements[0].copy(), RUN.torques[0]
+    y[2000:] += 1.0
+    ekf, plain = make_ekf(SHIPPED), make_ekf(SHIPPED, gate=np.inf)
+    rows, others = (each.follow(stamps_of(len(y)), y, u) for each in (ekf, plain))
+    bounds, left_out = rows[:, ekf.estimator.row_parts["state_bound"]], ekf.rejected
+
+    assert left_out[RejectReason.GATED] == pytest.approx(0.3 / PERIOD, abs=5)
+    assert not plain.rejected
+    assert bounds[2070:2200].max() > 10.0 * bounds[1999].max()
+    bias = ekf.estimator.row_parts["disturbance"]
+    assert rows[-200:, bias].mean() == pytest.approx(1.0, abs=0.05)
+    assert (rows[:2000] == others[:2000]).all()
 
 
 def follow(estimator: Estimator) -> tuple[Tracker, Array]:
@@ -242,19 +240,6 @@ def test_high_gain_observers_follow_the_arm(make: Callable[..., Estimator]) -> N
     estimate = tracker.estimate(10**9 + 5_000_000 * (len(RUN.times) - 1))
     assert estimate is not None
     assert estimate.disturbance.size == 0
-
-
-def test_the_tracker_takes_the_observers_own_steps() -> None:
-    observer = high_gain(ARM, 2.5, *KNOWN)
-    tracker, state = Tracker(observer, TrackerOptions(0.75)), observer.initial()
-    for k in range(50):
-        stamp, y, u = 10**9 + 5_000_000 * k, RUN.measurements[0, k], RUN.torques[0, k]
-        tracker.offer(Measurement(stamp, y, u), stamp)
-        state, _ = observer.correct(state, y)
-        estimate = tracker.estimate(stamp)
-        assert estimate is not None
-        assert (estimate.state == observer.readout(state).state).all()
-        state = observer.predict(state, u, PERIOD)
 
 
 def test_the_papers_observer_does_not_find_the_arm() -> None:

@@ -10,6 +10,7 @@ import hashlib
 import pickle
 from collections.abc import Callable
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty
 from tsobs_ros.paper.observer import paper_observer
-from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 
 Array = NDArray[np.float64]
 ARM, T, STD = ElasticJointArm(), 0.005, 0.02
@@ -42,12 +43,7 @@ def supervised_arm() -> Estimator:
         initial_std=0.3, start=0.0, significance=1e-3, pass_time=0.02, memory=0.3
     )
     estimator = design.adaptive(settle_time=0.0, options=learning)
-    estimator.supervise(
-        SupervisionOptions(
-            jump_quiet=0.1, jump_duration=0.05, jump_budget=2, lost=6.0, strain=0.02,
-            relearn_budget=1, relearn_time=0.2,
-        )
-    )  # fmt: skip
+    estimator.supervise(SupervisionOptions(stuck_samples=10))
     return estimator
 
 
@@ -82,16 +78,16 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "859de5ac4408837b",
-    "supervised arm, bad": "fd65ef4d8e201db2",
-    "gyroscope": "67d41516e69f2868",
-    "gyroscope, bad": "55f4043f63d3b4af",
-    "proportional": "02bac42992bbfd15",
-    "proportional, bad": "dcca8af9908b064d",
-    "proportional-integral": "befc8dcbe47b2070",
-    "proportional-integral, bad": "1e3c1ea80e37e523",
-    "paper": "7f93fa07a989307f",
-    "paper, bad": "6a1d900c1b4ec358",
+    "supervised arm": "8fd07401fc84f9b6",
+    "supervised arm, bad": "223af1cec9cbf276",
+    "gyroscope": "50f371735e33ac52",
+    "gyroscope, bad": "4d320de0056ca398",
+    "proportional": "1112db69dd983d26",
+    "proportional, bad": "71a6301bf3d3523d",
+    "proportional-integral": "58e9b7d6b061b4d3",
+    "proportional-integral, bad": "e6b61a641639b45c",
+    "paper": "ae615ec88d353cee",
+    "paper, bad": "cf106e051dd8900f",
 }
 """Of all runs; this file as a program prints them."""
 
@@ -119,7 +115,7 @@ def stepped(estimator: Estimator) -> list[State]:
     states, state = [], estimator.initial()
     if estimator.supervised:  # as it would be some seconds later
         bound = estimator.shape.trim("covariance", estimator.model["X"])[0]
-        state = state.changed(covariance=bound, settling=0.0, certified=1, spread=1.0)
+        state = state.changed(covariance=bound, settling=0.0, certified=1)
     for k, (y, u) in enumerate(zip(*series(estimator), strict=True)):
         state, _ = estimator.correct(state, y)
         states += [state, estimator.extrapolate(state, u, 0.4 * T)]
@@ -151,7 +147,8 @@ def digest(states: list[State], estimator: Estimator) -> str:
     """Return a digest of the bits of states and of what is read of them; every NaN is alike."""
     found = hashlib.sha256()
     for state in states:
-        own = (getattr(state, name) for name in ("x", "covariance", "theta", "gamma", "upsilon"))
+        every = state.records["hypotheses"]
+        own = (every[name] for name in ("x", "covariance", "theta", "gamma", "upsilon", "score"))
         for part in (*own, *estimator.readout(state)):
             numbers = np.array(part, np.float64)
             numbers[np.isnan(numbers)] = np.nan
@@ -174,27 +171,21 @@ def estimator(request: pytest.FixtureRequest) -> Estimator:
     return estimator_of(request.param)
 
 
-def variance_after_nine_samples_at_once() -> float:
-    """Return the variance of one state that nine sensors measure, each with a variance of 0.5."""
-    always = RuleBase(((membership("always", {}),),))
-    model = TSModel(np.zeros((1, 1, 1)), np.zeros((1, 0)), np.ones((9, 1)), always, np.ones((1, 1)))
-    estimator = certified_estimator(
-        TSFlow(model, clean(9), [0.0], T),
-        0.5 * np.eye(9),
-        np.array([[2.0]]),
-        CertifiedGain(np.zeros((1, 9)), np.eye(1)),
-        uncertainty=Uncertainty({"a": 0.1}, np.ones((1, 1, 1, 1))),
-    )
-    state, _ = estimator.correct(estimator.initial(), np.ones(9))
-    return float(estimator.predict(state, [], T).covariance[0, 0])
-
-
 def test_the_bits_of_all_runs_stay() -> None:
     assert digests() == DIGESTS
 
 
 def test_there_is_room_for_more_outputs_than_states() -> None:
-    variance = variance_after_nine_samples_at_once()
+    """One state that nine sensors measure, each with a variance of 0.5."""
+    always = RuleBase(((membership("always", {}),),))
+    model = TSModel(np.zeros((1, 1, 1)), np.zeros((1, 0)), np.ones((9, 1)), always, np.ones((1, 1)))
+    nine = certified_estimator(
+        TSFlow(model, clean(9), [0.0], T), 0.5 * np.eye(9), np.array([[2.0]]),
+        CertifiedGain(np.zeros((1, 9)), np.eye(1)),
+        uncertainty=Uncertainty({"a": 0.1}, np.ones((1, 1, 1, 1))),
+    )  # fmt: skip
+    state, _ = nine.correct(nine.initial(), np.ones(9))
+    variance = nine.predict(state, [], T).covariance[0, 0]
     assert variance == pytest.approx(1.0 / (1.0 / 2.0 + 9.0 / 0.5), rel=1e-12)
 
 
@@ -204,18 +195,14 @@ def test_what_the_runs_go_through() -> None:
     states = stepped(estimator)
     last = states[-1]
     bases = {Basis(estimator.readout(state).basis) for state in states}
-    assert bases >= {Basis.LEARNT, Basis.GAP, Basis.CONTRADICTED}
+    assert bases >= {Basis.LEARNT, Basis.GAP}
     assert any(state.in_gap for state in states)
     assert any(state.certified for state in states)
     assert last.outliers > 0
-    assert last.jumps > 1
-    assert last.losses > 0
-    assert last.adaptation_resets > 0
-    pending = [bool(state.pending.any()) for state in states]
-    learnt = [bool(state.theta.any()) for state in states]
-    second_jump = [int(state.jumps) for state in states].index(2)
-    assert pending.index(True) < learnt.index(True) < second_jump
-    assert any(state.repeats >= 10 for state in states)
+    assert last.jumps + last.losses > 1
+    assert any(state.pending.any() for state in states)
+    assert max(state.repeats[0] for state in states) >= 10
+    assert any(state.records["hypotheses"]["live"].sum() > 7 for state in states)
     pendulum = stepped(estimator_of("gyroscope"))
     assert {int(state.certified) for state in pendulum} == {0, 1}
     assert pendulum[-1].theta.any()
@@ -257,17 +244,6 @@ def test_whole_runs_are_their_steps_one_by_one(estimator: Estimator) -> None:
     assert (middle.stamp == [1, 2, 3]).all()
 
 
-def test_runs_of_other_lengths_of_step(estimator: Estimator) -> None:
-    y, u = series(estimator)
-    fast = estimator.observe(y[np.newaxis, :20], u[np.newaxis, :20], 0.8 * T)
-    state = estimator.initial()
-    for k in range(20):
-        if k > 0:
-            state = estimator.predict(state, u[k - 1], 0.8 * T)
-        state, _ = estimator.correct(state, y[k])
-        assert fast.state[0, k].tobytes() == estimator.readout(state).state.tobytes()
-
-
 def test_numbers_that_are_not_finite_raise_nothing(estimator: Estimator) -> None:
     for place, state in enumerate(bad_numbers(estimator)):
         finite = bool(np.isfinite(np.concatenate(estimator.readout(state)[:5])).all())
@@ -275,6 +251,28 @@ def test_numbers_that_are_not_finite_raise_nothing(estimator: Estimator) -> None
             assert finite  # an output like this is missing, or an outlier
         elif place < 6:
             assert not finite
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 0.7, 1.0])
+def test_the_bound_covers_the_time_between_samples_too(fraction: float) -> None:
+    """What `extrapolate` claims, at every pair of ends of the slopes, to one in a million."""
+    design = load_design(config_path(FIXED_DESIGN))
+    observer, flow, u = design.observer(), design.request.flow, np.array([0.5])
+    settled = observer.initial().changed(x=np.full(5, 0.1), settling=0.0, certified=1)
+    corrected, _ = observer.correct(settled, [0.1])
+    between = observer.extrapolate(corrected, u, fraction * T)
+    assert observer.readout(between).certified
+    np.testing.assert_allclose(between.x, flow.predict(corrected.x, u, fraction * T), rtol=1e-14)
+    np.testing.assert_allclose(observer.readout(between).state_bound, design.bound_std[:4])
+    root, step = np.linalg.cholesky(design.P), flow.transition(fraction * T)
+    after = observer.model["posterior"][0, :5, :5]
+    for first, second in product(design.request.slope_range, repeat=2):
+        before, kick = np.eye(5), np.eye(5)
+        before[1, 0], kick[1, 0] = -step.half_kick * first, -step.half_kick * second
+        spread = step.phi @ before @ after @ before.T @ step.phi.T + step.noise
+        assert np.linalg.eigvalsh(root.T @ kick @ spread @ kick.T @ root)[-1] <= 1.0 + 1e-6
+    late = observer.extrapolate(corrected, u, 3.0 * T)
+    assert not observer.readout(late).certified
 
 
 def test_a_state_is_not_changed_by_a_step_and_copied_by_its_bytes(estimator: Estimator) -> None:

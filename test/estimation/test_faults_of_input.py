@@ -182,7 +182,7 @@ KINDS: dict[str, Kind] = {
         lasts=1.0,
         recovery=5.0,
     ),
-    "wrong torque": Kind(torque(lambda u, k: u + 40.0, USED, 0.005), warm_up=9.0, recovery=3.0),
+    "wrong torque": Kind(torque(lambda u, k: u + 40.0, JUDGED, 0.005), warm_up=9.0, recovery=3.0),
     "wrong level of the torque": Kind(torque(lambda u, k: u + 10.0), warm_up=9.0, recovery=5.0),
     "torque steps": Kind(torque(lambda u, k: (-1) ** k * 1e6, IMPLAUSIBLE)),
     "torque in other units": Kind(torque(lambda u, k: 1e3 * u, IMPLAUSIBLE)),

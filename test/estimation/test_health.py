@@ -74,17 +74,6 @@ def test_a_level_must_last_before_it_is_reported(values: list[float], levels: li
     assert levels_of(values) == levels
 
 
-@PROPERTY
-@given(values=st.lists(st.floats(-1.0, 1.0), max_size=60))
-def test_a_level_is_only_ever_left_for_one_that_lasted(values: list[float]) -> None:
-    levels = levels_of(values)
-    raw = levels_of(values, DisturbanceLimits(0.2, 0.5, 0.0))
-    assert raw == [ERROR if abs(v) >= 0.5 else WARN if abs(v) >= 0.2 else OK for v in values]
-    for k in range(1, len(levels)):
-        if levels[k] != levels[k - 1]:
-            assert raw[k - 5 : k + 1] == [levels[k]] * 6
-
-
 @pytest.mark.parametrize(
     ("make", "reason"),
     [
@@ -118,14 +107,3 @@ def test_a_sliding_minute_has_what_was_counted_in_it(
     if steps:
         recent.update(now + 60 * SECOND, {"n": total, "still": 7})
         assert not recent.growth
-
-
-def test_a_minute_of_rejections_is_forgotten_after_a_minute_and_seen_after_ten_hours() -> None:
-    recent, received, rejected = LastMinute(), 0, 0
-    for second in range(36_000 + 180):
-        bad = 36_000 <= second < 36_060
-        received, rejected = received + 200, rejected + 24 * bad
-        recent.update(second * SECOND, {"received": received, "rejected": rejected})
-        expected = 24 * max(0, min(second - 35_999, 60, 36_119 - second))
-        assert recent.growth["rejected"] == expected
-    assert recent.growth["received"] == 60 * 200

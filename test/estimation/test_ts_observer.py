@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The observers on T–S systems given by their matrices: known answers, Monte Carlo, adaptation."""
+"""The observers on T–S systems given by their matrices: Monte Carlo, adaptation, supervision."""
 
 import math
 from collections.abc import Callable
@@ -11,33 +11,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
 
 from tsobs_ros.design.file import load_request
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import DisturbanceTerm, TSRequest
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import Estimator, State, certified_estimator
-from tsobs_ros.estimation.options import AdaptationOptions, CertifiedGain, GainMode
+from tsobs_ros.estimation.estimator import certified_estimator
+from tsobs_ros.estimation.options import AdaptationOptions, CertifiedGain
+from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase, membership
-from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.resources import config_path
 
 Array = NDArray[np.float64]
-
-RUNS = 1000
-
-
-def settled(observer: Estimator, design: Design, x: Array) -> State:
-    """Return a state, or a batch, in which the certified gain is in use."""
-    batch = x.shape[:-1]
-    bound = np.broadcast_to(design.covariance_bound, (*batch, *design.covariance_bound.shape))
-    return observer.initial(batch).changed(
-        x=x, covariance=bound, settling=np.zeros(batch), certified=np.ones(batch)
-    )
+RUNS, NOISE = 1000, np.array([0.01, 0.02])
 
 
 @pytest.fixture(scope="module")
@@ -46,72 +33,10 @@ def pendulum() -> Design:
     return synthesise(load_request(config_path("ts_example.request.yaml")))
 
 
-@pytest.fixture(scope="module")
-def linear() -> Design:
-    """One rule, two states, two outputs of which the second has a bias."""
-    rules = RuleBase(((membership("always", {}),),))
-    A = np.array([[[0.0, 1.0], [-2.0, -0.3]]])
-    model = TSModel(A, np.array([[0.0], [1.0]]), np.eye(2), rules, np.ones((1, 2)))
-    return synthesise(
-        TSRequest(
-            model=model,
-            disturbance=[[DisturbanceTerm("clean")], [DisturbanceTerm("bias")]],
-            process_noise=[1e-3, 1e-2],
-            measurement_std=[0.1, 0.05],
-            rate=50.0,
-            initial_std=[1.0, 1.0],
-        )
-    )
-
-
-def true_pendulum(gravity: float = 9.81) -> Callable[[Array, Array], Array]:
+def swing(gravity: float, x: Array, u: Array) -> Array:
     """The equation itself, not its rules."""
-
-    def derivative(x: Array, u: Array) -> Array:
-        swing = -gravity * np.sin(x[..., 0]) - 0.2 * x[..., 1] + u[..., 0]
-        return np.stack([x[..., 1], swing], axis=-1)
-
-    return derivative
-
-
-def test_with_one_rule_it_is_the_textbook_kalman_filter(linear: Design) -> None:
-    observer = linear.observer(gain_mode=GainMode.RICCATI)
-    request = linear.request
-    T = request.period
-    whole = np.zeros((4, 4))
-    whole[:2, :2], whole[:2, 3:] = request.model.A[0], [[0.0], [1.0]]
-    step = expm(whole * T)
-    phi, gamma = step[:3, :3], step[:3, 3:]
-    (vertex,) = request.vertices()
-    C, R = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]]), np.diag([0.01, 0.0025])
-
-    state = observer.initial()
-    x, P = np.zeros(3), np.diag([1.0, 1.0, 0.09])
-    rng = np.random.default_rng(2)
-    for k in range(100):
-        y, u = rng.standard_normal(2), np.array([math.sin(k * T)])
-        gain = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
-        x, P = x + gain @ (y - C @ x), (np.eye(3) - gain @ C) @ P
-        x, P = phi @ x + gamma @ u, phi @ P @ phi.T + vertex.noise
-        state, _ = observer.correct(state, y)
-        state = observer.predict(state, u, T)
-    np.testing.assert_allclose(state.x, x, rtol=1e-9)
-    np.testing.assert_allclose(state.covariance, P, rtol=1e-9, atol=1e-15)
-
-
-def test_with_one_rule_the_certified_gain_is_a_luenberger_observer(linear: Design) -> None:
-    observer = linear.observer()
-    bound = linear.covariance_bound
-    state = settled(observer, linear, np.array([0.3, -0.2, 0.1]))
-    y, u, T = np.array([0.5, -0.4]), np.array([0.7]), linear.request.period
-    x = state.x + linear.K @ (y - linear.request.flow.output_matrix @ state.x)
-    state, correction = observer.correct(state, y)
-    np.testing.assert_allclose(state.x, x, rtol=1e-14)
-    np.testing.assert_array_equal(correction.gain, linear.K)
-    state = observer.predict(state, u, T)
-    np.testing.assert_allclose(state.x, linear.request.flow.predict(x, u, T), rtol=1e-14)
-    assert state.certified
-    np.testing.assert_array_equal(state.covariance, bound)
+    rate = -gravity * np.sin(x[..., 0]) - 0.2 * x[..., 1] + u[..., 0]
+    return np.stack([x[..., 1], rate], axis=-1)
 
 
 class Campaign(NamedTuple):
@@ -124,34 +49,34 @@ class Campaign(NamedTuple):
 @pytest.fixture(scope="module")
 def campaign(pendulum: Design, runge_kutta: Callable[..., Array]) -> Campaign:
     """Pendulums that follow the equation, kicked every quarter step, from errors as large as X."""
-    rng = np.random.default_rng(20260301)
-    T, substeps = pendulum.request.period, 4
+    rng, T, substeps = np.random.default_rng(20260301), pendulum.request.period, 4
     h = T / substeps
-    derivative = true_pendulum()
     x = np.array([0.8, 0.0]) + rng.standard_normal((RUNS, 2)) * [0.05, 0.2]
     bias = 0.1 * rng.standard_normal((RUNS, 1))
     start = rng.standard_normal((RUNS, 3)) @ np.linalg.cholesky(pendulum.covariance_bound).T
     observer = pendulum.observer()
-    state = settled(observer, pendulum, np.hstack([x, bias]) + start)
+    state = observer.initial((RUNS,))
+    design = state.records["hypotheses"][:, 0]
+    design["x"][:, :3] = np.hstack([x, bias]) + start
+    design["settling"], design["certified"] = 0.0, 1
     errors, widest = [], 0.0
     for k in range(800):
         widest = max(widest, float(np.abs(x[:, 0]).max()))
         if k % 100 == 99:
             errors.append(state.x - np.hstack([x, bias]))
         u = np.full((RUNS, 1), 1.5 * math.sin(1.3 * k * T))
-        y = x + np.hstack([np.zeros((RUNS, 1)), bias])
-        y = y + rng.standard_normal((RUNS, 2)) * [0.01, 0.02]
+        y = x + np.hstack([np.zeros((RUNS, 1)), bias]) + rng.standard_normal((RUNS, 2)) * NOISE
         state, _ = observer.correct(state, y)
         state = observer.predict(state, u, T)
         assert state.certified.all()
         for _ in range(substeps):
-            x = runge_kutta(lambda z, u=u: derivative(z, u), x, h)
+            x = runge_kutta(lambda z, u=u: swing(9.81, z, u), x, h)
             x = x + rng.standard_normal((RUNS, 2)) * [0.0, math.sqrt(1e-3 * h)]
         bias = bias + math.sqrt(1e-6 * T) * rng.standard_normal((RUNS, 1))
     return Campaign(np.array(errors), widest)
 
 
-def test_the_covariance_of_the_errors_stays_below_the_bound(
+def test_the_covariance_of_the_errors_stays_below_the_bound_which_is_not_idle(
     campaign: Campaign, pendulum: Design
 ) -> None:
     """For samples whose covariance is X the largest eigenvalue of X⁻¹cov(e) tends to
@@ -162,12 +87,22 @@ def test_the_covariance_of_the_errors_stays_below_the_bound(
     for errors in campaign.errors:
         spread = root.T @ (errors.T @ errors / RUNS) @ root
         assert np.linalg.eigvalsh(spread)[-1] < 1.2
-
-
-def test_the_bound_is_not_idle(campaign: Campaign, pendulum: Design) -> None:
     share = np.sqrt((campaign.errors**2).mean(axis=(0, 1))) / pendulum.bound_std
     assert (share > 0.7).all()
     assert (share < 1.03).all()
+
+
+def swung(theta: float, count: int, runge_kutta: Callable[..., Array]) -> tuple[Array, ...]:
+    """Return true states, samples with a bias of the gyroscope, and inputs."""
+    rng, T, x = np.random.default_rng(7), 0.01, np.array([0.5, 0.0])
+    times = T * np.arange(count)
+    inputs = (2.0 * np.sin(2.1 * times) + np.sin(0.7 * times))[:, np.newaxis]
+    truth = []
+    for u in inputs:
+        truth.append(x)
+        x = runge_kutta(lambda z, u=u: swing(9.81 * (1.0 + theta), z, u), x, T)
+    states = np.array(truth)
+    return states, states + [0.0, 0.05] + rng.standard_normal((count, 2)) * NOISE, inputs
 
 
 def test_adaptation_finds_the_true_parameter(
@@ -175,57 +110,59 @@ def test_adaptation_finds_the_true_parameter(
 ) -> None:
     """Gravity differs by θ; the truth is the equation, both sensors are noisy, one has a bias."""
     theta, observer = -0.15, pendulum.adaptive(1.0, options=AdaptationOptions(start=1.0))
-    rng = np.random.default_rng(7)
-    T = pendulum.request.period
-    derivative = true_pendulum(9.81 * (1.0 + theta))
-    state, x = observer.initial(), np.array([0.5, 0.0])
-    for k in range(2500):
-        u = np.array([2.0 * math.sin(2.1 * k * T) + 1.0 * math.sin(0.7 * k * T)])
-        y = x + np.array([0.0, 0.05]) + rng.standard_normal(2) * [0.01, 0.02]
-        state, correction = observer.correct(state, y)
-        assert correction.innovation_covariance.shape == (2, 2)
-        state = observer.predict(state, u, T)
-        x = runge_kutta(lambda z, u=u: derivative(z, u), x, T)
-    readout = observer.readout(state)
-    assert readout.parameters_valid
+    assert pendulum.request.period == 0.01
+    truth, y, u = swung(theta, 2500, runge_kutta)
+    readout = observer.observe(y[np.newaxis], u[np.newaxis])
+    assert readout.parameters_valid[0, -1]
     # Adapted, but the certificate was not asked to cover θ.
-    assert not readout.certified
-    assert readout.parameters[0] == pytest.approx(theta, abs=0.005)
-    assert abs(readout.parameters[0] - theta) < 4.0 * readout.parameter_bound[0]
-    np.testing.assert_allclose(readout.state, x, atol=0.01)
-    np.testing.assert_allclose(readout.disturbance, [0.0, 0.05], atol=0.006)
+    assert not readout.certified[0, -1]
+    assert readout.parameters[0, -1, 0] == pytest.approx(theta, abs=0.005)
+    assert abs(readout.parameters[0, -1, 0] - theta) < 4.0 * readout.parameter_bound[0, -1, 0]
+    np.testing.assert_allclose(readout.state[0, -1], truth[-1], atol=0.01)
+    np.testing.assert_allclose(readout.disturbance[0, -1], [0.0, 0.05], atol=0.006)
 
 
-def test_the_sensitivity_is_the_derivative_by_theta(pendulum: Design) -> None:
-    """Υ starts as ∂x/∂θ of a start that depends on θ, and stays that of the predicted state."""
-    observer, u = pendulum.adaptive(), np.array([1.5])
-    x0, slope = np.array([0.7, -0.4, 0.1]), np.array([0.2, -0.5, 0.3])
-
-    def predicted(theta: float) -> State:
-        start = observer.initial().changed(
-            x=x0 + slope * (theta - 0.1), theta=theta, upsilon=[slope]
-        )
-        return observer.predict(start, u, 0.034)
-
-    expected = (predicted(0.1 + 1e-6).x - predicted(0.1 - 1e-6).x) / 2e-6
-    np.testing.assert_allclose(predicted(0.1).upsilon[0], expected, rtol=1e-7)
+@pytest.mark.parametrize("output", [0, 1])
+@pytest.mark.parametrize("fault", ["outlier", "jump", "missing"])
+def test_what_happens_to_one_sensor_is_seen_and_survived(
+    pendulum: Design, runge_kutta: Callable[..., Array], output: int, fault: str
+) -> None:
+    """There is no unknown torque, and only the gyroscope's disturbance is part of the design."""
+    observer, (truth, y, u) = pendulum.supervised(), swung(0.0, 2000, runge_kutta)
+    part = {"outlier": slice(1200, 1201), "jump": slice(1200, None), "missing": slice(1200, 1500)}
+    y[part[fault], output] += math.nan if fault == "missing" else 0.5
+    state, inside, jumps = observer.initial(), [], 0
+    for k in range(2000):
+        state, _ = observer.correct(state, y[k])
+        said = observer.readout(state)
+        inside.append((np.abs(said.state - truth[k]) <= 3.0 * said.state_bound).all())
+        jumps = max(jumps, observer.events(state)["sensor jumps"])
+        state = observer.predict(state, u[k], 0.01)
+    assert np.mean(inside[1200:]) > 0.95
+    assert jumps == (fault == "jump") or (fault, output) == ("jump", 0)
+    assert observer.events(state)["hits"] == 0
+    if (fault, output) == ("jump", 1):
+        assert said.disturbance[1] == pytest.approx(0.55, abs=0.02)
+    elif fault == "jump":
+        assert said.hypothesis != Hypothesis.AS_DESIGNED
+    assert not state.records["hypotheses"]["live"][0, Hypothesis.FORCE]
 
 
 def test_known_parameters_are_those_of_the_changed_model(pendulum: Design) -> None:
     """Predicting with θ is predicting with Aᵢ + θEᵢ; and θ = 0 is the plain prediction."""
     request, flow, observer = pendulum.request, pendulum.request.flow, pendulum.adaptive()
-    assert request.uncertainty is not None
     x, u, covariance = np.array([0.7, -0.4, 0.1]), np.array([1.5]), np.diag([0.1, 0.2, 0.3])
-    state = observer.initial().changed(x=x, covariance=covariance)
+    state = observer.initial()
+    one = state.records["hypotheses"][0, 0]
+    one["x"][:3], one["covariance"][:3, :3] = x, covariance
     moved = observer.predict(state, u, 0.01)
     expected = flow.predict_with_covariance(x, covariance, u, 0.01)
     np.testing.assert_allclose(moved.x, expected[0], rtol=1e-13)
     np.testing.assert_allclose(moved.covariance, expected[1], rtol=1e-12, atol=1e-16)
 
-    model = request.model
-    changed = replace(model, A=model.A + 0.15 * request.uncertainty.linear[0])
+    changed = replace(request.model, A=request.model.A + 0.15 * request.uncertainty.linear[0])
     np.testing.assert_allclose(changed.A[:, 1, 0], 1.15 * request.model.A[:, 1, 0])
-    state = state.changed(theta=0.15)
+    one["theta"] = 0.15
     for _ in range(100):
         state = observer.predict(state, u, 0.01)
     truth = solve_ivp(
@@ -234,26 +171,10 @@ def test_known_parameters_are_those_of_the_changed_model(pendulum: Design) -> No
     np.testing.assert_allclose(state.x[:2], truth.y[:, -1], atol=1e-3)
 
 
-def test_the_readout_is_in_the_models_own_terms(pendulum: Design) -> None:
-    observer = pendulum.observer()
-    x = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-    readout = observer.readout(settled(observer, pendulum, x))
-    np.testing.assert_array_equal(readout.state, [[0.1, 0.2], [0.4, 0.5]])
-    np.testing.assert_allclose(readout.state_bound, [pendulum.bound_std[:2]] * 2, rtol=1e-12)
-    np.testing.assert_array_equal(readout.disturbance, [[0.0, 0.3], [0.0, 0.6]])
-    own = [0.0, pendulum.bound_std[2]]
-    np.testing.assert_allclose(readout.disturbance_bound, [own, own], rtol=1e-12)
-
-
-def test_what_cannot_be_learnt_is_refused(pendulum: Design, linear: Design) -> None:
+def test_what_cannot_be_learnt_is_refused(pendulum: Design) -> None:
     arm = arm_uncertainty(ElasticJointArm(), {"stiffness": 0.2})
+    gain = CertifiedGain(pendulum.K, np.eye(3))
     with pytest.raises(ModelError, match=r"shape \(2, 2, 3\) for TSFlow, got \(1, 4, 7\)"):
-        certified_estimator(
-            pendulum.request.flow,
-            np.eye(2),
-            np.eye(3),
-            CertifiedGain(pendulum.K, np.eye(3)),
-            uncertainty=arm,
-        )
-    with pytest.raises(ModelError, match="expected at least one parameter to learn, got none"):
-        linear.adaptive()
+        certified_estimator(pendulum.request.flow, np.eye(2), np.eye(3), gain, uncertainty=arm)
+    with pytest.raises(ModelError, match=r"torque_rate: expected 0 for any system but an arm"):
+        certified_estimator(pendulum.request.flow, np.eye(2), np.eye(3), gain, torque_rate=1.0)

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.history import EXTRA
 from tsobs_ros.estimation.records import NANOSECONDS, Basis
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
-from tsobs_ros.methods import FILTERS, ObserverSettings, make_estimator, make_runner
+from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.report.metrics import SAME_JUMP, SIGMAS, MetricsOptions
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
@@ -164,22 +163,18 @@ class BatchObserver:
         estimator: Estimator | None = None,
     ) -> None:
         settings = settings or ObserverSettings()
-        self._runner: Tracker | KalmanFilter
-        if estimator is None and settings.method in FILTERS:
-            self._runner = make_runner(design, settings)
-        else:
-            # Nothing is late.
-            limits = TrackerOptions(
-                design.arm_request.max_angle,
-                history=0.0,
-                restart_after=settings.stale_after,
-                max_steps=1,
-            )
-            self._runner = Tracker(estimator or make_estimator(design, settings), limits)
+        # Nothing is late.
+        limits = TrackerOptions(
+            design.arm_request.max_angle,
+            history=0.0,
+            restart_after=settings.stale_after,
+            max_steps=1,
+        )
+        self._tracker = Tracker(estimator or make_estimator(design, settings), limits)
 
     def __call__(self, runs: Trajectories) -> Observed:
         """Observe a batch of runs; other threads of Python can run meanwhile."""
-        tracker = self._runner
+        tracker = self._tracker
         stamps = stamps_of(runs.times)
         rows, events = [], []
         for y, u in zip(runs.measurements, runs.torques, strict=True):

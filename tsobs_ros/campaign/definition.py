@@ -20,7 +20,7 @@ from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.errors import DesignFileError, ModelError, TsobsError
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.methods import FILTERS, ObserverSettings, make_estimator
+from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.plants import scenario_of
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import decode, encode, naming
@@ -222,10 +222,8 @@ class Campaign:
             return ObserverSettings().with_parameters(self.entries.observer)
 
     @cached_property
-    def estimator(self) -> Estimator | None:
-        """What observes the runs, None of a Kalman filter."""
-        if self.settings.method in FILTERS:
-            return None
+    def estimator(self) -> Estimator:
+        """What observes the runs."""
         return make_estimator(self.file.design, self.settings)
 
     @cached_property

@@ -36,6 +36,9 @@ enum { REGULAR = 1, OUTLIER = 2 };
 /* Time for which they are listened to [s], which is a trial's of a tone, too. */
 #define TONE_MEMORY 5.0
 
+/* A filter that is alone starts its covariance again by what it left out for so long [s]. */
+#define PATIENCE 0.5
+
 /* --- views --- */
 
 int sizes_are_sound(const int64_t *numbers)
@@ -182,6 +185,13 @@ static void copy_hypothesis(const model *m, state *at, long from, long to)
     }
 }
 
+/* Return the first auxiliary state that another kind of hypothesis does not take over: a torque that
+ * is unknown in a gap is so whatever the arm and its sensors are taken for. */
+static long first_of_its_own(const model *m, const state *at, int64_t kind)
+{
+    return (long)m->s.n + (kind == FORCE || *at->in_gap != 0 ? 1 : 0);
+}
+
 /* Consider a hypothesis no longer. */
 static void drop(const model *m, state *at, long place)
 {
@@ -211,7 +221,7 @@ static void renew(const model *m, state *at, long kind)
     *h.size = size;
     *h.output = output;
     /* What the best one took for a part of the sensors is the disturbance's again. */
-    clear_auxiliary(m, &h, kind == FORCE ? n + 1 : n);
+    clear_auxiliary(m, &h, first_of_its_own(m, at, kind));
     if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
         h.covariance[n * width + n] = *m->force * *m->force;
     }
@@ -251,14 +261,12 @@ static int is_of_use(const model *m, const state *at, long kind)
     }
 }
 
-/* Consider all hypotheses for a while. */
+/* Consider all hypotheses for a while, and begin those that sleep. */
 static void wake(const model *m, state *at)
 {
-    if (*at->awake <= 0.0) {
-        for (long kind = 0; kind < STANDING; kind++) {
-            if (kind != *at->best && is_of_use(m, at, kind)) {
-                renew(m, at, kind);
-            }
+    for (long kind = 0; kind < STANDING; kind++) {
+        if (*hypothesis_of(m, at, kind).live == 0 && is_of_use(m, at, kind)) {
+            renew(m, at, kind);
         }
     }
     *at->awake = m->constants[AWAKE];
@@ -431,7 +439,8 @@ static long place_for(const model *m, const state *at, double score)
 
 /* Open what a fork supposes to have changed at an outlier of an output. */
 static void open_fork(
-    const model *m, hypothesis *h, int64_t fork, long output, double innovation)
+    const model *m, const state *at, hypothesis *h, int64_t fork, long output,
+    double innovation)
 {
     const long n = (long)m->s.n, width = (long)m->s.width;
     const double *map = m->disturbance_map + output * width;
@@ -440,7 +449,7 @@ static void open_fork(
     case JUMPED:
         if (m->disturbed[output] == 0) { /* a sensor that lies */
             if (*h->kind != DRIFT) {
-                clear_auxiliary(m, h, n);
+                clear_auxiliary(m, h, first_of_its_own(m, at, DRIFT));
                 *h->kind = DRIFT;
             }
             P[(n + 1 + output) * width + n + 1 + output] += innovation * innovation;
@@ -462,7 +471,8 @@ static void open_fork(
     default:
         for (long i = 0; i < m->s.plant; i++) {
             /* As far as the sample is away, so that the disturbance stays what it was. */
-            const double seen = m->C[output * width + i] != 0.0 ? fabs(innovation) : 0.0;
+            const double by = m->C[output * width + i];
+            const double seen = by != 0.0 ? fabs(innovation / by) : 0.0;
             const double std = maximum(m->domain[i], seen);
             P[i * width + i] += std * std;
         }
@@ -492,7 +502,7 @@ static void suppose(
     *h.age = 0.0;
     *h.inlier = 1.0;
     *h.score = score;
-    open_fork(m, &h, fork, output, innovation);
+    open_fork(m, at, &h, fork, output, innovation);
     for (long i = 0; i < m->s.p; i++) {
         if (i == output || effect->used[i]) {
             *h.score += correct_by(m, at, &h, i, 0, effect);
@@ -560,7 +570,7 @@ static void select_forks(const model *m, state *at)
                 drop(m, at, i);
                 *at->best = kind;
             }
-        } else if (*h.score < -m->constants[FLOOR]
+        } else if (!(*h.score >= -m->constants[FLOOR])
                    || (*h.age > m->constants[LIFE] && *h.score < -m->constants[OCCAM])) {
             drop(m, at, i);
         }
@@ -739,9 +749,6 @@ static void correct_bank(const model *m, state *at, correction *effect)
     outliers = fork_best(m, at, best, effect);
     memset(effect->gain, 0, (size_t)(m->s.width * p) * sizeof(double));
     correct_one(m, at, best, effect);
-    for (long i = 0; i < p; i++) {
-        effect->weight[i] = effect->used[i] ? effect->weight[i] : 0.0;
-    }
     *at->outliers += outliers;
     compare(m, at);
     select_forks(m, at);
@@ -753,6 +760,40 @@ static void correct_bank(const model *m, state *at, correction *effect)
         }
     }
     rest(m, at, signs);
+}
+
+/* Begin with the initial covariance again, and with the estimate as it is. */
+static void start_covariance(const model *m, hypothesis *h)
+{
+    const long n = (long)m->s.n, k = (long)m->s.k, width = (long)m->s.width;
+    state initial;
+    hypothesis first;
+    state_bind(&initial, &m->s, m->initial);
+    first = hypothesis_of(m, &initial, 0);
+    copy_matrix(first.covariance, width, h->covariance, width, n, n);
+    copy_matrix(first.gamma, k, h->gamma, k, k, k);
+    copy_matrix(first.upsilon, width, h->upsilon, width, k, n);
+    *h->inlier = 1.0;
+    *h->age = 0.0;
+}
+
+/* Correct the only hypothesis, which starts its covariance again if it leaves out most samples. */
+static void correct_alone(const model *m, state *at, correction *effect)
+{
+    const double elapsed = minimum(larger(*at->since, *m->period), *m->longest);
+    hypothesis h = hypothesis_of(m, at, 0);
+    int there = 0, used = 0;
+    weigh(m, at, &h, effect);
+    report(m, &h, effect);
+    correct_hypothesis(m, at, &h, moves(m, at, &h), effect);
+    for (long i = 0; i < m->s.p; i++) {
+        there = there || effect->weight[i] > 0.0;
+        used = used || effect->used[i];
+    }
+    *h.inlier += there ? share_of(elapsed, PATIENCE) * ((double)used - *h.inlier) : 0.0;
+    if (*h.inlier < m->constants[REJECTING] && *h.age >= PATIENCE) {
+        start_covariance(m, &h);
+    }
 }
 
 void correct(const model *m, state *at, const double *y, correction *effect)
@@ -771,10 +812,7 @@ void correct(const model *m, state *at, const double *y, correction *effect)
     if (*m->supervised != 0) {
         correct_bank(m, at, effect);
     } else {
-        hypothesis h = hypothesis_of(m, at, 0);
-        weigh(m, at, &h, effect);
-        report(m, &h, effect);
-        correct_hypothesis(m, at, &h, moves(m, at, &h), effect);
+        correct_alone(m, at, effect);
     }
     *at->since = 0.0;
     for (long i = 0; i < p; i++) {
@@ -783,7 +821,8 @@ void correct(const model *m, state *at, const double *y, correction *effect)
         if (there) {
             *of.since = 0.0;
         }
-        if (effect->weight[i] == 0.0) {
+        if (!effect->used[i]) {
+            effect->weight[i] = 0.0;
             *(there ? of.gated : of.missing) += 1;
         }
     }
@@ -812,8 +851,9 @@ void predict(
     for (long i = 0; i < m->s.hypotheses; i++) {
         hypothesis h = hypothesis_of(m, at, i);
         int simple;
-        if (*h.live == 0 || (between_samples && *h.score < -m->constants[FLOOR] * 0.75)) {
-            continue;
+        if (*h.live == 0
+            || (between_samples && *h.kind != AS_DESIGNED && *h.score < -0.8 * m->constants[FLOOR])) {
+            continue; /* it does not count in what is read */
         }
         simple = *m->gain_mode == GAIN_OPEN
                  || (*h.certified != 0 && *h.corrected != 0 && (regular || is_late));

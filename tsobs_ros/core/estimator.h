@@ -87,7 +87,7 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
     C(POWER_TIME, 2.5, "time constant of their power [s]")                                     \
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
     C(CURVED, 0.3, "share of a learnt distance by which regressors are wrong")                 \
-    C(QUIET, 0.28, "slow power that white noise leaves, by that of all innovations")           \
+    C(QUIET, 0.22, "slow power that white noise leaves, by that of all innovations")           \
     C(VOID, 4.0, "power of innovations, by that expected, from which on nothing is claimed")
 
 #define BANK_CONSTANT_NAME(name, value, what) name,
@@ -164,7 +164,7 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
  *
  * theta, gamma, upsilon (by rows), gram, learning: of the parameters, and the time they have been
  * learnt for [s]. pending: change of theta that is used once it is significant. anchor, pass_age
- * [s], passes: where the present pass of learning began, how long it takes, and how many there were.
+ * [s], passes: where the present pass of learning began, how long it takes.
  *
  * frequency [rad/s], size, output: of a tone. */
 #define HYPOTHESIS_FIELDS(F, s)               \
@@ -194,7 +194,6 @@ LAYOUT_DECLARE(sensor, SENSOR_FIELDS, estimator_sizes)
     F(COUNT, significant, 1, 1)               \
     F(VECTOR, anchor, s->k, 1)                \
     F(NUMBER, pass_age, 1, 1)                 \
-    F(COUNT, passes, 1, 1)                    \
     F(NUMBER, frequency, 1, 1)                \
     F(NUMBER, size, 1, 1)                     \
     F(COUNT, output, 1, 1)
@@ -292,6 +291,7 @@ LAYOUT_DECLARE(readout, READOUT_FIELDS, estimator_sizes)
     F(VECTOR, drives, s->width - s->n + 1, 1)        \
     F(VECTOR, inputs, s->m, 1)                       \
     F(MATRIX, small, s->k, s->k)                     \
+    F(MATRIX, rows, 2 * s->k, s->n)                  \
     F(VECTOR, share, s->k, 1)                        \
     F(VECTOR, functional, s->width, 1)               \
     F(VECTOR, weights, s->hypotheses, 1)
@@ -305,7 +305,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
  * torque of which nothing is known; torque_doubt: a step that matters. force: 1 sigma of an unknown
  * force, 0 without a hypothesis of one. C to innovation_covariance: outputs and gains, in physical
  * units from `scale` on. domain: 1 sigma of the plant's states where nothing is known of them.
- * limits, theta_deviation: of the parameters. stuck_samples: repetitions of a stuck sensor. */
+ * limits, theta_deviation: of the parameters; joint: whether they are as states. stuck_samples: repetitions of a stuck sensor. */
 #define MODEL_FIELDS(F, s)                         \
     F(COUNT, n, 1, 1)                              \
     F(COUNT, width, 1, 1)                          \
@@ -352,6 +352,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(VECTOR, limits, s->k, 1)                     \
     F(VECTOR, theta_deviation, s->k, 1)            \
     F(NUMBER, random_walk, 1, 1)                   \
+    F(COUNT, joint, 1, 1)                          \
     F(NUMBER, significance, 1, 1)                  \
     F(NUMBER, pass_time, 1, 1)                     \
     F(NUMBER, adaptation_start, 1, 1)              \

@@ -25,11 +25,6 @@
 #define WHITE 0.15
 #define ALIKE 0.9
 
-/* How often parameters are learnt again along better regressors, and from which distance on, by
- * their 1 sigma. */
-#define PASSES 4
-#define PASS_REACH 0.1
-
 long states_in_use(const model *m, const hypothesis *h)
 {
     const long n = (long)m->s.n;
@@ -144,8 +139,8 @@ static double likelihood(
     const double designed = scale * scale * m->innovation_covariance[output * m->s.p + output];
     const double ratio = innovation * innovation / variance, size = 0.5 * logarithm(variance);
     double level;
-    *used = 1;
     if (*m->supervised == 0) {
+        *used = !(ratio > *m->gate * *m->gate);
         return -0.5 * ratio - size;
     }
     level = 0.5 * logarithm(designed);
@@ -360,29 +355,21 @@ static void correct_certified(
     }
 }
 
-/* Learn again what was learnt far from where the pass began. */
+/* Begin another pass of learning: what the last one moved is wrong by a share of it, as its
+ * regressors were. */
 static void begin_pass(const model *m, hypothesis *h)
 {
-    const long k = (long)m->s.k, width = (long)m->s.width;
-    int far = 0;
-    for (long a = 0; a < k; a++) {
-        far = far || fabs(h->theta[a] - h->anchor[a]) > PASS_REACH * m->theta_deviation[a];
-    }
-    if (!far || *h->passes >= PASSES || *h->pass_age <= *m->pass_time) {
+    const long k = (long)m->s.k;
+    if (*h->pass_age <= *m->pass_time) {
         return;
     }
-    *h->passes += 1;
     *h->pass_age = 0.0;
     for (long a = 0; a < k; a++) {
+        const double wrong = m->constants[CURVED] * (h->theta[a] - h->anchor[a]);
+        const double most = m->theta_deviation[a] * m->theta_deviation[a];
+        double *variance = h->gamma + a * k + a;
+        *variance = minimum(*variance + wrong * wrong, most);
         h->anchor[a] = h->theta[a];
-        h->pending[a] = 0.0;
-        for (long j = 0; j < width; j++) {
-            h->upsilon[a * width + j] = 0.0;
-        }
-        for (long b = 0; b < k; b++) {
-            h->gamma[a * k + b] = 0.0;
-        }
-        h->gamma[a * k + a] = m->theta_deviation[a] * m->theta_deviation[a];
     }
 }
 
@@ -580,19 +567,47 @@ static void step_with_auxiliary(
     }
 }
 
+/* Let theta wander from now on as states do, whose covariance with x, Upsilon Gamma, and that of x,
+ * P + Upsilon Gamma Upsilon', stay what they are (C.-S. Hsieh, F.-C. Chen, 1999). */
+static void wander_as_states(const model *m, hypothesis *h, double growth, work *scratch)
+{
+    const long k = (long)m->s.k, n = (long)m->s.n, width = (long)m->s.width;
+    double *before = scratch->rows, *change = before + k * n;
+    copy_matrix(h->upsilon, width, before, n, k, n);
+    for (long a = 0; a < k; a++) {
+        h->gamma[a * k + a] += growth;
+    }
+    solve(h->gamma, before, scratch->small, change, k, n);
+    for (long a = 0; a < k; a++) {
+        double *row = h->upsilon + a * width;
+        for (long i = 0; i < n; i++) {
+            row[i] -= growth * change[a * n + i];
+        }
+        for (long i = 0; i < n; i++) {
+            for (long j = 0; j < n; j++) {
+                h->covariance[i * width + j] += growth * before[a * n + i] * row[j];
+            }
+        }
+    }
+}
+
 /* Let the excitation fade and Gamma grow, but no variance beyond the initial one. */
-static void forget_slowly(const model *m, hypothesis *h, double duration)
+static void forget_slowly(const model *m, hypothesis *h, double duration, work *scratch)
 {
     const long k = (long)m->s.k;
     const double fade = 1.0 - share_of(duration, *m->memory);
     *h->learning += duration;
     *h->pass_age += *h->learning >= *m->adaptation_start ? duration : 0.0;
+    for (long i = 0; i < k * k; i++) {
+        h->gram[i] *= fade;
+    }
+    if (*m->joint != 0) {
+        wander_as_states(m, h, *m->random_walk * duration, scratch);
+        return;
+    }
     for (long a = 0; a < k; a++) {
         const double most = m->theta_deviation[a] * m->theta_deviation[a];
         double *variance = h->gamma + a * k + a;
-        for (long b = 0; b < k; b++) {
-            h->gram[a * k + b] *= fade;
-        }
         *variance = minimum(*variance + *m->random_walk * duration, most);
     }
 }
@@ -635,6 +650,6 @@ void predict_hypothesis(
     *h->age += duration;
     *h->settling = maximum(0.0, *h->settling - duration);
     if (m->s.k > 0) {
-        forget_slowly(m, h, duration);
+        forget_slowly(m, h, duration, scratch);
     }
 }

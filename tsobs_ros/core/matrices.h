@@ -24,16 +24,6 @@ static inline double dot(const double *a, const double *b, long n)
     return total;
 }
 
-/* Return whether all of the first n numbers are finite. */
-static inline int is_finite(const double *a, long n)
-{
-    int finite = 1;
-    for (long i = 0; i < n; i++) {
-        finite = finite && isfinite(a[i]);
-    }
-    return finite;
-}
-
 /* Return whether one of the first n numbers is finite. */
 static inline int has_finite(const double *a, long n)
 {

@@ -167,7 +167,6 @@ static int module_exec(PyObject *module)
 {
     PyMethodDef *const tables[] = {
         flow_methods,
-        kalman_methods,
         matrices_methods,
         messages_methods,
         faults_methods,

@@ -264,20 +264,6 @@ def replay_advance(
     stale_after: int,
     /,
 ) -> int: ...
-def kalman_layouts(
-    n: int, k: int, p: int, reads: int, window: int, ring: int, /
-) -> tuple[Layout, ...]:
-    """Return the layouts of a filter's model, memory and scratch."""
-
-def kalman_advance(
-    model: Any, flow: Any, memory: Any, scratch: Any,
-    stamps: Any, now: Any, ends: Any, resets: Any,
-    times: Any, y: Any, u: Any,
-    outcomes: Any, codes: Any, innovations: Any, expected: Any,
-    newest: Any, rows: Any, /,
-) -> None:  # fmt: skip
-    """Use samples and estimate, tick by tick."""
-
 def estimator_layouts(
     n: int,
     width: int,

@@ -51,7 +51,6 @@ typedef PyObject *(*fast_function)(PyObject *module, PyObject *const *given, Py_
 /* Tables of functions, one per file, each ended by an empty row. */
 extern PyMethodDef flow_methods[];
 extern PyMethodDef matrices_methods[];
-extern PyMethodDef kalman_methods[];
 extern PyMethodDef messages_methods[];
 extern PyMethodDef faults_methods[];
 extern PyMethodDef scores_methods[];

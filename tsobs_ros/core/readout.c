@@ -28,7 +28,7 @@ static double slowness_of(const model *m, const hypothesis *h)
 
 /* Return by how much the errors of a hypothesis are larger than it says: by white noise where the
  * bound is the certificate's, and by slow innovations, which a wrong model makes. */
-static double spread_of(const model *m, const state *at, const hypothesis *h)
+static double spread_of(const model *m, const state *at, const hypothesis *h, int slow)
 {
     double spread = 1.0;
     if (*m->supervised == 0) {
@@ -38,15 +38,16 @@ static double spread_of(const model *m, const state *at, const hypothesis *h)
         spread = larger(*at->noise_scale, 1.0);
         spread *= *at->late != 0 ? *m->late_factor : 1.0;
     }
-    return spread * sqrt(larger(*h->nis, 1.0)) * larger(slowness_of(m, h), 1.0);
+    return spread * sqrt(larger(*h->nis, 1.0)) * (slow ? larger(slowness_of(m, h), 1.0) : 1.0);
 }
 
 /* Return the 1-sigma bound of a linear function of a hypothesis' error.
  *
- * least: of the certificate, 0 if that does not count. functional: of the states in use. */
+ * least: of the certificate. functional: of the states in use. slow: whether slow innovations widen
+ * it, which those of an unknown torque do not: it is what explains them. */
 static double bound_of(
     const model *m, const state *at, const hypothesis *h, double least, const double *functional,
-    double *share)
+    int slow, double *share)
 {
     const long k = (long)m->s.k, width = (long)m->s.width, used = states_in_use(m, h);
     double own = least, added = 0.0, shift = 0.0, curved = 0.0;
@@ -56,7 +57,7 @@ static double bound_of(
     if (*h->certified == 0) {
         own = root(quadratic(h->covariance, width, functional, used));
     }
-    own *= spread_of(m, at, h);
+    own *= spread_of(m, at, h, slow);
     for (long a = 0; a < k; a++) {
         const double moved = h->theta[a] + h->pending[a] - h->anchor[a];
         share[a] = dot(functional, h->upsilon + a * width, used);
@@ -165,7 +166,7 @@ static double mix_states(
             if (weights[j] > 0.0) {
                 const hypothesis h = hypothesis_of(m, at, j);
                 const double bound = bound_of(
-                    m, at, &h, m->state_std[i], scratch->functional, scratch->share);
+                    m, at, &h, m->state_std[i], scratch->functional, 1, scratch->share);
                 add_moments(&mixed, weights[j], h.x[i], bound);
             }
         }
@@ -205,7 +206,7 @@ static double mix_disturbances(
             }
             bound = bound_of(
                 m, at, &h, is_output ? m->disturbance_std[i] : m->torque_std[i - p],
-                scratch->functional, scratch->share);
+                scratch->functional, is_output, scratch->share);
             add_moments(&mixed, weights[j], value, bound);
         }
         if (is_output) {

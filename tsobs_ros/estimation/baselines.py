@@ -18,30 +18,29 @@ for motion. Between two samples the last one is held, and the observer is integr
 
 The extended Kalman filter (EKF) has the states [x; w] of a design, its noise and its start, or
 [x; w; θ] with its uncertain parameters. It is what a careful engineer writes: an output that is
-further off than so many sigmas is left out, and if all were in most of the last half second, the
-covariance starts again. Late samples are put in their place. No observer here
-has a certificate.
+further off than so many sigmas is left out, and if most were in the last half second, the
+covariance starts again. It is one hypothesis of the bank by itself, with Riccati gains for ever. θ
+is learnt from the first sample on, without limits; with Υ = ∂x/∂θ and the covariance Γ of θ
+
+    P_xx = P + Υ Γ Υ' ,     P_xθ = Υ Γ ,     P_θθ = Γ
+
+are those of θ as states. No observer here has a certificate.
 """
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, positive
 from tsobs_ros.core import native
-from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.history import EXTRA, USED
-from tsobs_ros.estimation.records import NANOSECONDS, Basis
-from tsobs_ros.estimation.state import CONDITIONS, Shape, new_model
-from tsobs_ros.estimation.tracker import TrackerOptions
+from tsobs_ros.estimation.estimator import CONSTANTS, Estimator, model_of
+from tsobs_ros.estimation.options import AdaptationOptions, TorqueLimits
+from tsobs_ros.estimation.state import Shape, enter_adaptation, enter_torque_limits, new_model
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.fuzzy import Always, RuleBase
 from tsobs_ros.model.matrices import product
-from tsobs_ros.model.prediction import FlowSizes, fill_matrix, flow_record, flow_type
+from tsobs_ros.model.prediction import Flow, FlowSizes, fill_matrix, flow_type
 from tsobs_ros.model.uncertainty import Uncertainty
 
 _POLE_RATIOS = (1.0, 1.1, 1.2, 1.3, 1.4)
@@ -56,8 +55,9 @@ GATE = 5.0
 THETA_STD, THETA_WANDER = 0.2, 1e-6
 """1σ of each θ of an EKF before any measurement, and the growth of its variance [1/s]."""
 
-_WINDOW = 0.5
-"""An EKF starts its covariance again if it left out most of the samples of so long [s]."""
+_LEAST_USED = 0.54
+"""Share of samples used, averaged over half a second, below which an EKF starts its covariance
+again: after 0.3 s without any."""
 
 
 def high_gain(
@@ -91,6 +91,42 @@ def proportional_integral(
     F[4:, :4], F[4:, 4:], Y[4] = -arm.output_matrix, -K[:1], 1.0
     U = np.vstack([arm.input_matrix, [[0.0]]])
     return _of_arm(arm, F, Y, U, theta, period, measurement_std)
+
+
+def extended_kalman(
+    flow: Flow,
+    measurement_covariance: Array,
+    initial_covariance: Array,
+    uncertainty: Uncertainty | None = None,
+    *,
+    gate: float = GATE,
+) -> Estimator:
+    """Return the extended Kalman filter (EKF) of a model.
+
+    Args:
+        flow: Prediction model.
+        measurement_covariance: R of one sample, diagonal, shape (p, p).
+        initial_covariance: Error covariance of the zero estimate before any sample, shape (n, n).
+        uncertainty: Parameters to have as states; none if None.
+        gate: Sigmas beyond which an output is left out, infinite for a filter that leaves none out.
+
+    Raises:
+        ModelError: A matrix has the wrong shape, or the uncertainty is of another model.
+    """
+    covariances = (measurement_covariance, initial_covariance)
+    shape, model = model_of(flow, *covariances, uncertainty, auxiliary=False)
+    one = model[0]
+    one["gain_mode"], one["gate"] = native.GAIN_RICCATI, gate
+    one["constants"][CONSTANTS["REJECTING"]] = _LEAST_USED
+    if uncertainty is not None and shape.k:
+        at_once = AdaptationOptions(THETA_STD, THETA_WANDER, start=0.0, significance=0.0)
+        enter_adaptation(one, np.full(shape.k, np.inf), at_once, covered=False)
+        # θ, always valid, is learnt in one pass without curvature.
+        one["joint"], one["pass_time"], one["excitation"] = True, np.inf, -1.0
+        one["constants"][CONSTANTS["CURVED"]] = 0.0
+    if isinstance(flow, ArmFlow):  # a torque that is no number is held, any other one taken
+        enter_torque_limits(one, TorqueLimits(np.inf, np.inf, 0.0))
+    return Estimator(shape, model, bounded=True, disturbed=True)
 
 
 def high_gain_matrix(arm: ElasticJointArm, theta: float) -> Array:
@@ -233,157 +269,3 @@ def _of_arm(
         measurement_covariance=as_matrix("R", [[std * std]], (1, 1)),
         gravity_gain=arm.gravity_gain,
     )
-
-
-class KalmanFilter:
-    """An EKF of an arm, over stamped samples in any order.
-
-    Args:
-        flow: Prediction model of [x; w].
-        variances: Of the noise of a sample of each output, shape (p,).
-        initial_std: 1σ of [x; w] before any measurement, shape (n,).
-        uncertainty: Parameters to have as states; none if None.
-        gate: Sigmas, infinite for a filter that leaves nothing out.
-        options: Limits.
-
-    Attributes:
-        flow: Prediction model of [x; w].
-        options: Limits.
-        model: Record of its numbers, as kalman.h lays it out, shape (1,).
-        memory: Record of what it remembers, shape (1,).
-        row_parts: Places of an estimate's fields in a row, as of an `Estimator`.
-        row_width: Length of a row without what `History.estimate_at` adds.
-        shape: Its sizes.
-        lacking: The fields of a row that it has nothing for.
-    """
-
-    lacking = ("disturbance_rate",)
-
-    def __init__(
-        self,
-        flow: ArmFlow,
-        variances: Array,
-        initial_std: Array,
-        uncertainty: Uncertainty | None = None,
-        *,
-        gate: float = GATE,
-        options: TrackerOptions,
-    ) -> None:
-        self.flow, self.options = flow, options
-        n, p, t = flow.state_count, len(flow.output_matrix), len(flow.torque_map)
-        k = 0 if uncertainty is None else uncertainty.count
-        sizes = (n, k, p, p + t, max(10, round(_WINDOW / flow.period)), options.max_steps)
-        std = np.concatenate([initial_std, np.full(k, THETA_STD)])
-        layouts = native.kalman_layouts(*sizes)
-        self.model, self.memory, self._scratch = (
-            np.zeros(1, record_type(layout)) for layout in layouts
-        )
-        record = self.model[0]
-        for name, size in zip(("n", "k", "p", "reads", "window", "ring"), sizes, strict=True):
-            record[name] = size
-        for name in ("history", "future_tolerance", "restart_after"):
-            record[name] = round(min(getattr(options, name), 1e9) * NANOSECONDS)
-        record["gate"], record["x_max"], record["wander"] = gate, options.x_max, THETA_WANDER
-        record["variances"] = as_matrix("variances", variances, (p,))
-        record["output"][:, :n] = flow.output_matrix
-        record["read"][:, :n] = np.concatenate([flow.disturbance_map, flow.torque_map])
-        record["scale"] = flow.arm.to_physical(np.ones(4))
-        record["initial"] = np.diag(std * std)
-        # It takes its parameters for valid, and the noise for the design's.
-        record["conditions"][:4] = Basis.COVARIANCE.value, True, k > 0, 1.0
-        self._flow = flow_record(flow, uncertainty)
-        self.shape = Shape(n, 4, p, 1, k, t=t)
-        widths = {"state": 4, "state_bound": 4, "disturbance": p, "torque_disturbance": t}
-        widths |= {"disturbance_rate": 0, "disturbance_bound": p, "torque_disturbance_bound": t}
-        widths |= {"parameters": k, "parameter_bound": k}
-        self.row_parts: dict[str, slice] = {}
-        at = 0
-        for name, width in widths.items():
-            self.row_parts[name] = slice(at, at + width)
-            at += width
-        self.row_width = at + len(CONDITIONS)
-
-    @property
-    def estimator(self) -> "KalmanFilter":
-        """The filter itself, whose rows are laid out as those of an `Estimator`."""
-        return self
-
-    @property
-    def events(self) -> dict[str, int]:
-        """What a supervision counts: nothing."""
-        return {}
-
-    @property
-    def rewinds(self) -> int:
-        """Number of late samples put in their place."""
-        return int(self.memory["rewinds"][0])
-
-    @property
-    def failures(self) -> int:
-        """Number of estimates that were not finite."""
-        return int(self.memory["failures"][0])
-
-    def reset(self) -> None:
-        """Forget everything."""
-        for name in ("first", "length", "rewinds", "failures"):
-            self.memory[name] = 0
-
-    def advance(
-        self,
-        ticks: tuple[NDArray[np.int64], ...],
-        samples: tuple[NDArray[np.int64], Array, Array],
-        results: tuple[NDArray[np.int64], NDArray[np.int64], Array, Array],
-        newest: NDArray[np.int64],
-        rows: Array,
-    ) -> None:
-        """Use samples and estimate, tick by tick.
-
-        Args:
-            ticks: Stamps, times on the clock [ns], ends of the samples that each includes, and
-                the sample before which it forgets everything or -1, shape (m,) each.
-            samples: Stamps [ns], outputs, NaN of one that is missing, and torques [N m] in the
-                order of arrival, shapes (i,), (i, p) and (i,).
-            results: Outcomes, codes of `history.REASONS`, of which those below 0 are of samples
-                that are skipped, shape (i,); the codes of each output, innovations y − ŷ and 1σ
-                expected of them, NaN of an output that is missing, shape (i, p); written.
-            newest: Stamp of the newest sample in use [ns], 0 without an estimate; written.
-            rows: The estimates, written where there are any, shape (m, row_width + EXTRA).
-        """
-        records = (self.model, self._flow, self.memory, self._scratch)
-        arrays: list[NDArray[Any]] = [record.view(np.float64) for record in records]
-        arrays += map(np.ascontiguousarray, (*ticks, *samples))
-        arrays += (*results, newest, rows)
-        native.kalman_advance(*arrays)
-
-    def follow(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
-        """Use samples one after the other, and return the estimates at their stamps.
-
-        Args:
-            stamps: Ascending [ns], shape (m,).
-            y: Outputs, NaN of one that is missing; a sample without any is lost with its torque,
-                shape (m, p).
-            u: Torques [N m], shape (m, 1).
-
-        Returns:
-            Rows, NaN without an estimate, shape (m, row_width + EXTRA).
-        """
-        return self._follow(stamps, y, u)[0]
-
-    def misfits(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
-        """Use samples as `follow` does, and return |innovation| / 1σ of those used, shape (i,)."""
-        _, outcomes, _, innovations, expected = self._follow(stamps, y, u)
-        used = (outcomes == USED)[:, np.newaxis] & np.isfinite(innovations)
-        return np.asarray(np.abs(innovations[used]) / expected[used])
-
-    def _follow(
-        self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
-    ) -> tuple[Array, NDArray[np.int64], NDArray[np.int64], Array, Array]:
-        times, outputs = np.array(stamps, np.int64), np.array(y, np.float64, order="C")
-        torques, count = np.array(u, np.float64)[:, 0], len(times)
-        ticks = (times, times, np.arange(1, count + 1), np.full(count, -1))
-        codes = np.zeros((count, self.shape.p), np.int64)
-        results = (np.zeros(count, np.int64), codes, *np.full((2, count, self.shape.p), np.nan))
-        newest, rows = np.zeros(count, np.int64), np.empty((count, self.row_width + EXTRA))
-        self.advance(ticks, (times, outputs, torques), results, newest, rows)
-        rows[newest == 0] = np.nan
-        return rows, *results

@@ -24,8 +24,8 @@ from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix, flow_record
 from tsobs_ros.model.uncertainty import Uncertainty
 
-FORCE_SHARE = [name for name, *_ in native.bank_constants()].index("FORCE_SHARE")
-"""Place of the unknown torque's size among the constants of the bank."""
+CONSTANTS = {name: place for place, (name, *_) in enumerate(native.bank_constants())}
+"""Places of the constants of the bank in a model record."""
 
 PERIOD_TOLERANCE = 0.1
 """Steps within this fraction of the design's period count as regular samples.
@@ -431,47 +431,69 @@ def certified_estimator(
         ModelError: A matrix has the wrong shape, a number is negative, there is a torque rate for
             a system that is no arm, or the uncertainty is of another model.
     """
-    n, p = flow.state_count, flow.output_matrix.shape[0]
-    R = as_matrix("R", measurement_covariance, (p, p))
-    k = 0 if uncertainty is None else uncertainty.count
     is_arm = isinstance(flow, ArmFlow)
     if non_negative("torque_rate", torque_rate) and not is_arm:
         raise ModelError(f"torque_rate: expected 0 for any system but an arm, got {torque_rate!r}")
-    scale = flow.to_physical(np.ones(n))
-    shape = Shape(n, len(scale), p, flow.input_count, k, len(flow.torque_map))
-    model = records.new_model(shape, flow.period, flow_record(flow, uncertainty), auxiliary=True)
-    one = model[0]
+    covariances = (measurement_covariance, initial_covariance)
+    shape, model = model_of(flow, *covariances, uncertainty, auxiliary=True)
+    one, n, p = model[0], shape.n, shape.p
     one["torque_rate"] = torque_rate
     if isinstance(flow, ArmFlow):
-        share = one["constants"][FORCE_SHARE]
+        share = one["constants"][CONSTANTS["FORCE_SHARE"]]
         one["force"] = share * flow.arm.reference_torque
+    designed = one["initial"]["hypotheses"][0]
+    designed["settling"] = non_negative("settle_time", settle_time)
+    one["domain"] = np.sqrt(np.diag(initial_covariance)[: shape.plant])
+    if domain is not None:
+        one["domain"] = np.maximum(one["domain"], domain / np.abs(one["scale"]))
+    gain = certified._replace(
+        K=as_matrix("K", certified.K, (n, p)), X=as_matrix("X", certified.X, (n, n))
+    )
+    records.enter_gain(one, gain, gain_mode)
+    if uncertainty is not None and shape.k:
+        options = adaptation or AdaptationOptions()
+        records.enter_adaptation(one, uncertainty.limits, options, covered)
+    return Estimator(shape, model, bounded=True, disturbed=True)
+
+
+def model_of(
+    flow: Flow,
+    measurement_covariance: Array,
+    initial_covariance: Array,
+    uncertainty: Uncertainty | None,
+    *,
+    auxiliary: bool,
+) -> tuple[Shape, Record]:
+    """Return the sizes and the model record of a filter without its gain.
+
+    The arguments are those of `certified_estimator` and of `state.new_model`.
+
+    Raises:
+        ModelError: A matrix has the wrong shape, or the uncertainty is of another model.
+    """
+    n, p = flow.state_count, flow.output_matrix.shape[0]
+    k = 0 if uncertainty is None else uncertainty.count
+    R = as_matrix("R", measurement_covariance, (p, p))
+    initial = as_matrix("initial covariance", initial_covariance, (n, n))
+    scale = flow.to_physical(np.ones(n))
+    shape = Shape(n, len(scale), p, flow.input_count, k, len(flow.torque_map))
+    record = flow_record(flow, uncertainty)
+    model = records.new_model(shape, flow.period, record, auxiliary=auxiliary)
+    one = model[0]
     one["shortest"] = (1.0 - PERIOD_TOLERANCE) * flow.period
     one["longest"] = (1.0 + PERIOD_TOLERANCE) * flow.period
-    fill_matrix(one["disturbed"], flow.disturbance.H.any(axis=1))
-    for name, matrix in (
+    for name, values in (
+        ("R", R),
         ("C", flow.output_matrix),
         ("scale", scale),
+        ("disturbed", flow.disturbance.H.any(axis=1)),
         ("disturbance_map", flow.disturbance_map),
         ("rate_map", flow.rate_map),
         ("torque_map", flow.torque_map),
     ):
-        fill_matrix(one[name], matrix)
-    initial = as_matrix("initial covariance", initial_covariance, (n, n))
-    designed = one["initial"]["hypotheses"][0]
-    fill_matrix(designed["covariance"], initial)
-    designed["settling"] = non_negative("settle_time", settle_time)
-    count = len(scale)
-    one["domain"] = np.sqrt(np.diag(initial)[:count])
-    if domain is not None:
-        one["domain"] = np.maximum(one["domain"], domain / np.abs(scale))
-    gain = certified._replace(
-        K=as_matrix("K", certified.K, (n, p)), X=as_matrix("X", certified.X, (n, n))
-    )
-    records.enter_gain(one, gain, R, gain_mode)
-    if uncertainty is not None and k:
-        options = adaptation or AdaptationOptions()
-        records.enter_adaptation(one, uncertainty.limits, options, covered)
-    return Estimator(shape, model, bounded=True, disturbed=True)
+        fill_matrix(one[name], values)
+    fill_matrix(one["initial"]["hypotheses"][0]["covariance"], initial)
+    return shape, model
 
 
 def copy_records(source: Record) -> Record:

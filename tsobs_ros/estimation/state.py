@@ -159,6 +159,7 @@ def new_model(shape: Shape, period: float, flow: Record, *, auxiliary: bool = Fa
     model.view(np.int64)[: len(sizes)] = sizes
     model["flow"][0] = flow.view(np.float64)
     model["period"] = period
+    model["gate"] = np.inf
     model["constants"] = [value for _, value, _ in native.bank_constants()]
     initial = model["initial"]
     initial["sensors"]["value"] = np.nan
@@ -176,12 +177,10 @@ def enter_torque_limits(model: Any, limits: TorqueLimits) -> None:
         model[f"torque_{name}"] = value
 
 
-def enter_gain(
-    model: Any, certified: CertifiedGain, measurement_covariance: Array, gain_mode: GainMode
-) -> None:
-    """Enter gains and bounds into one model record, whose C and maps are there already."""
+def enter_gain(model: Any, certified: CertifiedGain, gain_mode: GainMode) -> None:
+    """Enter gains and bounds into one model record, whose R, C and maps are there already."""
     n, p = certified.K.shape
-    X, K, R = certified.X, certified.K, measurement_covariance
+    X, K, R = certified.X, certified.K, model["R"][:p, :p]
     C, H, T = (model[name][:, :n] for name in ("C", "disturbance_map", "torque_map"))
     C, H = C[:p], H[:p]
     model["late_factor"] = certified.late
@@ -191,7 +190,6 @@ def enter_gain(
     for name, matrix in (
         ("X", X),
         ("K", K),
-        ("R", R),
         ("P", inverse(X)),
         ("posterior", joseph(C, R, X, K)),
         ("innovation_covariance", congruent(C, X, R)),

@@ -30,7 +30,7 @@ from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.published import record_text
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import BagWriteError, LogError, ModelError
-from tsobs_ros.methods import ObserverSettings, make_runner
+from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.replay.designs import STRING
 from tsobs_ros.replay.fit import check_unit_of_angles
 from tsobs_ros.replay.health import EventFinder, Health, HealthSum, JointEvent
@@ -80,7 +80,7 @@ def without_misfits(observers: Iterable[Observer]) -> tuple[list[Observer], list
     for one in observers:
         try:
             for design in one.designs:
-                make_runner(design, one.settings)
+                make_tracker(design, one.settings)
             if twin := next((other for other in fitting if _are_same(one, other)), None):
                 raise ModelError(f"its design calls no parameter uncertain, so it is {twin.name}")
             fitting.append(one)
@@ -134,7 +134,7 @@ class Run:
         estimators: dict[int, Any] = {}
         trackers = []
         for design in observer.designs:
-            one = make_runner(design, observer.settings, estimators.get(id(design)))
+            one = make_tracker(design, observer.settings, estimators.get(id(design)))
             estimators[id(design)] = one.estimator
             trackers.append(one)
         self.replay = Replay(trackers, observer.settings.stale_after)

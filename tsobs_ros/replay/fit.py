@@ -10,6 +10,7 @@ from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import LogError
+from tsobs_ros.estimation.history import USED
 from tsobs_ros.methods import ObserverSettings, make_ekf
 from tsobs_ros.replay.columns import UNITS
 from tsobs_ros.replay.log import LogSource
@@ -63,7 +64,8 @@ def _misfit(
     """Return the median of |innovation| / expected 1σ of an EKF, 0 of too few measurements."""
     ekf, order = make_ekf(design, settings, gate=math.inf), np.argsort(stamps, kind="stable")
     times = stamps[order] - stamps.min() + 10**9
-    found = ekf.misfits(times, outputs[order], torques[order])
+    found = ekf.offer_many(times, outputs[order], torques[order], int(times[-1]))
+    misfits = np.abs(found.innovations) / found.expected_std
     # While the estimate settles, large innovations are expected.
-    sizes = found[len(stamps) // 8 :]
+    sizes = misfits[found.output_codes == USED][len(stamps) // 8 :]
     return float(np.median(sizes)) if len(sizes) >= _MIN_USED else 0.0

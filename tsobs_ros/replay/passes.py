@@ -13,13 +13,12 @@ The loop of core/replay.c stops at ticks with anything to decide, which are few.
 """
 
 from enum import Enum, auto
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
-from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.history import (
     CORRECTING,
     EXTRA,
@@ -154,7 +153,7 @@ class Pass:
 
     def __init__(
         self,
-        tracker: Tracker | KalmanFilter,
+        tracker: Tracker,
         stamps: Times,
         y: Array,
         u: Array,
@@ -199,9 +198,9 @@ class Pass:
         )
         self._ticks, self._stale_after = ticks, stale_after
         others = 2 * (innovations is not None)
-        self._tracker = cast(Any, tracker)
+        self._tracker = tracker
         # To try alternatives with.
-        self._spare = [Tracker(self._tracker.estimator, tracker.options) for _ in range(others)]
+        self._spare = [Tracker(tracker.estimator, tracker.options) for _ in range(others)]
 
     @property
     def taken(self) -> int:
@@ -375,70 +374,6 @@ class Pass:
             and stamp - newest <= self._stale_after
             and tracker.history.estimate_at(stamp, row)
         )
-
-
-class EkfPass(Pass):
-    """An EKF on its way over samples and ticks; each uses all samples that it may include."""
-
-    def __init__(
-        self, ekf: KalmanFilter, stamps: Times, y: Array, u: Array, ticks: Ticks, **options: Any
-    ) -> None:
-        super().__init__(ekf, stamps, y, u, ticks, **{**options, "innovations": None})
-        self._ekf, self._inputs = ekf, (stamps, np.ascontiguousarray(y), u[:, 0].copy())
-
-    @property
-    def began_without_past(self) -> bool | None:
-        return None
-
-    def advance(self, begin: int, end: int, rows: Array) -> None:
-        ticks, first = self._ticks, self.taken
-        most = np.maximum.accumulate(np.maximum(ticks.max_known[begin:end], first))
-        resets = ticks.reset_after[begin:end]
-        own = (
-            ticks.stamps[begin:end],
-            ticks.now[begin:end],
-            most - first,
-            np.where(resets >= 0, np.maximum(resets - first, 0), -1),
-        )
-        last = int(most[-1]) if len(most) else first
-        newest = self._filter(own, first, last, rows)
-        places = self.samples.places[first:last]
-        numbers = np.arange(first, last)
-        self.results.ticks_of_use[places] = begin + np.searchsorted(most, numbers, side="right")
-        self.results.newest[begin:end], self.results.there[begin:end] = newest, newest > 0
-
-    def use(self, tick: int, end: int) -> None:
-        """Use the samples up to one in the order of arrival, without a tick."""
-        first, last = self.taken, max(self.taken, end)
-        now = np.array([self._inputs[0][first:last].max(initial=0)])
-        own = (now, now, np.array([last - first]), np.array([-1]))
-        self._filter(own, first, last, self.new_rows(1))
-        self.results.ticks_of_use[self.samples.places[first:last]] = tick
-
-    def _filter(self, ticks: tuple[Times, ...], first: int, last: int, rows: Array) -> Times:
-        """Use the samples from one up to another, and return the newest at each tick."""
-        places, results = self.samples.places[first:last], self.results
-        received = self.samples.evidence[places] != NO_EVIDENCE
-        outcomes = np.where(received, USED, LEFT_OUT)
-        innovations, expected = np.full((2, last - first, self._ekf.shape.p), np.nan)
-        codes = np.full(innovations.shape, LEFT_OUT)
-        newest = np.zeros(len(ticks[0]), np.int64)
-        stamps, y, u = self._inputs
-        samples = (stamps[first:last], y[first:last], u[first:last])
-        self._ekf.advance(ticks, samples, (outcomes, codes, innovations, expected), newest, rows)
-        results.outcomes[places] = outcomes
-        results.output_codes[places] = codes
-        results.innovations[places] = innovations
-        results.expected_std[places] = expected
-        results.counts[:] = last
-        return newest
-
-
-def new_pass(tracker: Tracker | KalmanFilter, *args: Any, **options: Any) -> Pass:
-    """Return a tracker or an EKF on its way; the arguments are those of `Pass`."""
-    kind: Any = EkfPass if isinstance(tracker, KalmanFilter) else Pass
-    made: Pass = kind(tracker, *args, **options)
-    return made
 
 
 def _copy(source: Tracker, target: Tracker) -> None:

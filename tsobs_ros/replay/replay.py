@@ -12,11 +12,10 @@ import numpy as np
 
 from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.checks import Array, Flags
-from tsobs_ros.estimation.baselines import KalmanFilter
 from tsobs_ros.estimation.history import GATED, NON_FINITE, REASONS, USED
 from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
-from tsobs_ros.replay.passes import LEFT_OUT, Codes, Ticks, new_pass
+from tsobs_ros.replay.passes import LEFT_OUT, Codes, Pass, Ticks
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Samples
 from tsobs_ros.replay.table import EstimateTable, Recorded
@@ -40,9 +39,7 @@ class Replay:
     _schedule: Schedule
     _table: EstimateTable
 
-    def __init__(
-        self, trackers: Sequence[Tracker | KalmanFilter], stale_after: float = 5.0
-    ) -> None:
+    def __init__(self, trackers: Sequence[Tracker], stale_after: float = 5.0) -> None:
         self._trackers = tuple(trackers)
         self._stale_after = stale_after
         self.rejected: Counter[RejectReason] = Counter()
@@ -198,7 +195,7 @@ class _Joint:
 
     def __init__(
         self,
-        tracker: Tracker | KalmanFilter,
+        tracker: Tracker,
         joint: int,
         samples: Samples,
         schedule: Schedule,
@@ -227,7 +224,7 @@ class _Joint:
             np.where(resets >= 0, self._count[resets], -1),
             estimates,
         )
-        self._pass = new_pass(
+        self._pass = Pass(
             tracker,
             samples.stamps[own],
             samples.y[own, joint, outputs],

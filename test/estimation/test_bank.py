@@ -1,0 +1,469 @@
+# Copyright 2026 The tsobs_ros contributors
+# SPDX-License-Identifier: Apache-2.0
+"""What happens to a joint and its sensor, what it is taken for, and what is published then."""
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from tsobs_ros.checks import Array
+from tsobs_ros.core import native
+from tsobs_ros.design.file import load_design
+from tsobs_ros.errors import ModelError
+from tsobs_ros.estimation.options import SupervisionOptions, TorqueLimits
+from tsobs_ros.estimation.records import (
+    NANOSECONDS,
+    Basis,
+    Hypothesis,
+    Innovation,
+    Measurement,
+    RejectReason,
+)
+from tsobs_ros.estimation.tracker import Tracker
+from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.simulation.integrator import ArmIntegrator
+from tsobs_ros.simulation.plant import Mismatch, Scenario, Trajectories
+from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
+from tsobs_ros.simulation.sensor import Sensor
+from tsobs_ros.simulation.signals import NoTorque, Sinusoid, Square
+
+RATE, STD, T = 200, 0.028, 0.005
+DESIGNS = {
+    "fixed": load_design(config_path(FIXED_DESIGN)),
+    "learning": load_design(config_path(SHIPPED_DESIGN)),
+}
+EVENT, COUNT = 15 * RATE, 25 * RATE
+"""Sample at which something happens in most runs, and their length."""
+both = pytest.mark.parametrize("name", DESIGNS)
+
+
+class Course(NamedTuple):
+    """What a tracker published: whether all errors are inside of three bounds, and the rest."""
+
+    tracker: Tracker
+    state: Array
+    bound: Array
+    disturbance: Array
+    inside: Array
+    basis: Array
+    claimed: Array
+    hypothesis: Array
+
+    def is_honest(self, since: int = 5 * RATE) -> bool:
+        """Return whether what is wrong is seldom claimed."""
+        return bool((self.claimed & ~self.inside)[since:].mean() <= 0.03)
+
+    @property
+    def found(self) -> dict[str, int]:
+        """What was counted, but for outliers."""
+        events = self.tracker.events
+        return {name: n for name, n in events.items() if n and name != "outliers left out"}
+
+
+@cache
+def simulated(
+    scenario: Scenario = SCENARIOS["noise"], seed: int = 0, seconds: int = COUNT // RATE
+) -> Trajectories:
+    run = simulate(scenario, [seed], seconds)
+    return Trajectories(run.times[:-1], *(each[:, :-1] for each in run[1:]))
+
+
+def course(
+    name: str, run: Trajectories, y: Array | None = None, u: Array | None = None, every: int = 1,
+    tracker: Tracker | None = None,
+) -> Course:  # fmt: skip
+    """Track the samples of a run, or others in their place, from the start."""
+    y = run.measurements[0] if y is None else y
+    u = run.torques[0, : len(y)] if u is None else u
+    tracker = tracker or make_tracker(DESIGNS[name], ObserverSettings(history=0.0))
+    stamps = NANOSECONDS + round(T * NANOSECONDS) * np.arange(len(y))
+    rows = tracker.follow(stamps[::every], y[::every], u[::every])
+    of = {part: rows[:, place] for part, place in tracker.estimator.row_parts.items()}
+    basis, claimed, *_, hypothesis = rows[:, -9:-2].T
+    outside = np.abs(of["state"] - run.physical[0, : len(y) : every]) > 3.0 * of["state_bound"]
+    return Course(
+        tracker, of["state"], of["state_bound"], of["disturbance"][:, 0], ~outside.any(axis=1),
+        basis, claimed > 0.0, hypothesis,
+    )  # fmt: skip
+
+
+@cache
+def nominal(name: str) -> Course:
+    return course(name, simulated())
+
+
+def changed(begin: int, by: float, end: int | None = None) -> Array:
+    """Return the measurements of the nominal run, changed from a sample on."""
+    y = simulated().measurements[0].copy()
+    y[begin:end] += by
+    return y
+
+
+def awake(tracker: Tracker) -> list[int]:
+    """Return which hypotheses are considered."""
+    assert tracker.state is not None
+    return np.flatnonzero(tracker.state.records["hypotheses"]["live"][0]).tolist()
+
+
+@both
+def test_of_an_arm_as_designed_nothing_else_is_considered_for_long(name: str) -> None:
+    tracker, run, awake_in = make_tracker(DESIGNS[name], ObserverSettings()), simulated(), 0
+    for begin in range(0, COUNT, 50):
+        part, stamps = (
+            slice(begin, begin + 50),
+            NANOSECONDS + 5_000_000 * np.arange(begin, begin + 50),
+        )
+        tracker.follow(stamps, run.measurements[0][part], run.torques[0][part])
+        awake_in += len(awake(tracker)) > 1
+    assert awake_in < 50
+    got = nominal(name)
+    assert got.claimed.all()
+    assert got.inside[RATE:].mean() > 0.99
+    assert not got.tracker.state.theta.any()  # a nominal arm stays nominal
+    expected = Basis.CERTIFIED if name == "fixed" else Basis.LEARNT
+    assert (got.basis[12 * RATE :] == expected).all()
+    assert (got.basis[:RATE] == Basis.STARTING).all()
+
+
+@both
+@pytest.mark.parametrize("size", [0.3, -1.0, 16.0, 1e6, 1e150, -1e200, math.inf, math.nan])
+def test_an_outlier_of_any_size_changes_nothing(name: str, size: float) -> None:
+    """The estimates are those without that sample, and it is the end of it."""
+    without = course(name, simulated(), changed(EVENT, math.nan, EVENT + 1))
+    got = course(name, simulated(), changed(EVENT, size, EVENT + 1))
+    apart = np.abs(got.state - nominal(name).state) / nominal(name).bound
+    assert apart[EVENT:].max() < 0.1
+    np.testing.assert_allclose(got.state[EVENT + 1], without.state[EVENT + 1], rtol=0.01, atol=1e-3)
+    assert got.found == {}
+    assert got.tracker.events["outliers left out"] == int(math.isfinite(size))
+    assert awake(got.tracker) == [Hypothesis.AS_DESIGNED]
+    assert got.is_honest()
+
+
+@both
+@pytest.mark.parametrize("size", [0.3, -1.0, 3.0])
+def test_a_jump_of_the_sensor_is_followed_within_samples_and_counted_once(
+    name: str, size: float
+) -> None:
+    got = course(name, simulated(), changed(EVENT, size))
+    assert got.found == {"sensor jumps": 1}
+    assert got.inside[EVENT:].mean() > 0.97
+    assert (np.abs(got.disturbance - size)[EVENT + 20 :] < 0.05).all()
+    assert (got.basis[EVENT + 20 : EVENT + RATE // 2] == Basis.JUMP).all()
+    assert got.basis[-1] <= Basis.LEARNT
+    assert got.claimed[-1]
+
+
+@both
+def test_small_jumps_and_their_way_back_stay_inside_the_bounds(name: str) -> None:
+    got = course(name, simulated(), changed(EVENT, 0.08, EVENT + 5 * RATE))
+    assert got.inside[EVENT:].mean() > 0.97
+    assert "losses of track" not in got.found
+
+
+def test_a_disturbance_stays_within_its_limit() -> None:
+    supervision = SupervisionOptions(disturbance_limit=0.05)
+    tracker = make_tracker(DESIGNS["fixed"], ObserverSettings(supervision=supervision))
+    got = course("fixed", simulated(), changed(EVENT, 0.3), tracker=tracker)
+    every = got.tracker.state.records["hypotheses"][0, awake(got.tracker)]
+    assert np.abs(every["x"][:, 4]).max() <= 0.05 + 1e-9
+    assert "sensor jumps" not in got.found
+
+
+def after_hits(size: float) -> Trajectories:
+    """Return the run of an arm whose link's velocity is changed every five seconds."""
+    run, plant = simulated(), ArmIntegrator(SCENARIOS["noise"].arm, T)
+    states, x = [], run.physical[0, 0]
+    for k, u in enumerate(run.torques[0]):
+        if k % (5 * RATE) == 0 and k > 0:
+            x = x + np.array([0.0, size * (-1.0) ** (k // (5 * RATE)), 0.0, 0.0])
+        states.append(x)
+        x = plant.advance(x, u)
+    noise = STD * np.random.default_rng(1).standard_normal((COUNT, 1))
+    truth = np.array(states)
+    return run._replace(physical=truth[np.newaxis], measurements=(truth[:, :1] + noise)[np.newaxis])
+
+
+@both
+@pytest.mark.parametrize("size", [1.0, 3.0])
+def test_hits_are_followed(name: str, size: float) -> None:
+    got = course(name, after_hits(size))
+    late = np.arange(COUNT) % (5 * RATE) > RATE
+    assert got.inside[late & (np.arange(COUNT) > 5 * RATE)].mean() > 0.95
+    assert got.is_honest()
+
+
+@both
+def test_an_arm_that_was_put_elsewhere_is_found_again(name: str) -> None:
+    elsewhere = replace(SCENARIOS["noise"], initial_state=(1.0, 0.0, 1.0, 0.0))
+    parts = [(simulated(), slice(EVENT)), (simulated(elsewhere, 1), slice(COUNT - EVENT))]
+    y, u, truth = (
+        np.concatenate([getattr(run, each)[0][part] for run, part in parts])
+        for each in ("measurements", "torques", "physical")
+    )
+    got = course(name, simulated()._replace(physical=truth[np.newaxis]), y, u)
+    assert not got.inside[EVENT]
+    assert got.inside[EVENT + RATE // 2 :].mean() > 0.97
+    assert got.tracker.events["losses of track"] == 1
+
+
+TAKEN_FOR = [
+    (SCENARIOS["friction"], {Hypothesis.FORCE}),
+    (SCENARIOS["correlated_0.9"], {Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT}),
+    (SCENARIOS["drift"], {Hypothesis.DRIFT}),
+    (Scenario(disturbance=(Sinusoid(0.1, 3.0, 5.0),)), {Hypothesis.TONE}),
+    (SCENARIOS["payload"], {Hypothesis.FORCE, Hypothesis.IMPERFECT}),
+]
+
+
+@both
+@pytest.mark.parametrize(("scenario", "kinds"), TAKEN_FOR)
+def test_what_the_design_lacks_is_told_and_its_bound_covers(
+    name: str, scenario: Scenario, kinds: set[Hypothesis]
+) -> None:
+    got = course(name, simulated(scenario, 5, 45))
+    late = slice(20 * RATE, None)
+    assert np.isin(got.hypothesis[late], list(kinds)).mean() > 0.7
+    assert got.inside[late].mean() > 0.97
+    assert got.is_honest(20 * RATE)
+    published = got.basis[got.hypothesis != Hypothesis.AS_DESIGNED]
+    assert np.isin(published, [Basis.HYPOTHESIS, Basis.CONTRADICTED]).all()
+
+
+@pytest.mark.parametrize("frequency", [2.0, 3.0, 7.0])
+def test_a_tone_is_found_and_removed(frequency: float) -> None:
+    run = simulated(Scenario(disturbance=(Sinusoid(0.15, frequency, 10.0),)), 7, 45)
+    got = course("fixed", run)
+    late = slice(25 * RATE, None)
+    assert (got.hypothesis[late] == Hypothesis.TONE).mean() > 0.9
+    error = np.abs(got.state[:, 0] - run.physical[0, :, 0])[late]
+    assert error.mean() < 0.2 * 0.15
+    assert np.abs(got.disturbance - run.disturbances[0, :, 0])[late].mean() < 0.2 * 0.15
+    assert got.tracker.state.frequency == pytest.approx(frequency, rel=0.05)
+
+
+@both
+@pytest.mark.parametrize("factor", [1.5, 3.0])
+def test_louder_noise_is_measured_and_the_bounds_follow(name: str, factor: float) -> None:
+    got = course(name, simulated(Scenario(sensor=Sensor(noise_std=factor * STD)), 2, 30))
+    assert got.tracker.state.noise_scale == pytest.approx(factor, rel=0.15)
+    assert got.claimed[10 * RATE :].mean() > 0.95
+    assert got.is_honest()
+    assert "losses of track" not in got.found
+
+
+@both
+@pytest.mark.parametrize("factor", [3.0, 8.0])
+def test_a_burst_of_noise_wakes_the_bank_which_sleeps_again(name: str, factor: float) -> None:
+    rng, y = np.random.default_rng(4), simulated().measurements[0].copy()
+    y[8 * RATE : 9 * RATE] += factor * STD * rng.standard_normal((RATE, 1))
+    during = course(name, simulated(), y[: 9 * RATE])
+    assert {*range(Hypothesis.TONE)} <= {*awake(during.tracker)}
+    got = course(name, simulated(), y)
+    assert awake(got.tracker) == [Hypothesis.AS_DESIGNED]
+    assert got.inside[5 * RATE :].mean() > 0.97
+    assert "sensor jumps" not in got.found
+
+
+def test_a_sign_at_the_first_sample_does_not_keep_the_bank_asleep_for_ever() -> None:
+    y = changed(0, 8.0, 1)
+    y[4 * RATE :, 0] += 0.3 * np.sin(5.0 * T * np.arange(COUNT - 4 * RATE))
+    got = course("fixed", simulated(), y[: 7 * RATE])
+    assert {*range(Hypothesis.TONE)} <= {*awake(got.tracker)}
+
+
+@both
+def test_a_stuck_sensor_is_not_used(name: str) -> None:
+    y = simulated().measurements[0].copy()
+    y[EVENT : EVENT + 2 * RATE] = y[EVENT]
+    got = course(name, simulated(), y)
+    assert got.tracker.rejected[RejectReason.GATED] >= 2 * RATE - 30
+    assert got.inside[EVENT + 30 :].mean() > 0.97
+    assert got.is_honest()
+    assert "sensor jumps" not in got.found
+
+
+@both
+@pytest.mark.parametrize("spoil", ["half", "a fifth", "jitter"])
+def test_no_basis_lasts_for_ever_and_what_is_thin_is_claimed(name: str, spoil: str) -> None:
+    """At half the rate, or with a fifth of the samples missing."""
+    y, every = simulated().measurements[0].copy(), 1
+    if spoil == "half":
+        every = 2
+    else:
+        y[np.random.default_rng(0).random(COUNT) < 0.2] = np.nan
+    got = course(name, simulated(), y, every=every)
+    late = slice(10 * RATE // every, None)
+    assert got.claimed[late].mean() > 0.9
+    assert got.inside[late].mean() > 0.97
+    assert not np.isin(got.basis[late], [Basis.STARTING, Basis.GAP, Basis.JUMP]).any()
+
+
+@both
+@pytest.mark.parametrize("samples", [4, 40, 200, 600])
+def test_the_bound_covers_the_error_in_gaps_and_after_them(name: str, samples: int) -> None:
+    """The torque goes on changing as u = sin t."""
+    tracker, run, begin = make_tracker(DESIGNS[name], ObserverSettings()), simulated(), 10 * RATE
+    stamps = NANOSECONDS + 5_000_000 * np.arange(COUNT)
+    first, later = slice(begin), slice(begin + samples, begin + samples + RATE)
+    tracker.follow(stamps[first], run.measurements[0][first], run.torques[0][first])
+    sigmas = []
+    for index in range(begin + 1, begin + samples, max(1, samples // 10)):
+        found = tracker.estimate(int(stamps[index]))
+        assert found is not None
+        assert found.basis > Basis.LEARNT or index == begin + 1
+        sigmas.append(np.abs(found.state - run.physical[0, index]) / found.state_bound)
+    rows = tracker.follow(stamps[later], run.measurements[0][later], run.torques[0][later])
+    parts = tracker.estimator.row_parts
+    after = np.abs(rows[:, parts["state"]] - run.physical[0, later]) / rows[:, parts["state_bound"]]
+    assert np.quantile(np.concatenate([sigmas, after]), 0.95) < 3.0
+
+
+def test_a_torque_that_is_taken_to_hold_leaves_the_bound_as_it_was() -> None:
+    run, bounds = simulated(), []
+    for rate in (0.0, 1.0):
+        tracker = make_tracker(DESIGNS["fixed"], ObserverSettings(torque_rate=rate))
+        course("fixed", run, run.measurements[0, :2000], tracker=tracker)
+        last = int(NANOSECONDS + 5_000_000 * 1999)
+        found = [tracker.estimate(last + 5_000_000 * k) for k in (1, 150, 200)]
+        bounds.append([each.state_bound for each in found if each is not None])
+        assert not tracker.state.in_gap
+    (at_once, *held), (same, *open_) = bounds
+    assert at_once.tobytes() == same.tobytes()
+    assert (np.array(held) < 0.75 * np.array(open_)).all()
+
+
+def test_a_late_sample_widens_the_bound_by_its_factor_and_a_missing_one_voids_its_name() -> None:
+    design, tracker = DESIGNS["fixed"], make_tracker(DESIGNS["fixed"], ObserverSettings())
+    course("fixed", simulated(), tracker=tracker)
+    last = int(NANOSECONDS + 5_000_000 * (COUNT - 1))
+    due, late, missing = (tracker.estimate(last + 5_000_000 * k + (k > 2)) for k in (1, 2, 3))
+    assert due.basis is late.basis is Basis.CERTIFIED
+    np.testing.assert_allclose(late.state_bound, design.late_factor * due.state_bound, rtol=1e-12)
+    assert missing.basis not in (Basis.CERTIFIED, Basis.LEARNT)
+
+
+@both
+@pytest.mark.parametrize(
+    ("torque", "seconds"),
+    [(1e5, 0.005), (math.nan, 0.005), (-math.inf, 0.5), (-1e6, 0.5), (math.nan, 8.0)],
+)
+def test_an_implausible_torque_is_a_gap_and_its_angle_is_used(
+    name: str, torque: float, seconds: float
+) -> None:
+    u, count = simulated().torques[0].copy(), round(seconds * RATE)
+    u[EVENT : EVENT + count] = torque
+    got = course(name, simulated(), u=u)
+    assert got.tracker.rejected == {RejectReason.IMPLAUSIBLE_TORQUE: count}
+    assert got.tracker.used == COUNT - count
+    assert got.inside[EVENT:].mean() > 0.97
+    assert got.is_honest()
+    assert got.found == {}
+
+
+def test_a_torque_that_is_unknown_is_so_to_every_hypothesis() -> None:
+    """Those too that begin meanwhile."""
+    u, y = simulated().torques[0].copy(), changed(6 * RATE, 2.0, 6 * RATE + 1)
+    u[5 * RATE :] = math.nan
+    got = course("fixed", simulated(), y[: 7 * RATE], u[: 7 * RATE])
+    live, n = awake(got.tracker), 5
+    variances = got.tracker.state.records["hypotheses"]["covariance"][0, live, n, n]
+    assert len(live) > 4
+    assert (variances > 0.5).all()
+
+
+@both
+@pytest.mark.parametrize(("size", "samples"), [(0.5, 1), (-1.5, 20), (3.0, 5), (20.0, 1)])
+def test_a_torque_that_the_arm_did_not_get_stays_inside_the_bounds(
+    name: str, size: float, samples: int
+) -> None:
+    u = simulated().torques[0].copy()
+    u[EVENT : EVENT + samples] += size
+    got = course(name, simulated(), u=u)
+    assert got.inside[EVENT:].mean() > 0.9
+    assert got.tracker.rejected == {}
+    assert not {"losses of track", "sensor jumps"} & got.found.keys()
+
+
+def test_a_level_that_the_arm_did_not_get_is_no_fault_of_the_sensor() -> None:
+    u = simulated().torques[0].copy()
+    u[EVENT : EVENT + 100] += 3.0
+    got = course("fixed", simulated(), u=u)
+    wrong = ~got.inside
+    assert np.flatnonzero(wrong).max() < EVENT + 3 * RATE
+    assert not np.isin(got.basis[wrong], [Basis.LEARNT]).any()
+    assert not {"losses of track", "sensor jumps"} & got.found.keys()
+
+
+@pytest.mark.parametrize("amplitude", [0.3, 1.2])
+def test_legal_steps_of_the_torque_cost_no_accuracy(amplitude: float) -> None:
+    run = simulated(replace(SCENARIOS["noise"], excitation=Square(amplitude)), 5)
+    courses = []
+    for doubt in (True, False):
+        tracker = make_tracker(DESIGNS["fixed"], ObserverSettings(history=0.0))
+        if not doubt:
+            tracker.estimator.model["torque_doubt"] = 0.0
+        courses.append(course("fixed", run, tracker=tracker))
+        assert not tracker.rejected
+    suspicious, plain = courses
+    error, same = (np.abs(each.state - run.physical[0])[5 * RATE :] for each in courses)
+    assert (error.mean(axis=0) < 1.1 * same.mean(axis=0)).all()
+    assert suspicious.claimed[5 * RATE :].mean() > 0.95
+    assert suspicious.is_honest()
+    assert plain.found == {}
+
+
+def test_limits_of_the_torque_come_from_the_settings_the_request_or_the_arm() -> None:
+    request = DESIGNS["fixed"].arm_request
+    limit, rate, spread = request.torque_limits()
+    assert (rate, spread) == (1e3 * limit, limit / 3.0)
+    assert request.torque_limits(50.0, 7.0) == (50.0, 7.0, 50.0 / 3.0)
+    assert TorqueLimits.of(0.0, 0.0, 400.0) == (math.inf, math.inf, 400.0 / 3.0)
+    for method in ("certified", "high_gain"):
+        settings = ObserverSettings(method).with_parameters({"torque_limit": "2.5"})
+        tracker = make_tracker(DESIGNS["fixed"], settings)
+        for place, (torque, used) in enumerate([(2.5, True), (-2.6, False)], 1):
+            given = Measurement(place * 5_000_000, np.zeros(1), np.array([torque]))
+            assert isinstance(tracker.offer(given, given.stamp), Innovation) == used
+    tracker = make_tracker(DESIGNS["fixed"], ObserverSettings(torque_rate_limit=100.0))
+    outcomes = []
+    for index in range(1, 12):  # a lasting level, from when its rate is plausible on
+        given = Measurement(
+            index * 5_000_000, np.array([1e-3 * index]), np.array([3.0 * (index > 4)])
+        )
+        outcomes.append(tracker.offer(given, given.stamp) is RejectReason.IMPLAUSIBLE_TORQUE)
+    assert outcomes == [False] * 4 + [True] * 5 + [False] * 2
+
+
+STIFF = Scenario(mismatch=Mismatch(stiffness=0.2))
+UNIFORM = Sensor(outlier_probability=0.05, outlier_size=3.0, outlier_is_uniform=True)
+
+
+@pytest.mark.parametrize("sensor", [Sensor(), Sensor(noise_std=2.0 * STD), UNIFORM])
+def test_a_stiffer_arm_is_learnt_whatever_the_noise(sensor: Sensor) -> None:
+    got = course("learning", simulated(replace(STIFF, sensor=sensor), 3, 35))
+    state = got.tracker.state
+    assert np.abs(state.theta - [0.2, 0.0]).max() < 0.03
+    assert got.inside[25 * RATE :].mean() > 0.97
+    assert got.claimed[25 * RATE :].mean() > 0.9
+    readout = got.tracker.estimator.readout(state)
+    assert readout.parameters_valid
+    assert (np.abs(readout.parameters - [0.2, 0.0]) < 3.0 * readout.parameter_bound).all()
+
+
+def test_nothing_is_learnt_at_rest() -> None:
+    rest = {"excitation": NoTorque(), "initial_state": (0.0,) * 4, "initial_spread": (0.0,) * 4}
+    got = course("learning", simulated(replace(STIFF, **rest), 3, 25))
+    assert not got.tracker.state.theta.any()
+
+
+@pytest.mark.parametrize("name", ["gate", "disturbance_limit", "stuck_samples"])
+def test_senseless_options_are_refused(name: str) -> None:
+    with pytest.raises(ModelError, match=name):
+        SupervisionOptions(**{name: -1})
+    assert len(Hypothesis) < native.HYPOTHESES
