@@ -256,9 +256,9 @@ def _page(results: Mapping[str, Found], found: Sequence[Demand], options: str) -
     failed = sum(not one.passed for one in found)
     yield f"{options} {failed} of {len(found)} demands are missed. Errors are in mrad.\n"
     by_place = {(one.scenario, one.kind): one for one in found}
-    yield from head("joint", "ours", "plain EKF", "gated EKF", "ratio", "inside", "broken")
+    yield from head("joint", "ours", "plain EKF", "ratio", "inside", "broken")
     for name, one in results.items():
-        cells = [f"{1e3 * one.errors[who].mean():.1f}" for who in ("ours", "plain", "gated")]
+        cells = [f"{1e3 * one.errors[who].mean():.1f}" for who in ("ours", "plain")]
         for kind in ("ratio", "inside"):
             demand = by_place[name, kind]
             text = f"{demand.value:.2f}"

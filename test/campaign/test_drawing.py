@@ -178,7 +178,7 @@ def test_scenarios_of_the_simulator_befall_the_arm_of_a_design(both_encoders: Pa
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ({"run": 3}, r"campaign: unknown entry 'run', expected some of design, observer, runs"),
+        ({"run": 3}, r"campaign: unknown entry 'run' .*, expected some of design, observer, runs"),
         ({"runs": 0}, "runs: expected at least 1, got 0"),
         ({"seed": -1}, "seed: expected at least 0, got -1"),
         ({"duration": 0.3}, "duration: expected more than settle_time = 0.3 s"),
