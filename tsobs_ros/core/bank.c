@@ -155,7 +155,7 @@ static void open_torque(const model *m, const state *at, hypothesis *h, int unkn
         if (*at->torque_unknown != 0) {
             spread = maximum(minimum(*m->torque_rate * *at->torque_age, *m->torque_spread), spread);
         }
-        leave_certified(m, h, BASIS_GAP);
+        leave_certified(m, at, h, BASIS_GAP);
         *variance += spread * spread;
     } else if (known == 0.0) {
         for (long i = 0; i < width; i++) {
@@ -204,13 +204,11 @@ static void renew(const model *m, state *at, long kind)
     const long n = (long)m->s.n, p = (long)m->s.p, width = (long)m->s.width;
     const double frequency = *hypothesis_of(m, at, kind).frequency;
     const double size = *hypothesis_of(m, at, kind).size;
-    const double std = sqrt(m->R[0]);
     const int64_t output = *hypothesis_of(m, at, kind).output;
     hypothesis h;
-    double variance = 0.0;
     copy_hypothesis(m, at, (long)*at->best, kind);
     h = hypothesis_of(m, at, kind);
-    leave_certified(m, &h, BASIS_STARTING);
+    leave_certified(m, at, &h, BASIS_STARTING);
     *h.live = 1;
     *h.kind = kind;
     *h.fork = NO_FORK;
@@ -225,18 +223,12 @@ static void renew(const model *m, state *at, long kind)
     if (kind == FORCE && h.covariance[n * width + n] <= 0.0) {
         h.covariance[n * width + n] = *m->force * *m->force;
     }
-    switch (kind) {
-    case COLOURED_NOISE:
-        variance = std * std * m->constants[COLOUR_SIZE] * m->constants[COLOUR_SIZE];
-        break;
-    case TONE:
-        variance = size * size;
-        break;
-    default:
-        break;
+    for (long j = 0; j < p && kind == COLOURED_NOISE; j++) {
+        const double std = m->constants[COLOUR_SIZE];
+        h.covariance[(n + 1 + j) * width + n + 1 + j] = m->R[j * p + j] * std * std;
     }
-    for (long j = 0; variance > 0.0 && j < (kind == TONE ? 2 : p); j++) {
-        h.covariance[(n + 1 + j) * width + n + 1 + j] = variance;
+    for (long j = n + 1; j < n + 3 && kind == TONE; j++) {
+        h.covariance[j * width + j] = size * size;
     }
 }
 
@@ -342,7 +334,7 @@ static void distrust_stuck(const model *m, const state *at, hypothesis *h, corre
         if (!is_stuck(m, &of) || *of.repeats != *m->stuck_samples || at->y[i] != at->y[i]) {
             continue;
         }
-        leave_certified(m, h, BASIS_GAP);
+        leave_certified(m, at, h, BASIS_GAP);
         for (long a = 0; a < m->s.n; a++) {
             effect->crossed[a] = dot(m->C + i * width, m->X + a * width, (long)m->s.n) / variance;
         }
@@ -496,7 +488,7 @@ static void suppose(
     }
     copy_hypothesis(m, at, parent, place);
     h = hypothesis_of(m, at, place);
-    leave_certified(m, &h, BASIS_STARTING);
+    leave_certified(m, at, &h, BASIS_STARTING);
     *h.cause = fork == JUMPED ? BASIS_JUMP : BASIS_STARTING;
     *h.fork = fork;
     *h.age = 0.0;
@@ -527,7 +519,7 @@ static void suppose_no_step(const model *m, state *at)
     if (place >= 0) {
         copy_hypothesis(m, at, (long)*at->best, place);
         h = hypothesis_of(m, at, place);
-        leave_certified(m, &h, BASIS_TORQUE);
+        leave_certified(m, at, &h, BASIS_TORQUE);
         if (*h.kind != FORCE) {
             clear_auxiliary(m, &h, n);
         }
@@ -614,12 +606,9 @@ static int shows_signs(const model *m, const hypothesis *h)
 }
 
 /* Let the others sleep if the design has been the best without a sign for a while. */
-static void rest(const model *m, state *at, int signs)
+static void rest(const model *m, state *at)
 {
     int alone = *at->best == AS_DESIGNED;
-    if (signs) {
-        *at->awake = m->constants[AWAKE];
-    }
     for (long i = STANDING; i < m->s.hypotheses; i++) {
         alone = alone && *hypothesis_of(m, at, i).live == 0;
     }
@@ -759,7 +748,7 @@ static void correct_bank(const model *m, state *at, correction *effect)
             renew(m, at, kind);
         }
     }
-    rest(m, at, signs);
+    rest(m, at);
 }
 
 /* Begin with the initial covariance again, and with the estimate as it is. */
@@ -858,7 +847,7 @@ void predict(
         simple = *m->gain_mode == GAIN_OPEN
                  || (*h.certified != 0 && *h.corrected != 0 && (regular || is_late));
         if (!simple) {
-            leave_certified(m, &h, BASIS_GAP);
+            leave_certified(m, at, &h, BASIS_GAP);
         }
         if (in_gap && *at->in_gap == 0) {
             open_torque(m, at, &h, 1);

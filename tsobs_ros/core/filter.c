@@ -68,12 +68,17 @@ void clear_auxiliary(const model *m, hypothesis *h, long first)
     }
 }
 
-void leave_certified(const model *m, hypothesis *h, int64_t cause)
+void leave_certified(const model *m, const state *at, hypothesis *h, int64_t cause)
 {
-    const long n = (long)m->s.n;
+    const long n = (long)m->s.n, width = (long)m->s.width;
+    const double *bound = *h->corrected != 0 ? m->posterior : m->X;
+    const double square = scale_of(m, at) * scale_of(m, at);
     if (*h->certified != 0) {
-        copy_matrix(
-            *h->corrected != 0 ? m->posterior : m->X, m->s.width, h->covariance, m->s.width, n, n);
+        for (long i = 0; i < n; i++) {
+            for (long j = 0; j < n; j++) {
+                h->covariance[i * width + j] = square * bound[i * width + j];
+            }
+        }
         *h->certified = 0;
         *h->cause = cause;
     }
@@ -417,7 +422,7 @@ double correct_hypothesis(
         correct_certified(m, at, h, adapt, effect);
     } else {
         /* The certified gain is for all outputs together. */
-        leave_certified(m, h, BASIS_GAP);
+        leave_certified(m, at, h, BASIS_GAP);
         said = 0.0;
         for (long i = 0; i < p; i++) {
             if (effect->used[i]) {
@@ -445,7 +450,7 @@ typedef struct {
     long count;           /* of them in use */
     double torque, sensor; /* factors of the torque and of the sensor's parts */
     double cos, sin;      /* of a tone's turn */
-    double torque_noise, sensor_noise;
+    double torque_noise, sensor_noise; /* variances added, that of outputs' parts by R */
     int turns;
 } own_motion;
 
@@ -470,7 +475,6 @@ static own_motion own_motion_of(
     const model *m, const hypothesis *h, double duration, double forgotten)
 {
     const double *constants = m->constants;
-    const double std = sqrt(m->R[0]);
     own_motion own = {states_in_use(m, h) - (long)m->s.n, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0};
     double time = 0.0, size = 0.0;
     if (own.count == 0) {
@@ -486,11 +490,11 @@ static own_motion own_motion_of(
     switch (*h->kind) {
     case COLOURED_NOISE:
         time = constants[COLOUR_TIME];
-        size = constants[COLOUR_SIZE] * std;
+        size = constants[COLOUR_SIZE];
         break;
     case DRIFT:
         time = constants[DRIFT_TIME];
-        size = constants[DRIFT_SIZE] * std;
+        size = constants[DRIFT_SIZE];
         break;
     case TONE:
         time = constants[TONE_TIME];
@@ -554,7 +558,8 @@ static void step_with_auxiliary(
     }
     P[n * width + n] += own.torque_noise;
     for (long j = 1; j < (own.turns ? 3 : count); j++) {
-        P[(n + j) * width + n + j] += own.sensor_noise;
+        const double white = own.turns ? 1.0 : m->R[(j - 1) * (m->s.p + 1)];
+        P[(n + j) * width + n + j] += own.sensor_noise * white;
     }
     for (long i = 0; i < n; i++) {
         for (long j = 0; j < count; j++) {

@@ -35,7 +35,7 @@ static double spread_of(const model *m, const state *at, const hypothesis *h, in
         return *at->late != 0 ? *m->late_factor : 1.0;
     }
     if (*h->certified != 0) {
-        spread = larger(*at->noise_scale, 1.0);
+        spread = scale_of(m, at);
         spread *= *at->late != 0 ? *m->late_factor : 1.0;
     }
     return spread * sqrt(larger(*h->nis, 1.0)) * (slow ? larger(slowness_of(m, h), 1.0) : 1.0);
@@ -248,7 +248,7 @@ void read_out(const model *m, const state *at, readout *said, work *scratch)
         total += mixed.mean + said->parameter_bound[a];
     }
     *said->basis = basis_of(m, &best, said->claimed);
-    *said->noise_scale = *m->supervised != 0 ? larger(*at->noise_scale, 1.0) : 1.0;
+    *said->noise_scale = scale_of(m, at);
     *said->coloured_power = *best.colour;
     *said->learning = k == 0                                       ? LEARNING_NONE
                       : *best.learning >= *m->adaptation_start ? LEARNING_ACTIVE
