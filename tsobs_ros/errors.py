@@ -122,9 +122,9 @@ def missing_library(name: str | None) -> str | None:
         One line; None if the module is not the core and belongs to no library of the package.
     """
     if name == CORE:
-        fault = "built from other C sources" if CORE in sys.modules else "not built"
+        fault = "is built from other C sources" if CORE in sys.modules else "is not built"
         return (
-            f"{CORE} is {fault}: in the folder with setup.py, "
+            f"{CORE} {fault}: in the folder with setup.py, "
             f"{sys.executable} -m pip install -e . (or colcon build); it takes a C compiler"
         )
     module = (name or "").partition(".")[0]

@@ -196,8 +196,10 @@ def test_the_certified_bound_holds_if_its_premises_do(write: Callable[..., Path]
         assert one["inside"] > 0.997
         assert one["rms"] < 1.05
         assert one["worst"] < 4.5
-    wrong = [one["rms"] for claim in others.values() for one in claim["quantities"].values()]
-    assert max(wrong) > 2.0
+    # Where they do not, claims stay honest: slow innovations widen the bounds.
+    wrong = [one["inside"] for claim in others.values() for one in claim["quantities"].values()]
+    assert min(wrong) > 0.97
+    assert others["certified"]["samples"] < 0.5 * held["certified"]["samples"]
 
 
 @pytest.mark.parametrize("outputs", ["one", "two"])

@@ -526,7 +526,7 @@ def test_a_limit_beyond_all_torques_is_none(tmp_path: Path) -> None:
     entries = "torque_limit: 1.0e+9\ntorque_rate_limit: 1.0e+9"
     request = load_request(written(tmp_path, entries))
     unlimited = ArmRequest(torque_limit=0.0, torque_rate_limit=0.0).torque_limits()
-    assert request.torque_limits() == unlimited == (math.inf, math.inf, 400.0 / 3.0)
+    assert request.torque_limits() == unlimited == (math.inf, math.inf, 662.5 / 3.0)
     assert ArmRequest().torque_limits(1e9, 1e9) == unlimited
 
 

@@ -208,9 +208,9 @@ class Filter:
         self.plan, self.kind, self.n, self.score = plan, kind, n, 0.0
         self.frequency, self.size, self.output = 7.0, 0.1, p - 1
         self.own = {Hypothesis.FORCE: 1, Hypothesis.TONE: 2}.get(kind, p if kind in SENSOR else 0)
-        variance = plan.force**2 if kind is Hypothesis.FORCE else self._stationary()[0] ** 2
+        std, _ = self._stationary()
         self.x = np.zeros(n + self.own)
-        self.P = block_diag(plan.start, variance * np.eye(self.own))
+        self.P = block_diag(plan.start, np.diag(std**2 * np.ones(self.own)))
         self.theta, self.gamma = np.zeros(k), LEARNING.initial_std**2 * np.eye(k)  # type: ignore
         self.upsilon, self.gram = np.zeros((n + self.own, k)), np.zeros((k, k))
         self.pending, self.anchor = np.zeros(k), np.zeros(k)
@@ -220,9 +220,9 @@ class Filter:
         self.nis, self.colour, self.slow_power = 1.0, 0.0, 0.0
         self.previous, self.slow = np.zeros(p), np.zeros(p)
 
-    def _stationary(self) -> tuple[float, float]:
-        """Return 1σ and correlation time of the states of its own."""
-        std = math.sqrt(self.plan.R[0, 0])
+    def _stationary(self) -> tuple[Any, float]:
+        """Return 1σ, a number or one an output, and correlation time of the states of its own."""
+        std = np.sqrt(np.diag(self.plan.R))
         return {
             Hypothesis.FORCE: (self.plan.force, BANK["FORCE_TIME"]),
             Hypothesis.COLOURED_NOISE: (BANK["COLOUR_SIZE"] * std, BANK["COLOUR_TIME"]),
@@ -397,7 +397,9 @@ class Filter:
         F = derivative(lambda z: step(z, theta), x)
         effect = derivative(lambda t: step(x, t), theta)
         noise = system.noise(x[:n], theta, driven(x), T)
-        self.P = F @ self.P @ F.T + block_diag(noise, std**2 * (1 - fade**2) * np.eye(self.own))
+        self.P = F @ self.P @ F.T + block_diag(
+            noise, np.diag(std**2 * (1 - fade**2) * np.ones(self.own))
+        )
         self.x, self.upsilon = step(x, theta), F @ self.upsilon + effect
 
     def bound(self, functional: Array, scale: float) -> float:

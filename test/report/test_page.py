@@ -191,10 +191,10 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     )
     assert uncertain in but.text
     assert (but.level, but.sentences[0]) == (Level.OK, good.sentences[0])
-    few = found._replace(bases={Basis.CERTIFIED: 0.18, Basis.STARTING: 0.82})
+    few = found._replace(claimed=0.18, bases={Basis.CERTIFIED: 0.18, Basis.CONTRADICTED: 0.05})
     mind = summarise(metrics, few, diagnose([], 0, 20.0), timing, QUANTITIES)
     assert mind.level is Level.WARN
-    assert "The bounds were proved for only 18 % of the time." in mind.text
+    assert "The bounds were claimed to hold for only 18 % of the time, and" in mind.text
     away = Event(
         0, EventKind.STATE, Level.WARN, "COASTING: no measurement on /joint_measurements for 1.2 s"
     )

@@ -165,7 +165,9 @@ class Health(NamedTuple):
             )
         others = {one: share for one, share in self.hypotheses.items() if one}
         likeliest = max(others, key=others.__getitem__, default=Hypothesis.AS_DESIGNED)
-        if wrong >= _OFTEN and likeliest in _OF_SENSOR:
+        # A cause under which little can be claimed is none.
+        explained = self.bases.get(Basis.CONTRADICTED, 0.0) <= 0.5 * wrong
+        if wrong >= _OFTEN and likeliest in _OF_SENSOR and explained:
             return f"{often}: {HYPOTHESES[likeliest][1]}"
         if wrong >= _OFTEN:
             return (
