@@ -216,7 +216,7 @@ class Filter:
         self.pending, self.anchor = np.zeros(k), np.zeros(k)
         self.significant, self.certified, self.corrected = False, False, False
         self.learning, self.pass_age, self.passes = 0.0, 0.0, 0
-        self.settling = 0.1
+        self.settling, self.loudness = 0.1, 1.0
         self.nis, self.colour, self.slow_power = 1.0, 0.0, 0.0
         self.previous, self.slow = np.zeros(p), np.zeros(p)
 
@@ -256,6 +256,7 @@ class Filter:
         variances, level = (known + learnt).diagonal(), scale**2 * self.plan.S.diagonal()
         said = -0.5 * e**2 / variances - 0.5 * np.log(variances)
         there = np.isfinite(y)
+        self.loudness = float(scale[there].max()) if self.plan.supervised else 1.0
         used = there & (~np.isfinite(price) | (said >= -0.5 * GATE**2 - 0.5 * np.log(level)))
         least = -price - 0.5 * np.log(level)
         said = np.where(there, np.maximum(said, least), 0.0)
@@ -284,7 +285,8 @@ class Filter:
         if self.certified:
             closed = np.eye(self.n) - self.plan.K @ self.plan.C
             after = closed @ self.plan.X @ closed.T + self.plan.K @ self.plan.R @ self.plan.K.T
-            self.P, self.certified = after if self.corrected else self.plan.X.copy(), False
+            self.P = self.loudness**2 * (after if self.corrected else self.plan.X)
+            self.certified = False
 
     def _correct_by(self, i: int, y: float, now: "Sensors", adapt: bool) -> float:
         loud = BANK["NOISE_FACTOR"] if self.kind is Hypothesis.LOUD else 1.0
