@@ -96,7 +96,8 @@ def test_the_folder_of_a_clone_does_not_pass_for_the_package(
     )
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     done = subprocess.run(
-        [sys.executable, "-c", code],
+        # Without the package that this Python has.
+        [sys.executable, "-S", "-c", code],
         cwd=sources.parent, env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
 
