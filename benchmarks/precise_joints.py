@@ -216,7 +216,7 @@ def judged(case: Case, design: Design, runs: Trajectories) -> Found:
     stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
     for who, gate in (("plain", math.inf), ("gated", GATE)):
         ekf = make_ekf(design, gate=gate)
-        part, rows = ekf.row_parts["state"], []
+        part, rows = ekf.estimator.row_parts["state"], []
         for y, u in zip(runs.measurements, runs.torques, strict=True):
             ekf.reset()
             rows.append(ekf.follow(stamps, y, u)[:, part])

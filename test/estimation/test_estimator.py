@@ -78,8 +78,8 @@ ESTIMATORS: dict[str, Callable[[], Estimator]] = {
 
 
 DIGESTS = {
-    "supervised arm": "733637c5e3c17344",
-    "supervised arm, bad": "e0141d944a0cccd0",
+    "supervised arm": "5ea601dc4f67dd68",
+    "supervised arm, bad": "60bb90552e446b03",
     "gyroscope": "50f371735e33ac52",
     "gyroscope, bad": "4d320de0056ca398",
     "proportional": "1112db69dd983d26",

@@ -65,7 +65,7 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
     C(FORK_PRICE, 10.0, "prior of a jump or a hit at an outlier [nat]")                        \
     C(LOST_PRICE, 14.0, "prior of an arm that is elsewhere at an outlier [nat]")               \
     C(TORQUE_PRICE, 2.2, "prior of a torque step that the arm did not get [nat]")              \
-    C(SUDDEN, 4.0, "innovation at which a sensor may have jumped [sigma]")                     \
+    C(SUDDEN, 3.5, "innovation at which a sensor may have jumped [sigma]")                     \
     C(FADE, 30.0, "time in which scores are forgotten [s]")                                    \
     C(TRIAL, 1.0, "age at which the best fork takes its parent's place [s]")                   \
     C(LIFE, 3.0, "age to which other forks live [s]")                                          \
