@@ -598,7 +598,7 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
         # As it expects, and then louder.
         y = np.clip(0.9 * rng.standard_normal(p), -2.0, 2.0)
         e, known, learnt = best.expected(np.zeros(p), sensors.sizes)
-        y = y * np.sqrt((known + learnt).diagonal()) * (1.0 if step < 25 else 1.9) - e
+        y = y * np.sqrt((known + learnt).diagonal()) * (1.0 if step < 25 else 1.7) - e
         if step % 20 == 15 and p > 1:
             y[step // 20 % p] = np.nan
         u, T = 3.0 * rng.standard_normal(m), plan.T * (2.3 if step == 40 else 1.0)
