@@ -400,7 +400,8 @@ static void listen(const model *m, state *at, const correction *effect)
             rate *= TONE_RATIO;
         }
     }
-    if (frequency > 0.0 && *at->best != TONE
+    /* A start, and an arm that is not learnt yet, swing at the arm's own frequency. */
+    if (frequency > 0.0 && *at->age > TONE_MEMORY && *at->best != TONE
         && (*tone.live == 0
             || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > TONE_MEMORY))) {
         *tone.frequency = frequency;
