@@ -161,7 +161,7 @@ def test_late_samples_change_no_bit_while_hypotheses_compete(batch: int) -> None
             assert one.state is not None
             seen |= {*np.flatnonzero(one.state.records["hypotheses"]["live"][0]).tolist()}
         results.append((probes(one), one.state.records.tobytes(), books(one)[5:]))
-    assert len(seen) > 9  # standing ones, and forks
+    assert len(seen) > 8  # standing ones, and forks
     assert results[0] == results[1]
     whole = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
     rows = whole.follow(stamps, y, u)
