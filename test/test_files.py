@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Files appear whole or not at all, whatever ends the command that writes them."""
 
-import contextlib
 import resource
 import signal
 import time
@@ -103,8 +102,7 @@ def test_an_interrupted_command_leaves_nothing_partial(
     for number in range(12):
         output = tmp_path / str(number)
         output.mkdir()
-        # What an interruption leaves of a library in this process is not what is on the disk.
-        with alarm((number + 0.5) / 12 * taken), contextlib.suppress(Exception):
+        with alarm((number + 0.5) / 12 * taken):
             run(command, bag, output)
         found = written(output)
         nothing += not found

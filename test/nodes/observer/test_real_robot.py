@@ -95,4 +95,4 @@ def test_the_joint_states_of_a_robot_are_measurements(
     )
     reason = "rejected: unknown input"
     assert statuses[counts][reason] == "0"
-    assert int(statuses["observer: wrist: measurements"][reason]) > 50
+    assert int(statuses["observer: wrist: measurements"][reason]) > 100
