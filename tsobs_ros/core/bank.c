@@ -712,7 +712,6 @@ static void correct_one(const model *m, state *at, long place, correction *effec
     weigh(m, at, &h, effect);
     if (place == AS_DESIGNED && *at->awake > 0.0) {
         listen(m, at, effect);
-        weigh(m, at, &h, effect);
     }
     *h.score += correct_hypothesis(m, at, &h, (int)*at->moving, effect);
 }

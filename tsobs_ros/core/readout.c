@@ -70,11 +70,12 @@ static double bound_of(
     return root(own * own + added);
 }
 
-/* Add a function of each hypothesis, weighed, to mean and variance. */
+/* What a function of the hypotheses is made of. */
 typedef struct {
     double mean, square, own; /* of values, of their squares, and of the bounds' squares */
 } moments;
 
+/* Add a function of a hypothesis with its bound, weighed. */
 static void add_moments(moments *to, double weight, double value, double bound)
 {
     to->mean += weight * value;

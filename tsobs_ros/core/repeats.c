@@ -49,10 +49,3 @@ void count_repeats(
     }
     *of.before = innovation;
 }
-
-void forget_value(repetition of)
-{
-    *of.value = NAN;
-    *of.before = NAN;
-    *of.repeats = 0;
-}

@@ -37,7 +37,4 @@ typedef struct {
 void count_repeats(
     repetition of, double y, double innovation, double variance, double noise, double tolerance);
 
-/* Take the next sample for a new value: the prediction has moved for another reason. */
-void forget_value(repetition of);
-
 #endif

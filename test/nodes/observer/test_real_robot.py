@@ -74,7 +74,15 @@ def test_the_joint_states_of_a_robot_are_measurements(
         lambda: elapsed() > DURATION and len(kept["error_bound"]) > 10, 40.0, "estimates"
     )
     counts = "observer: elbow: measurements"
-    ros.spin_until(lambda: counts in statuses, 10.0, "the counts")
+    reason = "rejected: unknown input"
+    ros.spin_until(
+        lambda: (
+            counts in statuses
+            and int(statuses["observer: wrist: measurements"].get(reason, "0")) > 100
+        ),
+        10.0,
+        "the counts",
+    )
 
     bounds = {to_nanoseconds(each.header.stamp): each for each in kept["error_bound"]}
     state = next(
@@ -93,6 +101,5 @@ def test_the_joint_states_of_a_robot_are_measurements(
         bound.position[state.name.index("wrist_link")]
         > bound.position[state.name.index("elbow_link")]
     )
-    reason = "rejected: unknown input"
     assert statuses[counts][reason] == "0"
     assert int(statuses["observer: wrist: measurements"][reason]) > 100
