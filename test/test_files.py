@@ -103,11 +103,13 @@ def test_an_interrupted_command_leaves_nothing_partial(
         output = tmp_path / str(number)
         output.mkdir()
         with alarm((number + 0.5) / 12 * taken):
+            # What Matplotlib's renderer makes of an interruption while it reads a path.
+            made = ValueError if command == "report" else ()
             try:
                 run(command, bag, output)
-            except ValueError as error:
-                # What Matplotlib's renderer makes of an interruption while it reads a path.
-                assert (command, str(error)) == ("report", "Invalid bounding box")
+            except made as error:
+                if str(error) != "Invalid bounding box":
+                    raise
         found = written(output)
         nothing += not found
         assert found.keys() <= whole.keys()
