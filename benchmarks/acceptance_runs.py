@@ -19,11 +19,12 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.options import GainMode
-from tsobs_ros.estimation.records import NANOSECONDS, Hypothesis
+from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.methods import ObserverSettings, make_ekf
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.report.comparison import THETAS
 from tsobs_ros.report.metrics import SIGMAS
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Scenario, Trajectories
 from tsobs_ros.simulation.signals import BiasStep
 

@@ -28,9 +28,9 @@ from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.estimation.fault_shapes import FaultKind
 from tsobs_ros.estimation.faults import FaultMonitor, add_samples, new_watches
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.methods import ObserverSettings, make_ekf, make_tracker
 from tsobs_ros.report.metrics import SIGMAS
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation import plant
 from tsobs_ros.simulation.integrator import Friction
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, Trajectories

@@ -12,10 +12,11 @@ import numpy as np
 from common import at_least, parser, show, use_one_thread
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.records import NANOSECONDS, Measurement
+from tsobs_ros.estimation.records import Measurement
 from tsobs_ros.estimation.tracker import JointTrackers, Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 _JITTER = 20_000

@@ -31,12 +31,13 @@ from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, Torque
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.baselines import THETA_STD, THETA_WANDER
 from tsobs_ros.estimation.estimator import Estimator, State
-from tsobs_ros.estimation.records import NANOSECONDS, Hypothesis, Measurement
+from tsobs_ros.estimation.records import Hypothesis, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY
 from tsobs_ros.model.uncertainty import SINE
 from tsobs_ros.resources import FIXED_DESIGN, config_path
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor

@@ -25,11 +25,11 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.estimation.baselines import GATE
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.methods import make_ekf
 from tsobs_ros.model.arm import QUANTITIES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.report.metrics import SIGMAS
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Trajectories
 
 _COUNT = 2.0 * math.pi / 4096.0

@@ -19,6 +19,7 @@ COMMON = {
     "files",
     "resources",
     "schema",
+    "series",
     "stop",
     "streams",
     "style",

@@ -18,7 +18,7 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.history import CORRECTING, EXTRA, REASONS, USED
-from tsobs_ros.estimation.records import NANOSECONDS, Basis
+from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
@@ -26,6 +26,7 @@ from tsobs_ros.plants import scenario_of
 from tsobs_ros.replay.health import PROVED
 from tsobs_ros.replay.passes import Pass, Ticks
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor

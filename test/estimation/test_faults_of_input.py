@@ -17,9 +17,10 @@ import pytest
 from staging.arm import Arm
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.estimation.records import NANOSECONDS, Innovation, Measurement, RejectReason
+from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.resources import FIXED_DESIGN, config_path
+from tsobs_ros.series import NANOSECONDS
 
 DESIGN = load_design(config_path(FIXED_DESIGN))
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "robustness.md"

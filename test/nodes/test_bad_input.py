@@ -23,8 +23,9 @@ from staging.arm import Arm
 from staging.stage import BEGIN, SIGMAS, TOPIC, Event, Stage, Watcher, good
 from std_msgs.msg import Float64MultiArray
 
-from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.nodes.observer.io import MEASUREMENT_QOS
+from tsobs_ros.series import NANOSECONDS
 
 RATE = 25.0
 PERIOD = round(NANOSECONDS / RATE)

@@ -19,9 +19,10 @@ from sensor_msgs.msg import JointState
 from staging.arm import Arm
 
 from tsobs_ros.bag.estimate_topics import MISSING_INPUT
-from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.nodes.observer.rejections import NAMES as REASONS
+from tsobs_ros.series import NANOSECONDS
 
 TIMEOUT = 120.0
 COUNT = 10_000

@@ -12,7 +12,7 @@ from staging.stage import Event, Stage
 from staging.streams import Mix, arrivals, mixes
 from std_srvs.srv import Trigger
 
-from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS
 
 RATE = 10.0
 PERIOD = round(NANOSECONDS / RATE)

@@ -23,8 +23,9 @@ from staging.stage import (
 from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.history import GATED
-from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.nodes.observer.rejections import NAMES, OF_INPUT
+from tsobs_ros.series import NANOSECONDS
 
 
 @pytest.mark.parametrize(("sensor", "node"), [(50, 1000), (1000, 50), (333, 77)])

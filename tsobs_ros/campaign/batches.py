@@ -13,13 +13,14 @@ from tsobs_ros.core import native
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.history import EXTRA
-from tsobs_ros.estimation.records import NANOSECONDS, Basis
+from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.report.metrics import SAME_JUMP, SIGMAS, MetricsOptions
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Trajectories
 
 CLAIMS: Mapping[str, tuple[Basis, ...]] = {

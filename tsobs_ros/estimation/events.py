@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from tsobs_ros.estimation.health import Debounce, Level, Phase, phase_of
-from tsobs_ros.estimation.records import NANOSECONDS, Basis, Estimate, Hypothesis, Learning
+from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
+from tsobs_ros.series import NANOSECONDS
 
 S = TypeVar("S")
 

@@ -7,9 +7,6 @@ from typing import NamedTuple
 
 from tsobs_ros.checks import Array
 
-NANOSECONDS = 1_000_000_000
-"""Stamps are integer nanoseconds, so that differences of them are exact."""
-
 
 class Measurement(NamedTuple):
     """One sample of a joint or a system.

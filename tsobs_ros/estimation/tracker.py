@@ -20,7 +20,6 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, State, copy_records
 from tsobs_ros.estimation.history import EXTRA, REASONS, History
 from tsobs_ros.estimation.records import (
-    NANOSECONDS,
     Basis,
     Estimate,
     Hypothesis,
@@ -31,6 +30,7 @@ from tsobs_ros.estimation.records import (
 )
 from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.model.prediction import Record
+from tsobs_ros.series import NANOSECONDS
 
 _BASES, _LEARNINGS, _HYPOTHESES = tuple(Basis), tuple(Learning), tuple(Hypothesis)
 """By their codes: to make them from numbers would take longer."""

@@ -58,10 +58,10 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from tsobs_ros.errors import printable
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.parameters import ParameterBinding, parameter
 from tsobs_ros.nodes.runtime import EXPECTED
 from tsobs_ros.nodes.ticker import Ticking
+from tsobs_ros.series import NANOSECONDS
 
 # How long the answer to a shutdown request may be on its way [s]; it is lost with the node.
 _FAREWELL = 0.5

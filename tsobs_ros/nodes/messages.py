@@ -16,7 +16,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from tsobs_ros.bag.definitions import share_folders
 from tsobs_ros.errors import NodeError
 from tsobs_ros.estimation.health import Status
-from tsobs_ros.estimation.records import NANOSECONDS
+from tsobs_ros.series import NANOSECONDS
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Of what stays valid until the next message."""

@@ -23,8 +23,9 @@ from tsobs_ros.estimation.events import (
     EventLog,
     words,
 )
-from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis, Learning
+from tsobs_ros.estimation.records import Basis, Hypothesis, Learning
 from tsobs_ros.replay.thinning import ThinnedValues
+from tsobs_ros.series import NANOSECONDS
 
 C = TypeVar("C", bound=IntEnum)
 

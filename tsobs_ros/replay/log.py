@@ -21,12 +21,12 @@ from tsobs_ros.bag.writer import MessageSeries
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import LogError
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.cells import Row, TextTable, is_nothing, plain_number
 from tsobs_ros.replay.columns import UNITS, Column, Columns, is_unit, misread
 from tsobs_ros.replay.places import Layout
 from tsobs_ros.replay.source import MEASUREMENTS, Part, Samples, Source, restarts
 from tsobs_ros.replay.times import LATEST, NO_TIME, TimeReader, check_period
+from tsobs_ros.series import NANOSECONDS
 
 _BLOCK = 4096
 # Lines that are not in order are sorted in memory.

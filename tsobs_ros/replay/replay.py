@@ -13,12 +13,13 @@ import numpy as np
 from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.estimation.history import GATED, NON_FINITE, REASONS, USED
-from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.replay.passes import LEFT_OUT, Codes, Pass, Ticks
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Samples
 from tsobs_ros.replay.table import EstimateTable, Recorded
+from tsobs_ros.series import NANOSECONDS
 
 
 class Replay:

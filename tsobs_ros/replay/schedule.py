@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.joint_series import JointSeries, Times
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.passes import CERTAIN, NO_EVIDENCE, POSSIBLE, Codes
 from tsobs_ros.replay.source import UNKNOWN, Samples, times_of_use
+from tsobs_ros.series import NANOSECONDS
 
 Counts = NDArray[np.intp]
 

@@ -32,9 +32,9 @@ from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError, ModelError
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.designs import RecordedObserver, recorded_observer
 from tsobs_ros.replay.places import places_of
+from tsobs_ros.series import NANOSECONDS
 
 MEASUREMENTS = "joint_measurements"
 UNNAMED_SYSTEM = "system"

@@ -12,9 +12,9 @@ import numpy as np
 
 from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.errors import LogError
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.cells import Row, TextTable, is_nothing, plain_number
 from tsobs_ros.replay.columns import ISO, UNITS, Column, misread, unit_of
+from tsobs_ros.series import NANOSECONDS
 
 NO_TIME = -(2**62)
 """Stamp of a line without a time."""

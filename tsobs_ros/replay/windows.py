@@ -16,11 +16,11 @@ import numpy as np
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import JointSeries
 from tsobs_ros.checks import Flags
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.replay import Replay
 from tsobs_ros.replay.schedule import Past, Schedule, as_recorded, at_rate, at_samples
 from tsobs_ros.replay.source import Live, Samples, Source, places_of_innovations
 from tsobs_ros.replay.table import Recorded
+from tsobs_ros.series import NANOSECONDS
 
 WINDOW = 2**15
 """Number of messages in a window: some 25 s of a bag with live estimates at 200 Hz."""

@@ -16,7 +16,6 @@ import numpy as np
 from tsobs_ros import __version__
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.errors import TsobsError, missing_library, printable
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.files import require_new, written_whole
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs
 from tsobs_ros.replay.health import (
@@ -40,6 +39,7 @@ from tsobs_ros.report.panels import RivalCurves, TimingSummary, picture
 from tsobs_ros.report.quantities import inputs_of, outputs_of, quantities_of
 from tsobs_ros.report.run import RecordedRun, RunParts, find_observer
 from tsobs_ros.report.summary import About, Summary, Table, summarise
+from tsobs_ros.series import NANOSECONDS
 
 MAX_RIVAL = 200_000
 """Measurements of a recording over which EKFs are run: a quarter of an hour at 200 Hz."""

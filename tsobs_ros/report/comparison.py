@@ -24,7 +24,6 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
 from tsobs_ros.replay.source import BagSource, Source, Truth, passes
@@ -45,6 +44,7 @@ from tsobs_ros.report.quantities import (
     quantities_of,
 )
 from tsobs_ros.report.run import RecordedRun, Series
+from tsobs_ros.series import NANOSECONDS
 
 DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""

@@ -13,7 +13,8 @@ from tsobs_ros.bag.diagnostics import RecordedStatus
 from tsobs_ros.bag.estimate_topics import MISSING_INPUT, UNKNOWN_INPUT
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.estimation.records import NANOSECONDS, RejectReason
+from tsobs_ros.estimation.records import RejectReason
+from tsobs_ros.series import NANOSECONDS
 
 _FAULT = "sensor fault"
 _REJECTED = "rejected: "

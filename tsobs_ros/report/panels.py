@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.events import words
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.estimation.records import NANOSECONDS, Hypothesis
+from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.replay.health import CLAIMED, HYPOTHESIS
 from tsobs_ros.replay.thinning import ThinnedValues
 from tsobs_ros.report.diagnosed import Diagnosed, FaultSpan
 from tsobs_ros.report.metrics import SIGMAS, Event, RunMetrics, inside_windows
 from tsobs_ros.report.quantities import Quantity
 from tsobs_ros.report.run import MAX_GAP, RecordedRun, align
+from tsobs_ros.series import NANOSECONDS
 
 MAX_CURVE = 5000
 """Longer curves are thinned: more points than pixels only make files large."""

@@ -26,12 +26,12 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.design.signals import Signals, signals
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
 from tsobs_ros.replay.health import as_of_now
 from tsobs_ros.replay.places import places_of
 from tsobs_ros.replay.source import MEASUREMENTS, RESTART_MESSAGES, UNNAMED_SYSTEM, restarts
 from tsobs_ros.report.quantities import QUANTITIES, Quantity, measured_states, quantities_of
+from tsobs_ros.series import NANOSECONDS
 
 Stamps = NDArray[np.int64]
 """Integer nanoseconds, shape (n,)."""

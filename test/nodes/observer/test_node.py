@@ -27,9 +27,10 @@ from staging.stage import (
 )
 from std_srvs.srv import SetBool, Trigger
 
-from tsobs_ros.estimation.records import NANOSECONDS, Innovation, RejectReason
+from tsobs_ros.estimation.records import Innovation, RejectReason
 from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.series import NANOSECONDS
 
 JOINT = "elastic_joint"
 SHIPPED = config_path(SHIPPED_DESIGN)

@@ -17,8 +17,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 
 import tsobs_ros as ts
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.nodes.messages import to_nanoseconds, to_stamp
+from tsobs_ros.series import NANOSECONDS
 
 README = (Path(__file__).resolve().parents[3] / "README.md").read_text(encoding="utf-8")
 PERIOD, DURATION = 5_000_000, 4.0

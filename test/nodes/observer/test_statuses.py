@@ -14,13 +14,14 @@ from staging.stage import BEGIN, MS, PERIOD
 
 from tsobs_ros.estimation.events import BOUNDS, Condition
 from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status
-from tsobs_ros.estimation.records import NANOSECONDS, Basis, Hypothesis
+from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.rejections import WRONG
 from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
 from tsobs_ros.nodes.observer.torques import TorqueWatch
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.series import NANOSECONDS
 
 FIXED = str(config_path(FIXED_DESIGN))
 ARM = Arm(BEGIN)

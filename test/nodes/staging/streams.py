@@ -14,7 +14,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from staging.arm import Arm
-from tsobs_ros.estimation.records import NANOSECONDS, Measurement
+from tsobs_ros.estimation.records import Measurement
+from tsobs_ros.series import NANOSECONDS
 
 _MS = 1_000_000
 _LARGEST_STAMP = (2**31 - 1) * NANOSECONDS + 2**32 - 1

@@ -24,7 +24,6 @@ from tsobs_ros.estimation.faults import (
 from tsobs_ros.estimation.health import Debounce, LastMinute, Level, Phase, Status, phase_of
 from tsobs_ros.estimation.history import CORRECTING, GATED, IMPLAUSIBLE_TORQUE, REASONS, USED
 from tsobs_ros.estimation.records import (
-    NANOSECONDS,
     Estimate,
 )
 from tsobs_ros.estimation.tracker import Tracker
@@ -42,6 +41,7 @@ from tsobs_ros.nodes.observer.rejections import (
 from tsobs_ros.nodes.observer.torques import TorqueWatch
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
+from tsobs_ros.series import NANOSECONDS
 
 _NOTHING = np.zeros(0)
 _ACCEPTED = (*CORRECTING, UNKNOWN, GATED)

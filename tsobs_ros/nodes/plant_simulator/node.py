@@ -17,11 +17,11 @@ from typing import Any
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 
-from tsobs_ros.estimation.records import NANOSECONDS
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.topics import SamplePublisher, TorqueCommands
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Plant, PlantScenario
 from tsobs_ros.simulation.signals import Component
 
