@@ -16,7 +16,6 @@ from tsobs_ros.design.file import load_design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.options import SupervisionOptions, TorqueLimits
 from tsobs_ros.estimation.records import (
-    NANOSECONDS,
     Basis,
     Hypothesis,
     Innovation,
@@ -26,6 +25,7 @@ from tsobs_ros.estimation.records import (
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
+from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.integrator import ArmIntegrator
 from tsobs_ros.simulation.plant import Mismatch, Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
