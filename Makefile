@@ -23,7 +23,7 @@ SANITIZE_TESTS ?= test/estimation test/model test/simulation
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .DELETE_ON_ERROR:
-.PHONY: help demo test sanitize fuzz lint format docs links figures clean
+.PHONY: help demo test test-all sanitize fuzz lint format docs links figures clean
 .DEFAULT_GOAL := help
 
 # A version manager's shim may exist and yet fail, so every candidate is run.
@@ -41,7 +41,7 @@ fi
 endef
 
 help: ## Say what can be made
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 16
 
 demo: $(VENV)/.demo ## Simulate the arm, observe it, record, and report (DEMO_ARGS=…)
 	@$(BIN)/tsobs demo $(DEMO_ARGS)
@@ -49,10 +49,10 @@ demo: $(VENV)/.demo ## Simulate the arm, observe it, record, and report (DEMO_AR
 	  "tsobs design config/elastic_joint.request.yaml --output my_arm.design.yaml" >&2
 	@echo "Parquet files and campaigns take more: pip install -e '.[export,campaign]'" >&2
 
-test: $(VENV)/.test ## Lint, check types and run all tests (PYTEST_ARGS=…)
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+test: lint ## Lint, check types and run the tests, but for those marked slow (PYTEST_ARGS=…)
+	$(BIN)/pytest -m "not slow" $(PYTEST_ARGS)
+
+test-all: lint ## Lint, check types and run all tests
 	$(BIN)/pytest $(PYTEST_ARGS)
 
 # The sanitizer has to be in the process before Python: a core linked with it cannot be loaded
