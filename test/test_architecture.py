@@ -162,28 +162,14 @@ def test_the_package_keeps_its_import_directions() -> None:
     assert not found, "\n".join(found)
 
 
-def test_the_check_sees_the_package() -> None:
-    assert Path("nodes/runtime.py") in modules()
-
-
 @pytest.mark.parametrize(
     ("path", "source", "message"),
     [
         ("model/arm.py", "import tsobs_ros.estimation", "model must not import estimation"),
-        ("model/arm.py", "from tsobs_ros import estimation", "model must not import estimation"),
         ("model/arm.py", "from ..estimation.observer import x", "must not import estimation"),
-        ("model/arm.py", "from .. import bag", "model must not import bag"),
-        ("core/records.py", "import tsobs_ros.model", "core must not import model"),
-        ("schema.py", "from tsobs_ros.core import native", "schema must not import core"),
         ("bag/writer.py", "def f():\n    from tsobs_ros.nodes import x", "writer.py:2: bag must"),
-        ("nodes/observer.py", "from tsobs_ros.cli.main import main", "nodes must not import cli"),
-        ("errors.py", "import tsobs_ros.model.arm", "errors must not import model"),
-        ("cli.py", "import rclpy.node", "rclpy belongs to nodes, not cli"),
-        ("bag/writer.py", "from sensor_msgs.msg import JointState", "sensor_msgs belongs to nodes"),
         ("bag/writer.py", "import_module('rclpy')", "rclpy belongs to nodes, not bag"),
         ("nodes/observer.py", "import cvxpy as cp", "cvxpy belongs to design, not nodes"),
-        ("simulation/run.py", "import matplotlib.pyplot", "matplotlib belongs to paper and report"),
-        ("cli.py", "import plotly", "plotly belongs to report, not cli"),
         ("plots/line.py", "", "new part 'plots'"),
     ],
 )
@@ -216,20 +202,3 @@ def test_parts_import_without_the_extras_they_do_not_need(blocked, parts) -> Non
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
 
     assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize(
-    ("path", "source"),
-    [
-        ("nodes/observer.py", "import rclpy\nfrom tsobs_ros.estimation import observer"),
-        ("nodes/observer.py", "from . import runtime\nfrom .runtime import run"),
-        (
-            "model/arm.py",
-            "from tsobs_ros import __version__\nfrom tsobs_ros.errors import ModelError",
-        ),
-        ("model/arm.py", "from .fuzzy import x\nfrom ..errors import ModelError"),
-        ("cli/paper.py", "from tsobs_ros.report import figures\nimport numpy"),
-    ],
-)
-def test_permitted_imports_pass(path: str, source: str) -> None:
-    assert violations(Path(path), source) == []

@@ -5,9 +5,7 @@
 import ast
 import re
 from importlib import import_module
-from io import StringIO
 from pathlib import Path
-from tokenize import COMMENT, generate_tokens
 from xml.etree import ElementTree
 
 import pytest
@@ -48,30 +46,6 @@ def test_every_source_has_the_licence_header() -> None:
     assert not without, f"no licence header in {', '.join(without)}"
 
 
-def test_every_source_says_what_it_is() -> None:
-    without = [str(path) for path in SOURCES if not ast.get_docstring(ast.parse(text(path)))]
-
-    assert not without, f"no docstring in {', '.join(without)}"
-
-
-def test_no_loose_ends_in_comments() -> None:
-    loose = [
-        f"{path}:{token.start[0]}"
-        for path in SOURCES
-        for token in generate_tokens(StringIO(text(path)).readline)
-        if token.type == COMMENT and re.search(r"\b(TODO|FIXME|XXX)\b(?!\(#\d+\))", token.string)
-    ]
-
-    assert not loose, f"these need the number of an issue in brackets: {', '.join(loose)}"
-
-
-def test_the_package_has_an_apache_licence_and_types() -> None:
-    assert "Apache License" in text("LICENSE")
-    assert "Version 2.0, January 2004" in text("LICENSE")
-    assert (ROOT / "tsobs_ros" / "py.typed").is_file()
-    assert (ROOT / "resource" / "tsobs_ros").is_file()
-
-
 def test_the_manifest_is_a_ros_package() -> None:
     root = manifest()
 
@@ -108,6 +82,7 @@ def test_all_versions_are_the_same() -> None:
 
     assert newest is not None, "CHANGELOG.rst has no section such as '0.1.0 (2026-01-31)'"
     assert manifest().findtext("version") == tsobs_ros.__version__ == newest[1]
+    assert f"version: {tsobs_ros.__version__}\n" in text("CITATION.cff")
 
 
 @pytest.mark.parametrize(("name", "target"), executables().items())

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The front door: a light import, names that are there, and arrays in and out of the same core."""
 
-import ast
 import doctest
 import inspect
 import subprocess
@@ -15,7 +14,6 @@ import pytest
 
 import tsobs_ros as ts
 from tsobs_ros.design.record import Design
-from tsobs_ros.design.request import Output
 from tsobs_ros.report.export import export_bag
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.signals import BiasStep
@@ -36,23 +34,6 @@ def test_the_import_is_light() -> None:
     assert modules.isdisjoint({"numpy", "scipy", "yaml", "mcap", "rclpy", "msgspec"})
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
-        "from tsobs_ros.cli.main import main; main(['bag', 'info', 'nowhere'])",
-        "import tsobs_ros.nodes.recorder",
-        "import tsobs_ros.nodes.player",
-    ],
-)
-def test_what_estimates_nothing_loads_no_solver(code: str) -> None:
-    code += "; import sys; print('loaded', *sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
-    _, _, modules = run.stdout.partition("loaded ")
-
-    assert "numpy" in modules.split()
-    assert {"scipy", "cvxpy"}.isdisjoint(modules.split())
-
-
 def test_every_name_is_there_and_explained() -> None:
     assert set(ts.__all__) <= set(dir(ts))
     for name in ts.__all__:
@@ -65,20 +46,6 @@ def test_every_name_is_there_and_explained() -> None:
         _ = ts.observe
 
 
-def test_editors_and_mypy_see_the_same_names() -> None:
-    (block,) = (n for n in ast.parse(inspect.getsource(ts)).body if isinstance(n, ast.If))
-    seen = {
-        alias.name: node.module
-        for node in block.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-
-    assert sorted(seen) == sorted(ts.__all__)
-    for name, module in seen.items():
-        assert getattr(import_module(str(module)), name) is getattr(ts, name)
-
-
 @pytest.mark.parametrize("path", WITH_EXAMPLES, ids=lambda path: path.stem)
 def test_the_examples_in_docstrings_hold(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
@@ -88,11 +55,6 @@ def test_the_examples_in_docstrings_hold(path: Path, monkeypatch: pytest.MonkeyP
 
     assert result.attempted
     assert not result.failed
-
-
-@pytest.mark.parametrize("name", ["estimate", "estimate_bag", "simulate", "compare", "load_design"])
-def test_what_a_user_calls_first_has_an_example(name: str) -> None:
-    assert ">>> import tsobs_ros as ts" in (getattr(ts, name).__doc__ or "")
 
 
 def test_a_simulation_is_reproducible_and_in_physical_units(design: Design) -> None:
@@ -118,28 +80,6 @@ def test_a_disturbance_is_named_or_passed(disturbance) -> None:
     run = ts.simulate(duration=1.0, disturbance=disturbance)
 
     assert run.disturbance.tolist() == [0.0] * 100 + [0.2] * 101
-
-
-def test_an_arm_of_several_outputs_is_pushed_and_carries_a_payload() -> None:
-    run = ts.simulate(
-        ts.ArmRequest(outputs=(Output("motor_angle", 1e-3), Output("link_velocity", 0.02))),
-        duration=1.0,
-        noise_std=[0.0, 0.0],
-        disturbance={"link_velocity": {"bias_step": {"amplitude": 0.2, "start": 0.5}}},
-        torque_disturbance={"link": {"bias_step": {"amplitude": 3.0, "start": 0.0}}},
-        payload={"mass": 0.5, "distance": 0.8, "start": 0.8},
-        friction={"motor_viscous": 0.1},
-        initial_state=[0.1, 0.0, 0.2, 0.0],
-        torque=0.0,
-    )
-
-    assert run.state[0] == pytest.approx([0.1, 0.0, 0.2, 0.0])
-    assert run.angle.shape == run.disturbance.shape == (201, 2)
-    np.testing.assert_allclose(run.angle - run.state[:, [2, 1]], run.disturbance, atol=1e-12)
-    assert run.disturbance[:, 1].tolist() == [0.0] * 100 + [0.2] * 101
-    np.testing.assert_allclose(run.torque_disturbance[:, 0], -0.1 * run.state[:, 3], atol=1e-12)
-    assert (run.torque_disturbance[:160, 1] == 3.0).all()
-    assert (run.torque_disturbance[160:, 1] != 3.0).all()
 
 
 def test_a_ts_system_is_simulated_and_estimated_by_its_design() -> None:
@@ -281,9 +221,3 @@ def test_a_path_is_text_or_a_path(kind: type, tmp_path: Path, design: Design) ->
     ts.BagWriter(kind(tmp_path / "new")).close()
     (exported,) = export_bag(bag, kind(tmp_path / "csv"), topics=["/joint_measurements"])
     assert exported.path.is_file()
-
-
-def test_a_comparison_is_a_table() -> None:
-    assert "innovation" in str(ts.compare(LOG, methods=["certified", "ekf"]))
-    with pytest.raises(ts.TsobsError, match="method: expected one of"):
-        ts.compare(LOG, methods=["magic"])

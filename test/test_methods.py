@@ -44,17 +44,6 @@ def test_the_certified_observer_learns_and_an_ekf_may(method: str) -> None:
     assert fixed == (learnt if method == "ekf_augmented" else ())
 
 
-def test_trackers_may_share_an_observer(design: Design) -> None:
-    settings = ObserverSettings(history=1.5)
-    estimator = make_estimator(design, settings)
-
-    tracker = make_tracker(design, settings, estimator)
-
-    assert tracker.estimator is estimator
-    assert tracker.options.history == 1.5
-    assert tracker.options.x_max == design.request.x_max
-
-
 def test_an_unknown_method_is_refused_with_those_there_are() -> None:
     with pytest.raises(ModelError, match=r"expected one of certified, .*, got 'kalman'"):
         ObserverSettings(method="kalman")

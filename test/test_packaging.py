@@ -19,6 +19,8 @@ import tsobs_ros
 from tsobs_ros.core import native
 from tsobs_ros.errors import LIBRARIES, missing_library
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 VIEWS = ("launch", "urdf", "views")
 EXECUTABLES = ("observer", "plant_simulator", "recorder", "player", "visualizer", "tsobs")
@@ -104,11 +106,6 @@ def test_the_folder_of_a_clone_does_not_pass_for_the_package(
     assert done.stdout.strip() == str(sources / "tsobs_ros" / "__init__.py"), done.stderr
 
 
-def test_one_wheel_is_for_all_pythons(wheel: ZipFile) -> None:
-    assert wheel.filename is not None
-    assert "-cp311-abi3-" in wheel.filename
-
-
 @pytest.mark.parametrize(
     ("compiler", "reason"),
     [
@@ -192,43 +189,10 @@ def test_a_core_that_was_built_from_other_sources_is_not_loaded(
     assert load() == "load_design"
 
 
-def test_rclpy_is_never_required(wheel: ZipFile) -> None:
-    metadata = wheel.read(f"{STEM}.dist-info/METADATA").decode()
-    required = [line for line in metadata.splitlines() if line.startswith("Requires-Dist:")]
-
-    assert any("rclpy" in line for line in required)
-    assert [line for line in required if "ros-" in line and "extra ==" not in line] == []
-
-
-@pytest.mark.parametrize("name", EXECUTABLES)
-def test_a_launcher_runs_the_installed_script(wheel: ZipFile, tmp_path: Path, name: str) -> None:
-    prefix = tmp_path / "a prefix"
-    script = prefix / "bin" / name
-    launcher = prefix / "lib" / "tsobs_ros" / name
-    for path in (script, launcher):
-        path.parent.mkdir(parents=True)
-    script.write_text('#!/bin/sh\necho "ran $(basename "$0") with $2"\nexit 3\n')
-    entry = wheel.getinfo(f"{DATA}/lib/tsobs_ros/{name}")
-    launcher.write_bytes(wheel.read(entry))
-    for path in (script, launcher):
-        path.chmod(0o755)
-
-    done = subprocess.run(
-        [launcher, "--ros-args", "two words"], capture_output=True, text=True, check=False
-    )
-
-    assert entry.external_attr >> 16 & 0o111, "pip keeps it executable only if the wheel does"
-    assert (done.returncode, done.stdout) == (3, f"ran {name} with two words\n")
-
-
 def requirements(wheel: ZipFile) -> set[str]:
     lines = wheel.read(f"{STEM}.dist-info/METADATA").decode().splitlines()
     found = (line.partition("Requires-Dist: ")[2].partition(";")[0].strip() for line in lines)
     return {each for each in found if each}
-
-
-def test_the_advice_on_a_missing_library_is_what_the_package_requires(wheel: ZipFile) -> None:
-    assert {each for libraries in LIBRARIES.values() for each in libraries} <= requirements(wheel)
 
 
 def test_the_demo_installs_no_library_that_it_does_not_use(wheel: ZipFile) -> None:
@@ -284,20 +248,6 @@ def test_the_advice_fits_a_python_that_pip_must_not_change(
         "--system-site-packages .venv && .venv/bin/python -m pip install 'numpy<2' "
         "cvxpy-base clarabel && .venv/bin/python -m colcon build"
     )
-
-
-def test_python_users_get_the_advice_too() -> None:
-    code = (
-        "import sys; sys.modules['cvxpy'] = None\n"
-        "import tsobs_ros as ts\n"
-        "try: ts.synthesise\n"
-        "except ModuleNotFoundError as error: print(error.name, error)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-
-    assert done.stdout.startswith(f"cvxpy cvxpy is not installed: {sys.executable} -m pip install")
 
 
 def test_colcon_puts_the_command_on_the_path(sources: Path, tmp_path: Path) -> None:

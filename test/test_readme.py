@@ -159,6 +159,7 @@ COMMAND_PAGES = [
     for page in PAGES
     if page != TUTORIAL and any(b.language in ("sh", "yaml") for b in blocks(page))
 ]
+SLOW = pytest.mark.slow
 PYTHON_PAGES = [page for page in PAGES if any(b.language == "python" for b in blocks(page))]
 
 
@@ -260,7 +261,11 @@ def folder(tmp_path: Path, estimated: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return tmp_path
 
 
-@pytest.mark.parametrize("page", COMMAND_PAGES, ids=name_of)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(each, marks=() if each.name == "README.md" else SLOW) for each in COMMAND_PAGES],
+    ids=name_of,
+)
 def test_the_commands_of_a_page_run(
     page: Path,
     folder: Path,

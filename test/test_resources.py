@@ -63,16 +63,6 @@ def test_a_checkout_finds_its_own_files(tmp_path: Path) -> None:
     assert found(tmp_path / "checkout") == str(path)
 
 
-def test_a_symlinked_package_finds_the_sources(tmp_path: Path) -> None:
-    install(tmp_path / "checkout")
-    (tmp_path / "checkout" / "package.xml").touch()
-    path = config(tmp_path / "checkout" / "config")
-    (tmp_path / "build").mkdir()
-    (tmp_path / "build" / "tsobs_ros").symlink_to(tmp_path / "checkout" / "tsobs_ros")
-
-    assert found(tmp_path / "build") == str(path)
-
-
 def test_the_ament_prefixes_are_searched(tmp_path: Path) -> None:
     install(tmp_path / "somewhere")
     path = config(tmp_path / "prefix" / "share" / "tsobs_ros" / "config")

@@ -13,6 +13,8 @@ import pytest
 import tsobs_ros as ts
 from tsobs_ros.cli.main import main
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
@@ -65,13 +67,6 @@ def test_the_reference_has_all_commands(capsys: pytest.CaptureFixture[str]) -> N
     assert [name for name in commands if f"{{command}} {name}" not in TEXT] == []
 
 
-@pytest.mark.parametrize(
-    "path", sorted((ROOT / "examples").glob("*.py")), ids=lambda path: path.stem
-)
-def test_an_example_has_its_page(path: Path) -> None:
-    assert f"examples/{path.name}" in TEXT
-
-
 def test_every_figure_is_shown_and_made_by_a_command() -> None:
     made = (DOCS / "figures.py").read_text(encoding="utf-8")
     shown = TEXT + (ROOT / "README.md").read_text(encoding="utf-8")
@@ -97,13 +92,3 @@ def test_messages_of_the_troubleshooting_page_are_those_of_the_package() -> None
     pieces = [piece for piece in pieces if " " in piece]
     assert len(pieces) > 12
     assert [piece for piece in pieces if piece not in text] == []
-
-
-def test_the_version_is_the_same_everywhere() -> None:
-    for name, form in (
-        ("package.xml", "<version>{}</version>"),
-        ("CITATION.cff", "version: {}\n"),
-        ("CHANGELOG.rst", "\n{} ("),
-    ):
-        text = (ROOT / name).read_text(encoding="utf-8")
-        assert form.format(ts.__version__) in text, name

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is shipped for RViz and `ros2 launch` names what there is; test_demo.py has the layouts."""
 
-import json
 import math
 import re
 from importlib import import_module
@@ -114,19 +113,3 @@ def check_same(visual: ElementTree.Element, marker: Any) -> None:
         ],
     }
     assert sizes[shape.tag]() == pytest.approx([scale.x, scale.y, scale.z])
-
-
-def test_the_foxglove_layout_has_a_place_for_each_panel() -> None:
-    layout = json.loads((ROOT / "views" / "foxglove_layout.json").read_text(encoding="utf-8"))
-
-    def panels(tree: Any) -> list[str]:
-        if isinstance(tree, str):
-            tabs = layout["configById"][tree].get("tabs", [])
-            return [tree] + [each for tab in tabs for each in panels(tab["layout"])]
-        return panels(tree["first"]) + panels(tree["second"])
-
-    placed = panels(layout["layout"])
-    assert sorted(placed) == sorted(layout["configById"])
-    assert {each.partition("!")[0] for each in placed} == {
-        "3D", "DiagnosticSummary", "Plot", "StateTransitions", "Tab",
-    }  # fmt: skip
