@@ -25,9 +25,9 @@ from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,
-    Component,
     GaussMarkov,
     Ramp,
+    Signal,
     Sinusoid,
     StuckSensor,
 )
@@ -45,7 +45,7 @@ class _Case(NamedTuple):
     sensor: Sensor | None = None
 
 
-def _fault(expected: FaultKind, component: Component) -> _Case:
+def _fault(expected: FaultKind, component: Signal) -> _Case:
     return _Case(expected, replace(_NOISE, disturbance=(component,)))
 
 

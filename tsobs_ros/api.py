@@ -30,7 +30,7 @@ from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput, TorqueDisturbance
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import KINDS, Component, Excitation, parse_kinds
+from tsobs_ros.simulation.signals import KINDS, Signal, parse_kinds
 from tsobs_ros.simulation.systems import SystemScenario
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 # So many estimates take some 20 ms, after which a signal is noticed.
 _BLOCK = 10_000
 
-Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Component]
+Disturbance = str | Mapping[str, Mapping[str, float]] | Iterable[Signal]
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def simulate(
     seed: int = 0,
     noise_std: float | Sequence[float] | None = None,
     disturbance: Disturbance | Mapping[str, Disturbance] = "none",
-    torque: Excitation | Callable[[float], ArrayLike] | ArrayLike | None = None,
+    torque: Signal | Callable[[float], ArrayLike] | ArrayLike | None = None,
     mismatch: Mapping[str, float] | None = None,
     initial_state: Sequence[float] | None = None,
     friction: Mapping[str, float] | None = None,
@@ -215,7 +215,7 @@ def simulate(
         scenario = scenario_of(ArmRequest(), mismatch)
         assert isinstance(scenario, Scenario)
         scenario = replace(scenario, arm=arm or ElasticJointArm())
-    excited = torque if isinstance(torque, Excitation) else None
+    excited = torque if isinstance(torque, Signal) else None
     changes: dict[str, Any] = {
         "rate": rate or scenario.rate,
         "duration": duration,
@@ -524,13 +524,13 @@ def _payload(numbers: Mapping[str, float]) -> Payload:
     return Payload(**numbers)
 
 
-def _components(disturbance: Disturbance) -> tuple[Component, ...]:
+def _components(disturbance: Disturbance) -> tuple[Signal, ...]:
     if isinstance(disturbance, str):
-        return tuple(KINDS[kind] for kind in parse_kinds(disturbance))
+        return tuple(KINDS[kind]() for kind in parse_kinds(disturbance))
     if not isinstance(disturbance, Mapping):
         return tuple(disturbance)
     kinds = parse_kinds("+".join(disturbance) or "none")
-    return tuple(_changed(f"disturbance {k}", KINDS[k], disturbance[k]) for k in kinds)
+    return tuple(_changed(f"disturbance {k}", KINDS[k](), disturbance[k]) for k in kinds)
 
 
 def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
@@ -540,9 +540,8 @@ def _changed(name: str, record: Any, values: Mapping[str, float]) -> Any:
 
 
 def _torques(torque: Any, times: Array, inputs: int) -> Array:
-    function = getattr(torque, "torque", torque)
-    if callable(function):
-        torque = [function(time) for time in times.tolist()]
+    if callable(torque):
+        torque = [torque(time) for time in times.tolist()]
     return _columns("torque", torque, len(times), inputs)
 
 

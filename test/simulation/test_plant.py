@@ -17,6 +17,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import t
 
+from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
@@ -38,12 +39,11 @@ from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,
     Chirp,
-    Component,
-    Excitation,
     GaussMarkov,
     Multisine,
     NoTorque,
     Pulses,
+    Signal,
     Sine,
     Sinusoid,
     Square,
@@ -185,21 +185,18 @@ def test_a_run_is_the_same_bits_on_another_cpu() -> None:
 
 
 def test_what_others_make_of_torques_and_disturbances_is_used() -> None:
-    class Stairs(Excitation):
-        def torque(self, time: float) -> float:
-            return math.floor(4.0 * time)
+    class Stairs(Signal):
+        def _at(self, times: Array) -> Array:
+            return np.floor(4.0 * times)
 
     @dataclass(frozen=True)
     class LouderSine(Sine):
-        def torque(self, time: float) -> float:
-            return 2.0 * super().torque(time)
+        def _at(self, times: Array) -> Array:
+            return 2.0 * super()._at(times)
 
-    @dataclass(frozen=True)
-    class Growth(Component):
-        kind = "growth"
-
-        def value(self, time: float) -> float:
-            return time * time
+    class Growth(Signal):
+        def _at(self, times: Array) -> Array:
+            return times * times
 
     scenario = replace(QUIET, disturbance=(Growth(), BiasStep(0.5, 0.25)), excitation=LouderSine())
     run, times = Plant(scenario).run(300), np.arange(300) / 200.0

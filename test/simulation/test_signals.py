@@ -4,38 +4,41 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tsobs_ros.checks import Array
-from tsobs_ros.errors import ModelError
+from tsobs_ros.errors import ModelError, TsobsError
 from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.signals import (
+    EXCITATIONS,
     KINDS,
     BiasStep,
     Chirp,
-    Component,
     Constant,
-    Excitation,
     GaussMarkov,
     Multisine,
     NoTorque,
     Pulses,
     Ramp,
+    Signal,
     Sine,
     Sinusoid,
     Square,
     StuckSensor,
     TwoTone,
+    numbers_of,
     parse_kinds,
+    signal_of,
 )
 
 TIMES = [0.0, 1.0, 1.999, 2.0, 2.5, 3.0, 10.0, 29.995, 30.0, 59.0]
 
 
-def disturbances(components: tuple[Component, ...], seeds: Any, samples: int) -> Array:
+def disturbances(components: tuple[Signal, ...], seeds: Any, samples: int) -> Array:
     return Plant(Scenario(disturbance=components), seeds).run(samples).disturbances[..., 0]
 
 
@@ -110,48 +113,57 @@ def test_senseless_numbers_are_refused_by_name(make: Callable[[], object], compl
         (Chirp(1.0, 1.0, 4.0, 5.0), lambda t: math.sin(t % 5.0 + 0.3 * (t % 5.0) ** 2)),
     ],
 )
-def test_signals_follow_their_formulas(
-    signal: Component | Excitation, formula: Callable[[float], float]
-) -> None:
-    for time in TIMES:
-        value = signal.torque(time) if isinstance(signal, Excitation) else signal.value(time)
-        assert value == pytest.approx(formula(time), abs=1e-12)
+def test_signals_follow_their_formulas(signal: Signal, formula: Callable[[float], float]) -> None:
+    expected = [formula(time) for time in TIMES]
+    np.testing.assert_allclose(signal.values(np.array(TIMES)), expected, atol=1e-12)
 
 
 def test_components_are_added_up() -> None:
     parts = (BiasStep(0.1, 1.0), Sinusoid(0.2, 3.0, 2.0), Ramp(0.1, 0.5), TwoTone(0.3, 1.5))
-    sums = [sum(part.value(k / 200.0) for part in parts) for k in range(600)]
+    sums = sum(part.values(np.arange(600) / 200.0) for part in parts)
     assert disturbances(parts, 0, 600) == pytest.approx(sums, abs=1e-15)
 
 
 def test_signals_may_be_too_large_for_a_sine() -> None:
-    assert math.isnan(Sine(1.0, 1e300).torque(1e300))
-    assert math.isnan(Sinusoid(1.0, 1e300, 0.0).value(1e300))
-    assert abs(Chirp(1.0, 1e250, 1e300, 1e8).torque(7.0)) <= 1.0
+    assert np.isnan(Sine(1.0, 1e300).values(np.array([1e300])))
+    assert np.isnan(Sinusoid(1.0, 1e300, 0.0).values(np.array([1e300])))
+    assert abs(Chirp(1.0, 1e250, 1e300, 1e8).values(np.array([7.0]))) <= 1.0
 
 
 def test_multisine_has_the_stated_power_and_a_moderate_crest() -> None:
     signal = Multisine(amplitude=2.0, lowest=0.5, highest=6.0, tones=12)  # period 4π
-    torque = np.array([signal.torque(t) for t in np.arange(4000) * (4 * math.pi / 4000)])
+    torque = signal.values(np.arange(4000) * (4 * math.pi / 4000))
     assert np.sqrt(np.mean(torque**2)) == pytest.approx(2.0 / math.sqrt(2.0), rel=1e-6)
     assert np.abs(torque).max() < 2.5 * np.sqrt(np.mean(torque**2))
 
 
-def test_kinds_are_parsed() -> None:
-    assert parse_kinds("none") == ()
-    assert parse_kinds("+".join(KINDS)) == tuple(KINDS)
-    assert parse_kinds("stuck + gauss_markov") == ("stuck", "gauss_markov")
+@pytest.mark.parametrize("kinds", [EXCITATIONS, KINDS])
+def test_the_table_describes_every_number_with_a_default_that_it_accepts(kinds: Any) -> None:
+    for name, kind in kinds.items():
+        numbers = numbers_of(kind)
+        assert list(numbers) == [each.name for each in fields(kind)]
+        assert all(number.description for number in numbers.values())
+        defaults = {each: number.default for each, number in numbers.items()}
+        assert signal_of(kinds, name) == signal_of(kinds, {"kind": name, **defaults}) == kind()
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    ("entry", "complaint"),
     [
-        ("offset", "got 'offset'"),
-        ("", "got ''"),
-        ("none+ramp", "got 'none'"),
-        ("ramp+ramp", "at most once"),
+        ("offset", "kind: expected one of bias_step, .*, got 'offset'"),
+        ({"amplitude": 1.0}, "kind: expected one of bias_step, .*, got None"),
+        ({"kind": "ramp", "slope": 1.0}, "unknown entry 'slope'"),
+        ({"kind": "gauss_markov", "std": -1.0}, "gauss_markov std: expected a finite number of"),
     ],
 )
-def test_unknown_kinds_are_refused(text: str, complaint: str) -> None:
-    with pytest.raises(ModelError, match=complaint):
-        parse_kinds(text)
+def test_entries_of_no_signal_are_refused(entry: Any, complaint: str) -> None:
+    with pytest.raises(TsobsError, match=complaint):
+        signal_of(KINDS, entry)
+
+
+def test_kinds_are_parsed() -> None:
+    assert parse_kinds("none") == ()
+    assert parse_kinds("stuck + gauss_markov") == ("stuck", "gauss_markov")
+    for text in ("offset", "", "none+ramp"):
+        with pytest.raises(ModelError, match="disturbance kind: expected none or a sum of"):
+            parse_kinds(text)

@@ -27,7 +27,7 @@ from tsobs_ros.schema import decode, encode, naming
 from tsobs_ros.simulation.integrator import Friction
 from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS
-from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Component, Excitation
+from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, signal_of
 from tsobs_ros.yaml_files import read_text, yaml_mapping, yaml_text
 
 FORMAT, VERSION = "tsobs_ros campaign", 1
@@ -36,38 +36,27 @@ _HEADER = "# What this folder has the runs of, written by `tsobs campaign`.\n"
 
 
 class ComponentEntry:
-    """A component of a disturbance, given by its kind and its numbers; a start left out is 0."""
+    """A component of a disturbance, given by its kind and its numbers."""
 
-    def __init__(self, signal: Component) -> None:
+    def __init__(self, signal: Signal) -> None:
         self.signal = signal
 
     @classmethod
     def from_mapping(cls, entries: Mapping[str, Any]) -> "ComponentEntry":
         """Return the component that a file gives."""
-        kind, numbers = _kind(entries, KINDS)
-        known = type(KINDS[kind])
-        return cls(decode({"start": 0.0, **numbers}, known))
+        return cls(signal_of(KINDS, entries))
 
 
 class ExcitationEntry:
     """The signal of the torque, given by its kind and its numbers."""
 
-    def __init__(self, signal: Excitation) -> None:
+    def __init__(self, signal: Signal) -> None:
         self.signal = signal
 
     @classmethod
     def from_mapping(cls, entries: Mapping[str, Any]) -> "ExcitationEntry":
         """Return the signal that a file gives."""
-        kind, numbers = _kind(entries, EXCITATIONS)
-        return cls(decode(numbers, EXCITATIONS[kind]))
-
-
-def _kind(entries: Mapping[str, Any], kinds: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    numbers = dict(entries)
-    kind = numbers.pop("kind", None)
-    if kind not in kinds:
-        raise ModelError(f"kind: expected one of {', '.join(kinds)}, got {kind!r}")
-    return str(kind), numbers
+        return cls(signal_of(EXCITATIONS, entries))
 
 
 class PayloadEntry(msgspec.Struct, kw_only=True, frozen=True):

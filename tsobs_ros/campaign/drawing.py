@@ -20,7 +20,7 @@ from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario, SimulatedOutput, TorqueDisturbance
 from tsobs_ros.simulation.scenarios import SCENARIOS
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import BiasStep, Component, GaussMarkov, Ramp, Sinusoid
+from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Ramp, Signal, Sinusoid
 
 Choose = Callable[[float, float], float]
 """Chooses a number from a range."""
@@ -237,9 +237,9 @@ def _outputs(
 
 def _designed(
     terms: "tuple[DisturbanceTerm, ...] | Any", random: np.random.Generator
-) -> tuple[Component, ...]:
+) -> tuple[Signal, ...]:
     """Return a disturbance as terms of a design say that it is, with the start that they say."""
-    found: list[Component] = []
+    found: list[Signal] = []
     for term in terms:
         if term.kind in ("bias", "ramp"):
             found.append(BiasStep(term["initial_std"] * random.standard_normal(), 0.0))

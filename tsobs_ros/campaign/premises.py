@@ -9,7 +9,7 @@ from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor
-from tsobs_ros.simulation.signals import BiasStep, Component, GaussMarkov, Ramp, Sinusoid
+from tsobs_ros.simulation.signals import BiasStep, GaussMarkov, Ramp, Signal, Sinusoid
 
 _EPSILON = 1e-9
 
@@ -84,7 +84,7 @@ def _of_sensor(sensor: Sensor) -> set[str]:
     return {what for number, what in _SENSOR.items() if getattr(sensor, number)}
 
 
-def _foresees(terms: Iterable[DisturbanceTerm], components: Iterable[Component]) -> bool:
+def _foresees(terms: Iterable[DisturbanceTerm], components: Iterable[Signal]) -> bool:
     """Return whether terms of a design have a place for each of some components."""
     terms = list(terms)
     wandering = sum(term["density"] for term in terms if term.kind in ("bias", "ramp"))

@@ -14,7 +14,7 @@ import numpy as np
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.core import native
 from tsobs_ros.simulation.series import Span
-from tsobs_ros.simulation.signals import Component, GaussMarkov, StuckSensor, markov_step
+from tsobs_ros.simulation.signals import GaussMarkov, Signal, StuckSensor, markov_step
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 
@@ -50,14 +50,12 @@ class Channels:
         self, seeds: Sequence[int], source: Source, count: int, block: int, rate: float
     ) -> None:
         self._seeds, self._source, self._block, self._rate = seeds, source, block, rate
-        self._components: list[tuple[Component, ...]] = [()] * count
+        self._components: list[tuple[Signal, ...]] = [()] * count
         self._drifts: list[list[_Drift]] = [[]] * count
         self._generations = [-1] * count
         self._injected = [0] * count
 
-    def exchange(
-        self, channel: int, components: Sequence[Component], index: int, drawn: int
-    ) -> None:
+    def exchange(self, channel: int, components: Sequence[Signal], index: int, drawn: int) -> None:
         """Put other components in the place of a channel's present ones.
 
         Args:

@@ -14,7 +14,7 @@ from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.channels import Channels
 from tsobs_ros.simulation.integrator import ArmIntegrator, Friction, Payload
 from tsobs_ros.simulation.series import Series, Span
-from tsobs_ros.simulation.signals import Excitation, NoTorque, recurs
+from tsobs_ros.simulation.signals import NoTorque, Signal, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 
@@ -51,10 +51,10 @@ class Motion(ABC):
         self.states, self.rate = np.ascontiguousarray(states), rate
         self.torques = Channels(seeds, Source.TORQUE, torque_count, block, rate)
         self.kicks = np.empty((len(seeds), block, kicks))
-        self.excitations: list[Excitation] = [NoTorque()] * input_count
+        self.excitations: list[Signal] = [NoTorque()] * input_count
         self._stream = RandomStream(seeds, Source.PROCESS) if kicks else None
 
-    def excite(self, place: int, excitation: Excitation) -> None:
+    def excite(self, place: int, excitation: Signal) -> None:
         """Let another signal move an input from the next sample on."""
         self.excitations[place] = excitation
 
@@ -74,7 +74,7 @@ class Motion(ABC):
         """
         times = np.arange(index, index + inputs.shape[1]) / self.rate
         for place in range(given, len(self.excitations)):
-            inputs[..., place] = self.excitations[place].torques(times)
+            inputs[..., place] = self.excitations[place].values(times)
 
     @property
     def fed_back(self) -> tuple[tuple[int, int], ...]:

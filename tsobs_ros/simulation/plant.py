@@ -24,7 +24,7 @@ from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.motion import ArmMotion, Motion
 from tsobs_ros.simulation.sensor import Sensor, Sensors
 from tsobs_ros.simulation.series import Series, Span
-from tsobs_ros.simulation.signals import Component, Excitation, Sine, StuckSensor
+from tsobs_ros.simulation.signals import Signal, Sine, StuckSensor
 from tsobs_ros.simulation.streams import RandomStream, Seeds, Source, checked_seeds
 
 _BLOCK = 256
@@ -76,7 +76,7 @@ class SimulatedOutput:
 
     measures: str = QUANTITIES[0]
     sensor: Sensor = field(default_factory=Sensor)
-    disturbance: tuple[Component, ...] = ()
+    disturbance: tuple[Signal, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,8 +91,8 @@ class TorqueDisturbance:
         ModelError: A component is a stuck sensor.
     """
 
-    motor: tuple[Component, ...] = ()
-    link: tuple[Component, ...] = ()
+    motor: tuple[Signal, ...] = ()
+    link: tuple[Signal, ...] = ()
 
     def __post_init__(self) -> None:
         for side in SIDES:
@@ -118,7 +118,7 @@ class PlantScenario(ABC):
 
     @property
     @abstractmethod
-    def excitations(self) -> tuple[Excitation, ...]:
+    def excitations(self) -> tuple[Signal, ...]:
         """The signal of each input and scheduled signal in the absence of a command."""
 
     @property
@@ -127,12 +127,12 @@ class PlantScenario(ABC):
         """Number of inputs that can be commanded; scheduled signals are not among them."""
 
     @property
-    def torques(self) -> tuple[tuple[Component, ...], ...]:
+    def torques(self) -> tuple[tuple[Signal, ...], ...]:
         """Components of the disturbance of each torque."""
         return ()
 
     @property
-    def reporting_error(self) -> tuple[Component, ...]:
+    def reporting_error(self) -> tuple[Signal, ...]:
         """What the first reported input has beyond the applied one."""
         return ()
 
@@ -187,10 +187,10 @@ class Scenario(PlantScenario):
     initial_state: tuple[float, ...] = (0.3, 0.0, 2.0, 0.0)
     initial_spread: tuple[float, ...] = (0.05, 0.1, 0.5, 0.5)
     process_noise: ProcessNoise = field(default_factory=ProcessNoise)
-    excitation: Excitation = field(default_factory=Sine)
-    disturbance: tuple[Component, ...] = ()
+    excitation: Signal = field(default_factory=Sine)
+    disturbance: tuple[Signal, ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
-    torque_error: tuple[Component, ...] = ()
+    torque_error: tuple[Signal, ...] = ()
     outputs: tuple[SimulatedOutput, ...] = ()
     torque_disturbance: TorqueDisturbance = field(default_factory=TorqueDisturbance)
     payload: Payload = field(default_factory=Payload)
@@ -230,7 +230,7 @@ class Scenario(PlantScenario):
         return self.outputs or (SimulatedOutput(sensor=self.sensor, disturbance=self.disturbance),)
 
     @property
-    def excitations(self) -> tuple[Excitation, ...]:
+    def excitations(self) -> tuple[Signal, ...]:
         """The torque in the absence of a command."""
         return (self.excitation,)
 
@@ -240,12 +240,12 @@ class Scenario(PlantScenario):
         return 1
 
     @property
-    def torques(self) -> tuple[tuple[Component, ...], ...]:
+    def torques(self) -> tuple[tuple[Signal, ...], ...]:
         """Components of the torque on the motor, and of that on the link."""
         return tuple(getattr(self.torque_disturbance, side) for side in SIDES)
 
     @property
-    def reporting_error(self) -> tuple[Component, ...]:
+    def reporting_error(self) -> tuple[Signal, ...]:
         """What the reported torque has beyond the applied one."""
         return self.torque_error
 
@@ -385,18 +385,18 @@ class Plant:
         """Time of the sample that the next step returns, since the start [s]."""
         return self._index / self.scenario.rate
 
-    def exchange_disturbance(self, components: Sequence[Component], output: int = 0) -> None:
+    def exchange_disturbance(self, components: Sequence[Signal], output: int = 0) -> None:
         """Put other components in the place of an output's present ones, from the next sample on.
 
         The time of the new components, their `start` included, counts from the next sample.
         """
         self._sensors.disturb(output, components, self._index, self._drawn)
 
-    def exchange_torque_disturbance(self, components: Sequence[Component], side: int) -> None:
+    def exchange_torque_disturbance(self, components: Sequence[Signal], side: int) -> None:
         """Do so for the torque disturbance of the motor (0) or of the link (1)."""
         self._motion.torques.exchange(side, components, self._index, self._drawn)
 
-    def exchange_excitation(self, excitation: Excitation, place: int = 0) -> None:
+    def exchange_excitation(self, excitation: Signal, place: int = 0) -> None:
         """Move an input otherwise from the next sample on; its time goes on counting."""
         self._motion.excite(place, excitation)
 

@@ -11,11 +11,11 @@ from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario, Trajectories
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,
-    Component,
     Constant,
     GaussMarkov,
     Pulses,
     Ramp,
+    Signal,
     Sine,
     Sinusoid,
 )
@@ -31,7 +31,7 @@ def _with(sensor: Sensor, mismatch: Mismatch | None = None) -> Scenario:
     return replace(_NOISE, sensor=sensor, mismatch=mismatch or Mismatch())
 
 
-def _stiff(*disturbance: Component) -> Scenario:
+def _stiff(*disturbance: Signal) -> Scenario:
     return replace(_NOISE, mismatch=_STIFF, disturbance=disturbance)
 
 

@@ -13,7 +13,7 @@ from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
 from tsobs_ros.simulation.channels import Channels
 from tsobs_ros.simulation.series import Series, Span
-from tsobs_ros.simulation.signals import Component, markov_step, recurs
+from tsobs_ros.simulation.signals import Signal, markov_step, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 
@@ -131,7 +131,7 @@ class Sensors:
             self._past[output] = None
         self._sensors[output] = sensor
 
-    def disturb(self, output: int, components: Sequence[Component], index: int, drawn: int) -> None:
+    def disturb(self, output: int, components: Sequence[Signal], index: int, drawn: int) -> None:
         """Exchange the disturbance of an output; see `Channels.exchange`."""
         self._was_stuck[output] = False
         self.channels.exchange(output, components, index, drawn)

@@ -1,126 +1,162 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Torques that move a simulated plant, and disturbances of outputs and torques over time.
+"""Signals over time: the inputs of simulated plants, and disturbances of outputs and torques.
 
-The time of a torque that moves the plant counts from its start. A disturbance is a sum of
-components, and its time counts from the moment it is put in, which is the plant's start unless it
-is exchanged while the plant runs. Units of components are those of an angle; a component of
-another output has that output's unit in place of rad, one of a torque has N m.
+The time of an input's signal counts from the plant's start. A disturbance is a sum of signals, and
+its time counts from the moment it is put in, which is the plant's start unless it is exchanged
+while the plant runs. The unit of a disturbance's values is that of what it is added to: rad of an
+angle, N m of a torque.
 
-Signals of this module are evaluated at many times at once. Others are evaluated time by time.
+`EXCITATIONS` and `KINDS` are the tables of all signals. From them, `numbers_of` and `signal_of`
+come the simulator's parameters, the entries of campaigns and the arguments of the API.
 """
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import ClassVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.checks import Array, Flags, check_each, finite, non_negative, positive
+from tsobs_ros.checks import Array, Flags, finite, non_negative, positive, shown
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
+from tsobs_ros.schema import decode
 
 
-class Excitation(ABC):
-    """A torque over time."""
+class Number(NamedTuple):
+    """One number of a kind of signal.
 
-    @abstractmethod
-    def torque(self, time: float) -> float:
-        """Return the torque [N m] at a time [s] since the start."""
+    Attributes:
+        default: Its value if left out.
+        description: What it is.
+        unit: SI unit; "" for none, or for that of the signal's values.
+        minimum: Least value; None if every finite number is accepted.
+        above: Whether the least value itself is refused.
+    """
 
-    def torques(self, times: Array) -> Array:
-        """Return the torques at times, shape (samples,)."""
-        return np.array([self.torque(time) for time in times.tolist()], np.float64)
+    default: float
+    description: str
+    unit: str = ""
+    minimum: float | None = None
+    above: bool = False
 
 
-class _KnownExcitation(Excitation):
-    def torque(self, time: float) -> float:
-        return float(_at_once(self._at, np.array([time], np.float64))[0])
-
-    def torques(self, times: Array) -> Array:
-        if type(self).torque is not _KnownExcitation.torque:
-            return super().torques(times)
-        return _at_once(self._at, times)
-
-    @abstractmethod
-    def _at(self, times: Array) -> Array:
-        """Return the torques at times."""
+def _number(default: float, *description: Any, **rules: Any) -> Any:
+    return field(default=default, metadata={"number": Number(default, *description, **rules)})
 
 
 @dataclass(frozen=True)
-class NoTorque(_KnownExcitation):
-    """The motor is not driven."""
+class Signal(ABC):
+    """A value over time. A subclass with `_at` is a signal of the user's.
+
+    Raises:
+        ModelError: A number is out of range.
+    """
+
+    kind: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        for name, number in numbers_of(type(self)).items():
+            check = finite if number.minimum is None else positive if number.above else non_negative
+            check(f"{self.kind} {name}", getattr(self, name))
+
+    def values(self, times: Array) -> Array:
+        """Return the values at times [s], shape (samples,)."""
+        # A number may be too large for a sine.
+        with np.errstate(all="ignore"):
+            return self._at(times)
+
+    @abstractmethod
+    def _at(self, times: Array) -> Array:
+        """Return the values at times [s], shape (samples,)."""
+
+
+def numbers_of(kind: type[Signal]) -> dict[str, Number]:
+    """Return the numbers of a kind of signal by name, in the order of its arguments.
+
+    >>> numbers_of(Ramp)["rate"].unit
+    '1/s'
+    """
+    return {each.name: each.metadata["number"] for each in fields(kind) if each.metadata}
+
+
+def signal_of(kinds: Mapping[str, type[Signal]], entry: object) -> Any:
+    """Return the signal that an entry describes: a kind, or a mapping of `kind` and its numbers.
+
+    Args:
+        kinds: `EXCITATIONS` or `KINDS`.
+        entry: Plain data, e.g. of a file. Numbers that are left out have their defaults.
+
+    Raises:
+        ModelError: The kind is unknown, or a number is out of range.
+        DesignFileError: A number's name is unknown, or its value is no number.
+
+    >>> signal_of(KINDS, {"kind": "ramp", "rate": 0.5})
+    Ramp(rate=0.5, start=0.0)
+    """
+    numbers: dict[str, Any] = dict(entry) if isinstance(entry, Mapping) else {"kind": entry}
+    kind = numbers.pop("kind", None)
+    if kind not in kinds:
+        raise ModelError(f"kind: expected one of {', '.join(kinds)}, got {shown(kind)}")
+    return decode(numbers, kinds[kind])
+
+
+@dataclass(frozen=True)
+class NoTorque(Signal):
+    """0."""
+
+    kind: ClassVar[str] = "none"
 
     def _at(self, times: Array) -> Array:
         return np.zeros(len(times))
 
 
 @dataclass(frozen=True)
-class Constant(_KnownExcitation):
-    """u = a.
+class Constant(Signal):
+    """u = a."""
 
-    Attributes:
-        amplitude: a [N m].
-    """
-
-    amplitude: float = 1.0
-
-    def __post_init__(self) -> None:
-        finite("constant amplitude", self.amplitude)
+    kind: ClassVar[str] = "constant"
+    amplitude: float = _number(1.0, "Value", "N m")
 
     def _at(self, times: Array) -> Array:
         return np.full(len(times), self.amplitude, np.float64)
 
 
 @dataclass(frozen=True)
-class Sine(_KnownExcitation):
-    """u = a sin ωt; the defaults are the method's u = sin t.
+class Sine(Signal):
+    """u = a sin ωt; the defaults are the method's u = sin t."""
 
-    Attributes:
-        amplitude: a [N m].
-        frequency: ω [rad/s].
-    """
-
-    amplitude: float = 1.0
-    frequency: float = 1.0
-
-    def __post_init__(self) -> None:
-        _check_signal("sine", self.amplitude, self.frequency)
+    kind: ClassVar[str] = "sine"
+    amplitude: float = _number(1.0, "Amplitude", "N m")
+    frequency: float = _number(1.0, "Frequency", "rad/s", 0.0, above=True)
 
     def _at(self, times: Array) -> Array:
         return self.amplitude * _sine(self.frequency * times)
 
 
 @dataclass(frozen=True)
-class Multisine(_KnownExcitation):
+class Multisine(Signal):
     """A sum of tones, equally spaced from the lowest to the highest, with Schroeder's phases.
 
     Schroeder's phases −πi(i − 1)/n spread the tones' crests, so that the peak stays near that of
     noise of the same power (M. R. Schroeder, IEEE Trans. Information Theory 16, 1970).
-
-    Attributes:
-        amplitude: Root of the tones' summed squared amplitudes [N m].
-        lowest: Lowest tone [rad/s].
-        highest: Highest tone [rad/s].
-        tones: Their number.
     """
 
-    amplitude: float = 1.0
-    lowest: float = 0.5
-    highest: float = 6.0
-    tones: int = 8
+    kind: ClassVar[str] = "multisine"
+    amplitude: float = _number(1.0, "Root of the tones' summed squared amplitudes", "N m")
+    lowest: float = _number(0.5, "Lowest tone", "rad/s", 0.0, above=True)
+    highest: float = _number(6.0, "Highest tone", "rad/s", 0.0, above=True)
+    tones: int = _number(8, "Number of tones", "", 0, above=True)
 
     def __post_init__(self) -> None:
-        _check_signal("multisine", self.amplitude, self.lowest)
-        if not (math.isfinite(self.highest) and self.highest >= self.lowest):
+        super().__post_init__()
+        if self.highest < self.lowest:
             raise ModelError(
                 f"multisine highest: expected at least lowest = {self.lowest!r} rad/s, "
                 f"got {self.highest!r}"
             )
-        if self.tones < 1:
-            raise ModelError(f"multisine tones: expected at least 1, got {self.tones!r}")
 
     def _at(self, times: Array) -> Array:
         spacing = (self.highest - self.lowest) / max(1.0, self.tones - 1.0)
@@ -132,19 +168,12 @@ class Multisine(_KnownExcitation):
 
 
 @dataclass(frozen=True)
-class Square(_KnownExcitation):
-    """Alternately +a and −a, half a period each, + first.
+class Square(Signal):
+    """Alternately +a and −a, half a period 2π/ω each, + first."""
 
-    Attributes:
-        amplitude: a [N m].
-        frequency: ω [rad/s]; the period is 2π/ω.
-    """
-
-    amplitude: float = 1.0
-    frequency: float = 1.0
-
-    def __post_init__(self) -> None:
-        _check_signal("square", self.amplitude, self.frequency)
+    kind: ClassVar[str] = "square"
+    amplitude: float = _number(1.0, "Amplitude", "N m")
+    frequency: float = _number(1.0, "Frequency", "rad/s", 0.0, above=True)
 
     def _at(self, times: Array) -> Array:
         is_first = (self.frequency * times / math.tau) % 1.0 < 0.5
@@ -152,24 +181,14 @@ class Square(_KnownExcitation):
 
 
 @dataclass(frozen=True)
-class Chirp(_KnownExcitation):
-    """A tone whose frequency rises linearly from the lowest to the highest, again and again.
+class Chirp(Signal):
+    """A tone whose frequency rises linearly from the lowest to the highest, again and again."""
 
-    Attributes:
-        amplitude: [N m].
-        lowest: Frequency at the beginning of a sweep [rad/s].
-        highest: Frequency at its end [rad/s].
-        sweep: Length of a sweep [s].
-    """
-
-    amplitude: float = 1.0
-    lowest: float = 0.5
-    highest: float = 6.0
-    sweep: float = 20.0
-
-    def __post_init__(self) -> None:
-        _check_signal("chirp", self.amplitude, self.lowest)
-        check_each(positive, self, "highest", "sweep", prefix="chirp ")
+    kind: ClassVar[str] = "chirp"
+    amplitude: float = _number(1.0, "Amplitude", "N m")
+    lowest: float = _number(0.5, "Frequency at the beginning of a sweep", "rad/s", 0.0, above=True)
+    highest: float = _number(6.0, "Frequency at its end", "rad/s", 0.0, above=True)
+    sweep: float = _number(20.0, "Length of a sweep", "s", 0.0, above=True)
 
     def _at(self, times: Array) -> Array:
         within = times % self.sweep
@@ -177,92 +196,31 @@ class Chirp(_KnownExcitation):
         return self.amplitude * _sine((self.lowest + half_rate * within) * within)
 
 
-EXCITATIONS: Mapping[str, type[Excitation]] = {
-    "none": NoTorque,
-    "constant": Constant,
-    "sine": Sine,
-    "multisine": Multisine,
-    "square": Square,
-    "chirp": Chirp,
-}
-"""Every kind of signal of an input under its name."""
-
-
-def _check_signal(kind: str, amplitude: float, frequency: float) -> None:
-    finite(f"{kind} amplitude", amplitude)
-    positive(f"{kind} frequency", frequency)
+def _start() -> Any:
+    return _number(0.0, "Start, counted from when it was put in", "s")
 
 
 @dataclass(frozen=True)
-class Component(ABC):
-    """One kind of disturbance with its numbers.
-
-    Raises:
-        ModelError: A number is not finite.
-    """
-
-    kind: ClassVar[str]
-
-    def __post_init__(self) -> None:
-        names = (item.name for item in fields(self))
-        check_each(finite, self, *names, prefix=f"{self.kind} ")
-
-    @abstractmethod
-    def value(self, time: float) -> float:
-        """Return the addition to the measurement [rad] at a time [s], zero before the start."""
-
-    def values(self, times: Array) -> Array:
-        """Return the additions at times, shape (samples,)."""
-        return np.array([self.value(time) for time in times.tolist()], np.float64)
-
-
-class _KnownComponent(Component):
-    def value(self, time: float) -> float:
-        return float(_at_once(self._at, np.array([time], np.float64))[0])
-
-    def values(self, times: Array) -> Array:
-        if type(self).value is not _KnownComponent.value:
-            return super().values(times)
-        return _at_once(self._at, times)
-
-    def _at(self, times: Array) -> Array:
-        """Return the additions at times."""
-        return np.zeros(len(times))
-
-
-@dataclass(frozen=True)
-class BiasStep(_KnownComponent):
-    """d = a from the start on.
-
-    Attributes:
-        amplitude: a [rad].
-        start: [s].
-    """
+class BiasStep(Signal):
+    """d = a from the start on."""
 
     kind: ClassVar[str] = "bias_step"
-    amplitude: float = 0.1
-    start: float = 30.0
+    amplitude: float = _number(0.1, "Bias")
+    start: float = _start()
 
     def _at(self, times: Array) -> Array:
         return np.where(times >= self.start, self.amplitude, 0.0)
 
 
 @dataclass(frozen=True)
-class Sinusoid(_KnownComponent):
-    """d = a sin(ω(t − start) + φ) from the start on; the defaults are Example 2's first fault.
-
-    Attributes:
-        amplitude: a [rad].
-        frequency: ω [rad/s].
-        start: [s].
-        phase: φ [rad].
-    """
+class Sinusoid(Signal):
+    """d = a sin(ω(t − start) + φ) from the start on; as Example 2's first fault."""
 
     kind: ClassVar[str] = "sinusoid"
-    amplitude: float = 0.2
-    frequency: float = 3.0
-    start: float = 2.0
-    phase: float = 0.0
+    amplitude: float = _number(0.2, "Amplitude")
+    frequency: float = _number(3.0, "Frequency", "rad/s")
+    start: float = _start()
+    phase: float = _number(0.0, "Phase at the start", "rad")
 
     def _at(self, times: Array) -> Array:
         since = times - self.start
@@ -271,34 +229,27 @@ class Sinusoid(_KnownComponent):
 
 
 @dataclass(frozen=True)
-class Ramp(_KnownComponent):
-    """d = r (t − start) from the start on.
-
-    Attributes:
-        rate: r [rad/s].
-        start: [s].
-    """
+class Ramp(Signal):
+    """d = r (t − start) from the start on."""
 
     kind: ClassVar[str] = "ramp"
-    rate: float = 0.004
-    start: float = 10.0
+    rate: float = _number(0.004, "Growth", "1/s")
+    start: float = _start()
 
     def _at(self, times: Array) -> Array:
         return self.rate * np.maximum(0.0, times - self.start)
 
 
 @dataclass(frozen=True)
-class TwoTone(_KnownComponent):
-    """d = a (sin 2t + cos 3t) from the start on; the defaults are Example 2's third fault.
+class TwoTone(Signal):
+    """d = a (sin 2t + cos 3t) from the start on; its phase does not depend on the start.
 
-    Attributes:
-        amplitude: a [rad].
-        start: When it sets in [s]; its phase does not depend on it.
+    The amplitude 0.4 is that of Example 2's third fault.
     """
 
     kind: ClassVar[str] = "two_tone"
-    amplitude: float = 0.4
-    start: float = 0.0
+    amplitude: float = _number(0.4, "Amplitude of a (sin 2t + cos 3t)")
+    start: float = _start()
 
     def _at(self, times: Array) -> Array:
         values = self.amplitude * (_sine(2.0 * times) + _cosine(3.0 * times))
@@ -306,98 +257,75 @@ class TwoTone(_KnownComponent):
 
 
 @dataclass(frozen=True)
-class GaussMarkov(_KnownComponent):
+class GaussMarkov(Signal):
     """A drift of bounded variance, ḋ = −d/τ + noise, which leaves zero at its start.
 
-    Its variance grows as std² (1 − e^(−2t/τ)). `value` is its mean, zero; the plant adds the random
-    part.
-
-    Attributes:
-        std: 1σ once it has become stationary [rad].
-        time_constant: τ [s].
-        start: [s].
+    Its variance grows as std² (1 − e^(−2t/τ)). `values` is its mean, zero; the plant adds the
+    random part.
     """
 
     kind: ClassVar[str] = "gauss_markov"
-    std: float = 0.1
-    time_constant: float = 20.0
-    start: float = 0.0
+    std: float = _number(0.1, "1σ once it has become stationary", "", 0.0)
+    time_constant: float = _number(20.0, "Time constant τ", "s", 0.0, above=True)
+    start: float = _start()
 
-    def __post_init__(self) -> None:
-        non_negative("gauss_markov std", self.std)
-        positive("gauss_markov time_constant", self.time_constant)
-        super().__post_init__()
+    def _at(self, times: Array) -> Array:
+        return np.zeros(len(times))
 
 
 @dataclass(frozen=True)
-class StuckSensor(_KnownComponent):
-    """The measured value freezes at the start and stays for a while; it adds nothing.
-
-    Attributes:
-        start: [s].
-        duration: [s], infinite for ever.
-    """
+class StuckSensor(Signal):
+    """The measured value freezes at the start and stays for a while; it adds nothing."""
 
     kind: ClassVar[str] = "stuck"
-    start: float = 30.0
-    duration: float = 1.0
+    start: float = _start()
+    duration: float = _number(1.0, "How long; infinite for ever", "s", 0.0)
 
     def __post_init__(self) -> None:
+        if self.duration != math.inf:
+            super().__post_init__()
         finite("stuck start", self.start)
-        if not self.duration >= 0.0:
-            raise ModelError(f"stuck duration: expected at least 0 s, got {self.duration!r}")
 
     def holds(self, times: Array) -> Flags:
-        """Return whether the measured value is held at times, shape (samples,)."""
+        """Return whether the measured value is held at times [s], shape (samples,)."""
         return (self.start <= times) & (times < self.start + self.duration)
+
+    def _at(self, times: Array) -> Array:
+        return np.zeros(len(times))
 
 
 @dataclass(frozen=True)
-class Pulses(_KnownComponent):
-    """d = a for a while from the start on, again and again, or once.
-
-    Attributes:
-        amplitude: a [rad].
-        start: Of the first pulse [s].
-        duration: Of a pulse [s].
-        interval: From the beginning of one to that of the next [s]; 0 for a single one.
-    """
+class Pulses(Signal):
+    """d = a for a while from the start on, again and again, or once."""
 
     kind: ClassVar[str] = "pulses"
-    amplitude: float = 0.5
-    start: float = 8.0
-    duration: float = 1.5
-    interval: float = 8.0
-
-    def __post_init__(self) -> None:
-        check_each(non_negative, self, "duration", "interval", prefix="pulses ")
-        super().__post_init__()
+    amplitude: float = _number(0.5, "Height of a pulse")
+    start: float = _start()
+    duration: float = _number(1.5, "Length of a pulse", "s", 0.0)
+    interval: float = _number(8.0, "Time between the beginnings of pulses; 0 for one", "s", 0.0)
 
     def _at(self, times: Array) -> Array:
         is_on = recurs(times - self.start, self.duration, self.interval)
         return np.where(is_on, self.amplitude, 0.0)
 
 
-KINDS: dict[str, Component] = {
-    each.kind: each
-    for each in (
-        BiasStep(),
-        Sinusoid(),
-        Ramp(),
-        TwoTone(),
-        GaussMarkov(),
-        StuckSensor(),
-        Pulses(),
-    )
+EXCITATIONS: Mapping[str, type[Signal]] = {
+    each.kind: each for each in (NoTorque, Constant, Sine, Multisine, Square, Chirp)
 }
-"""Every kind of component under its name, with its default numbers."""
+"""Every kind of signal of an input under its name."""
+
+KINDS: Mapping[str, type[Signal]] = {
+    each.kind: each
+    for each in (BiasStep, Sinusoid, Ramp, TwoTone, GaussMarkov, StuckSensor, Pulses)
+}
+"""Every kind of signal that a disturbance is a sum of, under its name."""
 
 
 def parse_kinds(kinds: str) -> tuple[str, ...]:
-    """Return the component names in "none", "bias_step" or a sum such as "bias_step+sinusoid".
+    """Return the names in "none", "bias_step" or a sum such as "bias_step+sinusoid".
 
     Raises:
-        ModelError: A name is unknown or comes twice.
+        ModelError: A name is unknown.
     """
     names = tuple(name.strip() for name in kinds.split("+"))
     if names == ("none",):
@@ -406,8 +334,6 @@ def parse_kinds(kinds: str) -> tuple[str, ...]:
         raise ModelError(
             f"disturbance kind: expected none or a sum of {', '.join(KINDS)}, got {unknown[0]!r}"
         )
-    if len(set(names)) < len(names):
-        raise ModelError(f"disturbance kind: expected every kind at most once, got {kinds!r}")
     return names
 
 
@@ -421,16 +347,10 @@ def recurs(times: Array, duration: float, interval: float) -> Flags:
 def markov_step(period: float, time_constant: float) -> tuple[float, float]:
     """Return what multiplies a Gauss–Markov process of unit variance, and a normal number, added.
 
-    So it is moved on by a period [s], by the exact discretisation.
+    This is the exact discretisation over a period [s].
     """
     decay = native.exponential(-period / time_constant)
     return decay, math.sqrt(1.0 - decay * decay)
-
-
-def _at_once(formula: Callable[[Array], Array], times: Array) -> Array:
-    """Evaluate a formula, whose numbers may be too large for a sine, without a warning."""
-    with np.errstate(all="ignore"):
-        return formula(times)
 
 
 def _sine(angles: Array) -> Array:

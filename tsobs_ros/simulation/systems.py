@@ -22,7 +22,7 @@ from tsobs_ros.simulation.integrator import LONGEST_SUBSTEP
 from tsobs_ros.simulation.motion import Motion
 from tsobs_ros.simulation.plant import PlantScenario, SimulatedOutput
 from tsobs_ros.simulation.series import Series, Span
-from tsobs_ros.simulation.signals import Excitation, NoTorque
+from tsobs_ros.simulation.signals import NoTorque, Signal
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 
@@ -58,7 +58,7 @@ class SystemScenario(PlantScenario):
     initial_state: ArrayLike | None = None
     initial_spread: ArrayLike | None = None
     process_noise: ArrayLike | None = None
-    inputs: tuple[Excitation, ...] = ()
+    inputs: tuple[Signal, ...] = ()
     fed_back: tuple[str | None, ...] = ()
     change: ArrayLike | None = None
     _true: Array = field(init=False, repr=False)
@@ -103,7 +103,7 @@ class SystemScenario(PlantScenario):
         return self.outputs
 
     @property
-    def excitations(self) -> tuple[Excitation, ...]:
+    def excitations(self) -> tuple[Signal, ...]:
         """The signal of each input and scheduled signal in the absence of a command."""
         return self.inputs
 

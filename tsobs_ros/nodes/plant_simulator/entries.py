@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 from tsobs_ros.checks import finite, shown
 from tsobs_ros.errors import ModelError, ParameterError
-from tsobs_ros.schema import decode
-from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Component, Excitation
+from tsobs_ros.simulation.signals import EXCITATIONS, KINDS, Signal, signal_of
 from tsobs_ros.yaml_files import load_yaml
 
 
@@ -50,28 +49,22 @@ def entries_of(parameter: str, lines: Iterable[str]) -> list[Entry]:
     return entries
 
 
-def component(entry: Entry) -> Component:
+def component(entry: Entry) -> Signal:
     """Return the component of an output or a torque that an entry describes.
-
-    A start that is left out is 0.
 
     Raises:
         ParameterError: The kind or a number's name is unknown, or a number is out of range.
     """
-    kind, numbers = _kind(entry, KINDS)
-    made: Component = _made(entry, {"start": 0.0, **numbers}, type(KINDS[kind]))
-    return made
+    return _signal(entry, KINDS)
 
 
-def excitation(entry: Entry) -> Excitation:
+def excitation(entry: Entry) -> Signal:
     """Return the signal of an input that an entry describes.
 
     Raises:
         ParameterError: As for `component`.
     """
-    kind, numbers = _kind(entry, EXCITATIONS)
-    made: Excitation = _made(entry, numbers, EXCITATIONS[kind])
-    return made
+    return _signal(entry, EXCITATIONS)
 
 
 def number(entry: Entry) -> float:
@@ -86,19 +79,9 @@ def number(entry: Entry) -> float:
         raise ParameterError(f"{entry.where}: {error}") from error
 
 
-def _kind(entry: Entry, kinds: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    numbers = dict(entry.value) if isinstance(entry.value, dict) else {"kind": entry.value}
-    kind = numbers.pop("kind", None)
-    if kind not in kinds:
-        raise ParameterError(
-            f"{entry.where}: {entry.target}: kind: expected one of {', '.join(kinds)}, "
-            f"got {shown(kind)}"
-        )
-    return str(kind), numbers
-
-
-def _made(entry: Entry, numbers: dict[str, Any], kind: type[Any]) -> Any:
+def _signal(entry: Entry, kinds: Mapping[str, type[Signal]]) -> Signal:
     try:
-        return decode(numbers, kind)
+        found: Signal = signal_of(kinds, entry.value)
     except (ModelError, ValueError) as error:
         raise ParameterError(f"{entry.where}: {entry.target}: {error}") from error
+    return found

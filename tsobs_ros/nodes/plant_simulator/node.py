@@ -23,7 +23,7 @@ from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.nodes.plant_simulator.topics import SamplePublisher, TorqueCommands
 from tsobs_ros.series import NANOSECONDS
 from tsobs_ros.simulation.plant import Plant, PlantScenario
-from tsobs_ros.simulation.signals import Component
+from tsobs_ros.simulation.signals import Signal
 
 # A process that was stopped for longer does not flood its subscribers when it goes on.
 _LONGEST_LAG = NANOSECONDS
@@ -280,7 +280,7 @@ def exchange(plant: Plant, old: PlantScenario, new: PlantScenario) -> Iterator[s
         plant.exchange_excitation(excitation, place)
 
 
-def kinds_of(components: tuple[Component, ...]) -> str:
+def kinds_of(components: tuple[Signal, ...]) -> str:
     """Return the kinds of components as a parameter has them."""
     return "+".join(each.kind for each in components) or "none"
 

@@ -25,14 +25,13 @@ from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import (
     BiasStep,
     Chirp,
-    Component,
     Constant,
-    Excitation,
     GaussMarkov,
     Multisine,
     NoTorque,
     Pulses,
     Ramp,
+    Signal,
     Sine,
     Sinusoid,
     Square,
@@ -99,9 +98,9 @@ class DisturbanceParameters:
         ),
     )
 
-    def build(self) -> tuple[Component, ...]:
+    def build(self) -> tuple[Signal, ...]:
         """Return the components of the chosen kinds; the numbers of all kinds are checked."""
-        components: tuple[Component, ...] = (
+        components: tuple[Signal, ...] = (
             self.bias_step,
             self.sinusoid,
             self.ramp,
@@ -130,9 +129,9 @@ class ExcitationParameters:
     tones: int = parameter(8, "Tones of a multisine", minimum=1, maximum=1000)
     sweep: float = parameter(20.0, "Length of a chirp's sweep", unit="s")
 
-    def build(self) -> Excitation:
+    def build(self) -> Signal:
         """Return the excitation; every kind is checked, the chosen one is returned."""
-        kinds: dict[str, Excitation] = {
+        kinds: dict[str, Signal] = {
             "none": NoTorque(),
             "constant": Constant(self.amplitude),
             "sine": Sine(self.amplitude, self.frequency),
