@@ -173,7 +173,7 @@ setup(
         "export": ["mcap-ros2-support", "pyarrow"],
         "campaign": ["distributed", "pyarrow", "tqdm"],
         "watch": ["rich"],
-        "docs": ["furo", "myst-parser", "sphinx"],
+        "docs": ["furo", "latex2mathml", "myst-parser", "sphinx"],
         "test": [
             "bayesian-filters",
             "hypothesis",

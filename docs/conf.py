@@ -33,12 +33,15 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "directives",
+    "mathml",
 ]
 exclude_patterns = [
     # What rosdoc2 makes besides; this site has its own.
     "index.rst", "modules.rst", "tsobs_ros*.rst", "standards.rst", "standard_docs", "__*",
 ]  # fmt: skip
 myst_heading_anchors = 4
+myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "mathml"
 # A page is in the contents as soon as it is there.
 suppress_warnings = ["toc.not_readable"]
 
