@@ -21,9 +21,9 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.logging import getLogger
 
 from tsobs_ros.cli.main import main
+from tsobs_ros.settings import describe
 
 _LOG = getLogger(__name__)
-_PARAMETER = re.compile(r"  (\S+) \((\w+); default (.*?)((?:; .*)?)\)")
 
 
 class NodeReference(SphinxDirective):
@@ -60,17 +60,11 @@ def _described(text: str) -> Iterator[str]:
         yield f"| {f'`{name}`' if content else name} | {content} |"
 
 
-def _parameters(schema: type) -> Iterator[str]:
-    from tsobs_ros.nodes.parameters import describe
-
-    lines = describe(schema)
+def _parameters(make: type) -> Iterator[str]:
     yield from ("| parameter | type, default | accepted | |", "|---|---|---|---|")
-    for head, description in zip(lines[::2], lines[1::2], strict=True):
-        match = _PARAMETER.fullmatch(head)
-        assert match is not None, head
-        name, kind, default, facts = match.groups()
-        limits = facts.removeprefix("; ").replace("; ", ", ")
-        cells = (f"`{name}`", f"{kind.replace('_', ' ')}, `{default}`", limits, description.strip())
+    for name, kind, default, accepted, description in describe(make):
+        limits = accepted.replace("; ", ", ")
+        cells = (f"`{name}`", f"{kind.replace('_', ' ')}, `{default}`", limits, description)
         yield f"| {' | '.join(each.replace('|', chr(92) + '|') for each in cells)} |"
 
 

@@ -20,6 +20,7 @@ COMMON = {
     "resources",
     "schema",
     "series",
+    "settings",
     "stop",
     "streams",
     "style",

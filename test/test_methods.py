@@ -11,7 +11,7 @@ import tsobs_ros as ts
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import Output
-from tsobs_ros.errors import ModelError
+from tsobs_ros.errors import ModelError, ParameterError
 from tsobs_ros.methods import (
     METHODS,
     ObserverSettings,
@@ -19,18 +19,7 @@ from tsobs_ros.methods import (
     make_tracker,
     warning,
 )
-from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-
-
-def test_the_defaults_are_those_of_the_node() -> None:
-    settings, parameters = ObserverSettings(), ObserverParameters()
-
-    assert settings.supervision == parameters.supervision
-    assert settings.gain_mode.value == parameters.gain_mode
-    for name in ("method", "theta", "settle_time", "adapt", "history", "future_tolerance",
-                 "stale_after", "assume_zero_torque"):  # fmt: skip
-        assert getattr(settings, name) == getattr(parameters, name), name
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -45,7 +34,7 @@ def test_the_certified_observer_learns_and_an_ekf_may(method: str) -> None:
 
 
 def test_an_unknown_method_is_refused_with_those_there_are() -> None:
-    with pytest.raises(ModelError, match=r"expected one of certified, .*, got 'kalman'"):
+    with pytest.raises(ParameterError, match=r"one of: certified, .*, got 'kalman'"):
         ObserverSettings(method="kalman")
 
 

@@ -4,11 +4,10 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from tsobs_ros.checks import check_each, non_negative, shown
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, ParameterError
@@ -24,6 +23,7 @@ from tsobs_ros.paper.observer import (
     paper_observer,
     paper_system_observer,
 )
+from tsobs_ros.settings import changed, check, plain, schema_of, setting, settings_group
 from tsobs_ros.yaml_files import read_yaml
 
 METHODS = {
@@ -50,79 +50,81 @@ CONTENDERS: Mapping[str, Mapping[str, Any]] = {
 }
 """What is compared, settings by name; `certified_fixed` does not learn."""
 
-RANGES = {
-    "theta": (0.1, 100.0),
-    "settle_time": (0.0, 600.0),
-    "torque_rate": (0.0, 1e6),
-    "history": (0.0, 60.0),
-    "future_tolerance": (0.0, 60.0),
-    "stale_after": (0.01, 600.0),
-}
-"""Least and largest values of settings, with which no estimate takes for ever."""
-
 _LINK_ANGLE = ("link_angle",)
 _ARMS_ONLY = ("ekf_plain", "ekf_augmented", "high_gain", "proportional_integral")
 
 
 @dataclass(frozen=True)
 class ObserverSettings:
-    """How an observer is run; the defaults are those of the node.
-
-    Attributes:
-        method: A name of `METHODS`.
-        theta: Speed of high_gain and proportional_integral [rad/s].
-        gain_mode: Gain of the certified observer once it has settled.
-        settle_time: Least time with Riccati gains after a start [s].
-        torque_rate: 1σ of the rate at which the torque may move in a gap [N m/s]; 0: it is held.
-        torque_limit: Largest plausible torque [N m]; 0: the design's.
-        torque_rate_limit: Its largest plausible rate [N m/s]; 0: the design's.
-        adapt: Whether to learn the parameters that the design calls uncertain.
-        history: How late a measurement may come [s].
-        future_tolerance: How far ahead of the clock a stamp may lie [s].
-        stale_after: Age of the newest measurement from which nothing is estimated, and after
-            which the next one restarts [s].
-        assume_zero_torque: Take measurements without effort as torque 0.
-        supervision: Which samples are not used.
+    """How an observer is run, live and offline: all that decides numbers.
 
     Raises:
-        ModelError: There is no such method.
+        ParameterError: A value is out of range, or there is no such method.
     """
 
-    method: str = "certified"
-    theta: float = 2.5
-    gain_mode: GainMode = GainMode.CERTIFIED
-    settle_time: float = 5.0
-    torque_rate: float = TORQUE_RATE
-    torque_limit: float = 0.0
-    torque_rate_limit: float = 0.0
-    adapt: bool = True
-    history: float = 0.5
-    future_tolerance: float = 0.1
-    stale_after: float = STALE_AFTER
-    assume_zero_torque: bool = False
-    supervision: SupervisionOptions = field(default_factory=SupervisionOptions)
+    method: str = setting(
+        "certified",
+        "Observer to run: the certified one, or one to compare with",
+        choices=tuple(METHODS),
+    )
+    theta: float = setting(
+        2.5,
+        "Speed of the high_gain and proportional_integral observers",
+        unit="rad/s",
+        minimum=0.1,
+        maximum=100.0,
+    )
+    gain_mode: GainMode = setting(
+        GainMode.CERTIFIED,
+        "Gain once settled: the constant certified one, or the Riccati gain throughout",
+    )
+    settle_time: float = setting(
+        5.0, "Least time with Riccati gains after a start", unit="s", minimum=0.0, maximum=600.0
+    )
+    torque_rate: float = setting(
+        TORQUE_RATE,
+        "1 sigma of the torque's rate while no measurement comes; 0: the last torque holds",
+        unit="N m/s",
+        minimum=0.0,
+        maximum=1e6,
+    )
+    torque_limit: float = setting(
+        0.0, "Largest plausible torque; 0: the design's", unit="N m", minimum=0.0
+    )
+    torque_rate_limit: float = setting(
+        0.0, "Largest plausible rate of the torque; 0: the design's", unit="N m/s", minimum=0.0
+    )
+    adapt: bool = setting(True, "Learn the parameters that the design calls uncertain")
+    history: float = setting(
+        0.5, "How late a measurement may come and be used", unit="s", minimum=0.0, maximum=60.0
+    )
+    future_tolerance: float = setting(
+        0.1, "How far ahead of the clock a stamp may lie", unit="s", minimum=0.0, maximum=60.0
+    )
+    stale_after: float = setting(
+        STALE_AFTER,
+        "Age of the newest measurement to stop publishing and restart",
+        unit="s",
+        minimum=1e-2,
+        maximum=600.0,
+    )
+    assume_zero_torque: bool = setting(
+        False, "Take measurements without effort as torque 0 instead of rejecting them"
+    )
+    supervision: SupervisionOptions = settings_group(SupervisionOptions)
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ModelError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
-        check_each(non_negative, self, "torque_limit", "torque_rate_limit")
-        for name, (least, most) in RANGES.items():
-            if not least <= (value := getattr(self, name)) <= most:
-                raise ModelError(f"{name}: expected {least:g} to {most:g}, got {shown(value)}")
+        check(self)
 
     def learnt(self, design: Design) -> tuple[str, ...]:
         """Return the names of the design's parameters that are learnt."""
         learns = self.method == "ekf_augmented" or (self.method == "certified" and self.adapt)
         return design.request.uncertainty_model.names if learns else ()
 
-    def as_parameters(self) -> dict[str, bool | int | float | str]:
+    def as_parameters(self) -> dict[str, Any]:
         """Return the settings as `with_parameters` takes them, by `SETTING_NAMES`."""
-        values: dict[str, bool | int | float | str] = {}
-        for name in SETTING_NAMES:
-            short = name.removeprefix(_SUPERVISION)
-            value = getattr(self if short == name else self.supervision, short)
-            values[name] = value.value if isinstance(value, GainMode) else value
-        return values
+        values = schema_of(ObserverSettings).values_of(self)
+        return {name: plain(value) for name, value in values.items()}
 
     def with_parameters(self, values: Mapping[str, Any]) -> "ObserverSettings":
         """Return the settings with some of them changed.
@@ -131,26 +133,16 @@ class ObserverSettings:
             values: By the node's parameter names, `SETTING_NAMES`; text is converted.
 
         Raises:
-            ParameterError: There is no such parameter, or the value is not of its type.
-            ModelError: The value is out of range.
+            ParameterError: There is no such parameter, or a value is not accepted.
         """
-        own: dict[str, Any] = {}
-        supervision: dict[str, Any] = {}
-        for name, value in values.items():
+        for name in values:
             if name not in SETTING_NAMES:
                 known = ", ".join(SETTING_NAMES)
                 raise ParameterError(f"parameter '{name}' decides no estimate; {known} do")
-            short = name.removeprefix(_SUPERVISION)
-            group, record = (own, self) if short == name else (supervision, self.supervision)
-            group[short] = _converted(name, value, getattr(record, short))
-        return replace(self, supervision=replace(self.supervision, **supervision), **own)
+        return changed(self, values)
 
 
-_SUPERVISION = "supervision."
-SETTING_NAMES = (
-    *(field.name for field in fields(ObserverSettings) if field.name != "supervision"),
-    *(_SUPERVISION + field.name for field in fields(SupervisionOptions)),
-)
+SETTING_NAMES = tuple(schema_of(ObserverSettings).entries)
 """The node's parameters that decide estimates."""
 
 
@@ -181,20 +173,6 @@ def _flat(section: Any, prefix: str = "") -> dict[str, Any]:
         inner = isinstance(value, dict)
         flat |= _flat(value, f"{prefix}{name}.") if inner else {f"{prefix}{name}": value}
     return flat
-
-
-def _converted(name: str, value: Any, before: Any) -> Any:
-    """Return a value, or its text, in the type that the parameter has now."""
-    text = str(value).strip()
-    try:
-        if isinstance(before, bool):
-            return {"true": True, "false": False}[text.lower()]
-        return type(before)(text)
-    except (KeyError, ValueError) as error:
-        such = before.value if isinstance(before, GainMode) else before
-        raise ParameterError(
-            f"parameter '{name}': expected a value such as {shown(such)}, got {shown(value)}"
-        ) from error
 
 
 def contender(settings: ObserverSettings, name: str) -> ObserverSettings:

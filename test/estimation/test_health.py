@@ -79,7 +79,7 @@ def test_a_level_must_last_before_it_is_reported(values: list[float], levels: li
     [
         (lambda: DisturbanceLimits(warn=0.0), "warn"),
         (lambda: DisturbanceLimits(warn=0.4, error=0.3), "error level"),
-        (lambda: DisturbanceLimits(error=math.nan), "error level"),
+        (lambda: DisturbanceLimits(error=math.nan), "error"),
     ],
 )
 def test_senseless_limits_are_refused(make: Callable[[], object], reason: str) -> None:

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
-from tsobs_ros.checks import positive
 from tsobs_ros.errors import ModelError
+from tsobs_ros.settings import check, live_setting
 
 T = TypeVar("T")
 
@@ -54,20 +54,20 @@ def phase_of(age: float | None, coast_after: float, stale_after: float) -> Phase
 
 @dataclass(frozen=True)
 class DisturbanceLimits:
-    """When a disturbance counts as a fault.
+    """When a disturbance counts as a fault."""
 
-    Attributes:
-        warn: Magnitude from which it is worth a warning [rad].
-        error: Magnitude from which it is an error [rad].
-        hold: How long it must last, and be gone, before the level changes [s].
-    """
-
-    warn: float = 0.2
-    error: float = 0.5
-    hold: float = 0.5
+    warn: float = live_setting(
+        0.2, "Disturbance magnitude for a warning", unit="rad", minimum=1e-6, maximum=10.0
+    )
+    error: float = live_setting(
+        0.5, "Disturbance magnitude for an error", unit="rad", minimum=1e-6, maximum=10.0
+    )
+    hold: float = live_setting(
+        0.5, "Time a level must last to be reported", unit="s", minimum=0.0, maximum=60.0
+    )
 
     def __post_init__(self) -> None:
-        positive("disturbance warn level", self.warn)
+        check(self)
         if not self.error >= self.warn:
             raise ModelError(
                 f"disturbance error level: expected at least the warn level {self.warn!r}, "

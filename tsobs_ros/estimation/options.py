@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from tsobs_ros.checks import Array, check_each, non_negative, positive
+from tsobs_ros.settings import check, live_setting
 
 TORQUE_RATE = 1.0
 """Default 1σ of an arm's torque rate in a gap [N m/s]."""
@@ -99,19 +100,26 @@ class AdaptationOptions:
 class SupervisionOptions:
     """When samples are not used.
 
-    Attributes:
-        gate: An innovation is an outlier's if its likelihood is less than that of so many σ as
-            designed; σ is times the noise's scale.
-        stuck_samples: From so many repetitions of the very same value on that count, see
-            core/repeats.h, samples of the sensor are not used; 0: never.
-        disturbance_limit: The estimated disturbance is kept within so much [rad]; beyond π the arm
-            and its sensor turned together look the same.
+    σ is times the noise's scale; a disturbance beyond π and the arm and its sensor turned together
+    look the same; core/repeats.h counts repetitions.
     """
 
-    gate: float = 5.0
-    stuck_samples: int = 20
-    disturbance_limit: float = math.pi
+    gate: float = live_setting(
+        5.0,
+        "Innovations as unlikely as beyond so many sigma are outliers, not used",
+        minimum=1.0,
+        maximum=1e3,
+    )
+    stuck_samples: int = live_setting(
+        20, "Signs of a stuck sensor from which samples are not used; 0: never", minimum=0
+    )
+    disturbance_limit: float = live_setting(
+        math.pi,
+        "Largest disturbance estimated",
+        unit="rad",
+        minimum=1e-3,
+        hidden=True,
+    )
 
     def __post_init__(self) -> None:
-        check_each(positive, self, "gate", "disturbance_limit")
-        check_each(non_negative, self, "stuck_samples")
+        check(self)

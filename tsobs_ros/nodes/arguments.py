@@ -10,7 +10,7 @@ from types import ModuleType
 from rclpy.utilities import remove_ros_args
 
 from tsobs_ros.errors import printable
-from tsobs_ros.nodes.parameters import describe
+from tsobs_ros.settings import describe
 from tsobs_ros.streams import Parser
 
 _HELP = {"-h", "--help"}
@@ -27,12 +27,15 @@ def check_arguments(module: ModuleType, arguments: Sequence[str]) -> None:
     Raises:
         SystemExit: With 0 after the help, with 2 after an error.
     """
-    name = module.__name__.rpartition(".")[2]
+    name, listed = module.__name__.rpartition(".")[2], ["parameters:"]
+    for setting, kind, default, accepted, description in describe(module.Parameters):
+        facts = "; ".join(filter(None, (kind, f"default {default}", accepted)))
+        listed += [f"  {setting} ({facts})", f"      {description}"]
     parser = Parser(
         prog=name,
         usage=f"{name} [--help] [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r OLD:=NEW] …]",
         description=inspect.getdoc(module),
-        epilog="\n".join(["parameters:", *describe(module.Parameters)]),
+        epilog="\n".join(listed),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

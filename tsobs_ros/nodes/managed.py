@@ -6,7 +6,7 @@ A node states what it acquires, and nothing of how that is released::
 
     @dataclass(frozen=True)
     class EchoParameters(ManagedParameters):
-        depth: int = fixed_parameter(10, "Queue of the echo", minimum=1)
+        depth: int = setting(10, "Queue of the echo", minimum=1)
 
     class Echo(ManagedNode[EchoParameters]):
         def __init__(self, **node_kwargs):
@@ -58,10 +58,11 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from tsobs_ros.errors import printable
-from tsobs_ros.nodes.parameters import ParameterBinding, parameter
+from tsobs_ros.nodes.parameters import ParameterBinding
 from tsobs_ros.nodes.runtime import EXPECTED
 from tsobs_ros.nodes.ticker import Ticking
 from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.settings import setting
 
 # How long the answer to a shutdown request may be on its way [s]; it is lost with the node.
 _FAREWELL = 0.5
@@ -76,9 +77,7 @@ Answer = Callable[[], tuple[bool, str]]
 class ManagedParameters:
     """The parameters of every managed node; a subclass adds those of one."""
 
-    autostart: bool = parameter(
-        True, "Configure and activate at start, without a lifecycle manager", read_only=True
-    )
+    autostart: bool = setting(True, "Configure and activate at start, without a lifecycle manager")
 
 
 P = TypeVar("P", bound=ManagedParameters)

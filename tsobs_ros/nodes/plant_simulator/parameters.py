@@ -16,9 +16,10 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ParameterError, TsobsError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import design_paths, fixed_parameter, parameter, parameter_group
+from tsobs_ros.nodes.parameters import design_paths
 from tsobs_ros.nodes.plant_simulator.scenarios import scenarios_of
 from tsobs_ros.plants import request_in
+from tsobs_ros.settings import live_setting, setting, settings_group
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Mismatch, Scenario
 from tsobs_ros.simulation.sensor import Sensor
@@ -43,7 +44,7 @@ from tsobs_ros.simulation.systems import SystemScenario
 
 
 def _start() -> Any:
-    return parameter(0.0, "Start, counted from when the disturbance was put in", unit="s")
+    return live_setting(0.0, "Start, counted from when the disturbance was put in", unit="s")
 
 
 @dataclass(frozen=True)
@@ -51,49 +52,49 @@ class StuckParameters:
     """A measured value that freezes."""
 
     start: float = _start()
-    duration: float = parameter(1.0, "How long; 0 for ever", unit="s", minimum=0.0)
+    duration: float = live_setting(1.0, "How long; 0 for ever", unit="s", minimum=0.0)
 
 
 @dataclass(frozen=True)
 class DisturbanceParameters:
     """What the sensor adds to the angle besides white noise."""
 
-    kind: str = parameter(
+    kind: str = live_setting(
         "none",
         "none, or a sum of bias_step, sinusoid, ramp, two_tone, gauss_markov, stuck and pulses, "
         "such as bias_step+sinusoid; changing it injects a fault",
     )
-    bias_step: BiasStep = parameter_group(
-        BiasStep, amplitude=parameter(0.1, "Bias", unit="rad"), start=_start()
+    bias_step: BiasStep = settings_group(
+        BiasStep, amplitude=live_setting(0.1, "Bias", unit="rad"), start=_start()
     )
-    sinusoid: Sinusoid = parameter_group(
+    sinusoid: Sinusoid = settings_group(
         Sinusoid,
-        amplitude=parameter(0.2, "Amplitude", unit="rad"),
-        frequency=parameter(3.0, "Frequency", unit="rad/s"),
+        amplitude=live_setting(0.2, "Amplitude", unit="rad"),
+        frequency=live_setting(3.0, "Frequency", unit="rad/s"),
         start=_start(),
-        phase=parameter(0.0, "Phase at the start", unit="rad"),
+        phase=live_setting(0.0, "Phase at the start", unit="rad"),
     )
-    ramp: Ramp = parameter_group(
-        Ramp, rate=parameter(0.004, "Growth", unit="rad/s"), start=_start()
+    ramp: Ramp = settings_group(
+        Ramp, rate=live_setting(0.004, "Growth", unit="rad/s"), start=_start()
     )
-    two_tone: TwoTone = parameter_group(
+    two_tone: TwoTone = settings_group(
         TwoTone,
-        amplitude=parameter(0.4, "Amplitude of a (sin 2t + cos 3t)", unit="rad"),
+        amplitude=live_setting(0.4, "Amplitude of a (sin 2t + cos 3t)", unit="rad"),
         start=_start(),
     )
-    gauss_markov: GaussMarkov = parameter_group(
+    gauss_markov: GaussMarkov = settings_group(
         GaussMarkov,
-        std=parameter(0.1, "Stationary standard deviation", unit="rad", minimum=0.0),
-        time_constant=parameter(20.0, "Time constant", unit="s"),
+        std=live_setting(0.1, "Stationary standard deviation", unit="rad", minimum=0.0),
+        time_constant=live_setting(20.0, "Time constant", unit="s"),
         start=_start(),
     )
-    stuck: StuckParameters = parameter_group(StuckParameters)
-    pulses: Pulses = parameter_group(
+    stuck: StuckParameters = settings_group(StuckParameters)
+    pulses: Pulses = settings_group(
         Pulses,
-        amplitude=parameter(0.5, "Height of a pulse", unit="rad"),
+        amplitude=live_setting(0.5, "Height of a pulse", unit="rad"),
         start=_start(),
-        duration=parameter(1.5, "Length of a pulse", unit="s", minimum=0.0),
-        interval=parameter(
+        duration=live_setting(1.5, "Length of a pulse", unit="s", minimum=0.0),
+        interval=live_setting(
             8.0, "Time between the beginnings of pulses; 0 for one", unit="s", minimum=0.0
         ),
     )
@@ -117,17 +118,17 @@ class DisturbanceParameters:
 class ExcitationParameters:
     """The torque in the absence of a command."""
 
-    kind: str = parameter(
+    kind: str = live_setting(
         "sine",
         "Torque signal",
         choices=("none", "constant", "sine", "multisine", "square", "chirp"),
     )
-    amplitude: float = parameter(1.0, "Amplitude; of a multisine, of all its tones", unit="N m")
-    frequency: float = parameter(1.0, "Frequency of sine and square", unit="rad/s")
-    lowest: float = parameter(0.5, "Lowest frequency of multisine and chirp", unit="rad/s")
-    highest: float = parameter(6.0, "Highest frequency of multisine and chirp", unit="rad/s")
-    tones: int = parameter(8, "Tones of a multisine", minimum=1, maximum=1000)
-    sweep: float = parameter(20.0, "Length of a chirp's sweep", unit="s")
+    amplitude: float = live_setting(1.0, "Amplitude; of a multisine, of all its tones", unit="N m")
+    frequency: float = live_setting(1.0, "Frequency of sine and square", unit="rad/s")
+    lowest: float = live_setting(0.5, "Lowest frequency of multisine and chirp", unit="rad/s")
+    highest: float = live_setting(6.0, "Highest frequency of multisine and chirp", unit="rad/s")
+    tones: int = live_setting(8, "Tones of a multisine", minimum=1, maximum=1000)
+    sweep: float = live_setting(20.0, "Length of a chirp's sweep", unit="s")
 
     def build(self) -> Signal:
         """Return the excitation; every kind is checked, the chosen one is returned."""
@@ -146,46 +147,44 @@ class ExcitationParameters:
 class OutlierParameters:
     """Samples that are far off."""
 
-    probability: float = parameter(0.0, "Probability of an outlier", minimum=0.0, maximum=1.0)
-    size: float = parameter(1.0, "What an outlier adds, with either sign", unit="rad")
-    uniform: bool = parameter(False, "Outliers of any size up to this one")
+    probability: float = live_setting(0.0, "Probability of an outlier", minimum=0.0, maximum=1.0)
+    size: float = live_setting(1.0, "What an outlier adds, with either sign", unit="rad")
+    uniform: bool = live_setting(False, "Outliers of any size up to this one")
 
 
 @dataclass(frozen=True)
 class NoiseParameters:
     """What makes the measurement noise other than white, normal and as designed."""
 
-    factor: float = parameter(1.0, "What multiplies its standard deviation", minimum=0.0)
-    time_constant: float = parameter(
+    factor: float = live_setting(1.0, "What multiplies its standard deviation", minimum=0.0)
+    time_constant: float = live_setting(
         0.0, "Time constant of its correlation; 0: white", unit="s", minimum=0.0
     )
-    degrees_of_freedom: int = parameter(
+    degrees_of_freedom: int = live_setting(
         0, "Of Student's t, which noise_std multiplies; 0: normal", minimum=0, maximum=1000
     )
-    burst_interval: float = parameter(
+    burst_interval: float = live_setting(
         0.0, "Time between the beginnings of bursts; 0 for none", unit="s", minimum=0.0
     )
-    burst_duration: float = parameter(1.5, "Length of a burst", unit="s", minimum=0.0)
-    burst_factor: float = parameter(4.0, "What multiplies the noise in a burst", minimum=0.0)
+    burst_duration: float = live_setting(1.5, "Length of a burst", unit="s", minimum=0.0)
+    burst_factor: float = live_setting(4.0, "What multiplies the noise in a burst", minimum=0.0)
 
 
 @dataclass(frozen=True)
 class PayloadParameters:
     """What arms carry for a while."""
 
-    joints: tuple[str, ...] = fixed_parameter((), "Arms that carry it; none: all of them")
-    mass: float = fixed_parameter(0.0, "Mass of the payload", unit="kg", minimum=0.0)
-    distance: float = fixed_parameter(0.0, "Its distance from the axis", unit="m", minimum=0.0)
-    link_inertia: float = fixed_parameter(
+    joints: tuple[str, ...] = setting((), "Arms that carry it; none: all of them")
+    mass: float = setting(0.0, "Mass of the payload", unit="kg", minimum=0.0)
+    distance: float = setting(0.0, "Its distance from the axis", unit="m", minimum=0.0)
+    link_inertia: float = setting(
         0.0, "What it adds to the link's inertia besides", unit="kg m^2", minimum=0.0
     )
-    gravity_torque: float = fixed_parameter(
+    gravity_torque: float = setting(
         0.0, "What it adds to the gravity torque besides", unit="N m", minimum=0.0
     )
-    start: float = fixed_parameter(0.0, "When it is put on", unit="s", minimum=0.0)
-    duration: float = fixed_parameter(
-        0.0, "How long it is carried; 0: for ever", unit="s", minimum=0.0
-    )
+    start: float = setting(0.0, "When it is put on", unit="s", minimum=0.0)
+    duration: float = setting(0.0, "How long it is carried; 0: for ever", unit="s", minimum=0.0)
 
     def build(self) -> Payload:
         """Return the payload of one arm."""
@@ -202,23 +201,23 @@ class PayloadParameters:
 class DropoutParameters:
     """Samples that are not published."""
 
-    interval: float = parameter(
+    interval: float = live_setting(
         0.0, "Time between the beginnings of dropouts; 0 for none", unit="s", minimum=0.0
     )
-    duration: float = parameter(0.5, "Length of a dropout", unit="s", minimum=0.0)
+    duration: float = live_setting(0.5, "Length of a dropout", unit="s", minimum=0.0)
 
 
 @dataclass(frozen=True)
 class ProcessNoiseParameters:
     """Random accelerations."""
 
-    link_acceleration_density: float = fixed_parameter(
+    link_acceleration_density: float = setting(
         1e-4, "White acceleration of the link", unit="rad^2/s^3", minimum=0.0
     )
-    motor_acceleration_density: float = fixed_parameter(
+    motor_acceleration_density: float = setting(
         1e-5, "White acceleration of the motor", unit="rad^2/s^3", minimum=0.0
     )
-    factor: float = fixed_parameter(
+    factor: float = setting(
         1.0, "What multiplies these densities, and those of design files", minimum=0.0
     )
 
@@ -231,126 +230,124 @@ class PlantSimulatorParameters(ManagedParameters):
         ParameterError: They do not describe a plant.
     """
 
-    joint: str = fixed_parameter("elastic_joint", "Name of the joint if `joints` has none")
-    joints: tuple[str, ...] = fixed_parameter((), "Names of the joints, or none for one, `joint`")
-    design: str = fixed_parameter(
+    joint: str = setting("elastic_joint", "Name of the joint if `joints` has none")
+    joints: tuple[str, ...] = setting((), "Names of the joints, or none for one, `joint`")
+    design: str = setting(
         "",
         "Design or request file of the joints; empty for the arm of the parameters `arm.*`, with "
         "an encoder on its link",
     )
-    joint_designs: tuple[str, ...] = fixed_parameter(
+    joint_designs: tuple[str, ...] = setting(
         (), "Such a file for each of `joints`, empty for that of `design`; no list: that for all"
     )
-    rate: float = fixed_parameter(
+    rate: float = setting(
         0.0,
         "Samples a second; 0: the design's, 200 without one",
         unit="Hz",
         minimum=0.0,
         maximum=5000.0,
     )
-    seed: int = parameter(0, "Seed of everything random, used from the next reset on", minimum=0)
-    duration: float = fixed_parameter(
+    seed: int = live_setting(0, "Seed of everything random, used from the next reset on", minimum=0)
+    duration: float = setting(
         0.0, "Simulated time after which the process ends; 0: never", unit="s", minimum=0.0
     )
-    wait_for_subscribers: int = fixed_parameter(
+    wait_for_subscribers: int = setting(
         0, "Subscriptions of joint_measurements to wait for before t = 0", minimum=0
     )
-    wait_timeout: float = fixed_parameter(
+    wait_timeout: float = setting(
         10.0, "Longest wait for them, then start anyway; 0: no limit", unit="s", minimum=0.0
     )
-    publish_clock: bool = fixed_parameter(False, "Drive /clock with the simulated time")
-    real_time_factor: float = fixed_parameter(
+    publish_clock: bool = setting(False, "Drive /clock with the simulated time")
+    real_time_factor: float = setting(
         1.0,
         "Pace of the simulated time when publish_clock is set",
         minimum=0.001,
         maximum=1000.0,
     )
-    command_timeout: float = parameter(
+    command_timeout: float = live_setting(
         0.5, "How long a torque command holds; 0: until the next one", unit="s", minimum=0.0
     )
-    torque_limit: float = parameter(
+    torque_limit: float = live_setting(
         100.0, "Commands saturate at plus and minus this torque", unit="N m", minimum=0.0
     )
-    initial_state: tuple[float, ...] = fixed_parameter(
+    initial_state: tuple[float, ...] = setting(
         (0.3, 0.0, 0.2, 0.0),
         "Link angle, link velocity, motor angle, motor velocity at t = 0 (rad, rad/s), or the "
         "states of a T-S system; of one joint for all, or of all joints in turn. With the default, "
         "joints with a design file start at 0",
     )
-    initial_spread: tuple[float, ...] = fixed_parameter(
+    initial_spread: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0, 0.0), "Standard deviation of each of them (rad, rad/s)", minimum=0.0
     )
-    noise_std: float = parameter(
+    noise_std: float = live_setting(
         0.028,
         "Standard deviation of the measurement noise of joints without a design file",
         unit="rad",
         minimum=0.0,
     )
-    latency: float = parameter(
+    latency: float = live_setting(
         0.0,
         "Age of the measured angle at its stamp, in whole samples",
         unit="s",
         minimum=0.0,
         maximum=1.0,
     )
-    resolution: float = parameter(
+    resolution: float = live_setting(
         0.0, "Step of the measured angle; 0: none", unit="rad", minimum=0.0
     )
-    arm: ElasticJointArm = parameter_group(
+    arm: ElasticJointArm = settings_group(
         ElasticJointArm,
-        link_inertia=fixed_parameter(1.0, "Link inertia J1", unit="kg m^2"),
-        motor_inertia=fixed_parameter(2.0, "Motor inertia J2", unit="kg m^2"),
-        stiffness=fixed_parameter(10.0, "Joint stiffness k", unit="N m/rad"),
-        gravity_torque=fixed_parameter(
-            10.0, "Torque mgl that holds the link horizontal", unit="N m"
-        ),
-        link_damping=fixed_parameter(0.0, "Link damping b1", unit="N m s/rad"),
-        motor_damping=fixed_parameter(0.0, "Motor damping b2", unit="N m s/rad"),
+        link_inertia=setting(1.0, "Link inertia J1", unit="kg m^2"),
+        motor_inertia=setting(2.0, "Motor inertia J2", unit="kg m^2"),
+        stiffness=setting(10.0, "Joint stiffness k", unit="N m/rad"),
+        gravity_torque=setting(10.0, "Torque mgl that holds the link horizontal", unit="N m"),
+        link_damping=setting(0.0, "Link damping b1", unit="N m s/rad"),
+        motor_damping=setting(0.0, "Motor damping b2", unit="N m s/rad"),
     )
-    mismatch: Mismatch = parameter_group(
+    mismatch: Mismatch = settings_group(
         Mismatch,
-        link_inertia=fixed_parameter(0.0, "Relative change of J1; 0.2 is 20 % more"),
-        motor_inertia=fixed_parameter(0.0, "Relative change of J2"),
-        stiffness=fixed_parameter(0.0, "Relative change of k"),
-        gravity_torque=fixed_parameter(0.0, "Relative change of mgl"),
-        link_damping=fixed_parameter(0.0, "Relative change of b1"),
-        motor_damping=fixed_parameter(0.0, "Relative change of b2"),
+        link_inertia=setting(0.0, "Relative change of J1; 0.2 is 20 % more"),
+        motor_inertia=setting(0.0, "Relative change of J2"),
+        stiffness=setting(0.0, "Relative change of k"),
+        gravity_torque=setting(0.0, "Relative change of mgl"),
+        link_damping=setting(0.0, "Relative change of b1"),
+        motor_damping=setting(0.0, "Relative change of b2"),
     )
-    joint_mismatch: tuple[str, ...] = fixed_parameter(
+    joint_mismatch: tuple[str, ...] = setting(
         (),
         "Changes of single joints in place of `mismatch`, such as 'elbow/stiffness: 0.2'; of a T-S "
         "system the true value of an uncertain parameter",
     )
-    friction: Friction = parameter_group(
+    friction: Friction = settings_group(
         Friction,
-        link_viscous=fixed_parameter(0.0, "Viscous friction of the link", unit="N m s/rad"),
-        link_coulomb=fixed_parameter(0.0, "Coulomb friction of the link", unit="N m"),
-        motor_viscous=fixed_parameter(0.0, "Viscous friction of the motor", unit="N m s/rad"),
-        motor_coulomb=fixed_parameter(0.0, "Coulomb friction of the motor", unit="N m"),
+        link_viscous=setting(0.0, "Viscous friction of the link", unit="N m s/rad"),
+        link_coulomb=setting(0.0, "Coulomb friction of the link", unit="N m"),
+        motor_viscous=setting(0.0, "Viscous friction of the motor", unit="N m s/rad"),
+        motor_coulomb=setting(0.0, "Coulomb friction of the motor", unit="N m"),
     )
-    payload: PayloadParameters = parameter_group(PayloadParameters)
-    process_noise: ProcessNoiseParameters = parameter_group(ProcessNoiseParameters)
-    excitation: ExcitationParameters = parameter_group(ExcitationParameters)
-    disturbance: DisturbanceParameters = parameter_group(DisturbanceParameters)
-    signals: tuple[str, ...] = parameter(
+    payload: PayloadParameters = settings_group(PayloadParameters)
+    process_noise: ProcessNoiseParameters = settings_group(ProcessNoiseParameters)
+    excitation: ExcitationParameters = settings_group(ExcitationParameters)
+    disturbance: DisturbanceParameters = settings_group(DisturbanceParameters)
+    signals: tuple[str, ...] = live_setting(
         (),
         "Signals of single outputs, torques and inputs, such as "
         "'elbow/link_torque: {kind: bias_step, amplitude: 2.0, start: 5.0}'",
     )
-    affected: tuple[str, ...] = parameter(
+    affected: tuple[str, ...] = live_setting(
         (),
         "Outputs, as <joint>/<output>, that latency, resolution, disturbance, noise, outliers and "
         "dropouts act on; none: all of them",
     )
-    noise: NoiseParameters = parameter_group(NoiseParameters)
-    outliers: OutlierParameters = parameter_group(OutlierParameters)
-    dropouts: DropoutParameters = parameter_group(DropoutParameters)
-    effort_error: Pulses = parameter_group(
+    noise: NoiseParameters = settings_group(NoiseParameters)
+    outliers: OutlierParameters = settings_group(OutlierParameters)
+    dropouts: DropoutParameters = settings_group(DropoutParameters)
+    effort_error: Pulses = settings_group(
         Pulses,
-        amplitude=fixed_parameter(0.0, "Error of the published effort; 0 for none", unit="N m"),
-        start=fixed_parameter(30.0, "Start of the first error", unit="s"),
-        duration=fixed_parameter(0.005, "Length of an error", unit="s", minimum=0.0),
-        interval=fixed_parameter(
+        amplitude=setting(0.0, "Error of the published effort; 0 for none", unit="N m"),
+        start=setting(30.0, "Start of the first error", unit="s"),
+        duration=setting(0.005, "Length of an error", unit="s", minimum=0.0),
+        interval=setting(
             0.0, "Time between the beginnings of errors; 0 for one", unit="s", minimum=0.0
         ),
     )

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import check_pattern, fixed_parameter, parameter
+from tsobs_ros.nodes.parameters import check_pattern
+from tsobs_ros.settings import live_setting, setting
 
 CLOCK = "/clock"
 
@@ -17,48 +18,46 @@ CLOCK = "/clock"
 class PlayerParameters(ManagedParameters):
     """The node's parameters; `config/player.yaml` shows them with their reasons."""
 
-    bag: str = fixed_parameter("", "Bag folder or .mcap file to play")
-    rate: float = parameter(
+    bag: str = setting("", "Bag folder or .mcap file to play")
+    rate: float = live_setting(
         1.0, "Speed of the playback: seconds of the bag per second", minimum=0.01, maximum=100.0
     )
-    loop: bool = parameter(False, "Start again at the end")
-    start_offset: float = fixed_parameter(
+    loop: bool = live_setting(False, "Start again at the end")
+    start_offset: float = setting(
         0.0, "Start of each pass, from the bag's start", unit="s", minimum=0.0
     )
-    duration: float = fixed_parameter(
+    duration: float = setting(
         0.0, "How much of the bag a pass plays; 0: all that is left", unit="s", minimum=0.0
     )
-    position: float = parameter(
+    position: float = live_setting(
         0.0,
         "Set it to go there, back or forth, from the bag's start; playing starts there too",
         unit="s",
         minimum=0.0,
     )
-    start_paused: bool = fixed_parameter(False, "Start in a pause")
-    topics: tuple[str, ...] = fixed_parameter((), "Topics to play; empty for all")
-    regex: str = fixed_parameter("", "Play the topics in which this is found, too")
-    exclude_topics: tuple[str, ...] = fixed_parameter((), "Topics not to play")
-    exclude_regex: str = fixed_parameter("", "Do not play topics in which this is found")
-    clock: float = fixed_parameter(
+    start_paused: bool = setting(False, "Start in a pause")
+    topics: tuple[str, ...] = setting((), "Topics to play; empty for all")
+    regex: str = setting("", "Play the topics in which this is found, too")
+    exclude_topics: tuple[str, ...] = setting((), "Topics not to play")
+    exclude_regex: str = setting("", "Do not play topics in which this is found")
+    clock: float = setting(
         0.0,
         "How often to publish the bag's time on /clock, in place of the bag's own; 0: never",
         unit="Hz",
         minimum=0.0,
         maximum=10_000.0,
     )
-    wait_for_subscribers: int = fixed_parameter(
+    wait_for_subscribers: int = setting(
         1, "Subscriptions to wait for before playing starts", minimum=0
     )
-    wait_timeout: float = fixed_parameter(
-        5.0, "Longest wait for them; 0: no limit", unit="s", minimum=0.0
-    )
-    queue_depth: int = fixed_parameter(
+    wait_timeout: float = setting(5.0, "Longest wait for them; 0: no limit", unit="s", minimum=0.0)
+    queue_depth: int = setting(
         1000,
         "Messages of a topic that slow subscribers may leave waiting",
         minimum=1,
         maximum=1_000_000,
     )
-    read_ahead: float = fixed_parameter(
+    read_ahead: float = setting(
         8.0, "How much of the bag is read ahead", unit="MiB", minimum=0.0, maximum=4096.0
     )
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from tsobs_ros.bag.recording import Recording, SnapshotBuffer
 from tsobs_ros.nodes.managed import ManagedParameters
-from tsobs_ros.nodes.parameters import check_pattern, fixed_parameter, parameter
+from tsobs_ros.nodes.parameters import check_pattern
+from tsobs_ros.settings import live_setting, setting
 
 _MIB = 2**20
 _SERVICE_EVENT = "/_service_event"
@@ -19,61 +20,55 @@ _SERVICE_EVENT = "/_service_event"
 class RecorderParameters(ManagedParameters):
     """The node's parameters; `config/recorder.yaml` shows them with their reasons."""
 
-    topics: tuple[str, ...] = fixed_parameter(
+    topics: tuple[str, ...] = setting(
         (), "Topics to record, also hidden ones; '*' for all that are not"
     )
-    services: tuple[str, ...] = fixed_parameter((), "Services to record the events of; '*' for all")
-    all: bool = fixed_parameter(False, "Record all topics and services, as without any selection")
-    all_services: bool = fixed_parameter(False, "Record all services")
-    regex: str = fixed_parameter("", "Record topics and services that contain this")
-    exclude_topics: tuple[str, ...] = fixed_parameter((), "Topics not to record")
-    exclude_services: tuple[str, ...] = fixed_parameter((), "Services not to record")
-    exclude_regex: str = fixed_parameter("", "Do not record topics and services that contain this")
-    include_hidden: bool = fixed_parameter(False, "Let 'all' and 'regex' find hidden topics too")
-    include_unpublished: bool = fixed_parameter(
+    services: tuple[str, ...] = setting((), "Services to record the events of; '*' for all")
+    all: bool = setting(False, "Record all topics and services, as without any selection")
+    all_services: bool = setting(False, "Record all services")
+    regex: str = setting("", "Record topics and services that contain this")
+    exclude_topics: tuple[str, ...] = setting((), "Topics not to record")
+    exclude_services: tuple[str, ...] = setting((), "Services not to record")
+    exclude_regex: str = setting("", "Do not record topics and services that contain this")
+    include_hidden: bool = setting(False, "Let 'all' and 'regex' find hidden topics too")
+    include_unpublished: bool = setting(
         False, "Subscribe to topics that others only subscribe to as well"
     )
-    output: str = fixed_parameter(
-        "", "Folder of the bag, which must not exist; empty for a dated name"
-    )
-    compression: str = fixed_parameter(
-        "zstd", "Compression of the chunks", choices=("none", "lz4", "zstd")
-    )
-    max_bag_size: int = fixed_parameter(
+    output: str = setting("", "Folder of the bag, which must not exist; empty for a dated name")
+    compression: str = setting("zstd", "Compression of the chunks", choices=("none", "lz4", "zstd"))
+    max_bag_size: int = setting(
         0, "Size at which a file is followed by another; 0: never", unit="bytes", minimum=0
     )
-    max_bag_duration: float = fixed_parameter(
+    max_bag_duration: float = setting(
         0.0, "Time after which a file is followed by another; 0: never", unit="s", minimum=0
     )
-    repeat_latched: int = fixed_parameter(
+    repeat_latched: int = setting(
         1,
         "Messages of each latched publisher to repeat at the start of a file; 0: none",
         minimum=0,
         maximum=1000,
     )
-    start_paused: bool = fixed_parameter(False, "Wait for the service ~/resume")
-    snapshot_mode: bool = fixed_parameter(
+    start_paused: bool = setting(False, "Wait for the service ~/resume")
+    snapshot_mode: bool = setting(
         False, "Write only the last seconds, when the service ~/snapshot is called"
     )
-    snapshot_duration: float = fixed_parameter(
+    snapshot_duration: float = setting(
         30.0, "Time that a snapshot goes back", unit="s", minimum=0.001
     )
-    snapshot_size: int = fixed_parameter(
-        100, "Memory that a snapshot may take", unit="MiB", minimum=1
-    )
-    flush_period: float = fixed_parameter(
+    snapshot_size: int = setting(100, "Memory that a snapshot may take", unit="MiB", minimum=1)
+    flush_period: float = setting(
         0.5, "Age from which messages survive a kill", unit="s", minimum=0.01, maximum=10
     )
-    sync_period: float = fixed_parameter(
+    sync_period: float = setting(
         5.0, "Age from which they survive a power cut", unit="s", minimum=0.1
     )
-    drain_period: float = fixed_parameter(
+    drain_period: float = setting(
         0.01, "How often queues are emptied", unit="s", minimum=0.001, maximum=1
     )
-    queue_depth: int = fixed_parameter(
+    queue_depth: int = setting(
         5000, "Messages of a topic that may wait to be drained", minimum=1, maximum=5000
     )
-    minimum_free_disk: int = parameter(
+    minimum_free_disk: int = live_setting(
         256, "Free disk space at which recording ends", unit="MiB", minimum=0
     )
 
