@@ -166,7 +166,7 @@ class Setting:
         Raises:
             ParameterError: It is of another type, not finite or out of range.
         """
-        if isinstance(value, str) and not self.is_array and not issubclass(self.element, str):
+        if isinstance(value, str) and not self.is_array and self.element in (bool, int, float):
             text = value.strip()
             try:
                 words = {"true": True, "false": False}

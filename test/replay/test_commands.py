@@ -165,9 +165,9 @@ def test_parameters_are_those_of_the_node(bag: Path, tmp_path, capsys) -> None:
     ("parameter", "said"),
     [
         ("rate=3", "parameter 'rate' decides no estimate; method, theta"),
-        ("adapt=maybe", "parameter 'adapt': expected a value such as True, got 'maybe'"),
-        ("settle_time=long", "parameter 'settle_time': expected a value such as 5.0"),
-        ("gain_mode=best", "parameter 'gain_mode': expected a value such as 'certified'"),
+        ("adapt=maybe", "parameter 'adapt': expected true or false, got 'maybe'"),
+        ("settle_time=long", "parameter 'settle_time': expected a number, got 'long'"),
+        ("gain_mode=best", "parameter 'gain_mode' must be one of: certified, riccati"),
         ("supervision.stuck_samples=1.5", "parameter 'supervision.stuck_samples'"),
         ("supervision.gate=-1", "gate"),
     ],

@@ -19,7 +19,7 @@ Play = Callable[..., Any]
     [
         ({"bag": ""}, "parameter 'bag' must name a bag folder or an .mcap file"),
         ({"rate": 0.001}, "parameter 'rate' must be at least 0.01"),
-        ({"rate": 101}, "parameter 'rate' must be at most 100"),
+        ({"rate": 101}, "parameter 'rate' must be at least 0.01 and at most 100"),
         ({"topics": ["/c"]}, "parameter 'topics': no topic /c; the bag has /a, /b"),
         ({"exclude_regex": "."}, "the parameters leave no topic to play; the bag has /a, /b"),
         ({"regex": "("}, "parameter 'regex': not a regular expression"),

@@ -42,7 +42,7 @@ def test_the_shipped_file_selects_the_topics_of_the_readme() -> None:
         ({"snapshot_size": 0}, "snapshot_size"),
         ({"snapshot_duration": 0.0}, "snapshot_duration"),
         ({"repeat_latched": -1}, "repeat_latched"),
-        ({"queue_depth": 5001}, "parameter 'queue_depth' must be at most 5000"),
+        ({"queue_depth": 5001}, "parameter 'queue_depth' must be at least 1 and at most 5000"),
     ],
 )
 def test_senseless_parameters_are_refused(
