@@ -93,7 +93,7 @@ def check_disturbance(reader: BagReader) -> None:
     """What was asked for on the command line is what the simulated sensor suffered."""
     recorded: dict[str, list[JointState]] = {topic: [] for topic in reader.topics}
     for item in reader.messages():
-        if item.topic not in ("/diagnostics", "/observer/design", MARKERS):
+        if item.topic not in ("/diagnostics", "/observer/design", "/observer/ticks", MARKERS):
             recorded[item.topic].append(deserialize_message(item.data, JointState))
     biases = [message.position[0] for message in recorded["/ground_truth/disturbance"]]
     # Samples 0 to 600; the recorder may have come too late for the truth of the first few.

@@ -25,6 +25,7 @@ EVERYTHING = [
 TYPES = {
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
     "/observer/design": "std_msgs/msg/String",
+    "/observer/ticks": "std_msgs/msg/Int64MultiArray",
     MARKERS: "visualization_msgs/msg/MarkerArray",
 }
 # How the policy calls what a node does, and what an entry of that kind is called.

@@ -1,9 +1,15 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The topics of an observer, below its own name, and of a simulator; JointStates but `DESIGN`."""
+"""The topics of an observer, below its own name, and of a simulator.
+
+They are JointStates, but for `DESIGN` and `TICKS`.
+"""
 
 DESIGN = "design"
 """What it runs, a latched std_msgs/String: see `tsobs_ros.design.published`."""
+
+TICKS = "ticks"
+"""Which measurements each tick includes: see `tsobs_ros.bag.tick_log`."""
 
 STATES, STATE_BOUNDS = "joint_states", "error_bound"
 DISTURBANCE, DISTURBANCE_BOUND = "disturbance", "disturbance_bound"

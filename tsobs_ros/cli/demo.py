@@ -17,6 +17,7 @@ from pathlib import Path
 from tsobs_ros.bag.estimate_topics import (
     DESIGN,
     PARAMETER_TOPICS,
+    TICKS,
     TOPICS,
     TRUE_DISTURBANCE,
     TRUE_STATES,
@@ -32,7 +33,7 @@ RECORDED_TOPICS = (
     "/joint_measurements",
     f"/{TRUE_STATES}",
     f"/{TRUE_DISTURBANCE}",
-    *(f"/observer/{name}" for name in (*TOPICS, DESIGN)),
+    *(f"/observer/{name}" for name in (*TOPICS, DESIGN, TICKS)),
     MARKERS,
     "/diagnostics",
 )

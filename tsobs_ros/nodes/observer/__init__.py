@@ -24,6 +24,7 @@ topics, sensor_msgs/msg/JointState without another type:
   ~/restarts (out)             number of restarts; latched
   ~/design (out)               std_msgs/msg/String: design and parameters, as JSON; latched
   ~/health (out)               what the estimates are worth, ten times a second
+  ~/ticks (out)                std_msgs/msg/Int64MultiArray: which measurements each estimate has
   /diagnostics (out)           diagnostic_msgs/msg/DiagnosticArray, once a second
 
 services:

@@ -36,6 +36,7 @@ from tsobs_ros.nodes.observer.io import (
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.rejections import ADVICE, NAMES, OF_INPUT
+from tsobs_ros.nodes.observer.ticks import TickLog
 from tsobs_ros.nodes.ticker import Ticker
 
 _DIAGNOSTICS_PERIOD = 1.0
@@ -101,6 +102,7 @@ class Observer(ManagedNode[ObserverParameters]):
             on_arrival=self._on_arrival if at_once else None,
         )
         self._publisher = EstimatePublisher(self, places, [joint.learnt for joint in self._joints])
+        self._tick_log = TickLog(self)
         self._record = self.create_publisher(String, f"~/{topics.DESIGN}", LATCHED)
         self._diagnostics = DiagnosticsPublisher(self, hardware_id=", ".join(parameters.joints))
         self.offer_triggers({"reset": self._on_reset})
@@ -160,7 +162,9 @@ class Observer(ManagedNode[ObserverParameters]):
         """Estimate from measurements as soon as they have come."""
         if self.active and (now := self._now()) is not None:
             self._meter.begin(now, tick=False)
-            if self._take_all(now) and self._publish(now):
+            if not self._take_all(now):
+                self._tick_log.publish(now, estimated=False)
+            elif self._publish(now):
                 self._ticker.skip_next()
             self._meter.end()
 
@@ -185,6 +189,7 @@ class Observer(ManagedNode[ObserverParameters]):
             return False
         self._is_new = False
         messages = [data for data, _ in taken]
+        self._tick_log.take(messages)
         self._newest = messages[-1]
         batch = self._reader.read(messages)
         innovations = np.concatenate(
@@ -234,10 +239,16 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _publish(self, now: int) -> bool:
         """Publish the estimates for the present; return whether there were any."""
-        if not self._enabled or now <= self._last_output:
+        if not self._enabled:
+            return False
+        if now <= self._last_output:
+            self._tick_log.publish(now, estimated=False)
             return False
         hold = self.parameters.when_stale == "hold"
         estimates = [joint.estimate(now, hold=hold) for joint in self._joints]
+        # One that is held is of an earlier time.
+        fresh = [each if each is not None and each.stamp == now else None for each in estimates]
+        self._tick_log.publish(now, estimated=any(fresh))
         published = self._publisher.publish(now, estimates)
         if published:
             self._last_output = now
@@ -245,13 +256,11 @@ class Observer(ManagedNode[ObserverParameters]):
             for arrived in self._unanswered:
                 self._meter.answered(done - arrived)
             self._unanswered.clear()
-        self._report_health(now, estimates)
+        self._report_health(now, fresh)
         return published
 
-    def _report_health(self, now: int, estimates: Sequence[Estimate | None]) -> None:
+    def _report_health(self, now: int, fresh: Sequence[Estimate | None]) -> None:
         """Publish what the estimates are worth, if that is due, and log what has changed."""
-        # One that is held is of an earlier time.
-        fresh = [each if each is not None and each.stamp == now else None for each in estimates]
         due = now >= self._health_due and any(fresh)
         conditions = [Condition.of(each) if due and each else None for each in fresh]
         if due:
@@ -304,6 +313,7 @@ class Observer(ManagedNode[ObserverParameters]):
             self.get_logger().warning(f"restarting: {why}")
         for joint in self._joints:
             joint.reset()
+        self._tick_log.restart()
         self._resets += 1
         self._is_new = True
         self._unanswered.clear()
