@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The link of an arm whose only encoder is on the motor, with friction that nobody modelled.
 
-The arm is the flexible joint of docs/motor_encoder.md. Needs cvxpy and clarabel:
+The arm is the flexible joint of docs/encoders_and_contacts.md. Needs cvxpy and clarabel:
 pip install 'tsobs_ros[design]'.
 
 Usage: python motor_encoder.py [REQUEST.yaml]

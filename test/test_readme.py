@@ -325,8 +325,6 @@ def prelude(page: Path) -> dict[str, Any]:
         case "faults":
             numbers = {"y": 0.1, "innovation": 0.01, "expected_std": 0.03, "now": 2 * 10**9}
             return {"design": design, "stamp": 10**9, "disturbance": 0.0, "bound": 0.01, **numbers}
-        case "ts_models":
-            return {"y": np.zeros(2), "u": np.zeros(1)}
         case "method":
             example = import_module("tsobs_ros.paper.examples").example_1()
             return {"system": example.system, "alpha": example.alpha}
