@@ -8,7 +8,7 @@ lost sample is lost with its torque: ours knows that, and the others hold the to
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from tsobs_ros.campaign.batches import observe
 from tsobs_ros.checks import Array
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.baselines import GATE
-from tsobs_ros.estimation.estimator import Estimator
+from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.options import GainMode
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.methods import ObserverSettings, make_ekf
@@ -55,7 +55,7 @@ class Found(NamedTuple):
         bounds: 1σ of them.
         thetas: Relative changes of stiffness and gravity, shape (runs, samples, k).
         theta_bounds: 1σ of them.
-        conditions: What ours says about its estimates; see `campaign.batches.Observed`.
+        rows: All that ours says, as `campaign.batches.Observed.rows`.
         events: What the supervision counted in each run.
     """
 
@@ -63,7 +63,7 @@ class Found(NamedTuple):
     bounds: Array
     thetas: Array | None = None
     theta_bounds: Array | None = None
-    conditions: dict[str, Array] | None = None
+    rows: Any = None
     events: list[dict[str, int]] | None = None
 
 
@@ -118,7 +118,7 @@ def ours(
         np.concatenate([to_design(found.state_bounds), found.disturbance_bounds], axis=2),
         found.parameters if learns else None,
         found.parameter_bounds if learns else None,
-        found.conditions,
+        found.rows,
         list(found.events),
     )
 
@@ -147,7 +147,7 @@ def kalman(
         ekf.reset()
         rows.append(ekf.follow(stamps, y, u))
     x, std, disturbance, disturbance_std, theta = (
-        np.stack([row[:, ekf.estimator.row_parts[name]] for row in rows])
+        np.stack([row[name] for row in rows])
         for name in ("state", "state_bound", "disturbance", "disturbance_bound", "parameters")
     )
     to_design = design.arm_request.arm.from_physical
@@ -202,13 +202,13 @@ def outcome(scenario: Scenario, runs: Trajectories, found: Found) -> Outcome:
         }
         truth = np.concatenate([runs.states, runs.disturbances], axis=2)
         kept = np.abs(found.estimates - truth)[:, full] <= SIGMAS * found.bounds[:, full]
-    worth = {} if found.conditions is None else _worth(found.conditions, kept, full, runs.times)
+    worth = {} if found.rows is None else _worth(found.rows, kept, full, runs.times)
     theta = theta_inside = after = None
     if found.thetas is not None:
         away = np.abs(found.thetas - true_theta(scenario))
         theta = np.sqrt((away[:, settled] ** 2).mean(axis=1))
-        if found.theta_bounds is not None and found.conditions is not None:
-            valid = found.conditions["parameters_valid"][:, full] > 0.0
+        if found.theta_bounds is not None and found.rows is not None:
+            valid = found.rows["parameters_valid"][:, full] > 0.0
             near = (away <= SIGMAS * found.theta_bounds)[:, full].all(axis=2)
             with np.errstate(invalid="ignore"):
                 theta_inside = (near & valid).sum(axis=1) / valid.sum(axis=1)
@@ -227,11 +227,11 @@ def outcome(scenario: Scenario, runs: Trajectories, found: Found) -> Outcome:
 
 
 def _worth(
-    conditions: dict[str, Array], kept: NDArray[np.bool_], full: NDArray[np.bool_], times: Array
+    rows: Rows, kept: NDArray[np.bool_], full: NDArray[np.bool_], times: Array
 ) -> dict[str, Array]:
     """Return what an outcome says about claims, by the names of its fields."""
-    claims, every = conditions["claimed"][:, full] == 1.0, kept.all(axis=2)
-    foreign = conditions["hypothesis"] != Hypothesis.AS_DESIGNED
+    claims, every = rows["claimed"][:, full] == 1.0, kept.all(axis=2)
+    foreign = rows["hypothesis"] != Hypothesis.AS_DESIGNED
     longest = np.zeros(len(foreign))
     length = np.zeros(len(foreign))
     for sample in foreign.T:

@@ -181,7 +181,7 @@ def _ekf(design: Design, runs: Trajectories, gate: float) -> Array:
     rows = []
     for y, u in zip(runs.measurements, runs.torques, strict=True):
         ekf.reset()
-        rows.append(ekf.follow(stamps, y, u)[:, ekf.estimator.row_parts["state"]])
+        rows.append(ekf.follow(stamps, y, u)["state"])
     return np.stack(rows)
 
 

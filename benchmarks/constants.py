@@ -120,7 +120,7 @@ def _judged(runs: Trajectories, observe: BatchObserver, hidden: int | None) -> S
     if hidden is None:
         wrong = np.abs(found.disturbances - runs.disturbances)[:, late]
         kept &= (wrong <= SIGMAS * found.disturbance_bounds[:, late]).all(axis=2)
-    claims = found.conditions["claimed"][:, late] > 0.0
+    claims = found.field("claimed")[:, late] > 0.0
     weights = np.eye(4)[0 if hidden is None else hidden]
     if hidden is None:
         to_design = SCENARIOS["noise"].arm.from_physical(np.ones(4))

@@ -151,10 +151,10 @@ def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
         estimator.model,
         estimator.new_states(1),
         estimator.new_corrections(),
-        estimator.new_readouts(),
+        estimator.new_rows(1),
         estimator.new_work(),
     )
-    model, states, corrections, readouts, work = (
+    model, states, corrections, rows, work = (
         native.Memory(each.view(np.float64)) for each in records
     )
     samples, inputs, period = list(y), list(u), estimator.period
@@ -162,7 +162,7 @@ def _in_place(estimator: Estimator, y: Array, u: Array) -> Step:
     def step(sample: int) -> None:
         native.estimator_correct(model, states, samples[sample], corrections)
         native.estimator_predict(model, states, inputs[sample], period, False, work)
-        native.estimator_read(model, states, readouts, work)
+        native.estimator_read(model, states, rows, work)
 
     return step
 
@@ -244,7 +244,7 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
     model = native.Memory(estimator.model.view(np.float64))
     memory, scratch = native.Memory(states.view(np.float64)), native.Memory(work.view(np.float64))
     corrections = native.Memory(estimator.new_corrections().view(np.float64))
-    readouts = native.Memory(estimator.new_readouts().view(np.float64))
+    rows = native.Memory(estimator.new_rows(1))
     samples, inputs, period = [y[-1], y[-1] + 1.0], u[-1].copy(), estimator.period
     numbers, before = states.view(np.float64), start.records.view(np.float64)
     times = []
@@ -254,7 +254,7 @@ def _worst(design: Design, turns: int) -> dict[str, float]:
         started = time.perf_counter_ns()
         native.estimator_correct(model, memory, sample, corrections)
         native.estimator_predict(model, memory, inputs, period, False, scratch)
-        native.estimator_read(model, memory, readouts, scratch)
+        native.estimator_read(model, memory, rows, scratch)
         times.append(time.perf_counter_ns() - started)
         assert int(states["hypotheses"]["live"].sum()) >= len(states["hypotheses"][0]) - 1
     found = 1e-3 * np.array(times[turns // 20 * 2 :])

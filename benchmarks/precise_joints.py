@@ -216,14 +216,14 @@ def judged(case: Case, design: Design, runs: Trajectories) -> Found:
     stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
     for who, gate in (("plain", math.inf), ("gated", GATE)):
         ekf = make_ekf(design, gate=gate)
-        part, rows = ekf.estimator.row_parts["state"], []
+        rows = []
         for y, u in zip(runs.measurements, runs.torques, strict=True):
             ekf.reset()
-            rows.append(ekf.follow(stamps, y, u)[:, part])
+            rows.append(ekf.follow(stamps, y, u)["state"])
         states[who] = np.stack(rows)
     away = {who: (each - runs.physical)[:, late] for who, each in states.items()}
     kept = np.abs(away["ours"]) <= SIGMAS * mine.state_bounds[:, late]
-    claims = mine.conditions["claimed"][:, late] > 0.0
+    claims = mine.field("claimed")[:, late] > 0.0
     return Found(
         {who: np.sqrt((each[..., place] ** 2).mean(axis=1)) for who, each in away.items()},
         kept[..., place].mean(axis=1),

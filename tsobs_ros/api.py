@@ -16,10 +16,9 @@ from tsobs_ros.design.file import DesignFile, load_design_file
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.history import CORRECTING, EXTRA, REASONS, USED
+from tsobs_ros.estimation.estimator import Estimator, Rows
+from tsobs_ros.estimation.history import CORRECTING, REASONS, USED
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_tracker
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
 from tsobs_ros.plants import scenario_of
@@ -319,7 +318,7 @@ def estimate(
         time=times,
         innovation=series.results.innovations[used].reshape(-1, *outputs_shape),
         innovation_time=times[used],
-        **_columns_of(rows, tracker.estimator, outputs_shape),
+        **_columns_of(tracker.estimator.as_rows(rows), tracker.estimator, outputs_shape),
         used=int((series.results.outcomes == USED).sum()),
         rejected={
             reason.value: count
@@ -477,14 +476,14 @@ def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
         innovation_time=run.samples.stamps[used] / NANOSECONDS,
         parameters=table.parameters[:, joint],
         parameter_bound=table.parameter_bounds[:, joint],
-        basis=table.condition("basis")[:, joint],
-        claimed=table.condition("claimed")[:, joint] == 1.0,
-        parameters_valid=table.condition("parameters_valid")[:, joint] == 1.0,
-        noise_scale=table.condition("noise_scale")[:, joint],
-        coloured_power=table.condition("coloured_power")[:, joint],
-        learning=table.condition("learning")[:, joint],
-        hypothesis=table.condition("hypothesis")[:, joint],
-        in_domain=table.condition("in_domain")[:, joint] == 1.0,
+        basis=table.conditions["basis"][:, joint],
+        claimed=table.conditions["claimed"][:, joint] == 1.0,
+        parameters_valid=table.conditions["parameters_valid"][:, joint] == 1.0,
+        noise_scale=table.conditions["noise_scale"][:, joint],
+        coloured_power=table.conditions["coloured_power"][:, joint],
+        learning=table.conditions["learning"][:, joint],
+        hypothesis=table.conditions["hypothesis"][:, joint],
+        in_domain=table.conditions["in_domain"][:, joint] == 1.0,
         used=int(used.sum()),
         rejected={reason.value: n for reason, n in run.replay.rejected.items()},
     )
@@ -545,27 +544,26 @@ def _torques(torque: Any, times: Array, inputs: int) -> Array:
     return _columns("torque", torque, len(times), inputs)
 
 
-def _columns_of(rows: Array, estimator: Estimator, outputs: tuple[int, ...]) -> dict[str, Any]:
-    """Return the fields of `Estimates` that are in rows of `History.estimate_at`."""
+def _columns_of(rows: Rows, estimator: Estimator, outputs: tuple[int, ...]) -> dict[str, Any]:
+    """Return the fields of `Estimates` that are in rows of estimates."""
     columns: dict[str, Any] = {}
-    torques = estimator.shape.t
     for name, shape in (
         ("state", (estimator.shape.plant,)),
         ("state_bound", (estimator.shape.plant,)),
         ("disturbance", outputs),
         ("disturbance_bound", outputs),
-        ("torque_disturbance", (torques,)),
-        ("torque_disturbance_bound", (torques,)),
+        ("torque_disturbance", (estimator.shape.t,)),
+        ("torque_disturbance_bound", (estimator.shape.t,)),
         ("parameters", (estimator.shape.k,)),
         ("parameter_bound", (estimator.shape.k,)),
     ):
         columns[name] = np.full((len(rows), *shape), np.nan)
         if name not in estimator.lacking:
-            columns[name][:] = rows[:, estimator.row_parts[name]].reshape(columns[name].shape)
-    names = (*CONDITIONS, "in_domain")
-    for name, column in zip(names, rows[:, -len(CONDITIONS) - EXTRA : -1].T, strict=True):
-        is_flag = name in ("claimed", "parameters_valid", "in_domain")
-        columns[name] = column == 1.0 if is_flag else column.copy()
+            columns[name][:] = rows[name].reshape(columns[name].shape)
+    for name in ("basis", "noise_scale", "coloured_power", "learning", "hypothesis"):
+        columns[name] = rows[name].copy()
+    for name in ("claimed", "parameters_valid", "in_domain"):
+        columns[name] = rows[name] == 1.0
     return columns
 
 

@@ -67,7 +67,7 @@ static void read_numbers(const char *line, double *numbers, int64_t count)
 /* Print the names of a row's numbers, which stand in one list. */
 static void print_names(const estimator_sizes *s)
 {
-    const layout_field fields[] = {ESTIMATE_ROW_FIELDS(LAYOUT_ROW, s)};
+    const layout_field fields[] = {ESTIMATE_FIELDS(LAYOUT_ROW, s)};
     size_t i;
     printf("time");
     for (i = 0; i < sizeof fields / sizeof fields[0]; i++) {

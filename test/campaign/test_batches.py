@@ -11,9 +11,7 @@ from tsobs_ros.campaign.batches import CLAIMS, Observed, observe, score
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.history import EXTRA
 from tsobs_ros.estimation.records import Basis, Measurement
-from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.report.metrics import MetricsOptions, measure
 from tsobs_ros.report.quantities import QUANTITIES
@@ -59,17 +57,11 @@ def test_scores_are_those_of_a_report() -> None:
     estimates = truth + random.normal(0.0, 0.01, truth.shape)
     estimates[0, 2000:2100], bounds[1, 3000:3100] = np.nan, np.inf
     estimates[2, :, 3] = np.nan
-    # Behind the numbers are the conditions, of which the first are the basis and the claim.
     worth = random.integers(0, (10, 2), (*shape, 2)).astype(float)
-    others = np.zeros((*shape, len(CONDITIONS) + EXTRA - 2))
-    rows = np.concatenate([estimates, bounds, worth, others], axis=2)
-    parts = {
-        "state": slice(0, 4),
-        "disturbance": slice(4, 5),
-        "state_bound": slice(5, 9),
-        "disturbance_bound": slice(9, 10),
-    }
-    observed = Observed(rows, parts, ({},) * 3)
+    fields = (("state", 4), ("disturbance", 1), ("state_bound", 4), ("disturbance_bound", 1))
+    row_type = [*((name, float, (n,)) for name, n in fields), ("basis", float), ("claimed", float)]
+    rows = np.concatenate([estimates, bounds, worth], axis=2).view(row_type)[..., 0]
+    observed = Observed(rows, ({},) * 3)
     options = MetricsOptions(start_settle_time=3.0, jump_settle_time=1.0)
     scores = score(runs, observed, options)
     basis, claimed = worth[..., 0], worth[..., 1] == 1.0

@@ -104,7 +104,7 @@ def log_of(design: Design) -> tuple[Array, Array, Array]:
 
 def of_python(design: Design, time: Array, angle: Array, torque: Array) -> Array:
     tracker = ts.make_tracker(design)
-    rows = np.full((len(time), tracker.history.row_width), np.nan)
+    rows = tracker.estimator.new_rows(len(time))
     now = 0
     for at, y, u, row in zip(time.tolist(), angle, torque.tolist(), rows, strict=True):
         stamp = round(at * 1e9)
@@ -185,7 +185,7 @@ def test_its_lengths_are_those_of_a_tracker(words: Any) -> None:
     assert 8 * memory == tracker.memory.dtype.itemsize
     assert 8 * ring == (4 + 4) * tracker.ring.dtype.itemsize
     assert scratch == native.history_scratch_size(numbers, 8)
-    assert row == tracker.history.row_width
+    assert 8 * row == tracker.estimator.row_type.itemsize
     assert len(words) == BEGIN + model + memory
     np.testing.assert_array_equal(words[BEGIN : BEGIN + model], numbers.view(np.int64))
 

@@ -47,17 +47,17 @@ def predict(state: State, u: int = 1, duration: float = 0.005, work: int | None 
         (lambda m, s: predict(ESTIMATOR.initial(), duration=np.nan), "duration: expected a finite"),
         (
             lambda m, s: native.estimator_read(numbers(m), s, np.zeros(3), np.zeros(3)),
-            "estimator_read: readouts: expected",
+            "estimator_read: rows: expected",
         ),
         (
             lambda m, s: native.estimator_observe(
-                numbers(m), s, np.zeros(5), np.zeros(5), 0.1, 6, s, s, s, s
+                numbers(m), s, np.zeros(5), np.zeros(5), 0.1, 6, s, s, s
             ),
             "estimator_observe: y: expected at least 6 numbers, got 5",
         ),
         (
             lambda m, s: native.estimator_observe(
-                numbers(m), s, np.zeros(5), np.zeros(5), 0.1, -1, s, s, s, s
+                numbers(m), s, np.zeros(5), np.zeros(5), 0.1, -1, s, s, s
             ),
             "estimator_observe: samples: expected a number of at least 0",
         ),
@@ -118,8 +118,8 @@ def test_what_is_left_in_scratch_memory_decides_nothing(outputs: int) -> None:
     y[[100, 101, 300, 1000], 0] = 5.0, 1e150, np.nan, 1e200
     found = []
     for fill in (0.0, np.nan, 1e300):
-        states, rows = one.new_states(1), np.empty((count, one.row_width))
-        made = (one.new_corrections(), one.new_readouts(), one.new_work())
+        states, rows = one.new_states(1), one.new_rows(count)
+        made = (one.new_corrections(), one.new_work())
         scratch = [numbers(each) for each in made]
         for each in scratch:
             each[:] = fill

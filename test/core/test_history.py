@@ -30,19 +30,22 @@ def tracker(**options: Any) -> Tracker:
     return Tracker(DESIGN.supervised(), TrackerOptions(**options))
 
 
+WIDTH = DESIGN.supervised().row_type.itemsize // 8
+
+
 def arrays(history: History) -> dict[str, list[Any]]:
     """Return arguments of each function that are right; arrays have no number too many."""
     stamps = 10**9 + 5_000_000 * np.arange(1, COUNT + 1)
     y, u = np.zeros((COUNT, 1)), np.zeros((COUNT, 1))
     codes = np.zeros(COUNT, np.int64)
     results = [codes, codes[:, np.newaxis].copy(), y.copy(), y.copy()]
-    rows = np.zeros((COUNT, history.row_width))
+    rows = np.zeros((COUNT, WIDTH))
     ticks = [stamps, stamps, np.arange(1, COUNT + 1), np.arange(1, COUNT + 1), codes - 1]
     replay = [stamps, y, u, codes + 2, codes.copy(), *ticks, np.zeros((COUNT, 8)), *results]
     of_ticks = [codes.copy(), codes.copy(), codes.copy(), np.zeros(2, np.int64), rows]
     return {
         "offer": [stamps, y, u, 10**18, *results],
-        "estimate_at": [10**9, np.zeros(history.row_width)],
+        "estimate_at": [10**9, np.zeros(WIDTH)],
         "follow": [stamps, y, u, rows],
         "advance": [*replay, *of_ticks, 0, COUNT, 10**18],
     }

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output, TorqueDisturbance
 from tsobs_ros.design.synthesis import synthesise
+from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model.arm import SIDES
 from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.simulation.plant import Plant, Scenario, SimulatedOutput
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 RUNS = 800
 INSTANTS = (200, 1000)
 WALK = 1e6
+
 """Time constant of a drift that is a random walk for the length of a run [s]."""
 
 
@@ -123,7 +125,7 @@ def campaign(request: pytest.FixtureRequest) -> Campaign:
         y = runs.measurements[:, : index + 1].copy()
         y[:, index] = np.nan
         known = observer.observe(y, runs.torques[:, : index + 1], start=start)
-        assert known.certified.all()
+        assert (known.basis == Basis.CERTIFIED).all()
         widest = max(widest, float(np.abs(known.state[..., 0]).max()))
         estimate = asked.arm.from_physical(known.state[:, index])
         parts = [known.disturbance[:, index][:, disturbed], known.torque_disturbance[:, index]]

@@ -83,12 +83,10 @@ def course(
     tracker = tracker or make_tracker(DESIGNS[name], ObserverSettings(history=0.0))
     stamps = NANOSECONDS + round(T * NANOSECONDS) * np.arange(len(y))
     rows = tracker.follow(stamps[::every], y[::every], u[::every])
-    of = {part: rows[:, place] for part, place in tracker.estimator.row_parts.items()}
-    basis, claimed, *_, hypothesis = rows[:, -9:-2].T
-    outside = np.abs(of["state"] - run.physical[0, : len(y) : every]) > 3.0 * of["state_bound"]
+    outside = np.abs(rows.state - run.physical[0, : len(y) : every]) > 3.0 * rows.state_bound
     return Course(
-        tracker, of["state"], of["state_bound"], of["disturbance"][:, 0], ~outside.any(axis=1),
-        basis, claimed > 0.0, hypothesis,
+        tracker, rows.state, rows.state_bound, rows.disturbance[:, 0], ~outside.any(axis=1),
+        rows.basis, rows.claimed > 0.0, rows.hypothesis,
     )  # fmt: skip
 
 
@@ -331,8 +329,7 @@ def test_the_bound_covers_the_error_in_gaps_and_after_them(name: str, samples: i
         assert found.basis > Basis.LEARNT or index == begin + 1
         sigmas.append(np.abs(found.state - run.physical[0, index]) / found.state_bound)
     rows = tracker.follow(stamps[later], run.measurements[0][later], run.torques[0][later])
-    parts = tracker.estimator.row_parts
-    after = np.abs(rows[:, parts["state"]] - run.physical[0, later]) / rows[:, parts["state_bound"]]
+    after = np.abs(rows.state - run.physical[0, later]) / rows.state_bound
     assert np.quantile(np.concatenate([sigmas, after]), 0.95) < 3.0
 
 

@@ -151,9 +151,9 @@ def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
     for k in range(300):
         textbook.update(y[k])
         states = LINEAR.to_physical(textbook.x[:4, 0])
-        np.testing.assert_allclose(rows[k, ekf.row_parts["state"]], states, atol=1e-7)
+        np.testing.assert_allclose(rows.state[k], states, atol=1e-7)
         bound = np.sqrt(textbook.P[4, 4])
-        np.testing.assert_allclose(rows[k, ekf.row_parts["disturbance_bound"]], bound, rtol=1e-6)
+        np.testing.assert_allclose(rows.disturbance_bound[k], bound, rtol=1e-6)
         textbook.predict(u[k, :, None])
 
 
@@ -183,7 +183,7 @@ def test_parameters_of_an_ekf_are_as_states() -> None:
 
     ekf = make_ekf(SHIPPED, learns=True, gate=np.inf)
     found = ekf.follow(stamps_of(count), RUN.measurements[0, :count], RUN.torques[0, :count])
-    parts, to_physical = ekf.estimator.row_parts, request.arm.to_physical
+    to_physical = request.arm.to_physical
     for y, (u,), row in zip(RUN.measurements[0], RUN.torques[0], found, strict=False):
         gain = P @ C.T / (C @ P @ C.T + request.measurement_covariance)
         x, P = x + gain @ (y - C @ x), P - gain @ C @ P
@@ -194,7 +194,7 @@ def test_parameters_of_an_ekf_are_as_states() -> None:
             ("parameters", x[n:]),
             ("parameter_bound", std[n:]),
         ):
-            np.testing.assert_allclose(row[parts[name]], expected, rtol=1e-5, atol=1e-6)
+            np.testing.assert_allclose(row[name], expected, rtol=1e-5, atol=1e-6)
         F, x = slope(x, u), kicked(x, u)
         x = phi @ x
         x[:n] += step.gamma[:, 0] * u
@@ -207,14 +207,13 @@ def test_an_ekf_that_leaves_out_most_samples_starts_its_covariance_again() -> No
     y[2000:] += 1.0
     ekf, plain = make_ekf(SHIPPED), make_ekf(SHIPPED, gate=np.inf)
     rows, others = (each.follow(stamps_of(len(y)), y, u) for each in (ekf, plain))
-    bounds, left_out = rows[:, ekf.estimator.row_parts["state_bound"]], ekf.rejected
+    bounds, left_out = rows.state_bound, ekf.rejected
 
     assert left_out[RejectReason.GATED] == pytest.approx(0.3 / PERIOD, abs=5)
     assert not plain.rejected
     assert bounds[2070:2200].max() > 10.0 * bounds[1999].max()
-    bias = ekf.estimator.row_parts["disturbance"]
-    assert rows[-200:, bias].mean() == pytest.approx(1.0, abs=0.05)
-    assert (rows[:2000] == others[:2000]).all()
+    assert rows.disturbance[-200:].mean() == pytest.approx(1.0, abs=0.05)
+    assert rows[:2000].tobytes() == others[:2000].tobytes()
 
 
 def follow(estimator: Estimator) -> tuple[Tracker, Array]:

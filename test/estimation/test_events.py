@@ -12,19 +12,16 @@ from tsobs_ros.estimation.events import (
     BOUNDS,
     HYPOTHESES,
     LEARNINGS,
-    Condition,
     Event,
     EventKind,
     EventLog,
 )
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.estimation.records import Basis, Hypothesis, Learning
+from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 
 SECOND = 1_000_000_000
 BEGIN = 1_700_000_000 * SECOND
-GOOD = Condition(
-    BEGIN, 1.0, 0.0, Basis.CERTIFIED, True, Learning.ACTIVE, Hypothesis.AS_DESIGNED, age=0.002
-)
+GOOD = Estimate(BEGIN, basis=Basis.CERTIFIED, learning=Learning.ACTIVE, age=0.002)
 
 
 class Play:
@@ -181,7 +178,7 @@ def test_flickering_is_reported_at_intervals_with_the_number_of_changes() -> Non
     assert counted[-1].text.endswith("(33 changes since the last report)")
 
 
-CONDITIONS = st.builds(
+ESTIMATES = st.builds(
     GOOD._replace,
     noise_scale=st.floats(1.0, 3.0),
     basis=st.sampled_from(Basis),
@@ -194,7 +191,7 @@ CONDITIONS = st.builds(
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_whatever_happens_there_is_no_flood_and_it_can_be_repeated(data: st.DataObject) -> None:
-    some = data.draw(st.lists(CONDITIONS, min_size=1, max_size=8))
+    some = data.draw(st.lists(ESTIMATES, min_size=1, max_size=8))
     order = data.draw(st.lists(st.integers(0, len(some) - 1), min_size=300, max_size=300))
     restarts = data.draw(st.sets(st.integers(0, 299), max_size=40))
     runs = []
@@ -214,6 +211,6 @@ def test_whatever_happens_there_is_no_flood_and_it_can_be_repeated(data: st.Data
         assert sum(each.kind is kind for each in runs[0]) <= 5 + 3
 
 
-@pytest.mark.parametrize("numbers", [GOOD, GOOD._replace(basis=Basis.OUTSIDE, noise_scale=2.25)])
-def test_a_condition_survives_as_numbers(numbers: Condition) -> None:
-    assert Condition.of_numbers(BEGIN, numbers.numbers) == numbers
+@pytest.mark.parametrize("estimate", [GOOD, GOOD._replace(basis=Basis.OUTSIDE, noise_scale=2.25)])
+def test_health_survives_as_numbers(estimate: Estimate) -> None:
+    assert Estimate.of_health(BEGIN, estimate.health) == estimate

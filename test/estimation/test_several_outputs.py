@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
+from tsobs_ros.estimation.estimator import Rows
 from tsobs_ros.estimation.faults import (
     FaultKind,
     FaultMonitor,
@@ -21,7 +22,6 @@ from tsobs_ros.estimation.faults import (
 )
 from tsobs_ros.estimation.history import GATED, NON_FINITE, USED
 from tsobs_ros.estimation.records import Basis, RejectReason
-from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_tracker
 from tsobs_ros.simulation.plant import Scenario, SimulatedOutput, TorqueDisturbance, Trajectories
@@ -52,28 +52,16 @@ def stamps_of(count: int) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
     return 1_000_000_000 + PERIOD * np.arange(count)
 
 
-def follow(y: Array, seed: int = 0, tracker: Tracker | None = None) -> tuple[Tracker, Array]:
+def follow(y: Array, seed: int = 0, tracker: Tracker | None = None) -> tuple[Tracker, Rows]:
     tracker = tracker or make_tracker(DESIGN)
     return tracker, tracker.follow(stamps_of(len(y)), y, run().torques[seed][: len(y)])
-
-
-def field(tracker: Tracker, rows: Array, name: str) -> Array:
-    return rows[:, tracker.estimator.row_parts[name]]
-
-
-def basis(rows: Array) -> Array:
-    return rows[:, -2 - len(CONDITIONS)]
-
-
-def claimed(rows: Array) -> Array:
-    return rows[:, -1 - len(CONDITIONS)]
 
 
 def seconds(begin: float, end: float = END) -> slice:
     return slice(round(begin * 200), round(end * 200))
 
 
-def shares_inside(tracker: Tracker, rows: Array, seed: int, kept: slice) -> dict[str, float]:
+def shares_inside(rows: Rows, seed: int, kept: slice) -> dict[str, float]:
     """Return the least shares of states, torque and bias inside three bounds."""
     truth = {
         "state": run().physical[seed],
@@ -82,8 +70,8 @@ def shares_inside(tracker: Tracker, rows: Array, seed: int, kept: slice) -> dict
     }
     shares = {}
     for name, true in truth.items():
-        error = field(tracker, rows, name)[:, : true.shape[1]] - true
-        bound = field(tracker, rows, f"{name}_bound")[:, : true.shape[1]]
+        error = rows[name][:, : true.shape[1]] - true
+        bound = rows[f"{name}_bound"][:, : true.shape[1]]
         shares[name] = float((np.abs(error) <= 3.0 * bound)[kept].mean(axis=0).min())
     return shares
 
@@ -93,17 +81,15 @@ def test_a_contact_and_a_bias_are_told_apart_and_within_their_bounds(seed: int) 
     tracker, rows = follow(run().measurements[seed], seed)
     assert tracker.events["sensor jumps"] == 1
     assert tracker.events["losses of track"] == 0
-    assert min(shares_inside(tracker, rows, seed, seconds(6.0)).values()) >= 0.97
-    torque, bias = (
-        field(tracker, rows, name)[:, 0] for name in ("torque_disturbance", "disturbance")
-    )
+    assert min(shares_inside(rows, seed, seconds(6.0)).values()) >= 0.97
+    torque, bias = (rows[name][:, 0] for name in ("torque_disturbance", "disturbance"))
     before, pressed, both = seconds(6.0, CONTACT), seconds(10.0, FAULT), seconds(16.0)
     assert np.abs(torque[before]).mean() < 0.4
     assert torque[pressed].mean() == pytest.approx(2.0, abs=0.4)
     assert torque[both].mean() == pytest.approx(2.0, abs=0.4)
     assert np.abs(bias[pressed]).mean() < 0.015
     assert bias[both].mean() == pytest.approx(0.1, abs=0.015)
-    assert claimed(rows)[pressed].mean() > 0.8
+    assert rows.claimed[pressed].mean() > 0.8
 
 
 @pytest.mark.parametrize("lost", [LINK, MOTOR])
@@ -115,15 +101,15 @@ def test_the_other_encoder_goes_on_with_a_wider_bound(lost: int) -> None:
     assert tracker.rejected == {}
     assert tracker.output_counts[lost] == {"gated": 0, "missing": 1200}
     assert tracker.output_counts[1 - lost]["missing"] == 0
-    assert not np.isin(basis(rows)[away], [Basis.CERTIFIED, Basis.LEARNT]).any()
-    assert claimed(rows)[away].mean() > 0.9
-    assert claimed(rows)[back].mean() > 0.9
-    bounds = field(tracker, rows, "state_bound")
+    assert not np.isin(rows.basis[away], [Basis.CERTIFIED, Basis.LEARNT]).any()
+    assert rows.claimed[away].mean() > 0.9
+    assert rows.claimed[back].mean() > 0.9
+    bounds = rows["state_bound"]
     side = 2 * lost
     assert (bounds[away, side] > 1.2 * np.median(bounds[seconds(7.0, 10.0), side])).all()
-    error = np.abs(field(tracker, rows, "state") - run(bias=0.0).physical[0])
+    error = np.abs(rows["state"] - run(bias=0.0).physical[0])
     assert ((error <= 3.0 * bounds)[away].mean(axis=0) >= 0.97).all()
-    assert np.isfinite(rows[1:]).all()
+    assert np.isfinite(rows.state[1:]).all()
 
 
 def test_a_sample_without_any_output_is_not_finite() -> None:
@@ -170,8 +156,8 @@ def test_what_is_wrong_with_one_output_is_no_reason_to_refuse_the_other(
     assert tracker.output_counts[1 - output]["gated"] == 0
     assert tracker.output_counts[output]["gated"] > 0
     kept = seconds(13.0)
-    error = np.abs(field(tracker, rows, "state") - run(bias=0.0).physical[0])
-    assert ((error <= 3.0 * field(tracker, rows, "state_bound"))[kept].mean(axis=0) >= 0.97).all()
+    error = np.abs(rows["state"] - run(bias=0.0).physical[0])
+    assert ((error <= 3.0 * rows["state_bound"])[kept].mean(axis=0) >= 0.97).all()
 
 
 @settings(max_examples=15, deadline=None)

@@ -18,7 +18,7 @@ from tsobs_ros.design.synthesis import synthesise
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import certified_estimator
 from tsobs_ros.estimation.options import AdaptationOptions, CertifiedGain
-from tsobs_ros.estimation.records import Hypothesis
+from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.resources import config_path
@@ -115,7 +115,7 @@ def test_adaptation_finds_the_true_parameter(
     readout = observer.observe(y[np.newaxis], u[np.newaxis])
     assert readout.parameters_valid[0, -1]
     # Adapted, but the certificate was not asked to cover θ.
-    assert not readout.certified[0, -1]
+    assert readout.basis[0, -1] != Basis.CERTIFIED
     assert readout.parameters[0, -1, 0] == pytest.approx(theta, abs=0.005)
     assert abs(readout.parameters[0, -1, 0] - theta) < 4.0 * readout.parameter_bound[0, -1, 0]
     np.testing.assert_allclose(readout.state[0, -1], truth[-1], atol=0.01)

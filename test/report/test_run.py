@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.errors import BagReadError
-from tsobs_ros.estimation.events import Condition
-from tsobs_ros.estimation.records import Basis, Hypothesis, Learning
+from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.report.metrics import MetricsOptions, measure
 from tsobs_ros.report.panels import picture
 from tsobs_ros.report.run import Series, align, find_run, hold, interpolate_motion, read_run
@@ -66,7 +65,7 @@ def test_health_that_version_0_7_recorded_is_read(short, messages_of, write_bag,
 
     health = read_run(write_bag(topics)).health
 
-    found = [Condition.of_numbers(0, values)[3:7] for values in health.values.tolist()]
+    found = [tuple(Estimate.of_health(0, values).health[2:6]) for values in health.values.tolist()]
     assert found == [
         (Basis.CERTIFIED, True, Learning.ACTIVE, Hypothesis.AS_DESIGNED),
         (Basis.STARTING, True, Learning.STARTING, Hypothesis.AS_DESIGNED),

@@ -3,7 +3,7 @@
 """Batches of simulated runs: their estimates, and the scores of these."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.design.record import Design
-from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.history import EXTRA
+from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.records import Basis
-from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import SIDES
@@ -51,28 +49,34 @@ class Observed(NamedTuple):
     """Estimates of a batch of runs, at each sample from the samples up to it; NaN if there is none.
 
     Attributes:
-        rows: As of `Tracker.follow`, shape (runs, samples, width).
-        parts: Places of the fields of an estimate in a row.
+        rows: Of `Estimator.row_type`, shape (runs, samples).
         events: What the supervision counted in each run.
     """
 
-    rows: Array
-    parts: Mapping[str, slice]
+    rows: Rows
     events: tuple[dict[str, int], ...]
 
     @classmethod
     def of(cls, states: Array, disturbances: Array) -> "Observed":
         """Return estimates without bounds, shapes (runs, samples, 4) and (runs, samples, p)."""
-        unknown = np.full((*states.shape[:2], len(CONDITIONS) + EXTRA), np.nan)
-        end = 4 + disturbances.shape[2]
-        parts = {"state": slice(0, 4), "disturbance": slice(4, end)}
-        parts |= {f"{name}_bound": slice(end, end) for name in parts}
-        rows = np.concatenate([states, disturbances, unknown], axis=2)
-        return cls(rows, parts, ({},) * len(rows))
+        rows = np.full(
+            states.shape[:2],
+            np.nan,
+            [
+                ("state", np.float64, (4,)),
+                ("state_bound", np.float64, (0,)),
+                ("disturbance", np.float64, disturbances.shape[2:]),
+                ("disturbance_bound", np.float64, (0,)),
+                ("basis", np.float64),
+                ("claimed", np.float64),
+            ],
+        )
+        rows["state"], rows["disturbance"] = states, disturbances
+        return cls(rows, ({},) * len(rows))
 
     def field(self, name: str) -> Array:
-        """Return a field of `Estimate` that is numbers, shape (runs, samples, numbers)."""
-        return self.rows[..., self.parts[name]]
+        """Return a field of `Estimate`, shape (runs, samples) or (runs, samples, numbers)."""
+        return np.asarray(self.rows[name])
 
     def _of(self, name: str, width: int) -> Array:
         found = self.field(name)
@@ -107,12 +111,6 @@ class Observed(NamedTuple):
     def parameter_bounds(self) -> Array:
         """1σ of each, shape (runs, samples, k)."""
         return self.field("parameter_bound")
-
-    @property
-    def conditions(self) -> dict[str, Array]:
-        """What the numbers are worth, by the names of `state.CONDITIONS`, (runs, samples) each."""
-        first = self.rows.shape[-1] - EXTRA - len(CONDITIONS)
-        return {name: self.rows[..., place] for place, name in enumerate(CONDITIONS, first)}
 
 
 class Scores(NamedTuple):
@@ -183,7 +181,7 @@ class BatchObserver:
             rows.append(tracker.follow(stamps, y, u))
             events.append(tracker.events)
         together = rows[0][np.newaxis] if len(rows) == 1 else np.stack(rows)
-        return Observed(together, tracker.estimator.row_parts, tuple(events))
+        return Observed(together, tuple(events))
 
 
 def stamps_of(times: Array) -> NDArray[np.int64]:
@@ -221,8 +219,8 @@ def score(
     kept = np.array(
         [options.start_settle_time, options.jump_settle_time, SAME_JUMP, SIGMAS], np.float64
     )
-    width = observed.rows.shape[-1]
-    places = np.array([_places(each, observed.parts, sides) for each in quantities], np.int64)
+    row_type = observed.rows.dtype
+    places = np.array([_places(each, row_type, sides) for each in quantities], np.int64)
     jumps = np.array([options.jump_threshold if q.jump is None else q.jump for q in quantities])
     count = len(runs.states)
     settled = np.zeros((count, len(quantities), 5))
@@ -234,13 +232,13 @@ def score(
         places,
         jumps,
         _CLAIM_OF,
-        width - EXTRA - len(CONDITIONS) + CONDITIONS.index("basis"),
+        row_type.fields["basis"][1] // 8,
         np.ascontiguousarray(runs.times),
         np.ascontiguousarray(runs.physical),
         np.ascontiguousarray(runs.disturbances),
         np.ascontiguousarray(runs.torque_disturbances),
         _last_measured(runs.measurements),
-        np.ascontiguousarray(observed.rows),
+        np.ascontiguousarray(observed.rows).view(np.float64),
         settled,
         claims,
         claimed,
@@ -270,15 +268,13 @@ def _last_measured(measurements: Array) -> NDArray[np.intp]:
     return np.asarray(np.where(there, samples, 0).max(axis=1))
 
 
-def _places(
-    quantity: Quantity, parts: Mapping[str, slice], sides: tuple[str, ...]
-) -> tuple[int, int, int, int]:
+def _places(quantity: Quantity, row_type: Any, sides: tuple[str, ...]) -> tuple[int, int, int, int]:
     """Return kind and column of a quantity's truth, its place and its bound's in a row, or -1."""
     field = _FIELDS.get(quantity.kind, quantity.kind)
     here = []
     for name in (field, f"{field}_bound"):
-        part = parts[name]
-        here.append(part.start + quantity.column if part.stop > part.start else -1)
+        numbers, begin, *_ = row_type.fields[name]
+        here.append(begin // 8 + quantity.column if numbers.shape[0] else -1)
     column = quantity.column
     if quantity.kind == "torque":
         column = SIDES.index(sides[column])

@@ -145,11 +145,10 @@ def _of_scores(
 def _of_estimates(observed: Observed, run: int, campaign: Campaign) -> dict[str, Any]:
     """Return what was learnt at the end of a run, and what was counted."""
     names = campaign.settings.learnt(campaign.file.design)
-    last = observed.rows[run, -1]
     row: dict[str, Any] = {}
     for field, what in (("parameters", "learnt"), ("parameter_bound", "learnt_bound")):
-        part = observed.parts[field]
-        row |= {f"{what}_{name}": float(last[part][place]) for place, name in enumerate(names)}
+        last = observed.field(field)[run, -1] if names else ()
+        row |= {f"{what}_{name}": float(each) for name, each in zip(names, last, strict=True)}
     if names:
-        row["learnt_valid"] = bool(observed.conditions["parameters_valid"][run, -1] == 1.0)
+        row["learnt_valid"] = bool(observed.field("parameters_valid")[run, -1] == 1.0)
     return row | {name.replace(" ", "_"): n for name, n in observed.events[run].items()}

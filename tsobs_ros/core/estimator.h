@@ -93,10 +93,7 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
 #define BANK_CONSTANT_NAME(name, value, what) name,
 enum { BANK_CONSTANTS(BANK_CONSTANT_NAME) CONSTANTS };
 
-enum {
-    CONDITIONS = 7, /* numbers of a row that say what the others are worth */
-    TONES = 13      /* frequencies at which innovations are listened to */
-};
+enum { TONES = 13 }; /* frequencies at which innovations are listened to */
 
 /* Sizes of an estimator, the first numbers of its model record, as 64-bit integers. */
 #define ESTIMATOR_SIZES 10
@@ -262,8 +259,13 @@ LAYOUT_DECLARE(state, STATE_FIELDS, estimator_sizes)
     F(MATRIX, root, s->k, s->k)
 LAYOUT_DECLARE(correction, CORRECTION_FIELDS, estimator_sizes)
 
-/* An estimate in physical units. finite: whether all numbers are. */
-#define READOUT_FIELDS(F, s)                     \
+/* An estimate in physical units, a row of doubles. Bounds are 1 sigma.
+ *
+ * basis: BASIS_...; claimed: whether the bounds are claimed to hold; learning: LEARNING_...;
+ * hypothesis: what the arm and its sensors are taken for, AS_DESIGNED, FORCE and so on; in_domain:
+ * whether the state is in the certificate's domain, 1 where no domain is known; age: time since the
+ * newest sample before it [s]. */
+#define ESTIMATE_FIELDS(F, s)                    \
     F(VECTOR, state, s->plant, 1)                \
     F(VECTOR, state_bound, s->plant, 1)          \
     F(VECTOR, disturbance, s->p, 1)              \
@@ -273,15 +275,16 @@ LAYOUT_DECLARE(correction, CORRECTION_FIELDS, estimator_sizes)
     F(VECTOR, parameter_bound, s->k, 1)          \
     F(VECTOR, torque_disturbance, s->t, 1)       \
     F(VECTOR, torque_disturbance_bound, s->t, 1) \
-    F(COUNT, basis, 1, 1)                        \
-    F(COUNT, claimed, 1, 1)                      \
-    F(COUNT, parameters_valid, 1, 1)             \
+    F(NUMBER, basis, 1, 1)                       \
+    F(NUMBER, claimed, 1, 1)                     \
+    F(NUMBER, parameters_valid, 1, 1)            \
     F(NUMBER, noise_scale, 1, 1)                 \
     F(NUMBER, coloured_power, 1, 1)              \
-    F(COUNT, learning, 1, 1)                     \
-    F(COUNT, hypothesis, 1, 1)                   \
-    F(COUNT, finite, 1, 1)
-LAYOUT_DECLARE(readout, READOUT_FIELDS, estimator_sizes)
+    F(NUMBER, learning, 1, 1)                    \
+    F(NUMBER, hypothesis, 1, 1)                  \
+    F(NUMBER, in_domain, 1, 1)                   \
+    F(NUMBER, age, 1, 1)
+LAYOUT_DECLARE(estimate, ESTIMATE_FIELDS, estimator_sizes)
 
 /* Scratch of a prediction or a readout. */
 #define WORK_FIELDS(F, s)                            \
@@ -409,15 +412,7 @@ void correct(const model *m, state *at, const double *y, correction *effect);
 void predict(
     const model *m, state *at, const double *u, double duration, int between_samples, work *scratch);
 
-/* Write the estimate and its bounds in physical units. */
-void read_out(const model *m, const state *at, readout *said, work *scratch);
-
-/* Write the numbers of a readout one after the other; return how many, `row_width`. */
-long write_row(const model *m, const readout *said, double *row);
-
-static inline long row_width(const estimator_sizes *s)
-{
-    return (long)(2 * s->plant + 3 * s->p + 2 * s->k + 2 * s->t + CONDITIONS);
-}
+/* Write the estimate and its bounds; return whether all are finite. */
+int read_out(const model *m, const state *at, const estimate *said, work *scratch);
 
 #endif

@@ -69,7 +69,7 @@ static int64_t layout_of_records(void)
     ADD_RECORD(STATE_FIELDS, &s);
     ADD_RECORD(MODEL_FIELDS, &s);
     ADD_RECORD(HISTORY_FIELDS, NULL);
-    ADD_RECORD(ESTIMATE_ROW_FIELDS, &s);
+    ADD_RECORD(ESTIMATE_FIELDS, &s);
     BANK_CONSTANTS(ADD_NAME)
     return (int64_t)(sum >> 1);
 }
@@ -162,7 +162,7 @@ const char *exported_open(exported *view, const void *words, size_t bytes)
     view->ring_length = (size_t)sizes.slots * state_size(&m.s);
     view->scratch_length = rewind_scratch_size(&sizes);
     view->room = view->memory_length + view->ring_length + view->scratch_length;
-    view->row = estimate_row_size(&m.s);
+    view->row = estimate_size(&m.s);
     return NULL;
 }
 

@@ -97,7 +97,6 @@ const char *tracker_bind(tracker *view, const tracker_memory *given)
     }
     rewind_scratch_bind(&view->later, &sizes, given->scratch);
     correction_bind(&view->effect, &view->m.s, view->later.effect);
-    readout_bind(&view->said, &view->m.s, view->later.said);
     work_bind(&view->scratch, &view->m.s, view->later.work);
     return NULL;
 }
@@ -375,7 +374,7 @@ int estimate_at(tracker *t, int64_t stamp, double *row)
     int64_t place = *t->h.length - 1, elapsed;
     double remaining;
     int is_inside;
-    long end;
+    estimate said;
     state shown;
     if (*t->h.length > 0 && stamp < newest_stamp(t)) {
         place = count_before(t, stamp + 1) - 1;
@@ -394,25 +393,24 @@ int estimate_at(tracker *t, int64_t stamp, double *row)
     } else {
         shown = state_at(t, place);
     }
-    read_out(&t->m, &shown, &t->said, &t->scratch);
-    if (*t->said.finite == 0) {
+    estimate_bind(&said, &t->m.s, row);
+    if (!read_out(&t->m, &shown, &said, &t->scratch)) {
         *t->h.bad_outputs += 1;
         return 0;
     }
-    is_inside = fabs(t->said.state[0]) <= *t->h.x_max;
-    if (!is_inside && *t->said.basis <= BASIS_LEARNT) {
-        *t->said.basis = BASIS_OUTSIDE;
-        *t->said.claimed = 0;
+    is_inside = fabs(said.state[0]) <= *t->h.x_max;
+    if (!is_inside && *said.basis <= BASIS_LEARNT) {
+        *said.basis = BASIS_OUTSIDE;
+        *said.claimed = 0.0;
     }
-    end = write_row(&t->m, &t->said, row);
-    row[end] = is_inside;
-    row[end + 1] = remaining;
+    *said.in_domain = is_inside;
+    *said.age = remaining;
     return 1;
 }
 
 void follow(tracker *t, const measurements *given, double *rows)
 {
-    const int64_t p = t->m.s.p, m = t->m.s.m, width = row_width(&t->m.s) + EXTRA;
+    const int64_t p = t->m.s.p, m = t->m.s.m, width = (int64_t)estimate_size(&t->m.s);
     int64_t i;
     for (i = 0; i < given->count; i++) {
         const double *y = given->y + i * p, *u = given->u + i * m;

@@ -13,10 +13,7 @@
 #include "estimator.h"
 #include "outcomes.h"
 
-enum {
-    SPARE = 2, /* states at the end of a ring: one in a gap, and one that is read */
-    EXTRA = 2  /* numbers of `estimate_at` behind those of `write_row` */
-};
+enum { SPARE = 2 }; /* states at the end of a ring: one in a gap, and one that is read */
 
 /* What a history needs besides its ring.
  *
@@ -53,7 +50,6 @@ typedef struct {
 } rewind_sizes;
 #define REWIND_FIELDS(F, z)                         \
     F(VECTOR, effect, correction_size(z->s), 1)     \
-    F(VECTOR, said, readout_size(z->s), 1)          \
     F(VECTOR, work, work_size(z->s), 1)             \
     F(COUNTS, stamps, z->slots, 1)                  \
     F(MATRIX, y, z->slots, z->s->p)                 \
@@ -69,7 +65,6 @@ typedef struct {
     size_t state_size; /* numbers of each */
     rewind_scratch later;
     correction effect;
-    readout said;
     work scratch;
 } tracker;
 
@@ -109,8 +104,7 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
 /* Write the estimate at a stamp [ns]; return whether there is one.
  *
  * There is none before the first measurement, too long after the last, or if it is not finite,
- * which is counted. The row is that of `write_row`, and behind it whether the state is in the
- * certificate's domain, and the time since the newest measurement before it [s]. */
+ * which is counted. The row is that of `estimate_bind`. */
 int estimate_at(tracker *t, int64_t stamp, double *row);
 
 /* Use measurements in ascending order of stamps, later than any before, those that are finite, and

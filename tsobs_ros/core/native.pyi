@@ -290,7 +290,7 @@ def estimator_predict(
 ) -> None:
     """Predict each state over a time [s] with its inputs (m), in place."""
 
-def estimator_read(model: Any, states: Any, readouts: Any, work: Any, /) -> None:
+def estimator_read(model: Any, states: Any, rows: Any, work: Any, /) -> None:
     """Write the estimate of each state."""
 
 def estimator_observe(
@@ -301,7 +301,6 @@ def estimator_observe(
     duration: float,
     samples: int,
     correction: Any,
-    readout: Any,
     work: Any,
     rows: Any,
     /,

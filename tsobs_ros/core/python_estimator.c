@@ -41,7 +41,7 @@ static PyObject *layouts_of(const estimator_sizes *s)
     ADD_LAYOUT("hypothesis", HYPOTHESIS_FIELDS);
     ADD_LAYOUT("state", STATE_FIELDS);
     ADD_LAYOUT("correction", CORRECTION_FIELDS);
-    ADD_LAYOUT("readout", READOUT_FIELDS);
+    ADD_LAYOUT("estimate", ESTIMATE_FIELDS);
     ADD_LAYOUT("work", WORK_FIELDS);
     ADD_LAYOUT("model", MODEL_FIELDS);
     return layouts;
@@ -215,8 +215,8 @@ static PyObject *estimator_read(PyObject *module, PyObject *const *given, Py_ssi
     }
     failed = begin_batch(&of, name, taken) < 0;
     if (!failed) {
-        size = readout_size(&of.m.s);
-        failed = require_length(name, "readouts", &taken[2], of.count * size) < 0
+        size = estimate_size(&of.m.s);
+        failed = require_length(name, "rows", &taken[2], of.count * size) < 0
                  || require_length(name, "work", &taken[3], work_size(&of.m.s)) < 0;
     }
     if (!failed) {
@@ -224,8 +224,8 @@ static PyObject *estimator_read(PyObject *module, PyObject *const *given, Py_ssi
     }
     for (i = 0; !failed && i < of.count; i++) {
         const state at = state_at(&of, taken[1].is.doubles, i);
-        readout said;
-        readout_bind(&said, &of.m.s, taken[2].is.doubles + i * size);
+        estimate said;
+        estimate_bind(&said, &of.m.s, taken[2].is.doubles + i * size);
         read_out(&of.m, &at, &said, &scratch);
     }
     release_arguments(format, taken);
@@ -235,9 +235,10 @@ static PyObject *estimator_read(PyObject *module, PyObject *const *given, Py_ssi
 /* Step a state through its samples and write a row after each. */
 static void observe_one(
     const model *m, state *at, const double *y, const double *u, double duration, long samples,
-    correction *effect, readout *said, work *scratch, double *rows)
+    correction *effect, work *scratch, double *row)
 {
-    const long p = (long)m->s.p, inputs = (long)m->s.m, wide = row_width(&m->s);
+    const long p = (long)m->s.p, inputs = (long)m->s.m;
+    estimate said;
     long sample;
     for (sample = 0; sample < samples; sample++) {
         if (sample > 0) {
@@ -247,18 +248,17 @@ static void observe_one(
         if (has_finite(y + sample * p, p)) {
             correct(m, at, y + sample * p, effect);
         }
-        read_out(m, at, said, scratch);
-        write_row(m, said, rows + sample * wide);
+        row = estimate_bind(&said, &m->s, row);
+        read_out(m, at, &said, scratch);
     }
 }
 
 static PyObject *estimator_observe(PyObject *module, PyObject *const *given, Py_ssize_t count)
 {
-    static const char name[] = "estimator_observe", format[] = "dDddfiDDDD";
-    argument taken[10];
+    static const char name[] = "estimator_observe", format[] = "dDddfiDDD";
+    argument taken[9];
     batch of;
     correction effect;
-    readout said;
     work scratch;
     size_t i, p, m, wide, samples = 0;
     int failed;
@@ -278,26 +278,24 @@ static PyObject *estimator_observe(PyObject *module, PyObject *const *given, Py_
     if (!failed) {
         p = (size_t)of.m.s.p;
         m = (size_t)of.m.s.m;
-        wide = (size_t)row_width(&of.m.s);
+        wide = estimate_size(&of.m.s);
         samples = (size_t)taken[5].is.integer;
         failed = require_length(name, "y", &taken[2], of.count * samples * p) < 0
                  || require_length(name, "u", &taken[3], of.count * samples * m) < 0
                  || require_length(name, "correction", &taken[6], correction_size(&of.m.s)) < 0
-                 || require_length(name, "readout", &taken[7], readout_size(&of.m.s)) < 0
-                 || require_length(name, "work", &taken[8], work_size(&of.m.s)) < 0
-                 || require_length(name, "rows", &taken[9], of.count * samples * wide) < 0;
+                 || require_length(name, "work", &taken[7], work_size(&of.m.s)) < 0
+                 || require_length(name, "rows", &taken[8], of.count * samples * wide) < 0;
     }
     if (!failed) {
         correction_bind(&effect, &of.m.s, taken[6].is.doubles);
-        readout_bind(&said, &of.m.s, taken[7].is.doubles);
-        work_bind(&scratch, &of.m.s, taken[8].is.doubles);
+        work_bind(&scratch, &of.m.s, taken[7].is.doubles);
         Py_BEGIN_ALLOW_THREADS
         for (i = 0; i < of.count; i++) {
             state at = state_at(&of, taken[1].is.doubles, i);
             observe_one(
                 &of.m, &at, taken[2].is.doubles + i * samples * p,
                 taken[3].is.doubles + i * samples * m, taken[4].is.number, (long)samples, &effect,
-                &said, &scratch, taken[9].is.doubles + i * samples * wide);
+                &scratch, taken[8].is.doubles + i * samples * wide);
         }
         Py_END_ALLOW_THREADS
     }

@@ -59,7 +59,7 @@ static int take_outcomes(
 
 static size_t numbers_in_row(const tracker *t)
 {
-    return (size_t)row_width(&t->m.s) + EXTRA;
+    return estimate_size(&t->m.s);
 }
 
 /* --- histories --- */

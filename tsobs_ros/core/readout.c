@@ -115,7 +115,7 @@ static void weigh_all(const model *m, const state *at, double *weights)
 }
 
 /* Return what a state's bounds rest on, and whether they are claimed to hold. */
-static int64_t basis_of(const model *m, const hypothesis *best, int64_t *claimed)
+static int64_t basis_of(const model *m, const hypothesis *best, double *claimed)
 {
     const int calm = *best->nis <= m->constants[VOID] && slowness_of(m, best) <= 4.0 * m->constants[VOID];
     *claimed = *m->supervised == 0 || calm;
@@ -155,7 +155,7 @@ static void disturbance_of(
 
 /* Add what one hypothesis says, times its weight. */
 static double mix_states(
-    const model *m, const state *at, const double *weights, readout *said, work *scratch)
+    const model *m, const state *at, const double *weights, const estimate *said, work *scratch)
 {
     const long width = (long)m->s.width;
     double total = 0.0;
@@ -179,7 +179,7 @@ static double mix_states(
 }
 
 static double mix_disturbances(
-    const model *m, const state *at, const double *weights, readout *said, work *scratch)
+    const model *m, const state *at, const double *weights, const estimate *said, work *scratch)
 {
     const long p = (long)m->s.p, n = (long)m->s.n, width = (long)m->s.width;
     double total = 0.0;
@@ -223,7 +223,7 @@ static double mix_disturbances(
     return total;
 }
 
-void read_out(const model *m, const state *at, readout *said, work *scratch)
+int read_out(const model *m, const state *at, const estimate *said, work *scratch)
 {
     const long k = (long)m->s.k;
     const hypothesis best = hypothesis_of(m, at, (long)*at->best);
@@ -248,44 +248,16 @@ void read_out(const model *m, const state *at, readout *said, work *scratch)
         said->parameter_bound[a] = mixed_bound(&mixed);
         total += mixed.mean + said->parameter_bound[a];
     }
-    *said->basis = basis_of(m, &best, said->claimed);
+    *said->basis = (double)basis_of(m, &best, said->claimed);
     *said->noise_scale = scale_of(m, at);
     *said->coloured_power = *best.colour;
     *said->learning = k == 0                                       ? LEARNING_NONE
                       : *best.learning >= *m->adaptation_start ? LEARNING_ACTIVE
                                                                    : LEARNING_STARTING;
-    *said->hypothesis = *best.kind;
+    *said->hypothesis = (double)*best.kind;
     *said->parameters_valid
         = k > 0 && *best.kind == AS_DESIGNED && is_excited(m, &best, scratch->small);
-    *said->finite = isfinite(total) != 0;
-}
-
-/* Write numbers at a place, and return the place behind them. */
-static double *put(double *row, const double *numbers, int64_t count)
-{
-    memcpy(row, numbers, (size_t)count * sizeof(double));
-    return row + count;
-}
-
-long write_row(const model *m, const readout *said, double *row)
-{
-    const int64_t plant = m->s.plant, p = m->s.p, k = m->s.k, t = m->s.t;
-    double *at = row;
-    at = put(at, said->state, plant);
-    at = put(at, said->state_bound, plant);
-    at = put(at, said->disturbance, p);
-    at = put(at, said->disturbance_rate, p);
-    at = put(at, said->disturbance_bound, p);
-    at = put(at, said->parameters, k);
-    at = put(at, said->parameter_bound, k);
-    at = put(at, said->torque_disturbance, t);
-    at = put(at, said->torque_disturbance_bound, t);
-    *at++ = (double)*said->basis;
-    *at++ = (double)*said->claimed;
-    *at++ = (double)*said->parameters_valid;
-    *at++ = *said->noise_scale;
-    *at++ = *said->coloured_power;
-    *at++ = (double)*said->learning;
-    *at++ = (double)*said->hypothesis;
-    return (long)(at - row);
+    *said->in_domain = 1.0;
+    *said->age = 0.0;
+    return isfinite(total) != 0;
 }

@@ -60,7 +60,7 @@ int64_t make_ticks(
     tracker *t, const replay_samples *samples, const replay_ticks *ticks,
     const replay_results *results, int64_t begin, int64_t end, int64_t stale_after)
 {
-    const int64_t width = row_width(&t->m.s) + EXTRA;
+    const int64_t width = (int64_t)estimate_size(&t->m.s);
     int64_t tick;
     for (tick = begin; tick < end; tick++) {
         const int64_t known = ticks->min_known[tick], stamp = ticks->stamps[tick];

@@ -74,31 +74,6 @@ void exported_start(const exported *from, double *room, tracker *view);
  * text have to be there already. */
 void exported_seal(void *words, size_t bytes);
 
-/* The numbers of an estimate, for `estimate_row_bind`: those of `write_row`, whether the state is in
- * the certificate's domain, and the time since the newest sample before it [s]. Bounds are 1 sigma.
- * basis: BASIS_...; claimed: whether the bounds are claimed to hold; learning: LEARNING_...;
- * hypothesis: what the arm and its sensors are taken for, AS_DESIGNED, FORCE and so on. */
-#define ESTIMATE_ROW_FIELDS(F, s)                \
-    F(VECTOR, state, s->plant, 1)                \
-    F(VECTOR, state_bound, s->plant, 1)          \
-    F(VECTOR, disturbance, s->p, 1)              \
-    F(VECTOR, disturbance_rate, s->p, 1)         \
-    F(VECTOR, disturbance_bound, s->p, 1)        \
-    F(VECTOR, parameters, s->k, 1)               \
-    F(VECTOR, parameter_bound, s->k, 1)          \
-    F(VECTOR, torque_disturbance, s->t, 1)       \
-    F(VECTOR, torque_disturbance_bound, s->t, 1) \
-    F(NUMBER, basis, 1, 1)                       \
-    F(NUMBER, claimed, 1, 1)                     \
-    F(NUMBER, parameters_valid, 1, 1)            \
-    F(NUMBER, noise_scale, 1, 1)                 \
-    F(NUMBER, coloured_power, 1, 1)              \
-    F(NUMBER, learning, 1, 1)                    \
-    F(NUMBER, hypothesis, 1, 1)                  \
-    F(NUMBER, in_domain, 1, 1)                   \
-    F(NUMBER, age, 1, 1)
-LAYOUT_DECLARE(estimate_row, ESTIMATE_ROW_FIELDS, estimator_sizes)
-
 #ifdef __cplusplus
 }
 #endif

@@ -18,8 +18,7 @@ from tsobs_ros.estimation.options import (
     SupervisionOptions,
     TorqueLimits,
 )
-from tsobs_ros.estimation.records import Basis
-from tsobs_ros.estimation.state import CONDITIONS, Shape
+from tsobs_ros.estimation.state import Shape
 from tsobs_ros.model.flow import ArmFlow
 from tsobs_ros.model.prediction import Flow, Record, as_rows, fill_matrix, flow_record
 from tsobs_ros.model.uncertainty import Uncertainty
@@ -32,6 +31,10 @@ PERIOD_TOLERANCE = 0.1
 
 For jitter, whose mean is the period. A sensor that is steadily 10 % slow makes the bound 2 % small.
 """
+
+
+Rows = Any
+"""Rows of estimates, a record array of `Estimator.row_type`."""
 
 
 class State:
@@ -117,51 +120,6 @@ class Correction(NamedTuple):
     weight: Array
 
 
-class Readout(NamedTuple):
-    """An estimator's state in physical units; a batch has its axis in front.
-
-    Attributes:
-        state: The plant's states, of an arm [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (..., 4).
-        state_bound: 1σ bound of each, shape (..., 4); of length zero if there is none.
-        disturbance: Output disturbance [rad], shape (..., p); of length zero if there is none.
-        disturbance_rate: Its modelled rate [rad/s], likewise.
-        disturbance_bound: 1σ bound of the disturbance [rad], likewise.
-        parameters: Learnt changes θ of the model's parameters, shape (..., k).
-        parameter_bound: 1σ of each, shape (..., k).
-        torque_disturbance: Unknown torques that the design has a model of [N m], shape (..., t).
-        torque_disturbance_bound: 1σ bound of each [N m], likewise.
-        basis: What the bounds rest on, a code of `Basis`.
-        claimed: Whether the bounds are claimed to hold.
-        parameters_valid: Whether the motion was rich enough for them to count.
-        noise_scale: Size of the sensor's noise relative to the design's, at least 1.
-        coloured_power: Mean product of neighbouring innovations relative to their expected power.
-        learning: What the learning does, a code of `Learning`.
-        hypothesis: What the arm and its sensor are taken for, a code of `Hypothesis`.
-    """
-
-    state: Array
-    state_bound: Array
-    disturbance: Array
-    disturbance_rate: Array
-    disturbance_bound: Array
-    parameters: Array
-    parameter_bound: Array
-    torque_disturbance: Array
-    torque_disturbance_bound: Array
-    basis: Any
-    claimed: Any
-    parameters_valid: Any
-    noise_scale: Any
-    coloured_power: Any
-    learning: Any
-    hypothesis: Any
-
-    @property
-    def certified(self) -> Any:
-        """Whether the bounds are the certificate's."""
-        return self.basis == Basis.CERTIFIED
-
-
 class Estimator:
     """The estimator of one system, or of a batch of equal ones.
 
@@ -179,8 +137,8 @@ class Estimator:
         model: Model record, shape (1,).
         bounded: Whether estimates have bounds.
         disturbed: Whether a disturbance is estimated.
-        row_parts: Places of a readout's numbers in a row, as the core writes it.
-        row_width: Length of a row.
+        row_type: Type of the estimates' rows: the fields of `Estimate` but the stamp, as numbers;
+            of length 0 if the estimator has nothing for one.
     """
 
     def __init__(self, shape: Shape, model: Record, *, bounded: bool, disturbed: bool) -> None:
@@ -188,7 +146,7 @@ class Estimator:
         self.bounded, self.disturbed = bounded, disturbed
         self._types = records.types_of_model(model)
         self._work = self.new_work()
-        self.row_parts, self.row_width = self._rows_layout()
+        self.row_type: Any = np.dtype((np.record, self._row_type()))
 
     @property
     def period(self) -> float:
@@ -216,9 +174,13 @@ class Estimator:
         """Return records for the effects of samples."""
         return np.zeros(count, self._types.correction)
 
-    def new_readouts(self, count: int = 1) -> Record:
-        """Return records for estimates."""
-        return np.zeros(count, self._types.readout)
+    def new_rows(self, *shape: int) -> Array:
+        """Return NaN for estimates, whose numbers are the last axis; see `as_rows`."""
+        return np.full((*shape, self.row_type.itemsize // 8), np.nan)
+
+    def as_rows(self, numbers: Array) -> Rows:
+        """Return numbers of `new_rows` as rows of `row_type`, the same memory."""
+        return numbers.view(self.row_type)[..., 0].view(np.recarray)
 
     def new_states(self, count: int) -> Record:
         """Return records of states before any measurement."""
@@ -288,20 +250,13 @@ class Estimator:
         )
         return after
 
-    def readout(self, state: State) -> Readout:
-        """Return the estimate and its bounds in physical units."""
-        readouts = self.new_readouts(len(state.records))
+    def readout(self, state: State) -> Any:
+        """Return the estimate and its bounds in physical units, of a batch as rows."""
+        numbers = self.new_rows(len(state.records))
         native.estimator_read(
-            _numbers(self.model), _numbers(state.records), _numbers(readouts), _numbers(self._work)
+            _numbers(self.model), _numbers(state.records), numbers, _numbers(self._work)
         )
-        values = {
-            name: _shaped(readouts, name, self.shape, state.batch) for name in Readout._fields
-        }
-        for name in self.lacking:
-            values[name] = np.zeros((*state.batch, 0))
-        for name, kind in zip(CONDITIONS, (int, bool, bool, float, float, int, int), strict=True):
-            values[name] = values[name].astype(kind) if state.batch else kind(values[name])
-        return Readout(**values)
+        return self.as_rows(numbers).reshape(state.batch)[()]
 
     def observe(
         self,
@@ -309,7 +264,7 @@ class Estimator:
         u: ArrayLike,
         period: float | None = None,
         start: State | None = None,
-    ) -> Readout:
+    ) -> Rows:
         """Return the estimates after each sample of some runs, without holding Python's lock.
 
         Args:
@@ -327,7 +282,7 @@ class Estimator:
                 f"y: expected shape (runs, samples, {self.shape.p}), got {samples.shape}"
             )
         inputs = as_rows("u", u, samples.shape[:1], (samples.shape[1], self.shape.m))
-        rows = np.empty((*samples.shape[:2], self.row_width))
+        rows = self.new_rows(*samples.shape[:2])
         length = self.period if period is None else non_negative("period", period)
         states = self.initial((len(samples),)) if start is None else start.copy()
         if states.batch != (len(samples),):
@@ -340,43 +295,27 @@ class Estimator:
             length,
             samples.shape[1],
             _numbers(self.new_corrections()),
-            _numbers(self.new_readouts()),
             _numbers(self.new_work()),
             rows,
         )
-        return Readout(
-            **{name: rows[..., part] for name, part in self.row_parts.items()},
-            **{name: rows[..., at - len(CONDITIONS)] for at, name in enumerate(CONDITIONS)},
-        )._replace(
-            claimed=rows[..., 1 - len(CONDITIONS)] != 0.0,
-            parameters_valid=rows[..., 2 - len(CONDITIONS)] != 0.0,
+        return self.as_rows(rows)
+
+    def _row_type(self) -> Any:
+        full: Any = self._types.estimate
+        nothing = (np.float64, (0,))
+        fields = {name: full.fields[name] for name in full.names}
+        return np.dtype(
+            {
+                "names": list(fields),
+                "formats": [nothing if n in self.lacking else of for n, (of, _) in fields.items()],
+                "offsets": [place for _, place in fields.values()],
+                "itemsize": full.itemsize,
+            }
         )
-
-    def _rows_layout(self) -> tuple[dict[str, slice], int]:
-        """Return where the numbers of a readout are in a row of `steps.write_row`, and its width.
-
-        What the estimator has nothing for is empty.
-        """
-        shape, at = self.shape, 0
-        parts: dict[str, slice] = {}
-        for name, size in (
-            ("state", shape.plant),
-            ("state_bound", shape.plant),
-            ("disturbance", shape.p),
-            ("disturbance_rate", shape.p),
-            ("disturbance_bound", shape.p),
-            ("parameters", shape.k),
-            ("parameter_bound", shape.k),
-            ("torque_disturbance", shape.t),
-            ("torque_disturbance_bound", shape.t),
-        ):
-            parts[name] = slice(at, at if name in self.lacking else at + size)
-            at += size
-        return parts, at + len(CONDITIONS)
 
     @property
     def lacking(self) -> tuple[str, ...]:
-        """The fields of a readout that this estimator has nothing for."""
+        """The fields of an estimate that this estimator has nothing for."""
         lacking: tuple[str, ...] = ()
         if not self.bounded:
             lacking = ("state_bound", "disturbance_bound", "disturbance_rate")

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events of an estimate: changes of what it is worth, once each, in words.
 
-They are a function of the conditions that an estimator reports ten times a second, so a node's log,
+They are a function of the health that an estimator reports ten times a second, so a node's log,
 an estimate over a recording and a report on it list the same ones.
 """
 
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from tsobs_ros.estimation.health import Debounce, Level, Phase, phase_of
@@ -26,64 +26,6 @@ again."""
 _LASTING = 1.0
 _BURST, _INTERVAL = 5.0, 10.0
 _SHORTEST_SILENCE = 0.2
-
-
-class Condition(NamedTuple):
-    """What an estimate is worth at one instant.
-
-    Attributes:
-        stamp: The instant [ns].
-        noise_scale: Size of the sensor's noise relative to the design's, at least 1.
-        coloured_power: Mean product of neighbouring innovations relative to their expected power.
-        basis: What the bounds rest on.
-        claimed: Whether the bounds are claimed to hold.
-        learning: What the learning does.
-        hypothesis: What the arm and its sensor are taken for.
-        age: Time since the newest measurement [s].
-    """
-
-    stamp: int
-    noise_scale: float
-    coloured_power: float
-    basis: Basis
-    claimed: bool
-    learning: Learning
-    hypothesis: Hypothesis
-    age: float
-
-    @property
-    def numbers(self) -> list[float]:
-        """All but the stamp, in their order."""
-        return list(map(float, self[1:]))
-
-    @classmethod
-    def of_numbers(cls, stamp: int, numbers: Sequence[float]) -> "Condition":
-        """Return the condition at a stamp [ns] that has these `numbers`."""
-        scale, coloured, basis, claimed, learning, hypothesis, age = numbers
-        return cls(
-            stamp,
-            scale,
-            coloured,
-            Basis(int(basis)),
-            claimed != 0.0,
-            Learning(int(learning)),
-            Hypothesis(int(hypothesis)),
-            age,
-        )
-
-    @classmethod
-    def of(cls, estimate: Estimate) -> "Condition":
-        """Return the condition of an estimate."""
-        return cls(
-            estimate.stamp,
-            estimate.noise_scale,
-            estimate.coloured_power,
-            estimate.basis,
-            estimate.claimed,
-            estimate.learning,
-            estimate.hypothesis,
-            estimate.age,
-        )
 
 
 class EventKind(enum.Enum):
@@ -211,7 +153,7 @@ class EventLog:
 
     Example:
         >>> log = EventLog("/joint_measurements", coast_after=0.1, stale_after=5.0)
-        >>> good = Condition(10**9, 1.0, 0.0, Basis.STARTING, True, Learning(0), Hypothesis(0), 0.0)
+        >>> good = Estimate(stamp=10**9)
         >>> [event.text for event in log.update(good)]
         ['TRACKING: measurements arrive on /joint_measurements']
         >>> silent = good._replace(stamp=2 * 10**9, age=0.15)
@@ -240,32 +182,32 @@ class EventLog:
             EventKind.HYPOTHESIS: self._hypothesis,
         }
 
-    def update(self, condition: Condition) -> list[Event]:
-        """Return what a condition gives occasion to report, in the order of its beginning.
+    def update(self, estimate: Estimate) -> list[Event]:
+        """Return what an estimate gives occasion to report, in the order of its beginning.
 
         Args:
-            condition: The next one, about a tenth of a second after the last.
+            estimate: The next one, about a tenth of a second after the last.
         """
-        stamp, scale = condition.stamp, condition.noise_scale
-        newest = stamp - round(condition.age * NANOSECONDS)
+        stamp, scale = estimate.stamp, estimate.noise_scale
+        newest = stamp - round(estimate.age * NANOSECONDS)
         events = []
         if self._newest is not None:
             missing = newest - self._newest
             if missing > max(self._stale_after, _SHORTEST_SILENCE) * NANOSECONDS:
                 events += self._go_stale(self._newest)
-        events += self._tell_phase(condition, newest)
+        events += self._tell_phase(estimate, newest)
         self._newest = newest
-        events += self._tell_bound(stamp, condition.basis)
+        events += self._tell_bound(stamp, estimate.basis)
         self._noisy = scale >= (NOT_NOISY if self._noisy else NOISY)
         if self._noisy:
             level, text = Level.WARN, f"the sensor's noise is {scale:.2g} times the design's"
         else:
             level, text = Level.OK, f"the sensor's noise is below {NOT_NOISY} times the design's"
         events += self._noise.update(stamp, self._noisy, level, text, _LASTING)
-        learning = condition.learning
+        learning = estimate.learning
         if learning is not Learning.NONE:
             events += self._learning.update(stamp, learning, *LEARNINGS[learning], _LASTING)
-        hypothesis = condition.hypothesis
+        hypothesis = estimate.hypothesis
         events += self._hypothesis.update(stamp, hypothesis, *HYPOTHESES[hypothesis], _LASTING)
         return sorted(events, key=lambda event: event.stamp)
 
@@ -311,14 +253,14 @@ class EventLog:
                 stamp, lasting = self._gap_since, 0.0
         return self._bound.update(stamp, basis, *BOUNDS[basis], lasting)
 
-    def _tell_phase(self, condition: Condition, newest: int) -> list[Event]:
-        age, source = condition.age, self._source
+    def _tell_phase(self, estimate: Estimate, newest: int) -> list[Event]:
+        age, source = estimate.age, self._source
         if phase_of(age, self.coast_after, self._stale_after) is Phase.TRACKING:
             text = f"TRACKING: measurements arrive on {source}"
             if self._newest is not None:
-                gap = (condition.stamp - self._newest) / NANOSECONDS
+                gap = (estimate.stamp - self._newest) / NANOSECONDS
                 text = f"TRACKING again: measurements arrive on {source}, after {gap:.2g} s without"
-            return self._state.update(condition.stamp, Phase.TRACKING, Level.OK, text)
+            return self._state.update(estimate.stamp, Phase.TRACKING, Level.OK, text)
         text = f"COASTING: no measurement on {source} for {age:.2g} s; estimates are predictions"
         at = newest + round(self.coast_after * NANOSECONDS)
         return self._state.update(at, Phase.COASTING, Level.WARN, text)

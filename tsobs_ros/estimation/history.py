@@ -38,9 +38,6 @@ CORRECTING = (USED, IMPLAUSIBLE_TORQUE)
 SPARE = 2
 """States at the end of a ring: one in a gap, and one that is read."""
 
-EXTRA = 2
-"""Numbers of an estimate's row behind those of the readout: in the domain or not, the age [s]."""
-
 _MEMORY = record_type(native.history_layout())
 
 
@@ -56,13 +53,11 @@ class History:
     Attributes:
         memory: All but the states, a record that core/history.h describes, shape (1,).
         ring: States; the place of the oldest one and their number are in the memory.
-        row_width: Numbers of an estimate.
     """
 
     def __init__(self, estimator: Estimator, max_steps: int) -> None:
         self.memory: Record = np.zeros(1, _MEMORY)
         self.ring: Record = np.zeros(max_steps + 2 + SPARE, estimator.new_states(0).dtype)
-        self.row_width = estimator.row_width + EXTRA
         model = estimator.model.view(np.float64)
         self._records = (
             native.Memory(model),
@@ -138,9 +133,7 @@ class History:
 
         Args:
             stamp: [ns].
-            row: The readout's numbers in the order of `Estimator.row_parts` and of
-                `state.CONDITIONS`; then whether the state is in the certificate's domain, and the
-                time since the newest measurement before it [s]; shape (`row_width`,).
+            row: Of `Estimator.new_rows`, written.
 
         Raises:
             ValueError: The row is too short.

@@ -3,7 +3,10 @@
 """Input and output of an estimator as plain records."""
 
 import enum
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 from tsobs_ros.checks import Array
 
@@ -118,8 +121,24 @@ class Innovation(NamedTuple):
     expected_std: Array
 
 
+HEALTH = (
+    "noise_scale",
+    "coloured_power",
+    "basis",
+    "claimed",
+    "learning",
+    "hypothesis",
+    "age",
+)
+"""Fields of an estimate that say what its numbers are worth, in the order of the health topic."""
+
+_EMPTY = np.zeros(0)
+
+
 class Estimate(NamedTuple):
-    """The estimate at one instant, in physical units.
+    """The estimate at one instant, in physical units; what there is none of has length 0.
+
+    Arrays of estimates are rows with the same fields as numbers, `Estimator.row_type`.
 
     Attributes:
         stamp: The instant it is for [ns].
@@ -135,38 +154,58 @@ class Estimate(NamedTuple):
         torque_disturbance_bound: 1σ bound of each [N m], shape (t,).
         basis: What the bounds rest on.
         claimed: Whether the bounds are claimed to hold.
-        parameters_valid: Whether the motion was rich enough for them to count.
+        parameters_valid: Whether the motion was rich enough for the parameters to count.
         noise_scale: Size of the sensor's noise relative to the design's, at least 1; of several
             outputs the largest.
         coloured_power: Mean product of neighbouring innovations relative to their expected power,
-            0 if the model is right; of several outputs the largest.
+            0 if the model is right.
         learning: What the learning does.
-        hypothesis: What the estimate takes the arm and its sensor for.
+        hypothesis: What the arm and its sensor are taken for.
         in_domain: Whether the estimated link angle lies in the certificate's domain.
         age: Time since the newest measurement behind it [s].
     """
 
     stamp: int
-    state: Array
-    state_bound: Array
-    disturbance: Array
-    disturbance_rate: Array
-    disturbance_bound: Array
-    parameters: Array
-    parameter_bound: Array
-    torque_disturbance: Array
-    torque_disturbance_bound: Array
-    basis: Basis
-    claimed: bool
-    parameters_valid: bool
-    noise_scale: float
-    coloured_power: float
-    learning: Learning
-    hypothesis: Hypothesis
-    in_domain: bool
-    age: float
+    state: Array = _EMPTY
+    state_bound: Array = _EMPTY
+    disturbance: Array = _EMPTY
+    disturbance_rate: Array = _EMPTY
+    disturbance_bound: Array = _EMPTY
+    parameters: Array = _EMPTY
+    parameter_bound: Array = _EMPTY
+    torque_disturbance: Array = _EMPTY
+    torque_disturbance_bound: Array = _EMPTY
+    basis: Basis = Basis.STARTING
+    claimed: bool = True
+    parameters_valid: bool = False
+    noise_scale: float = 1.0
+    coloured_power: float = 0.0
+    learning: Learning = Learning.NONE
+    hypothesis: Hypothesis = Hypothesis.AS_DESIGNED
+    in_domain: bool = True
+    age: float = 0.0
 
     @property
     def certified(self) -> bool:
         """Whether the bounds are the certificate's."""
         return self.basis is Basis.CERTIFIED
+
+    @property
+    def health(self) -> list[float]:
+        """What the numbers are worth, the fields of `HEALTH`."""
+        return [float(getattr(self, name)) for name in HEALTH]
+
+    @classmethod
+    def of_health(cls, stamp: int, numbers: Sequence[float]) -> "Estimate":
+        """Return what is known of an estimate from its `health` alone."""
+        scale, coloured, basis, claimed, learning, hypothesis, age = numbers
+        return cls(
+            stamp,
+            basis=Basis(int(basis)),
+            claimed=claimed != 0.0,
+            noise_scale=scale,
+            coloured_power=coloured,
+            learning=Learning(int(learning)),
+            hypothesis=Hypothesis(int(hypothesis)),
+            age=age,
+        )

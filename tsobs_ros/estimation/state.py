@@ -29,17 +29,6 @@ from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.matrices import congruent, inverse, joseph
 from tsobs_ros.model.prediction import FlowSizes, Record, fill_matrix, flow_type
 
-CONDITIONS = (
-    "basis",
-    "claimed",
-    "parameters_valid",
-    "noise_scale",
-    "coloured_power",
-    "learning",
-    "hypothesis",
-)
-"""Fields of a readout that say what its numbers are worth, in the order of a row."""
-
 
 class Shape(NamedTuple):
     """Sizes of an estimator.
@@ -107,7 +96,7 @@ class Types(NamedTuple):
 
     state: "np.dtype[Any]"
     correction: "np.dtype[Any]"
-    readout: "np.dtype[Any]"
+    estimate: "np.dtype[Any]"
     work: "np.dtype[Any]"
     model: "np.dtype[Any]"
 
@@ -120,7 +109,7 @@ def types_of(sizes: Sizes) -> Types:
     state = record_type(
         layouts["state"], {"sensors": plain["sensor"], "hypotheses": plain["hypothesis"]}
     )
-    others = {name: record_type(layouts[name]) for name in ("correction", "readout", "work")}
+    others = {name: record_type(layouts[name]) for name in ("correction", "estimate", "work")}
     return Types(state=state, **others, model=record_type(layouts["model"], {"initial": state}))
 
 

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from tsobs_ros.checks import Array, check_each, non_negative, positive
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import Estimator, State, copy_records
-from tsobs_ros.estimation.history import EXTRA, REASONS, History
+from tsobs_ros.estimation.estimator import Estimator, Rows, State, copy_records
+from tsobs_ros.estimation.history import REASONS, History
 from tsobs_ros.estimation.records import (
     Basis,
     Estimate,
@@ -28,7 +28,6 @@ from tsobs_ros.estimation.records import (
     Measurement,
     RejectReason,
 )
-from tsobs_ros.estimation.state import CONDITIONS
 from tsobs_ros.model.prediction import Record
 from tsobs_ros.series import NANOSECONDS
 
@@ -110,6 +109,12 @@ class Tracker:
             np.zeros(1, np.int64),
             np.zeros((1, shape.p), np.int64),
         )
+        fields = [estimator.row_type.fields[name] for name in estimator.row_type.names]
+        self._vectors = [
+            slice(place // 8, place // 8 + of.shape[0]) for of, place in fields if of.shape
+        ]
+        self._width = estimator.row_type.itemsize // 8
+        self._scalars = slice(len(self._vectors) - len(fields), None)
         self.reset()
 
     @property
@@ -262,7 +267,7 @@ class Tracker:
                 each[order] = each.copy()
         return outcomes
 
-    def follow(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Array:
+    def follow(self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike) -> Rows:
         """Use measurements one after the other, and return the estimates at their stamps.
 
         Other threads of Python can run meanwhile.
@@ -273,8 +278,7 @@ class Tracker:
             u: Inputs from each measurement until the next one, shape (N, m).
 
         Returns:
-            Rows, NaN where there is no estimate, shape (N, width); `Estimator.row_parts` has the
-            places of their numbers. The last two of a row are those of `History.estimate_at`.
+            Rows of `Estimator.row_type`, NaN where there is no estimate, shape (N,).
 
         Raises:
             ModelError: The arrays have other shapes, or the stamps do not ascend.
@@ -283,9 +287,9 @@ class Tracker:
         after = self.newest or 0
         if not (np.diff(times, prepend=after) > 0).all():
             raise ModelError(f"stamps: expected them to ascend from {after} ns on")
-        rows = np.full((len(times), self.history.row_width), np.nan)
+        rows = self.estimator.new_rows(len(times))
         self.history.follow(times, samples, inputs, rows)
-        return rows
+        return self.estimator.as_rows(rows)
 
     def _prepared(
         self, stamps: ArrayLike, y: ArrayLike, u: ArrayLike
@@ -307,14 +311,15 @@ class Tracker:
             None before the first measurement, too long after the last, or if the estimate is not
             finite, which is counted.
         """
-        row = np.empty(self.history.row_width)
+        row = np.empty(self._width)
         if not self.history.estimate_at(stamp, row):
             return None
         basis, claimed, valid, scale, coloured, learning, hypothesis, in_domain, age = row[
-            -len(CONDITIONS) - EXTRA :
+            self._scalars
         ].tolist()
-        numbers = [row[part] for part in self.estimator.row_parts.values()]
-        x, bound, omega, rate, omega_bound, theta, theta_bound, torque, torque_bound = numbers
+        x, bound, omega, rate, omega_bound, theta, theta_bound, torque, torque_bound = [
+            row[part] for part in self._vectors
+        ]
         # Arguments by name would take a tenth of a tick.
         return Estimate(
             stamp,

@@ -250,7 +250,7 @@ class Run:
         messages = publish(topics.INNOVATION, self._times_of_use(taken), table.innovations[taken])
         for topic, values in table.of_topics.items():
             messages += publish(topic, at, values[ticks])
-        valid = table.condition("parameters_valid")[ticks] == 1.0
+        valid = table.conditions["parameters_valid"][ticks] == 1.0
         due = self._parameters_due.among(at.stamps, valid.any(axis=1))
         for topic, values in (
             (topics.PARAMETERS, table.parameters[ticks]),

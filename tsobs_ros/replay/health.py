@@ -18,12 +18,11 @@ from tsobs_ros.estimation.events import (
     LEARNINGS,
     NOISY,
     STALE_AFTER,
-    Condition,
     Event,
     EventLog,
     words,
 )
-from tsobs_ros.estimation.records import Basis, Hypothesis, Learning
+from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.replay.thinning import ThinnedValues
 from tsobs_ros.series import NANOSECONDS
 
@@ -237,7 +236,7 @@ class HealthSum:
         """Return the health, None without an estimate."""
         if not self._last:
             return None
-        last = Condition.of_numbers(0, self._last)
+        last = Estimate.of_health(0, self._last)
         return Health(
             noise_scale=float(np.median(self._scales.values)),
             max_noise_scale=self._max,
@@ -300,6 +299,6 @@ class EventFinder:
                 if restarted is not None and restarted[place]:
                     log.restart()
                 if row[0] == row[0]:
-                    for event in log.update(Condition.of_numbers(stamp, row)):
+                    for event in log.update(Estimate.of_health(stamp, row)):
                         before = stamp - event.stamp if self._same_clock else 0
                         self.events.append(JointEvent(joint, log_time - before, event))

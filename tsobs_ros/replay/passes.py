@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.history import (
     CORRECTING,
-    EXTRA,
     USED,
 )
 from tsobs_ros.estimation.tracker import Tracker
@@ -220,7 +219,7 @@ class Pass:
 
     def new_rows(self, count: int) -> Array:
         """Return room for as many estimates."""
-        return np.empty((count, self._tracker.estimator.row_width + EXTRA))
+        return self._tracker.estimator.new_rows(count)
 
     def advance(self, begin: int, end: int, rows: Array) -> None:
         """Make the ticks from one up to another.

@@ -127,7 +127,7 @@ class Replay:
         published = self._published(ticks)
         for joint, own in enumerate(rows):
             there = published & self._joints[joint].there(ticks)
-            self._table.add(joint, ticks, own, there, self._trackers[joint].estimator.row_parts)
+            self._table.add(joint, ticks, self._trackers[joint].estimator.as_rows(own), there)
         return self._enter()
 
     def use(self, end: int) -> slice:

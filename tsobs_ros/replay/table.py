@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Estimates and innovations of a replay as arrays, and their comparison with a live run's."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_series import JointSeries, Times
 from tsobs_ros.checks import Array, Flags
-from tsobs_ros.estimation.events import Condition
-from tsobs_ros.estimation.history import EXTRA
-from tsobs_ros.estimation.state import CONDITIONS, Shape
+from tsobs_ros.estimation.estimator import Rows
+from tsobs_ros.estimation.records import HEALTH
+from tsobs_ros.estimation.state import Shape
 from tsobs_ros.replay.schedule import Schedule
 from tsobs_ros.replay.source import Live, Samples, match, places_of_innovations
 
@@ -41,9 +41,8 @@ class EstimateTable:
         torque_bounds: 1σ bound of each, shape (m, J, t).
         parameters: Learnt parameters, NaN without, shape (m, J, k).
         parameter_bounds: 1σ of each, shape (m, J, k).
-        conditions: What an estimate's numbers are worth, NaN without one: the numbers of
-            `state.CONDITIONS`, whether it is in the certificate's domain, and the time since the
-            newest measurement behind it [s], shape (m, J, c).
+        conditions: What an estimate's numbers are worth by its fields' names, NaN without one,
+            each of shape (m, J).
     """
 
     def __init__(self, ticks: int, messages: int, shapes: Sequence[Shape]) -> None:
@@ -57,7 +56,8 @@ class EstimateTable:
         self.disturbances, self.disturbance_bounds = nothing(2 * p), nothing(p)
         self.torques, self.torque_bounds = nothing(t), nothing(t)
         self.parameters, self.parameter_bounds = nothing(k), nothing(k)
-        self.conditions = nothing(len(CONDITIONS) + EXTRA)
+        names = (*HEALTH, "parameters_valid", "in_domain")
+        self.conditions = {name: nothing(1)[..., 0] for name in names}
         self.done = np.zeros(ticks, np.bool_)
         self.innovations = np.full((messages, len(shapes), p), np.nan)
         self.times_of_use = np.full((messages, 2), -1)
@@ -87,17 +87,14 @@ class EstimateTable:
         self.times_of_use[:count] = other.times_of_use[begin:]
         self.left_out[:count] = other.left_out[begin:]
 
-    def add(
-        self, joint: int, ticks: slice, rows: Array, there: Flags, parts: Mapping[str, slice]
-    ) -> None:
+    def add(self, joint: int, ticks: slice, rows: Rows, there: Flags) -> None:
         """Enter the estimates of a joint at some ticks.
 
         Args:
             joint: Index of the joint.
             ticks: m of them.
-            rows: See `History.estimate_at`, shape (m, width).
+            rows: Of `Estimator.row_type`, shape (m,).
             there: Whether a row is an estimate, shape (m,).
-            parts: Places of an estimate's fields in a row.
         """
         p = self._shapes[joint].p
         for name, array in (
@@ -111,20 +108,15 @@ class EstimateTable:
             ("parameters", self.parameters),
             ("parameter_bound", self.parameter_bounds),
         ):
-            numbers = rows[:, parts[name]]
+            numbers = rows[name]
             width = numbers.shape[1]
             array[ticks, joint, :width] = np.where(there[:, np.newaxis], numbers, np.nan)
-        worth = rows[:, -len(CONDITIONS) - EXTRA :]
-        self.conditions[ticks, joint] = np.where(there[:, np.newaxis], worth, np.nan)
+        for name, column in self.conditions.items():
+            column[ticks, joint] = np.where(there, rows[name], np.nan)
 
     def health(self, ticks: slice) -> Array:
-        """Return the numbers of `events.Condition` at n ticks, NaN without, shape (n, J, 7)."""
-        names = Condition._fields[1:]
-        return np.stack([self.condition(name)[ticks] for name in names], axis=-1)
-
-    def condition(self, name: str) -> Array:
-        """Return a condition of the estimates by its name, shape (m, J)."""
-        return self.conditions[..., (*CONDITIONS, "in_domain", "age").index(name)]
+        """Return the fields of `HEALTH` at n ticks, NaN without an estimate, shape (n, J, 7)."""
+        return np.stack([self.conditions[name][ticks] for name in HEALTH], axis=-1)
 
 
 class Agreement(NamedTuple):

@@ -145,7 +145,7 @@ class RecordedRun:
         true_disturbance: Of the outputs at the sampling stamps, values (k', p); None on a robot.
         true_torque: Torque disturbances at the sampling stamps [N m], values (k'', t); None on a
             robot.
-        health: Numbers of `estimation.events.Condition` at their stamps, values (h, 7); None if
+        health: Fields of `estimation.records.HEALTH` at their stamps, values (h, 7); None if
             not recorded.
         parameters: Learnt changes of the uncertain parameters, values (l, c); None if not recorded.
         parameter_bounds: 1σ of each, values (l, c); None if not recorded.

@@ -12,7 +12,7 @@ import pytest
 from staging.arm import Arm
 from staging.stage import BEGIN, MS, PERIOD
 
-from tsobs_ros.estimation.events import BOUNDS, Condition
+from tsobs_ros.estimation.events import BOUNDS
 from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status
 from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
@@ -240,7 +240,7 @@ def test_what_an_estimate_is_not_worth_is_a_warning_with_its_reason(
     (joint,) = joints
     assert joint.latest is not None
     before = statuses(joints, now)[0]
-    good = Condition.of(joint.latest)
+    good = joint.latest
     for tick in range(60):
         stamp = now + (tick - 59) * 100 * MS
         joint.events.update(good._replace(stamp=stamp, **(changes if tick >= 20 else {})))

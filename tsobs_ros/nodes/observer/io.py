@@ -23,7 +23,6 @@ from tsobs_ros.bag.joint_states import JointStateDecoder, JointStateEncoder
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.design.signals import Place, Signals
 from tsobs_ros.errors import MessageError
-from tsobs_ros.estimation.events import Condition
 from tsobs_ros.estimation.records import Estimate
 from tsobs_ros.nodes.observer.rejections import MISSING, WRONG
 
@@ -427,16 +426,16 @@ class EstimatePublisher:
                 [(output, (each,), ()) for output, each in enumerate(values) if each == each],
             )
 
-    def publish_health(self, stamp: int, conditions: Sequence[Condition | None]) -> None:
+    def publish_health(self, stamp: int, estimates: Sequence[Estimate | None]) -> None:
         """Publish what the joints' estimates are worth.
 
         Args:
             stamp: Of the estimates [ns].
-            conditions: One entry a joint; None if it has no estimate.
+            estimates: One entry a joint; None if it has none.
         """
         self._health.publish(
             stamp,
-            [(joint, each.numbers, ()) for joint, each in enumerate(conditions) if each],
+            [(joint, each.health, ()) for joint, each in enumerate(estimates) if each],
         )
 
     def publish_restart(self, stamp: int, number: int) -> None:

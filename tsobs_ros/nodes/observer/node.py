@@ -18,7 +18,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.checks import Array
 from tsobs_ros.design.published import record_text
 from tsobs_ros.errors import printable
-from tsobs_ros.estimation.events import Condition, Event
+from tsobs_ros.estimation.events import Event
 from tsobs_ros.estimation.health import Level, Status
 from tsobs_ros.estimation.records import Estimate
 from tsobs_ros.estimation.tracker import Tracker
@@ -262,16 +262,15 @@ class Observer(ManagedNode[ObserverParameters]):
     def _report_health(self, now: int, fresh: Sequence[Estimate | None]) -> None:
         """Publish what the estimates are worth, if that is due, and log what has changed."""
         due = now >= self._health_due and any(fresh)
-        conditions = [Condition.of(each) if due and each else None for each in fresh]
         if due:
             self._health_due = now + topics.SLOW_PERIOD
-            self._publisher.publish_health(now, conditions)
-        for joint, estimate, condition in zip(self._joints, fresh, conditions, strict=True):
+            self._publisher.publish_health(now, fresh)
+        for joint, estimate in zip(self._joints, fresh, strict=True):
             events: Sequence[Event] = ()
-            if condition is not None:
-                events = joint.events.update(condition)
-            elif estimate is None:
+            if estimate is None:
                 events = joint.events.silence(now)
+            elif due:
+                events = joint.events.update(estimate)
             for event in events:
                 self._log(joint, event.level, joint.explained(event))
             if joint.torque_news is not None:
