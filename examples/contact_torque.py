@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A contact that pushes the link while the link's encoder slips: both estimated, told apart.
 
-The arm is the flexible joint of docs/encoders_and_contacts.md. Needs cvxpy, clarabel and matplotlib:
+The arm is the flexible joint of docs/encoders_and_contacts.md. Needs cvxpy, clarabel, matplotlib:
 pip install 'tsobs_ros[design,report]'.
 
 Usage: python contact_torque.py [FOLDER]

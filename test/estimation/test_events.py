@@ -9,14 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tsobs_ros.estimation.events import (
-    BOUNDS,
-    HYPOTHESES,
-    LEARNINGS,
     Event,
     EventKind,
     EventLog,
 )
-from tsobs_ros.estimation.health import Level
+from tsobs_ros.estimation.health import Level, judged
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 
 SECOND = 1_000_000_000
@@ -106,19 +103,12 @@ def test_a_recording_which_lacks_the_silence_gives_the_same_events() -> None:
     ("kind", "changes", "text"),
     [
         *(
-            (EventKind.BOUND, {"basis": basis}, text)
-            for basis, (_, text) in BOUNDS.items()
-            if basis is not Basis.CERTIFIED
-        ),
-        *(
-            (EventKind.LEARNING, {"learning": learning}, text)
-            for learning, (_, text) in LEARNINGS.items()
-            if learning not in (Learning.ACTIVE, Learning.NONE)
-        ),
-        *(
-            (EventKind.HYPOTHESIS, {"hypothesis": hypothesis}, text)
-            for hypothesis, (_, text) in HYPOTHESES.items()
-            if hypothesis is not Hypothesis.AS_DESIGNED
+            (kind, {kind.value if kind is not EventKind.BOUND else "basis": code}, judged(code)[1])
+            for kind, code in (
+                *((EventKind.BOUND, basis) for basis in Basis if basis is not Basis.CERTIFIED),
+                (EventKind.LEARNING, Learning.STARTING),
+                *((EventKind.HYPOTHESIS, each) for each in Hypothesis if each),
+            )
         ),
         (EventKind.NOISE, {"noise_scale": 1.5}, "the sensor's noise is 1.5 times the design's"),
     ],

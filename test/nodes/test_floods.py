@@ -18,7 +18,6 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from staging.arm import Arm
 
-from tsobs_ros.bag.estimate_topics import MISSING_INPUT
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.nodes.observer.rejections import NAMES as REASONS
@@ -60,7 +59,7 @@ FLOODS: dict[str, tuple[Make, str | None]] = {
         RejectReason.IMPLAUSIBLE_TORQUE.value,
     ),
     "foreign joint": (alone(name=["elbow"]), WRONG),
-    "no effort": (alone(effort=[]), MISSING_INPUT),
+    "no effort": (alone(effort=[]), "missing input"),
     "many foreign joints": (alone(name=NAMES, position=[0.0] * 100, effort=[0.0] * 100), WRONG),
     "long name": (alone(name=["x" * 2000]), WRONG),
     "truncated bytes": (as_bytes(lambda data: data[:50]), WRONG),

@@ -52,10 +52,6 @@ CONDITIONS = (
 )
 """Names of the numbers of a joint's health, as those of its parameters."""
 
-MISSING_INPUT, UNKNOWN_INPUT = "missing input", "unknown input"
-"""Reasons of rejection in diagnostics, besides a tracker's: a message lacks an input, such as the
-effort; an input is NaN."""
-
 
 def sides(joint: str) -> tuple[str, str]:
     """Return the names of a joint's link and motor in estimates."""

@@ -7,10 +7,9 @@ an estimate over a recording and a report on it list the same ones.
 """
 
 import enum
-from collections.abc import Mapping
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from tsobs_ros.estimation.health import Debounce, Level, Phase, phase_of
+from tsobs_ros.estimation.health import Debounce, Level, Phase, judged, phase_of
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.series import NANOSECONDS
 
@@ -52,88 +51,6 @@ class Event(NamedTuple):
     kind: EventKind
     level: Level
     text: str
-
-
-BOUNDS: Mapping[Basis, tuple[Level, str]] = {
-    Basis.CERTIFIED: (Level.OK, "the bound is certified"),
-    Basis.LEARNT: (
-        Level.OK,
-        "the bound holds: it is certified but for the uncertainty of the learnt parameters",
-    ),
-    Basis.COVARIANCE: (
-        Level.OK,
-        "the bound is not certified: it is the covariance along the estimate",
-    ),
-    Basis.STARTING: (
-        Level.OK,
-        "the bound is not certified yet: the estimate settles after a start",
-    ),
-    Basis.GAP: (
-        Level.OK,
-        "the bound is not certified: measurements or torques are missing or rejected",
-    ),
-    Basis.JUMP: (Level.OK, "the bound is not certified: the sensor has jumped"),
-    Basis.TORQUE: (Level.OK, "the bound is not certified: the torque made a doubtful step"),
-    Basis.CONTRADICTED: (
-        Level.WARN,
-        "the bound is void: the measurements contradict the design; the arm, the noise or the "
-        "disturbance differs from it",
-    ),
-    Basis.HYPOTHESIS: (
-        Level.WARN,
-        "the bound is not certified: it is a covariance for an arm or a sensor unlike the design's",
-    ),
-    Basis.OUTSIDE: (
-        Level.WARN,
-        "the bound is void: the link angle is outside of the certificate's domain",
-    ),
-}
-"""How bad it is that bounds have a basis, and what it means."""
-
-LEARNINGS: Mapping[Learning, tuple[Level, str]] = {
-    Learning.NONE: (Level.OK, "nothing is learnt"),
-    Learning.STARTING: (Level.OK, "learning waits until the estimate has settled"),
-    Learning.ACTIVE: (Level.OK, "the parameters are being learnt"),
-}
-"""How bad it is that the learning does something, and what it means."""
-
-HYPOTHESES: Mapping[Hypothesis, tuple[Level, str]] = {
-    Hypothesis.AS_DESIGNED: (Level.OK, "arm and sensor behave as designed"),
-    Hypothesis.FORCE: (
-        Level.WARN,
-        "the arm is pushed by something the model lacks: friction, contact, a payload? A "
-        "torque_disturbance in the design, or damping as an uncertain parameter, may explain it",
-    ),
-    Hypothesis.IMPERFECT: (
-        Level.WARN,
-        "the arm moves in ways that the model lacks: its parameters are wrong, or process_noise in "
-        "the design is too small",
-    ),
-    Hypothesis.LOUD: (
-        Level.WARN,
-        "the sensor is much noisier than designed: a larger measurement_std would expect that",
-    ),
-    Hypothesis.COLOURED_NOISE: (
-        Level.WARN,
-        "the sensor's noise is alike from sample to sample: a filter in the sensor? A gauss_markov "
-        "disturbance of 0.02 to 0.1 s in the design would estimate it",
-    ),
-    Hypothesis.DRIFT: (
-        Level.WARN,
-        "the sensor moves away, or is wrong for a while: a larger density of its disturbance in "
-        "the design would follow it",
-    ),
-    Hypothesis.TONE: (
-        Level.WARN,
-        "the sensor oscillates: a sinusoid among the design's disturbances would estimate it",
-    ),
-}
-"""How bad it is that arm and sensor are taken for something, and what it means."""
-
-
-def words(code: enum.Enum) -> str:
-    """Return a code's name, for people."""
-    return code.name.lower().replace("_", " ")
 
 
 class EventLog:
@@ -206,9 +123,9 @@ class EventLog:
         events += self._noise.update(stamp, self._noisy, level, text, _LASTING)
         learning = estimate.learning
         if learning is not Learning.NONE:
-            events += self._learning.update(stamp, learning, *LEARNINGS[learning], _LASTING)
+            events += self._learning.update(stamp, learning, *judged(learning), _LASTING)
         hypothesis = estimate.hypothesis
-        events += self._hypothesis.update(stamp, hypothesis, *HYPOTHESES[hypothesis], _LASTING)
+        events += self._hypothesis.update(stamp, hypothesis, *judged(hypothesis), _LASTING)
         return sorted(events, key=lambda event: event.stamp)
 
     def silence(self, now: int) -> list[Event]:
@@ -240,7 +157,7 @@ class EventLog:
             teller.restart()
 
     def _tell_bound(self, stamp: int, basis: Basis) -> list[Event]:
-        lasting = 0.0 if BOUNDS[basis][0] is Level.WARN else _LASTING
+        lasting = 0.0 if judged(basis)[0] is Level.WARN else _LASTING
         if basis is not Basis.GAP:
             self._basis, self._gap_since = basis, None
         else:
@@ -251,7 +168,7 @@ class EventLog:
                 basis = self._basis
             else:
                 stamp, lasting = self._gap_since, 0.0
-        return self._bound.update(stamp, basis, *BOUNDS[basis], lasting)
+        return self._bound.update(stamp, basis, *judged(basis), lasting)
 
     def _tell_phase(self, estimate: Estimate, newest: int) -> list[Event]:
         age, source = estimate.age, self._source

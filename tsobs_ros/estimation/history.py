@@ -20,7 +20,10 @@ from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.model.prediction import Record
 
 REASONS = (None, *RejectReason)
-"""Reasons of rejection by their codes; 0 is a measurement that was used."""
+"""Reasons of rejection by their codes; 0 is a measurement that was used.
+
+The core has no codes of the last two.
+"""
 
 USED = 0
 NON_FINITE, GATED, IMPLAUSIBLE_TORQUE = (

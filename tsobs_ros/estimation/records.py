@@ -29,7 +29,8 @@ class Measurement(NamedTuple):
 class RejectReason(enum.Enum):
     """Why a measurement was not used; the value is its name in reports.
 
-    Of one with an implausible torque the angle is used all the same.
+    Of one with an implausible torque, or an input that is NaN, the angle is used all the same. Only
+    messages can lack an input; a tracker takes one that is NaN for an implausible torque.
     """
 
     NON_FINITE = "non-finite"
@@ -40,6 +41,8 @@ class RejectReason(enum.Enum):
     GATED = "gated"
     ZERO_STAMP = "zero stamp"
     IMPLAUSIBLE_TORQUE = "implausible torque"
+    MISSING_INPUT = "missing input"
+    UNKNOWN_INPUT = "unknown input"
 
 
 class Basis(enum.IntEnum):

@@ -14,14 +14,12 @@ from tsobs_ros.bag.joint_series import Times
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.events import (
     COAST_AFTER,
-    HYPOTHESES,
-    LEARNINGS,
     NOISY,
     STALE_AFTER,
     Event,
     EventLog,
-    words,
 )
+from tsobs_ros.estimation.health import judged, words
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.replay.thinning import ThinnedValues
 from tsobs_ros.series import NANOSECONDS
@@ -168,7 +166,7 @@ class Health(NamedTuple):
         # A cause under which little can be claimed is none.
         explained = self.bases.get(Basis.CONTRADICTED, 0.0) <= 0.5 * wrong
         if wrong >= _OFTEN and likeliest in _OF_SENSOR and explained:
-            return f"{often}: {HYPOTHESES[likeliest][1]}"
+            return f"{often}: {judged(likeliest)[1]}"
         if wrong >= _OFTEN:
             return (
                 f"{often}: it seems to be of another arm, the torque of another sign, unit or "
@@ -186,7 +184,7 @@ class Health(NamedTuple):
             "bases": {basis.name.lower(): share for basis, share in self.bases.items()},
             "hypotheses": {one.name.lower(): share for one, share in self.hypotheses.items()},
             "learning": self.learning.name.lower(),
-            "learning_text": LEARNINGS[self.learning][1],
+            "learning_text": judged(self.learning)[1],
             "hypothesis": self.hypothesis.name.lower(),
         }
 
@@ -196,7 +194,7 @@ class Health(NamedTuple):
             f"noise {self.noise_scale:.2f} times the design's, at most {self.max_noise_scale:.2f}",
             f"bounds {_shares(self.bases)}; claimed to hold {100.0 * self.claimed:.3g} %",
             f"taken for {_shares(self.hypotheses)}",
-            f"at the end {LEARNINGS[self.learning][1]}; {HYPOTHESES[self.hypothesis][1]}",
+            f"at the end {judged(self.learning)[1]}; {judged(self.hypothesis)[1]}",
             *([f"warning: {self.misfit}"] if self.misfit else []),
         )
 

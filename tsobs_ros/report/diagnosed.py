@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tsobs_ros.bag.diagnostics import RecordedStatus
-from tsobs_ros.bag.estimate_topics import MISSING_INPUT, UNKNOWN_INPUT
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import RejectReason
@@ -27,7 +26,7 @@ _TIMING = (
 )
 # A fault that the next status does not repeat has ended by then; they are a second apart.
 _APART = 2.5
-_REASONS = {MISSING_INPUT, UNKNOWN_INPUT, *(reason.value for reason in RejectReason)}
+_REASONS = {reason.value for reason in RejectReason}
 _MAX_KIND = 40
 
 

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
-from tsobs_ros.estimation.events import words
-from tsobs_ros.estimation.health import Level
+from tsobs_ros.estimation.health import Level, words
 from tsobs_ros.estimation.records import Hypothesis
 from tsobs_ros.replay.health import CLAIMED, HYPOTHESIS
 from tsobs_ros.replay.thinning import ThinnedValues

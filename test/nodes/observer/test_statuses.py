@@ -12,8 +12,7 @@ import pytest
 from staging.arm import Arm
 from staging.stage import BEGIN, MS, PERIOD
 
-from tsobs_ros.estimation.events import BOUNDS
-from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status
+from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status, judged
 from tsobs_ros.estimation.records import Basis, Hypothesis
 from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
@@ -103,7 +102,7 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
         "premise domain": (Level.OK, "inside the certificate's domain"),
         "innovation": (Level.OK, found["innovation"].message),
         "sensor fault": (Level.OK, found["sensor fault"].message),
-        "certificate": (Level.OK, BOUNDS[Basis.STARTING][1]),
+        "certificate": judged(Basis.STARTING),
         "hypothesis": (Level.OK, "arm and sensor behave as designed"),
         "parameters": (Level.OK, "learning waits until the estimate has settled"),
     }

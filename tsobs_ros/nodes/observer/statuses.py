@@ -8,20 +8,23 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from tsobs_ros.design.request import ArmRequest, TSRequest
-from tsobs_ros.estimation.events import BOUNDS, HYPOTHESES, LEARNINGS, NOISY, EventKind, words
-from tsobs_ros.estimation.health import LastMinute, Level, Phase, Status, duration_text
+from tsobs_ros.estimation.events import NOISY, EventKind
+from tsobs_ros.estimation.health import (
+    LastMinute,
+    Level,
+    Phase,
+    Status,
+    duration_text,
+    judged,
+    meaning,
+    words,
+)
 from tsobs_ros.estimation.history import IMPLAUSIBLE_TORQUE
 from tsobs_ros.estimation.records import Estimate, Learning
 from tsobs_ros.nodes.observer.joints import ObservedJoint
 from tsobs_ros.nodes.observer.rejections import BEYOND_LIMIT, MANY_TORQUES, NAMES, main_of
 
-_LEVEL_OF_PHASE = {
-    Phase.TRACKING: Level.OK,
-    Phase.COASTING: Level.WARN,
-    Phase.WAITING: Level.WARN,
-    Phase.STALE: Level.ERROR,
-}
-_FROM_BEST_TO_WORST = list(_LEVEL_OF_PHASE)
+_FROM_BEST_TO_WORST = (Phase.TRACKING, Phase.COASTING, Phase.WAITING, Phase.STALE)
 _MANY_REJECTED = 0.01
 _MANY_MISSED = 0.05
 _ENOUGH = 100
@@ -89,7 +92,7 @@ def _state_status(
         return Status("state", Level.WARN, "DISABLED", values)
     if failed:
         return Status("state", Level.ERROR, f"{phase.value}, after a numerical failure", values)
-    level, message = _LEVEL_OF_PHASE[phase], phase.value
+    level, message = meaning(phase).level, phase.value
     in_it = [joint for joint, each in zip(joints, phases, strict=True) if each is phase]
     refused = main_of(sum((joint.newly for joint in in_it if joint.in_vain), Counter()))
     if refused and phase is not Phase.TRACKING:
@@ -156,7 +159,7 @@ def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Stat
     if estimate is None:
         return statuses
     if isinstance(request, ArmRequest):
-        level, message = HYPOTHESES[estimate.hypothesis]
+        level, message = judged(estimate.hypothesis)
         values = {"hypothesis": words(estimate.hypothesis)}
         values |= _since(joint, EventKind.HYPOTHESIS, now)
         statuses.append(Status("hypothesis", level, message, values))
@@ -165,7 +168,7 @@ def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Stat
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
         values["learning"] = words(estimate.learning)
         values |= _since(joint, EventKind.LEARNING, now)
-        level, message = LEARNINGS[estimate.learning]
+        level, message = judged(estimate.learning)
         if estimate.learning is Learning.ACTIVE:
             valid = estimate.parameters_valid
             message = "learnt" if valid else "not yet: the motion is too poor"
@@ -249,7 +252,7 @@ def _certificate_status(joint: ObservedJoint, method: str, now: int) -> Status:
         values["measured rate [Hz]"] = f"{joint.measured_rate:.4g}"
     if estimate is None:
         return Status("certificate", Level.OK, "no estimate yet", values)
-    level, message = BOUNDS[estimate.basis]
+    level, message = judged(estimate.basis)
     values["claimed"] = "yes" if estimate.claimed else "no"
     values["basis"] = words(estimate.basis)
     values |= _since(joint, EventKind.BOUND, now)
