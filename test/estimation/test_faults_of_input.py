@@ -3,13 +3,12 @@
 """Every kind of bad sample: its outcome, and the way back of the estimate, as in a node.
 
 Kinds that are a matter of messages are in test/nodes/observer/test_io.py, those of topics in
-test/nodes/test_bad_input.py. docs/robustness.md lists them all.
+test/nodes/test_bad_input.py. docs/faults.md lists them.
 """
 
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,6 @@ from tsobs_ros.resources import FIXED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 
 DESIGN = load_design(config_path(FIXED_DESIGN))
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "robustness.md"
 BEGIN = 100 * NANOSECONDS
 BOOT = 50 * NANOSECONDS
 TICK = 40_000_000
@@ -225,11 +223,6 @@ def script(arm: Arm, kind: Kind) -> list[Event]:
         *good(good_from, kind.recovery),
     ]
     return sorted(events, key=lambda event: event[0])
-
-
-def test_the_page_lists_every_kind() -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    assert [name for name in KINDS if f"| {name} |" not in page] == []
 
 
 @pytest.mark.parametrize("name", KINDS)
