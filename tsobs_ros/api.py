@@ -242,12 +242,12 @@ def simulate(
             if unwanted:
                 raise ModelError(f"{name}: expected none for a T-S system, which has no torques")
         if excited is not None:
-            m = scenario.input_count
+            m = scenario.model.input_count
             changes["inputs"] = (excited,) * m + scenario.inputs[m:]
         if initial_state is not None:
             changes["initial_state"] = initial_state
     scenario = replace(scenario, **changes)
-    count, m, given = scenario.sample_count, scenario.input_count, None
+    count, m, given = scenario.sample_count, scenario.signals.input_count, None
     if torque is not None and excited is None:
         given = _torques(torque, np.arange(count) / scenario.rate, m)
     run = Plant(scenario, seed).run(count, given)

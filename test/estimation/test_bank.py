@@ -24,10 +24,10 @@ from tsobs_ros.estimation.records import (
 )
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
-from tsobs_ros.simulation.integrator import ArmIntegrator
-from tsobs_ros.simulation.plant import Mismatch, Scenario, Trajectories
+from tsobs_ros.simulation.plant import Mismatch, Plant, Scenario, Trajectories
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 from tsobs_ros.simulation.sensor import Sensor
 from tsobs_ros.simulation.signals import NoTorque, Sinusoid, Square
@@ -175,15 +175,21 @@ def test_a_disturbance_stays_within_its_limit() -> None:
 
 def after_hits(size: float) -> Trajectories:
     """Return the run of an arm whose link's velocity is changed every five seconds."""
-    run, plant = simulated(), ArmIntegrator(SCENARIOS["noise"].arm, T)
-    states, x = [], run.physical[0, 0]
-    for k, u in enumerate(run.torques[0]):
-        if k % (5 * RATE) == 0 and k > 0:
-            x = x + np.array([0.0, size * (-1.0) ** (k // (5 * RATE)), 0.0, 0.0])
-        states.append(x)
-        x = plant.advance(x, u)
+    run, states = simulated(), []
+    start, between = run.physical[0, 0], 5 * RATE
+    for number, place in enumerate(range(0, COUNT, between)):
+        start = start + np.array([0.0, size * (-1.0) ** number * (number > 0), 0.0, 0.0])
+        scenario = Scenario(
+            rate=RATE,
+            initial_state=tuple(Scenario().arm.from_physical(start).tolist()),
+            initial_spread=(0.0,) * 4,
+            process_noise=ProcessNoise(0.0, 0.0),
+        )
+        plant, torques = Plant(scenario), run.torques[0, place : place + between]
+        states.append(plant.run(len(torques), torques).physical)
+        start = plant.step().physical
     noise = STD * np.random.default_rng(1).standard_normal((COUNT, 1))
-    truth = np.array(states)
+    truth = np.concatenate(states)
     return run._replace(physical=truth[np.newaxis], measurements=(truth[:, :1] + noise)[np.newaxis])
 
 

@@ -30,9 +30,10 @@ from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_ekf
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
+from tsobs_ros.model.flow import ProcessNoise
 from tsobs_ros.paper.observer import paper_observer
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.simulation.integrator import ArmIntegrator
+from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 Array = NDArray[np.float64]
@@ -95,11 +96,16 @@ def exact(A: Array, b: Array, x: Array, t: float) -> Array:
 def test_converges_on_a_clean_output_for_every_run_of_a_batch(
     make: Callable[..., Estimator], theta: float
 ) -> None:
-    truth, plant, samples = ARM.to_physical(START), ArmIntegrator(ARM, PERIOD), []
     torques = np.sin(np.arange(1200) * PERIOD)[:, np.newaxis]
-    for u in torques:
-        samples.append(truth[:1])
-        truth = plant.advance(truth, u)
+    plant = Plant(
+        Scenario(
+            ARM,
+            initial_state=tuple(START.tolist()),
+            initial_spread=(0.0,) * 4,
+            process_noise=ProcessNoise(0.0, 0.0),
+        )
+    )
+    samples, truth = plant.run(1200, torques).physical[:, :1], plant.step().physical
     observer = make(ARM, theta, *KNOWN)
     states = observer.initial((3,))
     for y, u in zip(samples, torques, strict=True):

@@ -46,7 +46,7 @@ def violated(scenario: Scenario, request: ArmRequest) -> tuple[str, ...]:
         terms = getattr(request.torque_disturbance, side)
         if not _foresees(terms, getattr(scenario.torque_disturbance, side)):
             found.add("torque disturbance")
-    for asked, output in zip(request.sensors, scenario.measured, strict=True):
+    for asked, output in zip(request.sensors, scenario.signals.outputs, strict=True):
         if not _foresees(asked.disturbance, output.disturbance):
             found.add("disturbance")
         if _is_more(output.sensor.noise_std, asked.measurement_std):

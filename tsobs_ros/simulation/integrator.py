@@ -1,35 +1,36 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Fixed-step integration of plants: the true motion the observers are judged by.
+"""Fixed-step integration of plants: the true motion that observers are judged by.
 
 The classical fourth-order Runge–Kutta method at 1 ms keeps the undriven arm's energy to 1e-10
-over a minute, so its error is far below any noise; no adaptive solver or exact-flow splitting is
-needed.
+over a minute. Its error is far below any noise.
 """
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, check_each, non_negative, positive
+from tsobs_ros.checks import Array, check_each, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.flow import ProcessNoise
+from tsobs_ros.model.arm import QUANTITIES
+from tsobs_ros.simulation.signals import recurs
+from tsobs_ros.simulation.streams import RandomStream, Source
 
-LONGEST_SUBSTEP = 1e-3
-"""Upper limit of an integration step [s]; a sampling period is cut into equal steps below it."""
-
-_ARM = record_type(native.simulated_arm_layout())
-
-STANDARD_GRAVITY = 9.80665
-"""[m/s²]."""
+if TYPE_CHECKING:
+    from tsobs_ros.simulation.plant import Scenario
 
 CREEP = 0.01
 """Speed below which Coulomb friction is proportional to the speed [rad/s], as in simulate.c."""
+
+_LONGEST_SUBSTEP = 1e-3
+_ARM = record_type(native.simulated_arm_layout())
+_STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Friction:
 
 @dataclass(frozen=True)
 class Payload:
-    """What the link carries besides, from a time on; its speed does not jump as it is put on.
+    """What the link carries for a time; its speed does not jump as it is put on.
 
     Attributes:
         link_inertia: Inertia that it adds to the link's [kg m²].
@@ -94,111 +95,112 @@ class Payload:
         """
         non_negative("payload mass", mass)
         non_negative("payload distance", distance)
-        torque = mass * STANDARD_GRAVITY * distance
+        torque = mass * _STANDARD_GRAVITY * distance
         return cls(mass * distance * distance, torque, start, duration)
 
-    def on(self, arm: ElasticJointArm) -> ElasticJointArm:
-        """Return an arm with the payload."""
-        return replace(
-            arm,
-            link_inertia=arm.link_inertia + self.link_inertia,
-            gravity_torque=arm.gravity_torque + self.gravity_torque,
-        )
 
-
-class ArmIntegrator:
-    """Advances an elastic-joint arm by one sampling period, in physical coordinates.
-
-    Physical, because the design coordinates of a true arm and of the nominal one it is compared
-    with differ as soon as their stiffnesses do.
-
-    Args:
-        arm: The arm that moves.
-        period: Time that one call of `advance` covers [s].
-        friction: Friction besides the arm's damping.
-        longest_substep: Upper limit of the integration step [s].
-        payload: What the arm carries besides.
-        process_noise: What `advance` is to make of kicks that are normal numbers.
-        backlash: Play of the gear [rad]; the spring is free within half of it to either side.
+class Motion(ABC):
+    """The plants of a batch, which are moved from sample to sample.
 
     Attributes:
-        numbers: The numbers of the record that the compiled core takes.
-
-    Raises:
-        ModelError: The period or the step limit is not a finite number above zero.
+        states: Present states, shape (runs, n).
+        fed_back: Places of the inputs that are measurements, each with the number of its output.
     """
 
-    def __init__(
-        self,
-        arm: ElasticJointArm,
-        period: float,
-        friction: Friction | None = None,
-        longest_substep: float = LONGEST_SUBSTEP,
-        payload: Payload | None = None,
-        process_noise: ProcessNoise | None = None,
-        backlash: float = 0.0,
-    ) -> None:
-        friction, payload = friction or Friction(), payload or Payload()
-        arm = payload.on(arm)
-        positive("longest_substep", longest_substep)
-        # A period of exactly five steps must not become six because .005/.001 rounds upwards.
-        self.substeps = max(1, math.ceil(positive("period", period) / longest_substep - 1e-9))
-        self.substep = period / self.substeps
-        noise = process_noise
-        record = np.zeros(1, _ARM)
-        record[0] = (
-            self.substeps,
-            self.substep,
-            arm.gravity_gain,
-            arm.motor_inertia,
-            arm.stiffness / arm.link_inertia,
-            (arm.link_damping + friction.link_viscous) / arm.link_inertia,
-            arm.stiffness / arm.motor_inertia,
-            (arm.motor_damping + friction.motor_viscous) / arm.motor_inertia,
-            friction.link_coulomb / arm.link_inertia,
-            friction.motor_coulomb / arm.motor_inertia,
-            arm.link_inertia,
-            friction.link_viscous,
-            friction.link_coulomb,
-            friction.motor_viscous,
-            friction.motor_coulomb,
-            payload.link_inertia,
-            payload.gravity_torque,
-            1.0 if noise is None else math.sqrt(noise.link * self.substep),
-            1.0 if noise is None else math.sqrt(noise.motor * self.substep),
-            0.5 * non_negative("backlash", backlash),
-        )
-        self.numbers: Array = record.view(np.float64)
+    states: Array
+    fed_back: tuple[tuple[int, int], ...] = ()
 
-    def advance(self, state: ArrayLike, torque: ArrayLike, kicks: ArrayLike | None = None) -> Array:
-        """Return the physical state one period later.
+    @abstractmethod
+    def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
+        """Move on over samples.
 
         Args:
-            state: [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (4,) or (runs, 4).
-            torque: Motor torque held over the period [N m], shape (1,) or (runs, 1).
-            kicks: Velocity steps of link and motor [rad/s] at the end of each integration step,
-                shape (substeps, 2) or (runs, substeps, 2): the process noise.
+            start: Index of the first one.
+            inputs: Inputs and scheduled signals, shape (runs, samples, m + s).
+            torques: Disturbing torques, shape (runs, samples, t); overwritten with those that an
+                undisturbed plant would need to move so.
 
-        Raises:
-            ModelError: The state or the kicks have another shape.
+        Returns:
+            States and true values of the outputs, shapes (runs, samples, n) and (runs, samples, p).
         """
-        start = np.array(state, np.float64, order="C")
-        if start.ndim not in (1, 2) or start.shape[-1] != 4:
-            raise ModelError(f"state: expected shape (4,) or (runs, 4), got {start.shape}")
-        shape = (*start.shape[:-1], self.substeps, 2)
-        noise = np.zeros(shape) if kicks is None else np.array(kicks, np.float64, order="C")
-        if noise.shape != shape:
-            raise ModelError(f"kicks: expected shape {shape}, got {noise.shape}")
-        states = start.reshape(-1, 4)
-        torques = np.empty((len(states), 1))
-        torques[...] = torque
+
+    def known_output(self, output: int) -> Array:
+        """Return the present true value of an output that is fed back, shape (runs,)."""
+        raise NotImplementedError
+
+
+class ArmMotion(Motion):
+    """Elastic-joint arms, in physical coordinates.
+
+    These do not depend on the stiffness, in which the true arm may differ from the nominal one.
+    """
+
+    def __init__(self, scenario: "Scenario", seeds: Sequence[int]) -> None:
+        self._scenario, noise = scenario, scenario.process_noise
+        self._steps = substeps(scenario.rate)
+        bare, loaded = (_arm_record(scenario, each) for each in (Payload(), scenario.payload))
+        self._arms = np.concatenate([bare, loaded])
+        self._columns = [QUANTITIES.index(output.measures) for output in scenario.signals.outputs]
+        spread = RandomStream(seeds, Source.INITIAL_STATE).take(4)
+        start = np.array(scenario.initial_state) + spread * np.array(scenario.initial_spread)
+        self.states = scenario.arm.to_physical(start)
+        self._kicks = 2 * self._steps if noise.link or noise.motor else 0
+        self._noise = RandomStream(seeds, Source.PROCESS)
+
+    def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
+        """Move on over samples; see `Motion.move`."""
+        samples, payload = inputs.shape[1], self._scenario.payload
+        since = np.arange(start, start + samples) / self._scenario.rate - payload.start
+        states = np.empty((len(self.states), samples, 4))
         native.simulate_arms(
-            np.concatenate([self.numbers, self.numbers]),
-            np.zeros(1, np.int64),
-            torques,
-            noise,
+            self._arms,
+            recurs(since, payload.duration, 0.0).astype(np.int64),
+            inputs,
+            self._noise.take(samples, self._kicks),
+            self.states,
             states,
-            np.empty_like(states),
-            np.zeros((len(states), 2)),
+            torques,
         )
-        return start
+        return states, states[..., self._columns]
+
+
+def substeps(rate: float) -> int:
+    """Return the number of equal steps that a sampling period is cut into, of a rate [Hz]."""
+    # A period of exactly five steps must not become six because .005/.001 rounds upwards.
+    return max(1, math.ceil(1.0 / rate / _LONGEST_SUBSTEP - 1e-9))
+
+
+def _arm_record(scenario: "Scenario", payload: Payload) -> Array:
+    """Return the numbers of the true arm with a payload, as the compiled core has them."""
+    true, friction, noise = scenario.true_arm, scenario.friction, scenario.process_noise
+    arm = replace(
+        true,
+        link_inertia=true.link_inertia + payload.link_inertia,
+        gravity_torque=true.gravity_torque + payload.gravity_torque,
+    )
+    steps = substeps(scenario.rate)
+    substep = 1.0 / scenario.rate / steps
+    record = np.zeros(1, _ARM)
+    record[0] = (
+        steps,
+        substep,
+        arm.gravity_gain,
+        arm.motor_inertia,
+        arm.stiffness / arm.link_inertia,
+        (arm.link_damping + friction.link_viscous) / arm.link_inertia,
+        arm.stiffness / arm.motor_inertia,
+        (arm.motor_damping + friction.motor_viscous) / arm.motor_inertia,
+        friction.link_coulomb / arm.link_inertia,
+        friction.motor_coulomb / arm.motor_inertia,
+        arm.link_inertia,
+        friction.link_viscous,
+        friction.link_coulomb,
+        friction.motor_viscous,
+        friction.motor_coulomb,
+        payload.link_inertia,
+        payload.gravity_torque,
+        math.sqrt(noise.link * substep),
+        math.sqrt(noise.motor * substep),
+        0.5 * scenario.backlash,
+    )
+    return record.view(np.float64)

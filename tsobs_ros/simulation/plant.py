@@ -16,22 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Flags, non_negative, positive
+from tsobs_ros.checks import Array, as_matrix, non_negative, positive
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.simulation.integrator import Friction, Payload
-from tsobs_ros.simulation.motion import ArmMotion, Motion
-from tsobs_ros.simulation.sensor import Sensor, Sensors
-from tsobs_ros.simulation.series import Series, Span
+from tsobs_ros.simulation.integrator import ArmMotion, Friction, Motion, Payload
+from tsobs_ros.simulation.sensor import Disturbance, Output, Sensor
 from tsobs_ros.simulation.signals import Signal, Sine, StuckSensor
-from tsobs_ros.simulation.streams import RandomStream, Seeds, Source, checked_seeds
+from tsobs_ros.simulation.streams import Seeds, Source, checked_seeds
 
-_BLOCK = 256
-"""Samples drawn at a time, fewer of many runs."""
-
-_LARGEST_BLOCK = 2**16
-"""Samples of all runs drawn at a time, so that the memory stays bounded."""
+_BLOCK = 2**16
+"""Samples of all runs that are moved at a time, so that the memory stays bounded."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +95,24 @@ class TorqueDisturbance:
                 raise ModelError(f"torque_disturbance {side}: expected torques, got a stuck sensor")
 
 
+class PlantSignals(NamedTuple):
+    """What moves a plant, and what is measured of it.
+
+    Attributes:
+        outputs: The outputs, p of them.
+        inputs: The signal of each input and scheduled signal in the absence of a command.
+        input_count: Number of inputs, which can be commanded; they are the first of `inputs`.
+        torques: Signals of the disturbance of each torque.
+        reporting_error: What the first reported input has beyond the applied one.
+    """
+
+    outputs: tuple[SimulatedOutput, ...]
+    inputs: tuple[Signal, ...]
+    input_count: int
+    torques: tuple[tuple[Signal, ...], ...] = ()
+    reporting_error: tuple[Signal, ...] = ()
+
+
 class PlantScenario(ABC):
     """A plant, what moves it and what its outputs measure.
 
@@ -113,31 +126,11 @@ class PlantScenario(ABC):
 
     @property
     @abstractmethod
-    def measured(self) -> tuple[SimulatedOutput, ...]:
-        """The outputs, p of them."""
-
-    @property
-    @abstractmethod
-    def excitations(self) -> tuple[Signal, ...]:
-        """The signal of each input and scheduled signal in the absence of a command."""
-
-    @property
-    @abstractmethod
-    def input_count(self) -> int:
-        """Number of inputs that can be commanded; scheduled signals are not among them."""
-
-    @property
-    def torques(self) -> tuple[tuple[Signal, ...], ...]:
-        """Components of the disturbance of each torque."""
-        return ()
-
-    @property
-    def reporting_error(self) -> tuple[Signal, ...]:
-        """What the first reported input has beyond the applied one."""
-        return ()
+    def signals(self) -> PlantSignals:
+        """What moves it, and what is measured."""
 
     @abstractmethod
-    def motion(self, seeds: Sequence[int], block: int) -> Motion:
+    def motion(self, seeds: Sequence[int]) -> Motion:
         """Return the plants at the first sample, ready to move."""
 
     def to_design(self, physical: Array) -> Array:
@@ -201,18 +194,8 @@ class Scenario(PlantScenario):
         non_negative("duration", self.duration)
         non_negative("backlash", self.backlash)
         for name in ("initial_state", "initial_spread"):
-            values = getattr(self, name)
-            if len(values) != 4 or not all(math.isfinite(value) for value in values):
-                raise ModelError(f"{name}: expected four finite numbers, got {values!r}")
-        names = [output.measures for output in self.outputs]
-        for place, name in enumerate(names):
-            if name not in QUANTITIES:
-                raise ModelError(
-                    f"outputs[{place}].measures: expected one of {', '.join(QUANTITIES)}, "
-                    f"got {name!r}"
-                )
-            if name in names[:place]:
-                raise ModelError(f"outputs[{place}].measures: {name} is listed twice")
+            as_matrix(name, getattr(self, name), (4,))
+        self.arm.measured([output.measures for output in self.outputs])
         if self.outputs and (self.disturbance or self.sensor != Sensor()):
             raise ModelError(
                 "outputs: expected none beside `sensor` and `disturbance`, which are those of the "
@@ -225,94 +208,33 @@ class Scenario(PlantScenario):
         return self.mismatch.apply(self.arm)
 
     @property
-    def measured(self) -> tuple[SimulatedOutput, ...]:
-        """The outputs, p of them."""
-        return self.outputs or (SimulatedOutput(sensor=self.sensor, disturbance=self.disturbance),)
+    def signals(self) -> PlantSignals:
+        """What moves it, and what is measured."""
+        alone = SimulatedOutput(sensor=self.sensor, disturbance=self.disturbance)
+        torques = (self.torque_disturbance.motor, self.torque_disturbance.link)
+        outputs = self.outputs or (alone,)
+        return PlantSignals(outputs, (self.excitation,), 1, torques, self.torque_error)
 
-    @property
-    def excitations(self) -> tuple[Signal, ...]:
-        """The torque in the absence of a command."""
-        return (self.excitation,)
-
-    @property
-    def input_count(self) -> int:
-        """Number of inputs that can be commanded."""
-        return 1
-
-    @property
-    def torques(self) -> tuple[tuple[Signal, ...], ...]:
-        """Components of the torque on the motor, and of that on the link."""
-        return tuple(getattr(self.torque_disturbance, side) for side in SIDES)
-
-    @property
-    def reporting_error(self) -> tuple[Signal, ...]:
-        """What the reported torque has beyond the applied one."""
-        return self.torque_error
-
-    def motion(self, seeds: Sequence[int], block: int) -> Motion:
+    def motion(self, seeds: Sequence[int]) -> Motion:
         """Return the arms at the first sample, ready to move."""
-        spread = np.empty((len(seeds), 4))
-        RandomStream(seeds, Source.INITIAL_STATE).fill(spread)
-        start = np.array(self.initial_state) + spread * np.array(self.initial_spread)
-        return ArmMotion(
-            self.true_arm,
-            self.friction,
-            self.payload,
-            self.process_noise,
-            self.backlash,
-            [QUANTITIES.index(output.measures) for output in self.measured],
-            self.rate,
-            seeds,
-            self.arm.to_physical(start),
-            block,
-        )
+        return ArmMotion(self, seeds)
 
     def to_design(self, physical: Array) -> Array:
         """Return states in the nominal arm's design coordinates, shape (..., 4)."""
         return self.arm.from_physical(physical)
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """What is true and what is measured at one sampling time; (...) is () or (runs,).
-
-    Shapes are those of an arm; a T–S system has n states, m inputs and then s scheduled signals,
-    no torques, and `physical` is `state`.
-
-    Attributes:
-        index: k, from 0.
-        time: k/rate, since the start [s].
-        state: True state in the nominal arm's design coordinates, shape (..., 4).
-        physical: True [q₁, q̇₁, q₂, q̇₂] (rad, rad/s), shape (..., 4).
-        disturbance: What each measurement has beyond the truth, its latency, noise and outliers,
-            shape (..., p). Of a stuck sensor it is the frozen value minus the true one.
-        measurement: y, shape (..., p); NaN if the sample was lost.
-        torque: Torque reported from this time to the next sample [N m], shape (..., 1): the one
-            applied, and its error.
-        torque_disturbance: See `Trajectories`, shape (..., 2).
-        lost: Whether the sample of every output was lost in a dropout.
-    """
-
-    index: int
-    time: float
-    state: Array
-    physical: Array
-    disturbance: Array
-    measurement: Array
-    torque: Array
-    torque_disturbance: Array
-    lost: bool
-
-
 class Trajectories(NamedTuple):
     """A batch of runs; without the first axis a single one.
 
-    Shapes are those of an arm, as for `Sample`.
+    Shapes are those of an arm; a T–S system has n states, m inputs and then s scheduled signals,
+    no torques, and `physical` is `states`.
 
     Attributes:
-        times: [s], shape (samples,).
+        times: k/rate, since the start [s], shape (samples,).
         states: True states in the nominal arm's design coordinates, shape (runs, samples, 4).
-        disturbances: True disturbances of the outputs, shape (runs, samples, p).
+        disturbances: What each measurement has beyond the truth, its latency, noise and outliers,
+            shape (runs, samples, p). Of a stuck sensor it is the frozen value minus the true one.
         measurements: y, NaN if lost, shape (runs, samples, p).
         torques: Torque reported from each sample to the next [N m]: the one applied, and its
             error, shape (runs, samples, 1).
@@ -334,6 +256,20 @@ class Trajectories(NamedTuple):
     torque_disturbances: Array
 
 
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One sample, `index` k, of `Trajectories`, which say what the others are."""
+
+    index: int
+    time: float
+    state: Array
+    disturbance: Array
+    measurement: Array
+    torque: Array
+    physical: Array
+    torque_disturbance: Array
+
+
 class Plant:
     """A plant with its excitation, its sensors and everything random about them.
 
@@ -342,67 +278,53 @@ class Plant:
         seeds: One seed for a single plant, or a sequence of seeds for a batch of runs. A run of a
             batch is the same as the single plant with its seed.
 
+    Attributes:
+        scenario: As given.
+        index: Index of the sample that the next step returns.
+
     Raises:
         ModelError: A seed is not an integer of at least zero.
     """
 
     def __init__(self, scenario: PlantScenario, seeds: Seeds = 0) -> None:
-        self._seeds = checked_seeds(seeds)
         self._is_batch = not isinstance(seeds, int | np.integer)
-        self.scenario = scenario
-        self.reset()
-
-    def reset(self) -> None:
-        """Start again, exactly as a new plant of the same scenario and seeds."""
-        scenario, runs = self.scenario, len(self._seeds)
-        self._index = 0
-        self._block = min(_BLOCK, max(1, _LARGEST_BLOCK // runs))
-        self._drawn = self._block
-        self._motion = scenario.motion(self._seeds, self._block)
-        outputs = scenario.measured
-        self._sensors = Sensors(self._seeds, len(outputs), self._block, scenario.rate)
-        for place, excitation in enumerate(scenario.excitations):
-            self.exchange_excitation(excitation, place)
-        for place, output in enumerate(outputs):
-            self.exchange_sensor(output.sensor, place)
-            self.exchange_disturbance(output.disturbance, place)
-        for side, components in enumerate(scenario.torques):
-            self.exchange_torque_disturbance(components, side)
-        self._measured_last: Flags = np.ones(len(outputs), np.bool_)
-        for _, fed in self._motion.fed_back:
-            self._measured_last[fed] = False
-        self._held = np.zeros((runs, len(outputs)))
-        # So that the first block is drawn before the first step.
-        self._advance(0)
-
-    @property
-    def index(self) -> int:
-        """Index of the sample that the next step returns."""
-        return self._index
+        self._seeds = runs = checked_seeds(seeds)
+        self.scenario, self.index = scenario, 0
+        self._motion, self._signals = scenario.motion(runs), scenario.signals
+        self._inputs, rate = list(self._signals.inputs), scenario.rate
+        self._outputs = [
+            Output(runs, number, rate, each.sensor, each.disturbance)
+            for number, each in enumerate(self._signals.outputs)
+        ]
+        self._torques = [
+            Disturbance(runs, Source.TORQUE, side, rate, signals)
+            for side, signals in enumerate(self._signals.torques)
+        ]
+        self._held = np.zeros((len(runs), len(self._outputs)))
 
     @property
     def time(self) -> float:
         """Time of the sample that the next step returns, since the start [s]."""
-        return self._index / self.scenario.rate
+        return self.index / self.scenario.rate
 
-    def exchange_disturbance(self, components: Sequence[Signal], output: int = 0) -> None:
-        """Put other components in the place of an output's present ones, from the next sample on.
+    def exchange_disturbance(self, signals: Sequence[Signal], output: int = 0) -> None:
+        """Put other signals in the place of an output's present ones, from the next sample on.
 
-        The time of the new components, their `start` included, counts from the next sample.
+        The time of the new signals, their `start` included, counts from the next sample.
         """
-        self._sensors.disturb(output, components, self._index, self._drawn)
+        self._outputs[output].disturb(signals, self.index)
 
-    def exchange_torque_disturbance(self, components: Sequence[Signal], side: int) -> None:
+    def exchange_torque_disturbance(self, signals: Sequence[Signal], side: int) -> None:
         """Do so for the torque disturbance of the motor (0) or of the link (1)."""
-        self._motion.torques.exchange(side, components, self._index, self._drawn)
+        self._torques[side].exchange(signals, self.index)
 
     def exchange_excitation(self, excitation: Signal, place: int = 0) -> None:
         """Move an input otherwise from the next sample on; its time goes on counting."""
-        self._motion.excite(place, excitation)
+        self._inputs[place] = excitation
 
     def exchange_sensor(self, sensor: Sensor, output: int = 0) -> None:
         """Measure with other noise, outliers or dropouts from the next sample on."""
-        self._sensors.exchange(output, sensor, self._drawn)
+        self._outputs[output].exchange(sensor)
 
     def step(self, torque: ArrayLike | None = None) -> Sample:
         """Measure at the present sample, move on to the next one and return the former.
@@ -414,24 +336,11 @@ class Plant:
         Raises:
             ModelError: The torque is not finite or does not fit the plant.
         """
-        index, time, m = self._index, self.time, self.scenario.input_count
-        if torque is not None:
-            torque = self._checked_torque(torque, (len(self._seeds), m) if self._is_batch else (m,))
-            torque = torque[..., np.newaxis, :] if torque.ndim else torque
-        where = np.s_[:, 0] if self._is_batch else (0, 0)
-        series = self._advance(1, torque)
-        physical = series.states[where]
-        return Sample(
-            index,
-            time,
-            self.scenario.to_design(physical),
-            physical,
-            series.disturbances[where],
-            series.measurements[where],
-            series.inputs[where],
-            series.torques[where],
-            self._sensors.lost,
-        )
+        index, given = self.index, None if torque is None else np.asarray(torque, np.float64)
+        if given is not None and given.ndim:
+            given = given[..., np.newaxis, :]
+        times, *arrays = self.run(1, given)
+        return Sample(index, float(times[0]), *(each[..., 0, :] for each in arrays))
 
     def run(self, samples: int, torque: ArrayLike | None = None) -> Trajectories:
         """Step many times and return all samples; other threads of Python can run meanwhile.
@@ -446,83 +355,64 @@ class Plant:
         Raises:
             ModelError: The torque is not finite, or of another shape.
         """
-        if torque is not None:
-            m = self.scenario.input_count
-            shapes = [(samples, m)] + [(len(self._seeds), samples, m)] * self._is_batch
-            torque = self._checked_torque(torque, *shapes)
-        times = np.arange(self._index, self._index + samples) / self.scenario.rate
-        series = self._advance(samples, torque)
-        where = np.s_[:] if self._is_batch else 0
-        physical = series.states[where]
-        return Trajectories(
-            times,
-            self.scenario.to_design(physical),
-            series.disturbances[where],
-            series.measurements[where],
-            series.inputs[where],
-            physical,
-            series.torques[where],
-        )
+        given = None if torque is None else self._checked_torque(torque, samples)
+        times = np.arange(self.index, self.index + samples) / self.scenario.rate
+        n, p, t = self._motion.states.shape[1], len(self._outputs), len(self._torques)
+        widths = (n, p, p, len(self._inputs), t)
+        kept = [np.empty((len(self._seeds), samples, width)) for width in widths]
+        block = 1 if self._motion.fed_back else max(1, _BLOCK // len(self._seeds))
+        for done in range(0, samples, block):
+            now = np.s_[:, done : done + block]
+            parts = self._advance(times[now[1]], None if given is None else given[now])
+            for whole, part in zip(kept, parts, strict=True):
+                whole[now] = part
+            self.index += parts[0].shape[1]
+        one = [each if self._is_batch else each[0] for each in kept]
+        design = self.scenario.to_design(one[0])
+        return Trajectories(times, design, one[1], one[2], one[3], one[0], one[4])
 
-    def _checked_torque(self, torque: ArrayLike, *shapes: tuple[int, ...]) -> Array:
-        given = np.asarray(torque, dtype=np.float64)
+    def _checked_torque(self, torque: ArrayLike, samples: int) -> Array:
+        """Return commands of all runs, shape (runs, samples, m)."""
+        given, runs, m = np.asarray(torque, np.float64), len(self._seeds), self._signals.input_count
+        shapes = [(samples, m)] + [(runs, samples, m)] * self._is_batch
         if given.shape not in ((), *shapes):
             expected = " or ".join(map(str, shapes))
             raise ModelError(f"torque: expected shape {expected}, got {given.shape}")
-        wrong = ~np.isfinite(given)
+        whole = np.broadcast_to(given, (runs, samples, m))
+        wrong = ~np.isfinite(whole).all(axis=(0, 2))
         if wrong.any():
-            place = int(wrong.any(axis=(0, 2)).argmax()) if given.ndim == 3 else int(wrong.argmax())
-            raise ModelError(f"torque of sample {self._index + place}: expected finite numbers")
-        return given
+            place = self.index + int(wrong.argmax())
+            raise ModelError(f"torque of sample {place}: expected finite numbers")
+        return whole
 
-    def _advance(self, samples: int, torque: ArrayLike | None = None) -> Series:
-        """Step and return all that was true and measured on the way."""
-        scenario, motion, shape = self.scenario, self._motion, (len(self._seeds), samples)
-        outputs, signals = len(self._measured_last), len(motion.excitations)
-        series = Series(
-            np.empty((*shape, motion.states.shape[1])),
-            np.empty((*shape, outputs)),
-            np.zeros((*shape, outputs)),
-            np.empty((*shape, outputs)),
-            np.empty((*shape, signals)),
-            np.zeros((*shape, len(scenario.torques))),
-        )
-        rate, first, given = scenario.rate, self._index, 0
-        if torque is not None:
-            given = scenario.input_count
-            series.inputs[..., :given] = torque
-        motion.add_inputs(series.inputs, given, first)
-        motion.torques.add_means(series.torques, first)
-        self._sensors.channels.add_means(series.disturbances, first)
-        done = 0
-        while True:
-            if self._drawn == self._block:
-                motion.draw()
-                self._sensors.draw()
-                self._drawn = 0
-            part = min(samples - done, self._block - self._drawn, 1 if motion.fed_back else samples)
-            span = Span(self._index, self._drawn, done, part)
-            if part:
-                if motion.fed_back:
-                    self._feed_back(span, series)
-                motion.move(span, series)
-                self._sensors.measure(span, series, self._measured_last)
-            self._index += part
-            self._drawn += part
-            done += part
-            if done == samples:
-                break
-        for each in scenario.reporting_error:
-            error = each.values(np.arange(first, self._index) / rate)
-            series.inputs[..., 0] += error
-            series.torques[..., 0] -= error
-        return series
-
-    def _feed_back(self, span: Span, series: Series) -> None:
-        """Measure what is fed back at a sample, and enter it into the inputs."""
-        series.truths[:, span.place] = self._motion.known_outputs()
-        self._sensors.measure(span, series, ~self._measured_last)
-        for row, output in self._motion.fed_back:
-            now = series.measurements[:, span.place, output]
-            self._held[:, output] = np.where(np.isfinite(now), now, self._held[:, output])
-            series.inputs[:, span.place, row] = self._held[:, output]
+    def _advance(self, times: Array, given: Array | None) -> tuple[Array, ...]:
+        """Move on over samples; return states, disturbances, measurements, inputs and torques."""
+        motion, start = self._motion, self.index
+        shape = (len(self._seeds), len(times))
+        inputs = np.empty((*shape, len(self._inputs)))
+        for place, excitation in enumerate(self._inputs):
+            if given is not None and place < given.shape[2]:
+                inputs[..., place] = given[..., place]
+            else:
+                inputs[..., place] = excitation.values(times)
+        torques = np.empty((*shape, len(self._torques)))
+        for side, disturbance in enumerate(self._torques):
+            torques[..., side] = disturbance.values(start, len(times))
+        measured = {}
+        for place, output in motion.fed_back:
+            truth = motion.known_output(output)[:, np.newaxis]
+            measured[output] = self._outputs[output].measure(start, truth)
+            value = measured[output][1][:, 0]
+            self._held[:, output] = np.where(np.isfinite(value), value, self._held[:, output])
+            inputs[:, 0, place] = self._held[:, output]
+        states, truths = motion.move(start, inputs, torques)
+        for number, each in enumerate(self._outputs):
+            if number not in measured:
+                measured[number] = each.measure(start, np.ascontiguousarray(truths[..., number]))
+        pairs = [measured[number] for number in range(len(self._outputs))]
+        disturbances, measurements = (np.stack(each, axis=-1) for each in zip(*pairs, strict=True))
+        for signal in self._signals.reporting_error:
+            error = signal.values(times)
+            inputs[..., 0] += error
+            torques[..., 0] -= error
+        return states, disturbances, measurements, inputs, torques

@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The sensors of a simulated plant, one for each output."""
+"""Sensors and disturbances of simulated plants, which can be exchanged while a plant runs."""
 
 import math
 from collections.abc import Sequence
@@ -11,9 +11,7 @@ import numpy as np
 from tsobs_ros.checks import Array, Flags, check_each, non_negative
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.simulation.channels import Channels
-from tsobs_ros.simulation.series import Series, Span
-from tsobs_ros.simulation.signals import Signal, markov_step, recurs
+from tsobs_ros.simulation.signals import GaussMarkov, Signal, StuckSensor, markov_step, recurs
 from tsobs_ros.simulation.streams import RandomStream, Source
 
 
@@ -68,140 +66,184 @@ class Sensor:
             raise ModelError(f"outlier_size: expected a finite number, got {self.outlier_size!r}")
 
 
-class Sensors:
-    """The sensors of a plant's outputs, in every run of a batch.
+class Disturbance:
+    """The disturbance of an output or a torque, in every run of a batch: a sum of signals.
 
     Args:
         seeds: One for each run.
-        count: Number of outputs.
-        block: Samples that random numbers are drawn for at a time.
+        source: What the random numbers of drifts are for.
+        channel: Number of the output or torque.
         rate: Samples a second [Hz].
-
-    Attributes:
-        channels: The disturbances of the outputs.
+        signals: What it is the sum of.
     """
 
-    def __init__(self, seeds: Sequence[int], count: int, block: int, rate: float) -> None:
-        self._seeds, self._block, self._rate = seeds, block, rate
-        runs = len(seeds)
-        self.channels = Channels(seeds, Source.DISTURBANCE, count, block, rate)
-        self._sensors = [Sensor()] * count
-        self._noise, self._luck = np.empty((2, count, runs, block))
-        self._streams = []
-        for output in range(count):
-            key = () if output == 0 else (output,)
-            normal = RandomStream(seeds, Source.MEASUREMENT, key)
-            uniform = RandomStream(seeds, Source.OUTLIER, key, uniform=True)
-            self._streams += [(normal, self._noise[output]), (uniform, self._luck[output])]
-        # Of Student's t, with as many numbers a sample as its degrees of freedom.
-        self._tails: list[tuple[RandomStream, Array] | None] = [None] * count
-        # True values of the last samples, as many as the latency has; None if not known.
-        self._past: list[Array | None] = [None] * count
-        self._last, self._frozen = np.zeros((2, count, runs))
-        self._was_stuck, self._was_lost = np.zeros((2, count), np.bool_)
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        source: Source,
+        channel: int,
+        rate: float,
+        signals: Sequence[Signal],
+    ) -> None:
+        self._seeds, self._source, self._rate = seeds, source, rate
+        self._key = (channel,) if channel else ()
+        self._generation = 0
+        self.exchange(signals, 0)
 
-    @property
-    def lost(self) -> bool:
-        """Whether the last sample of every output was lost in a dropout."""
-        return bool(self._was_lost.all())
+    def exchange(self, signals: Sequence[Signal], index: int) -> None:
+        """Put other signals in the place of the present ones.
+
+        Args:
+            signals: The others.
+            index: Index of the first sample they are for, from which their time counts.
+        """
+        self._signals, self._begin = tuple(signals), index
+        generation = self._generation
+        self._generation += 1
+        # The stream and the present values of every drift.
+        self._drifts = [
+            (
+                each,
+                RandomStream(self._seeds, self._source, (generation, place, *self._key)),
+                np.zeros(len(self._seeds)),
+            )
+            for place, each in enumerate(signals)
+            if isinstance(each, GaussMarkov)
+        ]
+
+    def values(self, start: int, samples: int) -> Array:
+        """Move on over samples and return their values, shape (runs, samples)."""
+        times, total = self._times(start, samples), np.zeros(samples)
+        for each in self._signals:
+            total += each.values(times)
+        values = np.zeros((len(self._seeds), samples)) + total
+        for drift, stream, now in self._drifts:
+            # A drift leaves zero one sample after its start.
+            before = self._times(start - 1, samples)
+            first = samples - int(np.count_nonzero((before >= 0.0) & (before >= drift.start)))
+            numbers = stream.take(samples)[:, first:].copy()
+            decay, strength = markov_step(1.0 / self._rate, drift.time_constant)
+            native.gauss_markov(decay, strength * drift.std, now, numbers)
+            values[:, first:] += numbers
+        return values
+
+    def stuck(self, start: int, samples: int) -> Flags:
+        """Return at which samples a signal holds the measured value, shape (samples,)."""
+        found, times = np.zeros(samples, np.bool_), self._times(start, samples)
+        for each in self._signals:
+            if isinstance(each, StuckSensor):
+                found |= each.holds(times)
+        return found
+
+    def _times(self, start: int, samples: int) -> Array:
+        first = start - self._begin
+        return np.arange(first, first + samples) / self._rate
+
+
+class Output:
+    """An output with its sensor and its disturbance, in every run of a batch.
+
+    Args:
+        seeds: One for each run.
+        number: Number of the output.
+        rate: Samples a second [Hz].
+        sensor: Its sensor.
+        signals: Its disturbance.
+    """
+
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        number: int,
+        rate: float,
+        sensor: Sensor,
+        signals: Sequence[Signal],
+    ) -> None:
+        self._disturbance = Disturbance(seeds, Source.DISTURBANCE, number, rate, signals)
+        self._seeds, self._rate, self._sensor = seeds, rate, Sensor()
+        self._key = (number,) if number else ()
+        self._normal = RandomStream(seeds, Source.MEASUREMENT, self._key)
+        self._uniform = RandomStream(seeds, Source.OUTLIER, self._key, uniform=True)
+        # Of Student's t, with as many numbers a sample as its degrees of freedom.
+        self._tail: RandomStream | None = None
+        # True values of the last samples, as many as the latency has; None if not known.
+        self._past: Array | None = None
+        self._last, self._frozen = np.zeros((2, len(seeds)))
+        self._was_stuck = False
+        self.exchange(sensor)
+
+    def exchange(self, sensor: Sensor) -> None:
+        """Measure by another sensor.
+
+        Of another latency, older values than the next one are not known; the next one is taken.
+        """
+        former, degrees = self._sensor, sensor.noise_degrees
+        if degrees != former.noise_degrees:
+            key = (degrees, *self._key)
+            self._tail = RandomStream(self._seeds, Source.TAIL, key) if degrees else None
+        if self._delay(sensor) != self._delay(former):
+            self._past = None
+        self._sensor = sensor
+
+    def disturb(self, signals: Sequence[Signal], index: int) -> None:
+        """Exchange the disturbance; see `Disturbance.exchange`."""
+        self._was_stuck = False
+        self._disturbance.exchange(signals, index)
+
+    @np.errstate(all="ignore")
+    def measure(self, start: int, truth: Array) -> tuple[Array, Array]:
+        """Return what the measurement has beyond the truth, and the measurement, NaN if lost.
+
+        Args:
+            start: Index of the first sample.
+            truth: True values, shape (runs, samples).
+        """
+        sensor, samples = self._sensor, truth.shape[1]
+        times = np.arange(start, start + samples) / self._rate
+        added = self._disturbance.values(start, samples)
+        is_loud = _is_within(times, sensor.burst_interval, sensor.burst_duration)
+        loudness = sensor.noise_std * np.where(is_loud, sensor.burst_factor, 1.0)
+        values = self._late(truth) + added + loudness * self._noise(start, samples)
+        stuck = self._disturbance.stuck(start, samples)
+        if stuck.any():
+            values = self._freeze(values, stuck)
+            added[:, stuck] = (values - truth)[:, stuck]
+        self._was_stuck = bool(stuck[-1])
+        luck = self._uniform.take(samples)
+        if sensor.outlier_probability > 0.0:
+            values += _outliers(luck, sensor)
+        if sensor.resolution > 0.0:
+            rounded = sensor.resolution * np.floor(values / sensor.resolution + 0.5)
+            values = np.where(np.isfinite(values), rounded, values)
+        lost = _is_within(times, sensor.dropout_interval, sensor.dropout_duration)
+        if sensor.loss_probability > 0.0:  # by the numbers that make outliers, from the other end
+            lost = lost | (luck >= 1.0 - sensor.loss_probability)
+        return added, np.where(lost, np.nan, values)
 
     def _delay(self, sensor: Sensor) -> int:
         return round(sensor.latency * self._rate)
 
-    def exchange(self, output: int, sensor: Sensor, drawn: int) -> None:
-        """Measure an output by another sensor.
-
-        Of another latency, older values than the next one are not known; the next one is taken.
-
-        Args:
-            output: Its number.
-            sensor: The other one.
-            drawn: Place of the next sample in the blocks of random numbers.
-        """
-        former, degrees = self._sensors[output], sensor.noise_degrees
-        if degrees != former.noise_degrees:
-            self._tails[output] = None
-            if degrees:
-                key = (degrees,) if output == 0 else (degrees, output)
-                stream = RandomStream(self._seeds, Source.TAIL, key)
-                tail = np.empty((len(self._seeds), self._block, degrees))
-                stream.fill(tail[:, drawn:])
-                self._tails[output] = stream, tail
-        if self._delay(sensor) != self._delay(former):
-            self._past[output] = None
-        self._sensors[output] = sensor
-
-    def disturb(self, output: int, components: Sequence[Signal], index: int, drawn: int) -> None:
-        """Exchange the disturbance of an output; see `Channels.exchange`."""
-        self._was_stuck[output] = False
-        self.channels.exchange(output, components, index, drawn)
-
-    def draw(self) -> None:
-        """Draw the next random numbers."""
-        for stream, block in (*self._streams, *filter(None, self._tails)):
-            stream.fill(block)
-        self.channels.draw()
-
-    def measure(self, span: Span, series: Series, chosen: Flags) -> None:
-        """Measure outputs of every run at the next samples.
-
-        Args:
-            span: The samples, at least one.
-            series: With the truths; disturbances and measurements are written.
-            chosen: Which outputs, shape (p,).
-        """
-        with np.errstate(all="ignore"):
-            for output in np.flatnonzero(chosen).tolist():
-                truths, disturbances = span.of(series.truths), span.of(series.disturbances)
-                span.of(series.measurements)[..., output] = self._measured(
-                    output, span, truths[..., output], disturbances[..., output]
-                )
-
-    def _measured(self, output: int, span: Span, truth: Array, disturbance: Array) -> Array:
-        """Return what a sensor measures, and complete its disturbance; all (runs, samples)."""
-        sensor, times = self._sensors[output], span.times(self._rate)
-        self.channels.add_drifts(disturbance, output, span)
-        is_loud = is_within(times, sensor.burst_interval, sensor.burst_duration)
-        loudness = sensor.noise_std * np.where(is_loud, sensor.burst_factor, 1.0)
-        values = self._late(output, truth) + disturbance + loudness * self._noise_of(output, span)
-        stuck = self.channels.stuck(output, span)
-        if stuck.any():
-            values = self._freeze(output, values, stuck)
-            disturbance[:, stuck] = (values - truth)[:, stuck]
-        self._was_stuck[output] = stuck[-1]
-        if sensor.outlier_probability > 0.0:
-            values += outliers(span.drawn_for(self._luck[output]), sensor)
-        if sensor.resolution > 0.0:
-            rounded = sensor.resolution * np.floor(values / sensor.resolution + 0.5)
-            values = np.where(np.isfinite(values), rounded, values)
-        lost = is_within(times, sensor.dropout_interval, sensor.dropout_duration)
-        self._was_lost[output] = lost[-1]
-        if sensor.loss_probability > 0.0:  # by the numbers that make outliers, from the other end
-            lost = lost | (span.drawn_for(self._luck[output]) >= 1.0 - sensor.loss_probability)
-        return np.where(lost, np.nan, values)
-
-    def _late(self, output: int, truth: Array) -> Array:
+    def _late(self, truth: Array) -> Array:
         """Return the true values that are measured, as old as the latency."""
-        past = self._past[output]
+        past = self._past
         if past is None:
-            past = np.repeat(truth[:, :1], self._delay(self._sensors[output]), axis=1)
+            past = np.repeat(truth[:, :1], self._delay(self._sensor), axis=1)
         known = np.concatenate([past, truth], axis=1)
-        self._past[output] = known[:, truth.shape[1] :]
+        self._past = known[:, truth.shape[1] :]
         return known[:, : truth.shape[1]]
 
-    def _noise_of(self, output: int, span: Span) -> Array:
+    def _noise(self, start: int, samples: int) -> Array:
         """Return the noise in units of its 1σ."""
-        sensor, last, tail = self._sensors[output], self._last[output], self._tails[output]
-        noise = span.drawn_for(self._noise[output]).copy()
-        if tail is not None:
-            others, total = span.drawn_for(tail[1]), np.zeros_like(noise)
+        sensor, last, noise = self._sensor, self._last, self._normal.take(samples)
+        if self._tail is not None:
+            others, total = self._tail.take(samples, sensor.noise_degrees), np.zeros_like(noise)
             for place in range(sensor.noise_degrees):
                 total += others[..., place] * others[..., place]
             noise /= np.sqrt(total / sensor.noise_degrees)
         if sensor.noise_time_constant > 0.0:
             decay, strength = markov_step(1.0 / self._rate, sensor.noise_time_constant)
             first = 0
-            if span.start == 0:  # the first one is stationary already
+            if start == 0:  # the first one is stationary already
                 first, last[:] = 1, noise[:, 0]
             moving = noise[:, first:].copy()
             native.gauss_markov(decay, strength, last, moving)
@@ -210,24 +252,23 @@ class Sensors:
             last[:] = noise[:, -1]
         return noise
 
-    def _freeze(self, output: int, values: Array, stuck: Flags) -> Array:
+    def _freeze(self, values: Array, stuck: Flags) -> Array:
         """Return values that stay as they were where the sensor began to be stuck."""
-        before = np.concatenate([self._was_stuck[output : output + 1], stuck[:-1]])
-        began = np.where(stuck & ~before, np.arange(len(stuck)), -1)
-        began = np.maximum.accumulate(began)
-        held = np.where(began >= 0, values[:, began], self._frozen[output][:, np.newaxis])
-        self._frozen[output] = held[:, -1]
+        before = np.concatenate([[self._was_stuck], stuck[:-1]])
+        began = np.maximum.accumulate(np.where(stuck & ~before, np.arange(len(stuck)), -1))
+        held = np.where(began >= 0, values[:, began], self._frozen[:, np.newaxis])
+        self._frozen = held[:, -1]
         return np.where(stuck, held, values)
 
 
-def is_within(times: Array, interval: float, duration: float) -> Flags:
+def _is_within(times: Array, interval: float, duration: float) -> Flags:
     """Return whether times [s] lie in a dropout or a burst, the first after one interval."""
     if not interval > 0.0:
         return np.zeros(len(times), np.bool_)
     return recurs(times - interval, duration, interval)
 
 
-def outliers(luck: Array, sensor: Sensor) -> Array:
+def _outliers(luck: Array, sensor: Sensor) -> Array:
     """Return what outliers add [rad], 0 if there is none, by numbers drawn from [0, 1)."""
     probability, size = sensor.outlier_probability, sensor.outlier_size
     if sensor.outlier_is_uniform:

@@ -44,21 +44,16 @@ class RandomStream:
     def __init__(
         self, seeds: Iterable[int], source: Source, key: tuple[int, ...] = (), uniform: bool = False
     ) -> None:
-        generators = [
-            np.random.Generator(
-                np.random.Philox(np.random.SeedSequence(seed, spawn_key=(source, *key)))
-            )
-            for seed in seeds
-        ]
+        sequences = [np.random.SeedSequence(seed, spawn_key=(source, *key)) for seed in seeds]
+        generators = [np.random.Generator(np.random.Philox(each)) for each in sequences]
         self._draws = [each.random if uniform else each.standard_normal for each in generators]
 
-    def fill(self, block: Array) -> None:
-        """Write the next numbers into a block of shape (runs, ...), whose rows are contiguous.
-
-        The numbers do not depend on how many are drawn at a time.
-        """
+    def take(self, *shape: int) -> Array:
+        """Return the next numbers, shape (runs, *shape); how many at a time does not matter."""
+        block = np.empty((len(self._draws), *shape))
         for draw, row in zip(self._draws, block, strict=True):
             draw(out=row)
+        return block
 
 
 def checked_seeds(seeds: Seeds) -> list[int]:

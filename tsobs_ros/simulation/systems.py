@@ -6,7 +6,6 @@ They are integrated by the classical fourth-order Runge–Kutta method, in steps
 millisecond, with inputs and scheduled signals held from a sample to the next.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -18,10 +17,8 @@ from tsobs_ros.core import native
 from tsobs_ros.core.records import record_type
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.ts_model import TSModel
-from tsobs_ros.simulation.integrator import LONGEST_SUBSTEP
-from tsobs_ros.simulation.motion import Motion
-from tsobs_ros.simulation.plant import PlantScenario, SimulatedOutput
-from tsobs_ros.simulation.series import Series, Span
+from tsobs_ros.simulation.integrator import Motion, substeps
+from tsobs_ros.simulation.plant import PlantScenario, PlantSignals, SimulatedOutput
 from tsobs_ros.simulation.signals import NoTorque, Signal
 from tsobs_ros.simulation.streams import RandomStream, Source
 
@@ -61,7 +58,7 @@ class SystemScenario(PlantScenario):
     inputs: tuple[Signal, ...] = ()
     fed_back: tuple[str | None, ...] = ()
     change: ArrayLike | None = None
-    _true: Array = field(init=False, repr=False)
+    true_rates: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         model = self.model
@@ -85,7 +82,7 @@ class SystemScenario(PlantScenario):
             )
         shape = model.rates.shape
         change = np.zeros(shape) if self.change is None else self.change
-        object.__setattr__(self, "_true", model.rates + as_matrix("change", change, shape))
+        object.__setattr__(self, "true_rates", model.rates + as_matrix("change", change, shape))
         _ = model.rule_base.coded
         names = [output.measures for output in self.outputs]
         check_names("fed_back", filter(None, self.fed_back), names)
@@ -98,123 +95,65 @@ class SystemScenario(PlantScenario):
                 )
 
     @property
-    def measured(self) -> tuple[SimulatedOutput, ...]:
-        """The outputs, p of them."""
-        return self.outputs
+    def signals(self) -> PlantSignals:
+        """What moves it, and what is measured."""
+        return PlantSignals(self.outputs, self.inputs, self.model.input_count)
 
-    @property
-    def excitations(self) -> tuple[Signal, ...]:
-        """The signal of each input and scheduled signal in the absence of a command."""
-        return self.inputs
-
-    @property
-    def input_count(self) -> int:
-        """Number of inputs that can be commanded."""
-        return self.model.input_count
-
-    def motion(self, seeds: Sequence[int], block: int) -> Motion:
+    def motion(self, seeds: Sequence[int]) -> Motion:
         """Return the systems at the first sample, ready to move."""
-        mean, spread = np.asarray(self.initial_state), np.asarray(self.initial_spread)
-        start = np.empty((len(seeds), len(mean)))
-        RandomStream(seeds, Source.INITIAL_STATE).fill(start)
-        densities = np.asarray(self.process_noise)
-        names, m = [output.measures for output in self.outputs], self.model.input_count
-        return SystemMotion(
-            self.model,
-            self._true,
-            densities,
-            self.rate,
-            seeds,
-            mean + start * spread,
-            block,
-            tuple((m + k, names.index(name)) for k, name in enumerate(self.fed_back) if name),
-        )
+        return SystemMotion(self, seeds)
 
 
 class SystemMotion(Motion):
-    """T–S systems.
+    """T–S systems."""
 
-    Args:
-        model: Their memberships, premises and outputs.
-        rates: [Aᵢ Bᵢ] of the rules that move, shape (r, n, n + m).
-        densities: Of white noise on each state's derivative, shape (n,).
-        rate: Samples a second [Hz].
-        seeds: One for each run.
-        states: At the first sample, shape (runs, n).
-        block: Samples that random numbers are drawn for at a time.
-        fed_back: See `Motion.fed_back`.
-    """
-
-    def __init__(
-        self,
-        model: TSModel,
-        rates: Array,
-        densities: Array,
-        rate: float,
-        seeds: Sequence[int],
-        states: Array,
-        block: int,
-        fed_back: tuple[tuple[int, int], ...] = (),
-    ) -> None:
-        coded, n = model.rule_base.coded, model.state_count
-        self._sizes = np.array(
-            [
-                n,
-                model.input_count,
-                model.schedule.shape[1],
-                model.C.shape[0],
-                *coded.shapes.shape,
-            ],
-            np.int64,
-        )
-        substeps = max(1, math.ceil(1.0 / rate / LONGEST_SUBSTEP - 1e-9))
+    def __init__(self, scenario: SystemScenario, seeds: Sequence[int]) -> None:
+        model, rate = scenario.model, scenario.rate
+        shapes, parameters = model.rule_base.coded
+        n, m, outputs = model.state_count, model.input_count, model.rule_outputs
+        sizes = [n, m, model.schedule.shape[1], model.C.shape[0], *shapes.shape]
+        self._sizes, steps = np.array(sizes, np.int64), substeps(rate)
+        densities = np.asarray(scenario.process_noise)
         record = np.zeros(1, record_type(native.simulated_system_layout(self._sizes)))
         for name, value in {
-            "substeps": substeps,
-            "substep": 1.0 / rate / substeps,
-            "rates": rates.reshape(-1, rates.shape[2]),
-            "outputs": model.rule_outputs.reshape(-1, n),
-            "shapes": coded.shapes.ravel(),
-            "parameters": coded.parameters.reshape(-1, 4),
+            "substeps": steps,
+            "substep": 1.0 / rate / steps,
+            "rates": scenario.true_rates.reshape(-1, n + m),
+            "outputs": outputs.reshape(-1, n),
+            "shapes": shapes.ravel(),
+            "parameters": parameters.reshape(-1, 4),
             "premise": model.premise,
             "schedule": model.schedule,
-            "strengths": np.sqrt(densities / rate / substeps),
+            "strengths": np.sqrt(densities / rate / steps),
         }.items():
             record[name] = value
-        self._numbers, self._outputs = record.view(np.float64), model.rule_outputs
-        kicks = substeps * n if densities.any() else 0
-        signals = model.input_count + model.schedule.shape[1]
-        super().__init__(seeds, states, kicks, signals, 0, rate, block)
-        self._fed_back = fed_back
-
-    @property
-    def fed_back(self) -> tuple[tuple[int, int], ...]:
-        """Places of the inputs that are measurements, each with the number of its output."""
-        return self._fed_back
-
-    def known_outputs(self) -> Array:
-        """Return the present true values of the outputs that are fed back, shape (runs, p)."""
-        C = self._outputs
-        values = np.zeros((len(self.states), C.shape[1]))
-        for _, output in self._fed_back:
-            # Term by term: a product of matrices has other last bits for another number of runs.
-            for place, state in enumerate(self.states.T):
-                values[:, output] += C[0, output, place] * state
-        return values
-
-    def move(self, span: Span, series: Series) -> None:
-        """Write the next samples of every run and move on; see `Motion.move`."""
-        runs, samples = len(self.states), span.samples
-        states = np.empty((runs, samples, self.states.shape[1]))
-        truths = np.empty((runs, samples, self._outputs.shape[1]))
-        native.simulate_systems(
-            self._sizes,
-            self._numbers,
-            np.ascontiguousarray(span.of(series.inputs)),
-            np.ascontiguousarray(span.drawn_for(self.kicks)),
-            self.states,
-            states,
-            truths,
+        self._numbers, self._outputs = record.view(np.float64), outputs
+        spread = RandomStream(seeds, Source.INITIAL_STATE).take(n)
+        self.states = np.asarray(scenario.initial_state) + spread * np.asarray(
+            scenario.initial_spread
         )
-        span.of(series.states)[...] = states
-        span.of(series.truths)[...] = truths
+        self._kicks = steps * n if densities.any() else 0
+        self._noise = RandomStream(seeds, Source.PROCESS)
+        names = [output.measures for output in scenario.outputs]
+        self.fed_back = tuple(
+            (m + place, names.index(name)) for place, name in enumerate(scenario.fed_back) if name
+        )
+
+    def known_output(self, output: int) -> Array:
+        """Return the present true value of an output that is fed back, shape (runs,)."""
+        value = np.zeros(len(self.states))
+        # Term by term: a product of matrices has other last bits for another number of runs.
+        for gain, state in zip(self._outputs[0, output], self.states.T, strict=True):
+            value += gain * state
+        return value
+
+    def move(self, start: int, inputs: Array, torques: Array) -> tuple[Array, Array]:
+        """Move on over samples; see `Motion.move`."""
+        shape = inputs.shape[:2]
+        states = np.empty((*shape, self.states.shape[1]))
+        truths = np.empty((*shape, self._outputs.shape[1]))
+        kicks = self._noise.take(shape[1], self._kicks)
+        native.simulate_systems(
+            self._sizes, self._numbers, inputs, kicks, self.states, states, truths
+        )
+        return states, truths

@@ -130,7 +130,7 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(ro
         latency=0.015,
         resolution=0.006,
     )
-    assert scenario.measured == (
+    assert scenario.signals.outputs == (
         SimulatedOutput("link_angle", sensor, (Pulses(0.4, 3.0, 0.7, 6.0),)),
     )
     assert scenario.friction == Friction(0.1, 0.05, 0.3, 0.15)

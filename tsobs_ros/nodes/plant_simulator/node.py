@@ -266,17 +266,18 @@ def exchange(plant: Plant, old: PlantScenario, new: PlantScenario) -> Iterator[s
     Yields:
         What is disturbed otherwise from the next sample on.
     """
-    pairs = zip(old.measured, new.measured, strict=True)
+    former, signals = old.signals, new.signals
+    pairs = zip(former.outputs, signals.outputs, strict=True)
     for place, (before, after) in enumerate(pairs):
         if after.disturbance != before.disturbance:
             plant.exchange_disturbance(after.disturbance, place)
             yield f"disturbance of {after.measures} is now {kinds_of(after.disturbance)}"
         plant.exchange_sensor(after.sensor, place)
-    for side, (was, now) in enumerate(zip(old.torques, new.torques, strict=True)):
+    for side, (was, now) in enumerate(zip(former.torques, signals.torques, strict=True)):
         if now != was:
             plant.exchange_torque_disturbance(now, side)
             yield f"torque disturbance of the {SIDES[side]} is now {kinds_of(now)}"
-    for place, excitation in enumerate(new.excitations):
+    for place, excitation in enumerate(signals.inputs):
         plant.exchange_excitation(excitation, place)
 
 

@@ -87,7 +87,7 @@ def scenarios_of(parameters: "PlantSimulatorParameters") -> dict[str, Scenario |
                 _output(
                     parameters, each, given[joint], not chosen or each.measures in affected[joint]
                 )
-                for each in base.measured
+                for each in base.signals.outputs
             ),
             "initial_state": starts[joint],
             "initial_spread": spreads[joint],
@@ -164,7 +164,8 @@ def _of_system(
         parameters.requests[joint].input_names,
         [each.measures for each in base.outputs],
     )
-    free = (parameters.excitation.build(),) * base.input_count + base.inputs[base.input_count :]
+    m = base.model.input_count
+    free = (parameters.excitation.build(),) * m + base.inputs[m:]
     return {
         "process_noise": np.asarray(base.process_noise) * parameters.process_noise.factor,
         "inputs": tuple(

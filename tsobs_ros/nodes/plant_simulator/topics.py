@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
@@ -40,7 +41,7 @@ class TorqueCommands:
         self.parameters = parameters
         self.rejected = 0
         self._is_arm = [isinstance(each, ArmRequest) for each in parameters.requests.values()]
-        self._counts = [each.input_count for each in parameters.scenarios().values()]
+        self._counts = [each.signals.input_count for each in parameters.scenarios().values()]
         self._node = node
         self._subscription = DrainedSubscription(
             node, Float64MultiArray, "joint_torque_command", QoSProfile(depth=10)
@@ -167,7 +168,8 @@ class SamplePublisher:
             torques = [d for each in samples for d in each.torque_disturbance.tolist()]
             self._torque.fill(stamp, torques)
             self._to_torque.publish(self._torque.message)
-        measured = tuple(place for place, each in enumerate(samples) if not each.lost)
+        lost = [np.isnan(each.measurement).all() for each in samples]
+        measured = tuple(place for place, gone in enumerate(lost) if not gone)
         if measured:
             filled = self._of(measured)
             # Outputs last: of an output that is an input too, a lost value shall be NaN.
