@@ -160,7 +160,7 @@ KINDS: dict[str, Kind] = {
     "jittered stamps": Kind(stamped(lambda at, k: at + (k % 5 - 2) * MS, JUDGED)),
     "nan angle": Kind(angle(lambda y, k: math.nan, NON_FINITE)),
     "infinite angle": Kind(angle(lambda y, k: (-1) ** k * math.inf, NON_FINITE)),
-    "nan torque": Kind(torque(lambda u, k: math.nan, IMPLAUSIBLE)),
+    "nan torque": Kind(torque(lambda u, k: math.nan, RejectReason.UNKNOWN_INPUT)),
     "infinite torque": Kind(torque(lambda u, k: (-1) ** k * math.inf, IMPLAUSIBLE)),
     "largest angle": Kind(angle(lambda y, k: (-1) ** k * LARGEST)),
     "largest torque": Kind(torque(lambda u, k: (-1) ** k * LARGEST, IMPLAUSIBLE)),

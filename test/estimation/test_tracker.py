@@ -44,7 +44,7 @@ PROPERTY = settings(max_examples=40)
 DESIGN = load_design(config_path(FIXED_DESIGN))
 ADAPTIVE = load_design(config_path(SHIPPED_DESIGN))
 X_MAX = DESIGN.request.x_max
-JUDGED = (RejectReason.IMPLAUSIBLE_TORQUE, RejectReason.GATED)
+JUDGED = (RejectReason.IMPLAUSIBLE_TORQUE, RejectReason.UNKNOWN_INPUT, RejectReason.GATED)
 
 
 @cache

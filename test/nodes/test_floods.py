@@ -59,7 +59,7 @@ FLOODS: dict[str, tuple[Make, str | None]] = {
         RejectReason.IMPLAUSIBLE_TORQUE.value,
     ),
     "foreign joint": (alone(name=["elbow"]), WRONG),
-    "no effort": (alone(effort=[]), "missing input"),
+    "no effort": (alone(effort=[]), RejectReason.MISSING_INPUT.value),
     "many foreign joints": (alone(name=NAMES, position=[0.0] * 100, effort=[0.0] * 100), WRONG),
     "long name": (alone(name=["x" * 2000]), WRONG),
     "truncated bytes": (as_bytes(lambda data: data[:50]), WRONG),

@@ -236,6 +236,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(COUNT, losses, 1, 1)                                \
     F(COUNT, gated, 1, 1)                                 \
     F(COUNT, implausible, 1, 1)                           \
+    F(COUNT, unknown_inputs, 1, 1)                        \
     F(COUNT, restarts, 1, 1)                              \
     F(COUNT, failures, 1, 1)                              \
     F(MATRIX, hypotheses, s->hypotheses, hypothesis_size(s))

@@ -136,7 +136,7 @@ static void average(const watch *of, int64_t stamp, double normalised)
 static void add_sample(
     const watch *of, int64_t stamp, int64_t code, double y, double innovation, double expected_std)
 {
-    const int corrects = code == USED || code == IMPLAUSIBLE_TORQUE;
+    const int corrects = code == USED || code == IMPLAUSIBLE_TORQUE || code == UNKNOWN_INPUT;
     if (code == NON_FINITE && stamp > 0) {
         if (*of->lacking == 0) {
             *of->lacking = stamp;

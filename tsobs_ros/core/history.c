@@ -213,13 +213,14 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
 {
     history *h = &t->h;
     double *numbers = numbers_at(t, *h->length);
-    int64_t gated = 0, implausible = 0, restarts = 0, failures = 0, code, i;
+    int64_t gated = 0, implausible = 0, unknown = 0, restarts = 0, failures = 0, code, i;
     int starts = *h->length == 0, is_used = 0;
     state at = state_at(t, *h->length);
     if (!starts) {
         const state last = state_at(t, *h->length - 1);
         gated = *last.gated;
         implausible = *last.implausible;
+        unknown = *last.unknown_inputs;
         restarts = *last.restarts;
         failures = *last.failures;
         if (stamp - *last.stamp > *h->restart_after) {
@@ -233,6 +234,9 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
     }
     correct_or_start(t, numbers, &at, y, u, starts, &restarts, &failures);
     code = *at.torque_unknown != 0 ? IMPLAUSIBLE_TORQUE : USED;
+    for (i = 0; i < t->m.s.m; i++) {
+        code = isnan(u[i]) ? UNKNOWN_INPUT : code;
+    }
     for (i = 0; i < t->m.s.p; i++) {
         is_used |= t->effect.weight[i] > 0.0;
     }
@@ -243,6 +247,7 @@ static int64_t step_to(tracker *t, int64_t stamp, const double *y, const double 
     memcpy(at.u, u, (size_t)t->m.s.m * sizeof *u);
     *at.gated = gated + (code == GATED);
     *at.implausible = implausible + (code == IMPLAUSIBLE_TORQUE);
+    *at.unknown_inputs = unknown + (code == UNKNOWN_INPUT);
     *at.restarts = restarts;
     *at.failures = failures;
     *h->length += 1;

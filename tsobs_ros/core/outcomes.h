@@ -15,7 +15,9 @@ enum {
     FROM_FUTURE,
     GATED,
     ZERO_STAMP,
-    IMPLAUSIBLE_TORQUE, /* of which the angle was used */
+    IMPLAUSIBLE_TORQUE, /* of which the outputs were used */
+    MISSING_INPUT,      /* of a message that lacks one */
+    UNKNOWN_INPUT,      /* one is NaN; the outputs were used */
     OUTCOMES
 };
 

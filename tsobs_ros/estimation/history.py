@@ -26,17 +26,18 @@ The core has no codes of the last two.
 """
 
 USED = 0
-NON_FINITE, GATED, IMPLAUSIBLE_TORQUE = (
+NON_FINITE, GATED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT = (
     REASONS.index(reason)
     for reason in (
         RejectReason.NON_FINITE,
         RejectReason.GATED,
         RejectReason.IMPLAUSIBLE_TORQUE,
+        RejectReason.UNKNOWN_INPUT,
     )
 )
 
-CORRECTING = (USED, IMPLAUSIBLE_TORQUE)
-"""Outcomes of measurements whose angle was used."""
+CORRECTING = (USED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
+"""Outcomes of measurements whose outputs were used."""
 
 SPARE = 2
 """States at the end of a ring: one in a gap, and one that is read."""

@@ -29,8 +29,7 @@ class Measurement(NamedTuple):
 class RejectReason(enum.Enum):
     """Why a measurement was not used; the value is its name in reports.
 
-    Of one with an implausible torque, or an input that is NaN, the angle is used all the same. Only
-    messages can lack an input; a tracker takes one that is NaN for an implausible torque.
+    Of one with an implausible torque or an unknown input the outputs are used all the same.
     """
 
     NON_FINITE = "non-finite"

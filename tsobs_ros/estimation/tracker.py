@@ -392,6 +392,7 @@ class Tracker:
         return {
             RejectReason.GATED: int(last["gated"]),
             RejectReason.IMPLAUSIBLE_TORQUE: int(last["implausible"]),
+            RejectReason.UNKNOWN_INPUT: int(last["unknown_inputs"]),
         }
 
 

@@ -22,7 +22,7 @@ from tsobs_ros.estimation.faults import (
     new_watches,
 )
 from tsobs_ros.estimation.health import Debounce, LastMinute, Level, Phase, Status, phase_of
-from tsobs_ros.estimation.history import CORRECTING, GATED, IMPLAUSIBLE_TORQUE, REASONS, USED
+from tsobs_ros.estimation.history import CORRECTING, GATED, REASONS, USED
 from tsobs_ros.estimation.records import (
     Estimate,
 )
@@ -32,10 +32,7 @@ from tsobs_ros.nodes.observer.io import Stamps
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
 from tsobs_ros.nodes.observer.rejections import (
     ADVICE,
-    COUNTED_AS,
-    MISSING,
     NAMES,
-    UNKNOWN,
     main_of,
 )
 from tsobs_ros.nodes.observer.torques import TorqueWatch
@@ -44,7 +41,7 @@ from tsobs_ros.schema import naming
 from tsobs_ros.series import NANOSECONDS
 
 _NOTHING = np.zeros(0)
-_ACCEPTED = (*CORRECTING, UNKNOWN, GATED)
+_ACCEPTED = (*CORRECTING, GATED)
 # Distances of measurements in periods of the design that are worth a word, and for how many seconds
 # they must last. Beyond the one the estimate may never settle below the certified bound; below the
 # other much is wasted.
@@ -111,7 +108,6 @@ class ObservedJoint:
         self.recent = LastMinute()
         self.newly, self._totals = Counter[str](), Counter[str]()
         self.in_vain = Counter[str]()
-        self._told_apart = {MISSING: 0, UNKNOWN: 0}
         self.measured_rate = math.nan
         self._stamps: list[int] = []
         self._pace = Debounce(0)
@@ -175,10 +171,6 @@ class ObservedJoint:
             np.ascontiguousarray(each.T) for each in (y, output_codes, innovations, expected_std)
         ]
         add_samples(self.watches, stamps, *by_output)
-        if codes.any():
-            unknown = (codes == IMPLAUSIBLE_TORQUE) & np.isnan(u).any(axis=1)
-            codes[unknown] = UNKNOWN
-            self._told_apart[UNKNOWN] += int(np.count_nonzero(unknown))
         outcomes: list[int] = codes.tolist()
         accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
         if accepted:
@@ -242,21 +234,15 @@ class ObservedJoint:
     @property
     def rejected(self) -> Counter[str]:
         """Number of samples not used, by reason."""
-        counts = Counter({reason.value: n for reason, n in self.tracker.rejected.items()})
-        for code, count in self._told_apart.items():
-            whole = NAMES[COUNTED_AS[code]]
-            counts[NAMES[code]] = min(count, counts[whole])
-            counts[whole] -= counts[NAMES[code]]
-        return counts
+        return Counter({reason.value: n for reason, n in self.tracker.rejected.items()})
 
     def reject(self, codes: Sequence[int]) -> None:
         """Count samples that cannot be read, by the codes of the reasons."""
         self.received += len(codes)
         for code, count in Counter(codes).items():
-            reason = REASONS[COUNTED_AS.get(code, code)]
+            reason = REASONS[code]
             assert reason is not None
             self.tracker.reject(reason, count)
-        self._told_apart[MISSING] += codes.count(MISSING)
         self._note_in_vain(codes)
 
     def explained(self, event: Event) -> str:

@@ -1,25 +1,19 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Why samples are not used: the tracker's reasons, and two that only messages tell apart.
-
-A missing input is no wrong shape, and one that is NaN is not implausible but unknown.
-"""
+"""What to do about samples that are not used, by the tracker's reasons."""
 
 from collections import Counter
 from collections.abc import Mapping
 
 from tsobs_ros.estimation.health import meaning
-from tsobs_ros.estimation.history import IMPLAUSIBLE_TORQUE, REASONS
+from tsobs_ros.estimation.history import IMPLAUSIBLE_TORQUE, REASONS, UNKNOWN_INPUT
 from tsobs_ros.estimation.records import RejectReason
 
 WRONG = REASONS.index(RejectReason.WRONG_JOINT)
 MISSING = REASONS.index(RejectReason.MISSING_INPUT)
-UNKNOWN = REASONS.index(RejectReason.UNKNOWN_INPUT)
 NAMES = tuple(reason.value if reason else "" for reason in REASONS)
 """Names of the reasons by their codes."""
-COUNTED_AS = {MISSING: WRONG, UNKNOWN: IMPLAUSIBLE_TORQUE}
-"""What the tracker counts the two further ones as."""
-OF_INPUT = (IMPLAUSIBLE_TORQUE, UNKNOWN)
+OF_INPUT = (IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
 """Of such a sample the outputs are used all the same."""
 
 ADVICE: Mapping[str, str] = {reason.value: meaning(reason).remedy for reason in RejectReason}
