@@ -197,6 +197,7 @@ def test_a_lost_estimate_leaves_the_truth_and_nothing_else(
 ) -> None:
     """A text that is no record, names that command a terminal and NaN harm nobody."""
     publisher.record_text(f"{{{hostile}")
+    publisher.record_text(record_text("no topic.csv", [], [], {}))
     name = hostile.replace("\0", "")
     both = {f"{name}_link": 1.0, f"{name}_motor": 1.0}
     scene = publisher.scene_of(has(("truth", 0), ("estimate", 0)), truth=both, estimate=both)

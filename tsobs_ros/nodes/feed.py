@@ -9,8 +9,10 @@ from contextlib import suppress
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.validate_full_topic_name import validate_full_topic_name
 from sensor_msgs.msg import JointState as JointStateMessage
 from std_msgs.msg import String
 
@@ -119,12 +121,13 @@ class ObserverFeed:
         self.problem = ""
         try:
             record = read_record(message.data)
+            validate_full_topic_name(record.measurements)
             self.requests = {
                 joint: parse_design(each.file, each.text).request
                 for each in record.designs
                 for joint in each.joints
             }
-        except TsobsError as error:
+        except (TsobsError, InvalidTopicNameException) as error:
             self.problem = f"{self.name}/{topics.DESIGN}: {error}"
             return
         if self._topics[MEASUREMENTS].topic != record.measurements:
