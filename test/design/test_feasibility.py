@@ -59,19 +59,19 @@ REQUESTS = st.builds(
 
 @settings(max_examples=150)
 @given(REQUESTS, st.floats(0.75, 0.99))
-def test_the_closed_forms_agree_with_a_rank_test(request_: ArmRequest, slope: float) -> None:
+def test_obstacles_agree_with_a_rank_test(request_: ArmRequest, slope: float) -> None:
     """Obstacles at any slope are what a rank test finds at a slope at random, mode by mode."""
     flow = request_.flow
     obstacles = find_obstacles(request_)
     for obstacle in obstacles:
         at = obstacle.slope if obstacle.slope is not None else request_.slope_range[1]
-        A, shape = flow.slope_matrix(at), obstacle.mode.shape
-        residual = A @ shape - obstacle.mode.eigenvalue * shape
+        A, shape = flow.slope_matrix(at), obstacle.shape
+        residual = A @ shape - obstacle.eigenvalue * shape
         assert np.linalg.norm(residual) < 1e-9 * np.linalg.norm(A)
         assert np.linalg.norm(flow.output_matrix @ shape) < 1e-9
-        assert obstacle.mode.eigenvalue.real > -1e-9
+        assert obstacle.eigenvalue.real > -1e-9
     A = flow.slope_matrix(slope if request_.arm.gravity_torque else 0.0)
-    anywhere = {round(each.mode.eigenvalue.imag, 6) for each in obstacles if each.slope is None}
+    anywhere = {round(each.eigenvalue.imag, 6) for each in obstacles if each.slope is None}
     # At the eigenvalues themselves, which numbers have only to few digits if they are defective.
     candidates = (0.0, 2.0, 3.0)
     hidden = set()
@@ -113,23 +113,23 @@ def test_a_mode_hidden_at_one_slope_only_is_found_there(
         (of(("link_angle", CLEAN), motor=BIAS, link=DRIFT), None),
         (of(("link_angle", BIAS), link=DRIFT), None),
         (of(("link_angle", BIAS), link=BIAS),
-         "where the arm is, the bias of the link_angle and the bias of the torque at the link"),
+         "the arm's position, the bias of link_angle and the bias of the torque at the link"),
         (of(("motor_angle", BIAS), motor=BIAS),
-         "where the arm is, the bias of the motor_angle and the bias of the torque at the motor"),
+         "the arm's position, the bias of motor_angle and the bias of the torque at the motor"),
         (of(("motor_angle", CLEAN), ("link_angle", BIAS), link=BIAS), None),
-        (of(("motor_angle", BIAS), ("link_angle", BIAS), link=BIAS), "the bias of the motor_angle"),
+        (of(("motor_angle", BIAS), ("link_angle", BIAS), link=BIAS), "the bias of motor_angle"),
         (of(("motor_angle", CLEAN), ("link_angle", BIAS), motor=BIAS, link=BIAS), "at the motor"),
-        (of(("link_angle", BIAS), arm=NO_GRAVITY), "where the arm is and the bias of the link_ang"),
+        (of(("link_angle", BIAS), arm=NO_GRAVITY), "the arm's position and the bias of link_angle"),
         (of(("link_angle", DRIFT), arm=NO_GRAVITY), None),
         (of(("link_velocity", CLEAN), ("motor_velocity", CLEAN), arm=NO_GRAVITY),
-         "where the arm is is not shown by velocities"),
+         "the arm's position is not shown by velocities"),
         (of(("motor_velocity", CLEAN)), None),
-        (of(("motor_velocity", CLEAN), x_max=2.0), "c = 0 (|q1| = 90.0 deg): where the arm is is"),
+        (of(("motor_velocity", CLEAN), x_max=2.0), "c = 0 (|q1| = 90.0 deg): the arm's position is"),
         (of(("motor_angle", tone(2.0)), link=tone(2.0)),
-         "the arm's motion, the sinusoid of the motor_angle and the sinusoid of the torque at the"),
+         "the arm's motion, the sinusoid of motor_angle and the sinusoid of the torque at the"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_told_apart_is_named(request_: ArmRequest, parties: str | None) -> None:
+def test_what_cannot_be_distinguished_is_named(request_: ArmRequest, parties: str | None) -> None:
     if parties is None:
         require_detectable(request_)
         return
@@ -181,7 +181,7 @@ def integrator() -> TSRequest:
          ["a smaller domain: x_max below 1.571 rad", "a further output without disturbance: link_"],
          id="velocity"),
         pytest.param(ArmRequest(disturbance=tone(1.4)),
-         ["x_max below 0.5722 rad", "a disturbance frequency away from the arm's own", "motor_ang"],
+         ["x_max below 0.5722 rad", "a disturbance frequency away from the system's own", "motor_ang"],
          id="tone"),
         pytest.param(ArmRequest(disturbance=(*BIAS, *BIAS)), ["fewer terms"], id="two biases"),
         pytest.param(of(("motor_angle", CLEAN), ("link_angle", (DisturbanceTerm("arbitrary"),))),

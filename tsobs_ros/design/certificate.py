@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.problem import DesignProblem, ErrorVertex
+from tsobs_ros.design.request import ErrorVertex, Request
 from tsobs_ros.errors import CertificateError
 
 _ROUNDING = 100.0 * float(np.finfo(np.float64).eps)
@@ -96,7 +96,7 @@ class CertificateReport:
             raise CertificateError(f"{source}: the certificate does not hold: {'; '.join(failing)}")
 
 
-def check_certificate(problem: DesignProblem, P: Array, K: Array) -> CertificateReport:
+def check_certificate(problem: Request, P: Array, K: Array) -> CertificateReport:
     """Check the certificate of gain K and matrix P from the problem's model alone.
 
     Margins are judged against rounding, step by step: P is scaled to unit diagonal, so that units
@@ -140,7 +140,7 @@ def check_certificate(problem: DesignProblem, P: Array, K: Array) -> Certificate
 
 
 def _check_vertex(
-    problem: DesignProblem, root: Array, K: Array, vertex: ErrorVertex
+    problem: Request, root: Array, K: Array, vertex: ErrorVertex
 ) -> tuple[str, float, float]:
     """Return the vertex's name, its decrease over a step with X = I and its error's growth."""
     closed = vertex.transition @ (np.eye(K.shape[0]) - K @ problem.flow.output_matrix)

@@ -3,7 +3,7 @@
 """Names and units of a T–S system's signals, as its file gives them and messages have them."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import msgspec
 
@@ -12,8 +12,6 @@ from tsobs_ros.errors import ModelError
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _MAX_LENGTH = 60
-
-_ABBREVIATIONS = {"states": "x", "outputs": "y", "inputs": "u", "scheduled": "s"}
 
 
 class Labels(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -48,24 +46,32 @@ def checked_names(names: Labels, counts: Mapping[str, int]) -> Labels:
         counts: Number of signals by group.
 
     Raises:
-        ModelError: There is not one name a signal, one is not plain, or two signals share one;
+        ModelError: There is not one name per signal, one is not plain, or two signals share one;
             the text names the entry.
     """
     filled = {}
-    for group, given in _groups(names):
+    for (group, count), letter in zip(counts.items(), "xyus", strict=True):
+        given = getattr(names, group)
         if given:
-            _require_count("names", group, given, counts[group])
-            for i, name in enumerate(given):
-                if len(name) > _MAX_LENGTH or not _PLAIN.fullmatch(name):
+            _require_count("names", group, given, count)
+        for i, name in enumerate(given):
+            if len(name) > _MAX_LENGTH or not _PLAIN.fullmatch(name):
+                raise ModelError(
+                    f"names.{group}[{i}]: expected a letter, then letters, digits and "
+                    f"underscores, {_MAX_LENGTH} at most, got {shown(name)}"
+                )
+        filled[group] = given or tuple(f"{letter}{i + 1}" for i in range(count))
+    for groups in (("states",), ("outputs", "inputs"), ("inputs", "scheduled")):
+        places: dict[str, str] = {}
+        for group in groups:
+            for i, name in enumerate(filled[group]):
+                place = f"names.{group}[{i}]"
+                if name in places:
                     raise ModelError(
-                        f"names.{group}[{i}]: expected a letter, then letters, digits and "
-                        f"underscores, {_MAX_LENGTH} at most, got {shown(name)}"
+                        f"{place}: expected a name that no other has, got {shown(name)}, "
+                        f"which {places[name]} has"
                     )
-        numbered = (f"{_ABBREVIATIONS[group]}{i + 1}" for i in range(counts[group]))
-        filled[group] = given or tuple(numbered)
-    _require_distinct(filled, ("states",))
-    _require_distinct(filled, ("outputs", "inputs"))
-    _require_distinct(filled, ("inputs", "scheduled"))
+                places[name] = place
     return Labels(**filled)
 
 
@@ -77,13 +83,14 @@ def checked_units(units: Labels, counts: Mapping[str, int]) -> Labels:
         counts: Number of signals by group.
 
     Raises:
-        ModelError: There is not one unit a signal, or one is not printable; the text names the
+        ModelError: There is not one unit per signal, or one is not printable; the text names the
             entry.
     """
     if units == NO_LABELS:
-        return Labels(**{group: ("",) * counts[group] for group in _ABBREVIATIONS})
-    for group, given in _groups(units):
-        _require_count("units", group, given, counts[group])
+        return Labels(*(("",) * count for count in counts.values()))
+    for group, count in counts.items():
+        given = getattr(units, group)
+        _require_count("units", group, given, count)
         for i, unit in enumerate(given):
             if len(unit) > _MAX_LENGTH or not unit.isprintable():
                 raise ModelError(
@@ -99,26 +106,8 @@ def labelled(names: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{name} [{unit}]" if unit else name for name, unit in pairs)
 
 
-def _groups(labels: Labels) -> Iterator[tuple[str, tuple[str, ...]]]:
-    for group in _ABBREVIATIONS:
-        yield group, getattr(labels, group)
-
-
 def _require_count(entry: str, group: str, given: Sequence[str], count: int) -> None:
     if len(given) != count:
         signal = "scheduled signal" if group == "scheduled" else group.removesuffix("s")
         got = len(given) or "none"
         raise ModelError(f"{entry}.{group}: expected {count}, one for each {signal}, got {got}")
-
-
-def _require_distinct(names: Mapping[str, Sequence[str]], groups: Sequence[str]) -> None:
-    places: dict[str, str] = {}
-    for group in groups:
-        for i, name in enumerate(names[group]):
-            place = f"names.{group}[{i}]"
-            if name in places:
-                raise ModelError(
-                    f"{place}: expected a name that no other has, got {shown(name)}, "
-                    f"which {places[name]} has"
-                )
-            places[name] = place

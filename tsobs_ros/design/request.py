@@ -11,67 +11,47 @@ error exactly. Without them only the blend of the rules is proved, and `TSReques
 
 import inspect
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from itertools import chain, product
-from typing import Any
+from typing import Any, NamedTuple, Self, TypeAlias
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, finite, non_negative, positive, shown
 from tsobs_ros.design.names import NO_LABELS, Labels, checked_names, checked_units, labelled
-from tsobs_ros.design.problem import DesignProblem
 from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.options import TorqueLimits
+from tsobs_ros.estimation.options import TORQUE_RATE, TorqueLimits
 from tsobs_ros.model import disturbance as disturbances
 from tsobs_ros.model.arm import LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
+from tsobs_ros.model.prediction import Flow
 from tsobs_ros.model.ts_flow import PairVertex, TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.model.vertices import VertexSystem, linear_directions
 
+ErrorVertex: TypeAlias = VertexSystem | PairVertex
+"""The error system e⁺ = transition·e + noise at one vertex, and the vertex in words."""
+
 DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
-    "clean": disturbances.clean,
-    "arbitrary": disturbances.arbitrary,
-    "bias": disturbances.bias,
-    "gauss_markov": disturbances.gauss_markov,
-    "sinusoid": disturbances.sinusoid,
-    "ramp": disturbances.ramp,
+    name: getattr(disturbances, name)
+    for name in ("clean", "arbitrary", "bias", "gauss_markov", "sinusoid", "ramp")
 }
+
+NO_LIMIT = 1e9
+"""A torque [N m], or rate of it [N m/s], from which on any is plausible."""
 
 _MAX_MATRICES = 16
 """Vertex matrices; l of them make l² inequalities."""
 
 
-class FrozenMapping(Mapping[str, Any]):
-    """Names with values, equal to every mapping of the same ones, in the order given."""
-
-    __slots__ = ("_items",)
-
-    def __init__(self, items: Mapping[str, Any]) -> None:
-        self._items = dict(items)
-
-    def __getitem__(self, name: str) -> Any:
-        return self._items[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._items)
-
-    def __len__(self) -> int:
-        return len(self._items)
-
-    def __hash__(self) -> int:
-        return hash(frozenset(self._items.items()))
-
-    def __repr__(self) -> str:
-        return repr(self._items)
-
-
-class DisturbanceTerm(FrozenMapping):
+class DisturbanceTerm(dict[str, Any]):
     """One term of the disturbance: its kind and its parameters, the rest filled with defaults.
 
     Raises:
@@ -81,28 +61,24 @@ class DisturbanceTerm(FrozenMapping):
     {'kind': 'bias', 'density': 0.0001, 'initial_std': 0.3}
     """
 
-    __slots__ = ()
-
-    def __init__(self, kind: str, parameters: Mapping[str, float] = FrozenMapping({})) -> None:
+    def __init__(self, kind: str, parameters: Mapping[str, float] | None = None) -> None:
         if not isinstance(kind, str) or kind not in DISTURBANCE_KINDS:
             raise ModelError(
                 f"kind: expected one of {', '.join(DISTURBANCE_KINDS)}, got {shown(kind)}"
             )
         known = dict(inspect.signature(DISTURBANCE_KINDS[kind]).parameters)
         known.pop("channels", None)
-        for name in parameters:
+        given = parameters or {}
+        for name in given:
             if name not in known:
                 raise ModelError(
                     f"{name}: no parameter of {kind}, expected some of {', '.join(known) or 'none'}"
                 )
+        super().__init__(kind=kind)
         for name, parameter in known.items():
-            if parameter.default is inspect.Parameter.empty and name not in parameters:
+            if parameter.default is inspect.Parameter.empty and name not in given:
                 raise ModelError(f"{name}: missing, {kind} has no default for it")
-        filled = {
-            name: finite(f"{kind} {name}", parameters.get(name, parameter.default))
-            for name, parameter in known.items()
-        }
-        super().__init__({"kind": kind, **filled})
+            self[name] = finite(f"{kind} {name}", given.get(name, parameter.default))
         self.model()
 
     @classmethod
@@ -121,20 +97,26 @@ class DisturbanceTerm(FrozenMapping):
         return DISTURBANCE_KINDS[self.kind](**{k: v for k, v in self.items() if k != "kind"})
 
 
-NO_LIMIT = 1e9
-"""A torque [N m], or rate of it [N m/s], from which on any is plausible."""
+Terms: TypeAlias = tuple[DisturbanceTerm, ...]
+CLEAN: Terms = (DisturbanceTerm("clean"),)
 
 
-def _require_no_alias(terms: Iterable[DisturbanceTerm], rate: float) -> None:
-    """Refuse tones that look slower in samples than they are, in the limit like a bias."""
-    for term in terms:
-        frequency = term.get("frequency", 0.0)
-        if frequency >= math.pi * rate:
-            raise ModelError(
-                f"{term.kind} frequency: expected less than half the measurement rate, "
-                f"π·rate = {math.pi * rate:.6g} rad/s, got {frequency!r}; faster tones "
-                f"look like slower ones in the samples"
-            )
+class Channel(NamedTuple):
+    """A disturbance: where it acts, in words, and its terms."""
+
+    name: str
+    terms: Terms
+
+    @property
+    def model(self) -> DisturbanceModel:
+        """The sum of the terms."""
+        models = [term.model() for term in self.terms] or [disturbances.clean()]
+        return sum(models[1:], start=models[0])
+
+
+def _require_terms(name: str, terms: Sequence[DisturbanceTerm]) -> None:
+    if not terms:
+        raise ModelError(f"{name}: expected at least one term, e.g. kind: clean")
 
 
 def _require_squares(name: str, values: Iterable[float]) -> None:
@@ -142,6 +124,203 @@ def _require_squares(name: str, values: Iterable[float]) -> None:
     for value in values:
         if not 0.0 < positive(name, value) * value < math.inf:
             raise ModelError(f"{name}: expected a number with a finite square, got {value!r}")
+
+
+class Request(ABC):
+    """The problem that synthesis, certificate and observer solve, whatever its model.
+
+    Attributes:
+        rate: Samples per second [Hz].
+        decay_rate: Rate ρ at which eᵀPe has to shrink without noise, as e^{−2ρt} [1/s].
+        certify_uncertainty: Whether the certificate covers every θ within the bounds.
+        default_torque_rate: 1σ of the rate at which a torque may move in a gap [N m/s].
+    """
+
+    rate: float
+    decay_rate: float
+    certify_uncertainty: bool
+    default_torque_rate = 0.0
+
+    @property
+    def max_angle(self) -> float:
+        """Half width of the domain of an arm's link angle [rad], infinite if there is none."""
+        return math.inf
+
+    @property
+    def reach(self) -> Array | None:
+        """Largest states of an arm that are likely (rad, rad/s), shape (4,)."""
+        return None
+
+    @property
+    def torque_sides(self) -> tuple[str, ...]:
+        """The sides of an arm with a torque disturbance, "motor" before "link"."""
+        return ()
+
+    @property
+    def period(self) -> float:
+        """Sampling period T [s]."""
+        return 1.0 / self.rate
+
+    @property
+    @abstractmethod
+    def flow(self) -> Flow:
+        """The prediction model."""
+
+    @property
+    @abstractmethod
+    def channels(self) -> tuple[Channel, ...]:
+        """The disturbances of the outputs, then those of torques, with or without terms."""
+
+    @property
+    @abstractmethod
+    def disturbance_model(self) -> DisturbanceModel:
+        """The exosystem of the outputs' disturbances."""
+
+    @property
+    @abstractmethod
+    def uncertainty_model(self) -> Uncertainty:
+        """The uncertain parameters; their number is 0 if there are none."""
+
+    @property
+    @abstractmethod
+    def output_std(self) -> Array:
+        """1σ of one sample's noise of each output, shape (p,)."""
+
+    @property
+    @abstractmethod
+    def plant_std(self) -> Array:
+        """1σ of the plant's states before any measurement, in design coordinates."""
+
+    @property
+    @abstractmethod
+    def signal_names(self) -> Labels:
+        """The names of all signals, alone."""
+
+    @property
+    @abstractmethod
+    def signal_units(self) -> Labels:
+        """The units of all signals, empty texts if they are not known."""
+
+    @property
+    @abstractmethod
+    def headline(self) -> str:
+        """The problem in words, for reports."""
+
+    @property
+    @abstractmethod
+    def details(self) -> Mapping[str, Any]:
+        """What reports of this kind of problem have besides, as plain data."""
+
+    @property
+    @abstractmethod
+    def domain(self) -> str:
+        """The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]"."""
+
+    @abstractmethod
+    def vertices(self, share: float = 1.0) -> Sequence[ErrorVertex]:
+        """Return the error systems the certificate is about.
+
+        Args:
+            share: How much of the domain and of the certified uncertainty: 0 is its middle, of an
+                arm the nominal one hanging down; 1 is all that was asked for.
+        """
+
+    @abstractmethod
+    def starts(self) -> Sequence[ErrorVertex]:
+        """Return systems whose Kalman filters are first guesses, the best first."""
+
+    @abstractmethod
+    def with_terms(self, place: int, terms: Terms) -> Self:
+        """Return the request with other terms at a place of `channels`."""
+
+    @abstractmethod
+    def with_rows(self, rows: Sequence[int]) -> Self | None:
+        """Return the request with some of its outputs; None if it cannot do without the others."""
+
+    @abstractmethod
+    def further_outputs(self) -> Iterator[tuple[str, Self]]:
+        """Yield the request with one more output, undisturbed, and the output in words."""
+
+    @abstractmethod
+    def on_share(self, share: float) -> tuple[str, Self] | None:
+        """Return the request on a share of its domain, in words too; None if it has none."""
+
+    @abstractmethod
+    def with_bounds(self, share: float) -> Self:
+        """Return the request with a share of its bounds of uncertainty."""
+
+    def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits | None:
+        """Return which torques a drive of the arm can have; None for a T–S system."""
+        return None
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The names of the plant's states."""
+        return self.signal_names.states
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """The units of the plant's states, empty texts if they are not known."""
+        return self.signal_units.states
+
+    @property
+    def state_labels(self) -> tuple[str, ...]:
+        """The plant's states in words, with units if known."""
+        return labelled(self.state_names, self.state_units)
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """The names of the p outputs."""
+        return self.signal_names.outputs
+
+    @property
+    def output_units(self) -> tuple[str, ...]:
+        """The units of the p outputs, empty texts if they are not known."""
+        return self.signal_units.outputs
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """The names of the inputs and then of the scheduled signals."""
+        return self.signal_names.inputs + self.signal_names.scheduled
+
+    @property
+    def disturbance_labels(self) -> list[str]:
+        """The disturbances' states in words."""
+        return [
+            f"disturbance of {channel.name}, state {i + 1}"
+            for channel in self.channels
+            for i in range(channel.model.state_count)
+        ]
+
+    @cached_property
+    def measurement_covariance(self) -> Array:
+        """R of one sample, diagonal, shape (p, p)."""
+        return np.diag(self.output_std**2)
+
+    @cached_property
+    def initial_covariance(self) -> Array:
+        """Error covariance before any measurement in design coordinates, shape (n, n)."""
+        flow = self.flow
+        std = [self.plant_std, flow.disturbance.initial_std]
+        if flow.torque_disturbance is not None:
+            std.append(flow.torque_disturbance.initial_std)
+        with np.errstate(over="ignore"):  # what is not finite is refused by the observer
+            return np.diag(np.concatenate(std) ** 2)
+
+    def _take(self, **checked: Any) -> None:
+        """Set fields of the frozen request to their checked values."""
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    def _require_no_alias(self) -> None:
+        """Refuse tones that look slower in samples than they are, in the limit like a bias."""
+        for term in chain.from_iterable(channel.terms for channel in self.channels):
+            if (frequency := term.get("frequency", 0.0)) >= math.pi * self.rate:
+                raise ModelError(
+                    f"{term.kind} frequency: expected less than half the measurement rate, "
+                    f"π·rate = {math.pi * self.rate:.6g} rad/s, got {frequency!r}; faster tones "
+                    f"look like slower ones in the samples"
+                )
 
 
 @dataclass(frozen=True)
@@ -159,7 +338,7 @@ class Output:
 
     measures: str
     measurement_std: float
-    disturbance: Sequence[DisturbanceTerm] = (DisturbanceTerm("clean"),)
+    disturbance: Sequence[DisturbanceTerm] = CLEAN
 
     def __post_init__(self) -> None:
         if self.measures not in QUANTITIES:
@@ -170,13 +349,12 @@ class Output:
         _require_squares("measurement_std", [std])
         object.__setattr__(self, "measurement_std", std)
         object.__setattr__(self, "disturbance", tuple(self.disturbance))
-        if not self.disturbance:
-            raise ModelError("disturbance: expected at least one term, e.g. kind: clean")
+        _require_terms("disturbance", self.disturbance)
 
     @property
     def model(self) -> DisturbanceModel:
         """The sum of the disturbance's terms."""
-        return _sum_of(self.disturbance)
+        return Channel(self.measures, tuple(self.disturbance)).model
 
 
 @dataclass(frozen=True)
@@ -195,21 +373,25 @@ class TorqueDisturbance:
     link: Sequence[DisturbanceTerm] = ()
 
     def __post_init__(self) -> None:
-        for side in SIDES:
-            terms = tuple(getattr(self, side))
-            object.__setattr__(self, side, terms)
-            for place, term in enumerate(terms):
+        for channel in self.channels:
+            object.__setattr__(self, channel.name.rpartition(" ")[2], channel.terms)
+            for place, term in enumerate(channel.terms):
                 if term.kind == "arbitrary":
                     raise ModelError(
-                        f"{side}[{place}]: expected a torque with a model, e.g. gauss_markov, "
-                        "got kind arbitrary"
+                        f"{channel.name.rpartition(' ')[2]}[{place}]: expected a torque with a "
+                        "model, e.g. gauss_markov, got kind arbitrary"
                     )
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The disturbances of the motor and of the link, with or without terms."""
+        return tuple(Channel(f"the torque at the {s}", tuple(getattr(self, s))) for s in SIDES)
 
     @cached_property
     def by_side(self) -> Mapping[str, DisturbanceModel]:
         """The exosystems with at least one state by their sides, the motor's first."""
-        models = {side: _sum_of(getattr(self, side)) for side in SIDES}
-        return {side: model for side, model in models.items() if model.state_count}
+        models = zip(SIDES, (channel.model for channel in self.channels), strict=True)
+        return {side: model for side, model in models if model.state_count}
 
     @cached_property
     def model(self) -> DisturbanceModel | None:
@@ -219,13 +401,8 @@ class TorqueDisturbance:
         return per_channel([self.by_side.get(side, disturbances.clean()) for side in SIDES])
 
 
-def _sum_of(terms: Sequence[DisturbanceTerm]) -> DisturbanceModel:
-    models = [term.model() for term in terms] or [disturbances.clean()]
-    return sum(models[1:], start=models[0])
-
-
 @dataclass(frozen=True)
-class ArmRequest(DesignProblem):
+class ArmRequest(Request):
     """Everything a certified gain depends on; the defaults are the shipped design's.
 
     Attributes:
@@ -262,50 +439,47 @@ class ArmRequest(DesignProblem):
     x_max: float = 0.75
     decay_rate: float = 0.0
     initial_std: Sequence[float] = (0.3, 0.6, 0.3, 0.4)
-    uncertainty: Mapping[str, float] = FrozenMapping({"stiffness": 0.4, "gravity": 0.4})
+    uncertainty: Mapping[str, float] = field(
+        default_factory=lambda: {"stiffness": 0.4, "gravity": 0.4}
+    )
     certify_uncertainty: bool = False
     torque_limit: float | None = None
     torque_rate_limit: float | None = None
 
+    default_torque_rate = TORQUE_RATE
+
     def __post_init__(self) -> None:
         if self.outputs:
             self._take_outputs()
-        checked: dict[str, Any] = {
-            "measurement_std": positive("measurement_std", self.measurement_std),
-            "outputs": tuple(self.outputs),
-            # msgspec omits an attribute that is only a class's default.
-            "torque_disturbance": self.torque_disturbance,
-            "rate": positive("rate", self.rate),
-            "decay_rate": non_negative("decay_rate", self.decay_rate),
-            "x_max": finite("x_max", self.x_max),
-            "disturbance": tuple(self.disturbance),
-            "initial_std": tuple(as_matrix("initial_std", self.initial_std, (4,)).tolist()),
-            "uncertainty": FrozenMapping(
-                {
-                    name: positive(f"uncertainty.{name}", bound)
-                    for name, bound in self.uncertainty.items()
-                    # A share of no gravity is none.
-                    if name != "gravity" or self.arm.gravity_torque
-                }
-            ),
-        }
-        for name in ("torque_limit", "torque_rate_limit"):
-            value = getattr(self, name)
-            checked[name] = None if value is None else non_negative(name, value)
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        limits = {name: getattr(self, name) for name in ("torque_limit", "torque_rate_limit")}
+        self._take(
+            measurement_std=positive("measurement_std", self.measurement_std),
+            outputs=tuple(self.outputs),
+            torque_disturbance=self.torque_disturbance,  # msgspec omits a class's default
+            rate=positive("rate", self.rate),
+            decay_rate=non_negative("decay_rate", self.decay_rate),
+            x_max=finite("x_max", self.x_max),
+            disturbance=tuple(self.disturbance),
+            initial_std=tuple(as_matrix("initial_std", self.initial_std, (4,)).tolist()),
+            uncertainty={
+                name: positive(f"uncertainty.{name}", bound)
+                for name, bound in self.uncertainty.items()
+                # A share of no gravity is none.
+                if name != "gravity" or self.arm.gravity_torque
+            },
+            **{
+                name: None if value is None else non_negative(name, value)
+                for name, value in limits.items()
+            },
+        )
         if not 0.0 < self.x_max <= math.pi:
             degrees = f" rad; as degrees it would be {math.radians(self.x_max):.4g} rad"
             hint = degrees if math.pi < self.x_max <= 180.0 else ""
             raise ModelError(f"x_max: expected 0 < x_max <= π, got {self.x_max!r}{hint}")
         _require_squares("measurement_std", [self.measurement_std])
         _require_squares("initial_std", self.initial_std)
-        if not self.disturbance:
-            raise ModelError("disturbance: expected at least one term, e.g. kind: clean")
-        for output in self.sensors:
-            _require_no_alias(output.disturbance, self.rate)
-        for side in SIDES:
-            _require_no_alias(getattr(self.torque_disturbance, side), self.rate)
+        _require_terms("disturbance", self.disturbance)
+        self._require_no_alias()
         if self.certify_uncertainty:
             if not self.uncertainty:
                 raise ModelError("certify_uncertainty: expected at least one uncertain parameter")
@@ -321,29 +495,35 @@ class ArmRequest(DesignProblem):
                 raise ModelError(
                     f"{name}: expected in outputs, one an output, got {shown(given)} besides them"
                 )
-            object.__setattr__(self, name, own)
+            self._take(**{name: own})
         self.arm.measured([output.measures for output in self.outputs])
 
     @cached_property
     def sensors(self) -> tuple[Output, ...]:
-        """What is measured, one entry an output."""
+        """What is measured, one entry per output."""
         alone = Output(QUANTITIES[LINK_ANGLE], self.measurement_std, self.disturbance)
         return tuple(self.outputs) or (alone,)
 
     @property
-    def output_names(self) -> tuple[str, ...]:
-        """The measured quantities, names of `QUANTITIES`."""
-        return tuple(output.measures for output in self.sensors)
+    def channels(self) -> tuple[Channel, ...]:
+        """The disturbances of all outputs, then of the torques at motor and link."""
+        outputs = [Channel(each.measures, tuple(each.disturbance)) for each in self.sensors]
+        return (*outputs, *self.torque_disturbance.channels)
 
-    @property
-    def output_units(self) -> tuple[str, ...]:
-        """Those of an angle or a velocity."""
-        return tuple("rad" if name.endswith("_angle") else "rad/s" for name in self.output_names)
+    @cached_property
+    def signal_names(self) -> Labels:
+        """The arm's four states, the measured quantities and the motor's torque."""
+        measured = tuple(output.measures for output in self.sensors)
+        return Labels(tuple(QUANTITIES), measured, ("torque",))
 
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """The motor's torque alone."""
-        return ("torque",)
+    @cached_property
+    def signal_units(self) -> Labels:
+        """Those of angles, velocities and the torque."""
+        states, outputs = (
+            tuple("rad" if name.endswith("_angle") else "rad/s" for name in names)
+            for names in (self.signal_names.states, self.signal_names.outputs)
+        )
+        return Labels(states, outputs, ("N m",))
 
     @property
     def torque_sides(self) -> tuple[str, ...]:
@@ -372,10 +552,15 @@ class ArmRequest(DesignProblem):
         """The uncertain parameters of the arm."""
         return arm_uncertainty(self.arm, self.uncertainty)
 
-    @cached_property
-    def measurement_covariance(self) -> Array:
-        """R, diagonal, shape (p, p)."""
-        return np.diag([output.measurement_std * output.measurement_std for output in self.sensors])
+    @property
+    def output_std(self) -> Array:
+        """1σ of one sample's noise of each output (rad, rad/s), shape (p,)."""
+        return np.array([output.measurement_std for output in self.sensors])
+
+    @property
+    def plant_std(self) -> Array:
+        """1σ of the arm's states before any measurement, in design coordinates, shape (4,)."""
+        return self.arm.from_physical(self.initial_std)
 
     def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits:
         """Return which torques a drive of the arm can have.
@@ -422,36 +607,6 @@ class ArmRequest(DesignProblem):
         return self.x_max if self.arm.gravity_torque else math.inf
 
     @property
-    def state_names(self) -> tuple[str, ...]:
-        """The arm's four states."""
-        return ("link_angle", "link_velocity", "motor_angle", "motor_velocity")
-
-    @property
-    def state_labels(self) -> tuple[str, ...]:
-        """The arm's four states with their units."""
-        return (
-            "link angle [rad]",
-            "link velocity [rad/s]",
-            "motor angle [rad]",
-            "motor velocity [rad/s]",
-        )
-
-    @property
-    def disturbance_labels(self) -> Sequence[str]:
-        """The states of the outputs' disturbances and of the torques in words."""
-        if not self.outputs:
-            labels = list(super().disturbance_labels)
-        else:
-            labels = [
-                f"{output.measures} disturbance {i + 1}"
-                for output in self.outputs
-                for i in range(output.model.state_count)
-            ]
-        for side, model in self.torque_disturbance.by_side.items():
-            labels += [f"{side} torque {i + 1} [N m]" for i in range(model.state_count)]
-        return labels
-
-    @property
     def headline(self) -> str:
         """Outputs, disturbances and the domain in words."""
         parts = [f"disturbance {self.disturbance_model.label}"]
@@ -472,24 +627,6 @@ class ArmRequest(DesignProblem):
             details["torque_disturbance"] = {side: model.label for side, model in models.items()}
         return details
 
-    def vertices(self, share: float = 1.0) -> list[VertexSystem]:
-        """Return the error systems the certificate is about.
-
-        Args:
-            share: How much of the domain and of the certified uncertainty: 0 is the nominal arm
-                hanging down, 1 is all that was asked for.
-        """
-        lowest, highest = self.slope_range
-        if share != 1.0:
-            lowest = highest - share * (highest - lowest)
-        covered = self.uncertainty_model if self.certify_uncertainty else None
-        return self.flow.vertices(lowest, highest, covered, share)
-
-    def starts(self) -> list[VertexSystem]:
-        """Return the nominal arm in the middle of the slopes and hanging down."""
-        middle = sum(self.slope_range) / 2
-        return [self.flow.vertices(slope, slope)[0] for slope in (middle, 1.0)]
-
     @property
     def domain(self) -> str:
         """The slopes and the uncertainty that the certificate covers, in words."""
@@ -501,31 +638,80 @@ class ArmRequest(DesignProblem):
         bounds = " and ".join(f"{name} ± {bound:.4g}" for name, bound in self.uncertainty.items())
         return f"{slopes}, {bounds}"
 
-    @cached_property
-    def initial_covariance(self) -> Array:
-        """Error covariance before any measurement in design coordinates, shape (n, n)."""
-        std = [self.arm.from_physical(self.initial_std), self.disturbance_model.initial_std]
-        if (torque := self.torque_disturbance.model) is not None:
-            std.append(torque.initial_std)
-        with np.errstate(over="ignore"):  # what is not finite is refused by the observer
-            return np.diag(np.concatenate(std) ** 2)
+    def vertices(self, share: float = 1.0) -> list[VertexSystem]:
+        """Return the error systems at the corners of slopes and certified parameters."""
+        lowest, highest = self.slope_range
+        if share != 1.0:
+            lowest = highest - share * (highest - lowest)
+        covered = self.uncertainty_model if self.certify_uncertainty else None
+        return self.flow.vertices(lowest, highest, covered, share)
+
+    def starts(self) -> list[VertexSystem]:
+        """Return the nominal arm in the middle of the slopes and hanging down."""
+        middle = sum(self.slope_range) / 2
+        return [self.flow.vertices(slope, slope)[0] for slope in (middle, 1.0)]
+
+    def with_terms(self, place: int, terms: Terms) -> Self:
+        """Return the request with other terms at a place of `channels`."""
+        if place >= len(self.sensors):
+            side = SIDES[place - len(self.sensors)]
+            torques = replace(self.torque_disturbance, **{side: terms})
+            return replace(self, torque_disturbance=torques)
+        if not self.outputs:
+            return replace(self, disturbance=terms)
+        outputs = list(self.outputs)
+        outputs[place] = replace(outputs[place], disturbance=terms)
+        return self.with_outputs(outputs)
+
+    def with_outputs(self, outputs: Sequence[Output]) -> Self:
+        """Return the request with other outputs."""
+        first = outputs[0]
+        return replace(
+            self,
+            outputs=tuple(outputs),
+            disturbance=first.disturbance,
+            measurement_std=first.measurement_std,
+        )
+
+    def with_rows(self, rows: Sequence[int]) -> Self | None:
+        """Return the request with some of its outputs."""
+        return self.with_outputs([self.sensors[row] for row in rows])
+
+    def further_outputs(self) -> Iterator[tuple[str, Self]]:
+        """Yield the request with an angle more, as noisy as the first output."""
+        std = self.measurement_std
+        for name in ("link_angle", "motor_angle"):
+            if name not in self.output_names:
+                added = self.with_outputs([*self.sensors, Output(name, std)])
+                yield f"{name} with 1σ of {std:.3g} rad", added
+
+    def on_share(self, share: float) -> tuple[str, Self] | None:
+        """Return the request with a smaller `x_max`; None without gravity, for which it counts."""
+        x_max = share * self.x_max
+        smaller = f"a smaller x_max: {x_max:.3g} rad", replace(self, x_max=x_max)
+        return smaller if self.arm.gravity_torque else None
+
+    def with_bounds(self, share: float) -> Self:
+        """Return the request with a share of its bounds of uncertainty."""
+        bounds = {name: share * bound for name, bound in self.uncertainty.items()}
+        return replace(self, uncertainty=bounds)
 
 
 @dataclass(frozen=True, eq=False)
-class TSRequest(DesignProblem):
+class TSRequest(Request):
     """What a design is for. Units are the model's.
 
     Attributes:
         model: The T–S system, r rules.
-        disturbance: Terms of each channel's disturbance, whose sum acts on it.
+        disturbance: Terms of each channel's disturbance, whose sum acts on it; () for none.
         process_noise: Densities of white noise on each state's derivative, shape (n,).
         measurement_std: Noise of one sample of each output, shape (p,).
-        rate: Samples a second [Hz].
+        rate: Samples per second [Hz].
         initial_std: 1σ of each state before any measurement, shape (n,).
         decay_rate: Required rate ρ at which eᵀPe shrinks without noise, as e^{−2ρt} [1/s].
         slope_vertices: Matrices whose convex hull holds the Jacobian of f on the domain,
             shape (l, n, n), for a premise that is the estimate.
-        D_s: Channels to outputs, shape (p, channels); by default one channel an output.
+        D_s: Channels to outputs, shape (p, channels); by default one channel per output.
         uncertainty: Uncertain directions of the rules' matrices and their bounds.
         certify_uncertainty: Whether the certificate covers every θ within the bounds.
         names: Names of the signals; x1, y1, u1, s1 and so on in groups without any.
@@ -536,11 +722,11 @@ class TSRequest(DesignProblem):
     """
 
     model: TSModel
-    disturbance: Sequence[Sequence[DisturbanceTerm]]
     process_noise: ArrayLike
     measurement_std: ArrayLike
     rate: float
     initial_std: ArrayLike
+    disturbance: Sequence[Sequence[DisturbanceTerm]] = ()
     decay_rate: float = 0.0
     slope_vertices: Sequence[ArrayLike] = ()
     D_s: ArrayLike | None = None
@@ -551,31 +737,26 @@ class TSRequest(DesignProblem):
 
     def __post_init__(self) -> None:
         n, p = self.model.state_count, self.model.C.shape[0]
-        checked: dict[str, Any] = {
-            "measurement_std": as_matrix("measurement_std", self.measurement_std, (p,)),
-            "initial_std": as_matrix("initial_std", self.initial_std, (n,)),
-            "rate": positive("rate", self.rate),
-            "decay_rate": non_negative("decay_rate", self.decay_rate),
-            "disturbance": tuple(tuple(terms) for terms in self.disturbance),
-            "slope_vertices": tuple(
+        self._take(
+            measurement_std=as_matrix("measurement_std", self.measurement_std, (p,)),
+            initial_std=as_matrix("initial_std", self.initial_std, (n,)),
+            rate=positive("rate", self.rate),
+            decay_rate=non_negative("decay_rate", self.decay_rate),
+            disturbance=tuple(map(tuple, self.disturbance or p * [CLEAN])),
+            slope_vertices=tuple(
                 as_matrix(f"slope_vertices[{i}]", matrix, (n, n))
                 for i, matrix in enumerate(self.slope_vertices)
             ),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        )
         for name in ("measurement_std", "initial_std"):
-            _require_squares(name, checked[name].tolist())
-        _require_no_alias(chain.from_iterable(self.disturbance), self.rate)
-        _ = self.flow, self._names, self._units
+            _require_squares(name, getattr(self, name).tolist())
+        _ = self.flow, self.signal_names, self.signal_units
+        self._require_no_alias()
         if self.slope_vertices and self.model.premise_known:
             raise ModelError(
                 "slope_vertices: expected none, the premise is made of scheduled signals only "
                 "and the rules' matrices are the vertices"
             )
-        self._check_uncertainty()
-
-    def _check_uncertainty(self) -> None:
         if self.certify_uncertainty and self.uncertainty is None:
             raise ModelError("certify_uncertainty: expected at least one uncertain direction")
         if self.certify_uncertainty and self.slope_vertices and not self.uncertainty_model.common:
@@ -598,32 +779,36 @@ class TSRequest(DesignProblem):
     @cached_property
     def uncertainty_model(self) -> Uncertainty:
         """The uncertain directions of the rules' matrices."""
-        if self.uncertainty is not None:
-            return self.uncertainty
-        return Uncertainty({}, np.zeros((0, *self.flow.deviations.shape)))
+        nothing = Uncertainty({}, np.zeros((0, *self.flow.deviations.shape)))
+        return nothing if self.uncertainty is None else self.uncertainty
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The disturbances by their channels, which have the outputs' names but for D_s."""
+        numbered = tuple(f"channel {i + 1}" for i in range(len(self.disturbance)))
+        names = self.output_names if self.D_s is None else numbered
+        pairs = zip(names, self.disturbance, strict=True)
+        return tuple(Channel(name, tuple(terms)) for name, terms in pairs)
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
         """The exosystem of all channels, acting on the outputs."""
-        for channel, terms in enumerate(self.disturbance):
-            if not terms:
-                raise ModelError(
-                    f"disturbance[{channel}]: expected at least one term, e.g. kind: clean"
-                )
-        models = [[term.model() for term in terms] for terms in self.disturbance]
-        joined = per_channel([sum(terms[1:], start=terms[0]) for terms in models])
+        models = []
+        for place, terms in enumerate(self.disturbance):
+            _require_terms(f"disturbance[{place}]", terms)
+            models.append(Channel("", tuple(terms)).model)
+        joined = per_channel(models)
         return joined if self.D_s is None else joined.through(self.D_s)
 
-    @cached_property
-    def measurement_covariance(self) -> Array:
-        """R, shape (p, p)."""
-        return np.diag(np.asarray(self.measurement_std) ** 2)
+    @property
+    def output_std(self) -> Array:
+        """1σ of one sample's noise of each output, shape (p,)."""
+        return np.asarray(self.measurement_std)
 
-    @cached_property
-    def initial_covariance(self) -> Array:
-        """Error covariance before any measurement, shape (n, n)."""
-        std = np.concatenate([self.initial_std, self.disturbance_model.initial_std])
-        return np.diag(std**2)
+    @property
+    def plant_std(self) -> Array:
+        """1σ of each state before any measurement, shape (n,)."""
+        return np.asarray(self.initial_std)
 
     @property
     def covers_estimated_premise(self) -> bool:
@@ -654,67 +839,25 @@ class TSRequest(DesignProblem):
         return text
 
     @cached_property
-    def _names(self) -> Labels:
+    def signal_names(self) -> Labels:
+        """The names of all signals; x1, y1, u1, s1 and so on in groups without any."""
         return checked_names(self.names, self._signal_counts)
 
     @cached_property
-    def _units(self) -> Labels:
+    def signal_units(self) -> Labels:
+        """The units of all signals, empty texts if the request gives none."""
         return checked_units(self.units, self._signal_counts)
 
     @property
     def _signal_counts(self) -> dict[str, int]:
         model = self.model
-        return {
-            "states": model.state_count,
-            "outputs": len(model.C),
-            "inputs": model.input_count,
-            "scheduled": int(model.schedule.shape[1]),
-        }
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """The names of the states, x1 and so on if the request gives none."""
-        return self._names.states
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        """The names of the outputs, y1 and so on if the request gives none."""
-        return self._names.outputs
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """The names of the inputs, then of the scheduled signals; u1 and s1 and so on if none."""
-        return self._names.inputs + self._names.scheduled
-
-    @property
-    def state_units(self) -> tuple[str, ...]:
-        """The units of the states, empty texts if the request gives none."""
-        return self._units.states
-
-    @property
-    def output_units(self) -> tuple[str, ...]:
-        """The units of the outputs, empty texts if the request gives none."""
-        return self._units.outputs
+        counts = model.state_count, len(model.C), model.input_count, int(model.schedule.shape[1])
+        return dict(zip(Labels.__struct_fields__, counts, strict=True))
 
     @property
     def input_units(self) -> tuple[str, ...]:
         """The units of `input_names`, empty texts if the request gives none."""
-        return self._units.inputs + self._units.scheduled
-
-    @property
-    def state_labels(self) -> tuple[str, ...]:
-        """The names of the states with their units."""
-        return labelled(self.state_names, self.state_units)
-
-    @property
-    def disturbance_labels(self) -> tuple[str, ...]:
-        """The disturbance's states by their channels, which have the outputs' names but for D_s."""
-        labels: list[str] = []
-        for channel, terms in enumerate(self.disturbance):
-            name = f"channel {channel + 1}" if self.D_s is not None else self.output_names[channel]
-            count = sum(term.model().state_count for term in terms)
-            labels += [f"disturbance of {name}, state {i + 1}" for i in range(count)]
-        return tuple(labels)
+        return self.signal_units.inputs + self.signal_units.scheduled
 
     @property
     def headline(self) -> str:
@@ -744,39 +887,20 @@ class TSRequest(DesignProblem):
             "covers_estimated_premise": self.covers_estimated_premise,
         }
 
+    @property
+    def domain(self) -> str:
+        """What the certificate covers, in words."""
+        return f"the hull of {', '.join(self.vertex_matrices()[1])}"
+
     def vertex_matrices(self, share: float = 1.0) -> tuple[Array, list[str]]:
         """Return the plant matrices whose pairs are the vertices, (l, n, n), and their names."""
-        if self.slope_vertices:
-            matrices = np.array(self.slope_vertices)
-            names = [f"slope vertex {i + 1}" for i in range(len(matrices))]
-        else:
-            matrices = np.asarray(self.model.A)
-            names = [f"rule {i + 1}" for i in range(len(matrices))]
+        what = "slope vertex" if self.slope_vertices else "rule"
+        matrices = np.array(self.slope_vertices or self.model.A)
+        names = [f"{what} {i + 1}" for i in range(len(matrices))]
         if self.certify_uncertainty:
             matrices, names = self._with_uncertainty(matrices, names)
         middle = matrices.mean(axis=0)
         return middle + share * (matrices - middle), names
-
-    def vertices(self, share: float = 1.0) -> list[PairVertex]:
-        """Return the error systems the certificate is about.
-
-        Args:
-            share: How much of the way from the mean matrix to the vertices.
-        """
-        return self.flow.vertices(*self.vertex_matrices(share))
-
-    def starts(self) -> list[PairVertex]:
-        """Return the mean system, and each vertex by itself."""
-        matrices, names = self.vertex_matrices()
-        singles = [("the mean of the vertices", matrices.mean(axis=0))]
-        singles += zip(names, matrices, strict=True)
-        return [self.flow.vertices(matrix[np.newaxis], [name])[0] for name, matrix in singles]
-
-    @property
-    def domain(self) -> str:
-        """What the certificate covers, in words."""
-        _, names = self.vertex_matrices()
-        return f"the hull of {', '.join(names)}"
 
     def _with_uncertainty(self, matrices: Array, names: list[str]) -> tuple[Array, list[str]]:
         """Return every matrix at every corner of the box of θ."""
@@ -789,3 +913,97 @@ class TSRequest(DesignProblem):
             at = ", ".join(f"{k} {v:+.4g}" for k, v in zip(uncertain.names, theta, strict=True))
             labels += [f"{name} ({at})" for name in names]
         return np.concatenate(corners), labels
+
+    def vertices(self, share: float = 1.0) -> list[PairVertex]:
+        """Return the error systems at all pairs of vertex matrices."""
+        return self.flow.vertices(*self.vertex_matrices(share))
+
+    def starts(self) -> list[PairVertex]:
+        """Return the mean system, and each vertex by itself."""
+        matrices, names = self.vertex_matrices()
+        singles = [("the mean of the vertices", matrices.mean(axis=0))]
+        singles += zip(names, matrices, strict=True)
+        return [self.flow.vertices(matrix[np.newaxis], [name])[0] for name, matrix in singles]
+
+    def with_terms(self, place: int, terms: Terms) -> Self:
+        """Return the request with other terms of a channel."""
+        each = [channel.terms for channel in self.channels]
+        each[place] = terms
+        return replace(self, disturbance=each)
+
+    def with_rows(self, rows: Sequence[int]) -> Self | None:
+        """Return the request with some of its outputs; None with `D_s`, which would change."""
+        if self.D_s is not None:
+            return None
+        names, units = (
+            tuple(labels.outputs[row] for row in rows) if labels.outputs else ()
+            for labels in (self.names, self.units)
+        )
+        return self._measuring(
+            lambda C: np.asarray(C[list(rows)]),
+            names,
+            units,
+            disturbance=[self.channels[row].terms for row in rows],
+            measurement_std=self.output_std[list(rows)],
+        )
+
+    def further_outputs(self) -> Iterator[tuple[str, Self]]:
+        """Yield the request with an output more that is one state."""
+        known = [np.flatnonzero(row).tolist() for row in np.asarray(self.model.C)]
+        unmeasured = [i for i in range(self.model.state_count) if [i] not in known]
+        for state in unmeasured:
+            name, unit = self.state_names[state], self.state_units[state]
+            std = 0.1 * float(self.plant_std[state])
+            changes: dict[str, Any] = {"disturbance": [*self.disturbance, CLEAN]}
+            if self.D_s is not None:
+                changes = {"D_s": np.vstack([self.D_s, np.zeros((1, np.shape(self.D_s)[1]))])}
+            names, units = self.names.outputs, self.units.outputs
+            added = self._measuring(
+                partial(_stacked, below=np.eye(len(self.plant_std))[[state]]),
+                (*names, f"{name}_measured") if names else (),
+                (*units, unit) if units else (),
+                measurement_std=np.append(self.output_std, std),
+                **changes,
+            )
+            yield f"{labelled([name], [unit])[0]} with 1σ of {std:.3g}", added
+
+    def _measuring(
+        self,
+        change: Callable[[Array], Array],
+        names: tuple[str, ...],
+        units: tuple[str, ...],
+        **changes: Any,
+    ) -> Self:
+        """Return the request with changed output matrices, those of single rules too."""
+        each = self.model.outputs
+        outputs = None if each is None else np.array([change(C) for C in each])
+        return replace(
+            self,
+            model=replace(self.model, C=change(self.model.C), outputs=outputs),
+            names=msgspec.structs.replace(self.names, outputs=names),
+            units=msgspec.structs.replace(self.units, outputs=units),
+            **changes,
+        )
+
+    def on_share(self, share: float) -> tuple[str, Self] | None:
+        """Return the request with rules or slope vertices nearer to their mean."""
+        what = "slope vertices" if self.slope_vertices else "rules"
+        matrices = np.array(self.slope_vertices or self.model.A)
+        if len(matrices) < 2:
+            return None
+        middle = matrices.mean(axis=0)
+        closer = middle + share * (matrices - middle)
+        text = f"a smaller domain: {what} {100 * share:.0f} % as far from their mean"
+        if self.slope_vertices:
+            return text, replace(self, slope_vertices=tuple(closer))
+        return text, replace(self, model=replace(self.model, A=closer))
+
+    def with_bounds(self, share: float) -> Self:
+        """Return the request with a share of its bounds of uncertainty."""
+        known = self.uncertainty_model
+        bounds = {name: share * bound for name, bound in known.bounds.items()}
+        return replace(self, uncertainty=Uncertainty(bounds, known.directions))
+
+
+def _stacked(above: Array, below: Array) -> Array:
+    return np.vstack([above, below])

@@ -34,10 +34,9 @@ from tsobs_ros.checks import Array
 from tsobs_ros.design.certificate import check_certificate
 from tsobs_ros.design.feasibility import is_detectable, require_detectable
 from tsobs_ros.design.lyapunov import solver_version
-from tsobs_ros.design.problem import DesignProblem, ErrorVertex
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.remedies import helpful, remedies_of_gain
-from tsobs_ros.design.request import ArmRequest, TSRequest
+from tsobs_ros.design.request import ArmRequest, ErrorVertex, Request, TSRequest
 from tsobs_ros.errors import DesignError
 
 MARGINS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
@@ -105,7 +104,7 @@ def synthesise(request: ArmRequest | TSRequest) -> Design:
         raise DesignError(f"{error}. What would help: {advice}", found) from error
 
 
-def _has_design(problem: DesignProblem) -> bool:
+def _has_design(problem: Request) -> bool:
     """Return whether a request has a design that is found with little effort."""
     try:
         if is_detectable(problem):
@@ -116,7 +115,7 @@ def _has_design(problem: DesignProblem) -> bool:
     return False
 
 
-def solve_gain(problem: DesignProblem, effort: Effort = _FULL) -> Gain:
+def solve_gain(problem: Request, effort: Effort = _FULL) -> Gain:
     """Return the gain with the smallest proved bound, its certificate re-checked.
 
     Args:
@@ -152,7 +151,7 @@ def solve_gain(problem: DesignProblem, effort: Effort = _FULL) -> Gain:
     )
 
 
-def _answer(problem: DesignProblem, covariance: Array) -> tuple[Array, Array]:
+def _answer(problem: Request, covariance: Array) -> tuple[Array, Array]:
     """Return P and the gain that is optimal for it."""
     P = np.linalg.inv(covariance)
     P = (P + P.T) / 2
@@ -161,7 +160,7 @@ def _answer(problem: DesignProblem, covariance: Array) -> tuple[Array, Array]:
     return P, bound @ C.T @ np.linalg.inv(C @ bound @ C.T + R)
 
 
-def _walk_to_domain(problem: DesignProblem, margin: float, smallest_step: float) -> _Solution:
+def _walk_to_domain(problem: Request, margin: float, smallest_step: float) -> _Solution:
     """Solve for all that is asked, from its middle in as few steps as the solver bears."""
     starts = problem.starts()
     guesses = [
@@ -188,7 +187,7 @@ def _walk_to_domain(problem: DesignProblem, margin: float, smallest_step: float)
     return solution
 
 
-def _settle(problem: DesignProblem, solution: _Solution, margin: float, passes: int) -> _Solution:
+def _settle(problem: Request, solution: _Solution, margin: float, passes: int) -> _Solution:
     """Repeat the solve around its own answer until the bound's volume stops shrinking."""
     vertices = problem.vertices()
     best = solution
@@ -203,7 +202,7 @@ def _settle(problem: DesignProblem, solution: _Solution, margin: float, passes: 
 
 
 def _solve(
-    problem: DesignProblem, vertices: Sequence[ErrorVertex], scaling: Array, margin: float
+    problem: Request, vertices: Sequence[ErrorVertex], scaling: Array, margin: float
 ) -> _Solution | None:
     """Minimise trace(Z⁻¹X) over the vertices with Z = `scaling`; None if the solver gives up."""
     n, period = problem.flow.state_count, problem.period
@@ -253,7 +252,7 @@ def _solve(
     )
 
 
-def _kalman_covariance(problem: DesignProblem, vertex: ErrorVertex) -> Array | None:
+def _kalman_covariance(problem: Request, vertex: ErrorVertex) -> Array | None:
     """Return the stationary prior covariance of the Kalman filter of one system, or None."""
     try:
         covariance = solve_discrete_are(
@@ -269,7 +268,7 @@ def _kalman_covariance(problem: DesignProblem, vertex: ErrorVertex) -> Array | N
     return np.asarray((covariance + covariance.T) / 2)
 
 
-def _no_common_matrix(problem: DesignProblem, share: float | None) -> str:
+def _no_common_matrix(problem: Request, share: float | None) -> str:
     if share is None:
         reached = "not a single solve succeeded"
     else:
