@@ -256,7 +256,7 @@ def test_without_noise_no_stationary_filter_exists(request_: ArmRequest) -> None
         ),
         pytest.param(
             ArmRequest(disturbance=tone(1.4)),
-            ["disturbance sinusoid", "c = 0.8407 (|q1| = 32.8 deg)", "mode 0+1.4j", "x_max below 0.5722 rad",
+            ["c = 0.8407 (|q1| = 32.8 deg)", "mode 0+1.4j", "x_max below 0.5722 rad",
              "a disturbance frequency away"],
             id="lower blind band",
         ),
