@@ -49,7 +49,7 @@ def exported(
     memory = tracker.memory.copy()
     memory["max_steps"] = max_steps
     parts = [tracker.estimator.model.view(np.int64), memory.view(np.int64)]
-    head = np.zeros(1, record_type(native.exported_layout()))
+    head = np.zeros(1, record_type("exported_head"))
     head["model_length"], head["memory_length"] = map(len, parts)
     text = f"{DesignFile.of(design).identity}, {settings.method}, tsobs_ros {__version__}"
     about = head["about"][0].view(np.uint8)

@@ -19,6 +19,7 @@ from tsobs_ros import exported
 from tsobs_ros.checks import Array
 from tsobs_ros.cli.main import main
 from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, Output
 from tsobs_ros.estimation.records import Measurement
@@ -172,8 +173,8 @@ def words() -> Any:
     return exported.exported(DESIGNS["fixed"](), max_steps=4)
 
 
-HEAD = [name for name, *_ in native.exported_layout()]
-BEGIN = sum(rows for *_, rows, _ in native.exported_layout())
+HEAD = record_type("exported_head").names
+BEGIN = record_type("exported_head").itemsize // 8
 
 
 def test_its_lengths_are_those_of_a_tracker(words: Any) -> None:

@@ -61,7 +61,9 @@ def predict(state: State, u: int = 1, duration: float = 0.005, work: int | None 
             ),
             "estimator_observe: samples: expected a number of at least 0",
         ),
-        (lambda m, s: native.estimator_layouts(*[-1] * 10), "estimator_layouts: sizes: expected"),
+        (lambda m, s: native.layout("model", np.full(10, -1)), "layout: sizes: expected"),
+        (lambda m, s: native.layout("model", np.ones(3, int)), "layout: record: expected"),
+        (lambda m, s: native.elementary("tangent", s), "elementary: function: expected"),
     ],
 )
 def test_arrays_of_other_lengths_are_refused(call: Callable[..., Any], message: str) -> None:

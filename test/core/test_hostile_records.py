@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.estimator import Estimator
 from tsobs_ros.estimation.state import Shape, new_model
@@ -82,12 +83,7 @@ def test_a_flow_whose_steps_do_not_end_is_refused(name: str, values: list[float]
 
 def _place(flow: Any, name: str) -> int:
     sizes = flow.view(np.int64)[1:9].tolist()
-    place = 0
-    for field, _, rows, columns in native.flow_layout(*sizes):
-        if field == name:
-            return place
-        place += rows * columns
-    raise AssertionError(name)
+    return int(record_type("flow", sizes).fields[name][1] // 8)
 
 
 def test_a_duration_whose_periods_cannot_be_counted_is_refused() -> None:

@@ -229,12 +229,9 @@ def test_the_same_bits_on_another_cpu() -> None:
 def test_single_premises_have_the_bits_of_a_batch() -> None:
     z = np.random.default_rng(5).normal(0.0, 1.0, (50, 2))
     batch, all_slopes = weights_and_slopes(MIXED, z)
-    r = MIXED.rule_count
-    weights, same, slopes = np.empty(r), np.empty(r), np.empty((r, 2))
     for place, one in enumerate(z):
-        native.weights_of_each(*MIXED.coded, one, weights, r, 2)
-        native.weights_and_slopes_of_each(*MIXED.coded, one, same, slopes, r, 2)
-        assert weights.tobytes() == same.tobytes() == batch[place].tobytes()
+        weights, slopes = weights_and_slopes(MIXED, one)
+        assert weights.tobytes() == batch[place].tobytes()
         assert slopes.tobytes() == all_slopes[place].tobytes()
     assert (batch == MIXED.weights(z)).all()
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from tsobs_ros.core import native
+from tsobs_ros.core.records import record_type
 
 SIZES = np.array([2, 1, 0, 1, 1, 1])
 ARM = np.ones(20)
 ARM.view(np.int64)[0] = 5
-SYSTEM = np.ones(sum(row * column for _, _, row, column in native.simulated_system_layout(SIZES)))
+SYSTEM = np.ones(record_type("simulated_system", SIZES).itemsize // 8)
 SYSTEM.view(np.int64)[0] = 5
 MOVERS: dict[str, dict[str, Any]] = {
     # Two arms, and two systems, over three samples of five steps.

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array
-from tsobs_ros.core import native
 from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.estimator import Estimator, Rows
 from tsobs_ros.estimation.records import Basis
@@ -41,7 +40,6 @@ _CLAIM_OF = np.array(
     [[basis in bases for bases in CLAIMS.values()].index(True) for basis in Basis], np.int64
 )
 
-_KINDS = ("state", "disturbance", "torque")
 _FIELDS = {"torque": "torque_disturbance"}
 
 
@@ -216,66 +214,115 @@ def score(
         sides: Of the design's torque disturbances, of "motor" and "link".
     """
     options = options or MetricsOptions()
-    kept = np.array(
-        [options.start_settle_time, options.jump_settle_time, SAME_JUMP, SIGMAS], np.float64
+    count, claims, truths = len(runs.states), _claims(observed), _truths(runs, quantities, sides)
+    settled = _settled(runs, _have_jumped(truths, quantities, options), options)
+    run = np.broadcast_to(np.arange(count)[:, np.newaxis], settled.shape)
+    claim = run * len(CLAIMS) + claims
+    shape = (count, len(CLAIMS))
+    each: list[list[Array]] = [[] for _ in range(6)]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for quantity, truth in zip(quantities, truths, strict=True):
+            estimate, bound = _estimated(observed, quantity)
+            error = estimate - truth
+            within, ratio = np.abs(error) <= SIGMAS * bound, np.abs(error) / bound
+            known, bounded = np.isfinite(error), np.isfinite(bound)
+            number, squares = _sums(run, settled & known, error * error)
+            bounds, bound_squares, inside = _sums(
+                run, settled & known & bounded, bound * bound, within
+            )
+            judged = known & bounded & (bound > 0.0) & (claims >= 0)
+            said, said_inside, ratios = (
+                sums.reshape(shape)
+                for sums in _sums(claim, judged, within, ratio * ratio, bins=count * len(CLAIMS))
+            )
+            worst = np.where(said > 0, 0.0, np.nan)
+            np.maximum.at(worst.reshape(-1), claim[judged], ratio[judged])
+            found = (np.sqrt(squares / number), np.sqrt(bound_squares / bounds), inside / bounds)
+            claim_found = (said_inside / said, np.sqrt(ratios / said), worst)
+            for those, one in zip(each, (*found, *claim_found), strict=True):
+                those.append(one)
+    rmse, rms_bound, share_inside, claim_inside, claim_ratio, claim_worst = (
+        np.stack(those, axis=-1) for those in each
     )
-    row_type = observed.rows.dtype
-    places = np.array([_places(each, row_type, sides) for each in quantities], np.int64)
-    jumps = np.array([options.jump_threshold if q.jump is None else q.jump for q in quantities])
-    count = len(runs.states)
-    settled = np.zeros((count, len(quantities), 5))
-    claims = np.zeros((count, len(CLAIMS), len(quantities), 4))
-    claimed = np.zeros((count, len(CLAIMS)), np.int64)
-    reach = np.zeros(count)
-    native.scores_add_up(
-        kept,
-        places,
-        jumps,
-        _CLAIM_OF,
-        row_type.fields["basis"][1] // 8,
-        np.ascontiguousarray(runs.times),
-        np.ascontiguousarray(runs.physical),
-        np.ascontiguousarray(runs.disturbances),
-        np.ascontiguousarray(runs.torque_disturbances),
-        _last_measured(runs.measurements),
-        np.ascontiguousarray(observed.rows).view(np.float64),
-        settled,
-        claims,
-        claimed,
-        reach,
-        np.zeros((2, len(quantities))),
-    )
-    with np.errstate(invalid="ignore", divide="ignore"):
-        rmse = np.sqrt(settled[..., 0] / settled[..., 1])
-        bound = np.sqrt(settled[..., 2] / settled[..., 3])
-        inside = settled[..., 4] / settled[..., 3]
-        number = claims[..., 0]
-        claim_inside = claims[..., 1] / number
-        claim_ratio = np.sqrt(claims[..., 2] / number)
-        claim_worst = np.where(number > 0.0, claims[..., 3], np.nan)
+    claimed = np.bincount(claim[claims >= 0], minlength=count * len(CLAIMS)).reshape(shape)
+    reach = np.abs(runs.physical[..., 0]).max(axis=1)
     states = [place for place, each in enumerate(quantities) if each.kind == "state"]
     relative = rmse[:, states] / np.array(options.scale)
     normalised = np.sqrt((relative * relative).sum(axis=1) / len(states))
     return Scores(
-        rmse, bound, inside, normalised, claimed, claim_inside, claim_ratio, claim_worst, reach
-    )
+        rmse, rms_bound, share_inside, normalised,
+        claimed, claim_inside, claim_ratio, claim_worst, reach,
+    )  # fmt: skip
 
 
-def _last_measured(measurements: Array) -> NDArray[np.intp]:
-    """Return the last sample with a measurement in each run, which does not count itself."""
-    there = np.asarray(np.isfinite(measurements).any(axis=2))
-    samples = np.arange(there.shape[1])
-    return np.asarray(np.where(there, samples, 0).max(axis=1))
+def _truths(
+    runs: Trajectories, quantities: tuple[Quantity, ...], sides: tuple[str, ...]
+) -> list[Array]:
+    """Return what is true of each quantity, shape (runs, samples) each."""
+    truths = {
+        "state": runs.physical,
+        "disturbance": runs.disturbances,
+        "torque": runs.torque_disturbances,
+    }
+    columns = (SIDES.index(sides[q.column]) if q.kind == "torque" else q.column for q in quantities)
+    return [truths[q.kind][..., column] for q, column in zip(quantities, columns, strict=True)]
 
 
-def _places(quantity: Quantity, row_type: Any, sides: tuple[str, ...]) -> tuple[int, int, int, int]:
-    """Return kind and column of a quantity's truth, its place and its bound's in a row, or -1."""
+def _estimated(observed: Observed, quantity: Quantity) -> tuple[Array, Array]:
+    """Return estimates and bounds of a quantity, NaN without, shape (runs, samples) each."""
     field = _FIELDS.get(quantity.kind, quantity.kind)
-    here = []
-    for name in (field, f"{field}_bound"):
-        numbers, begin, *_ = row_type.fields[name]
-        here.append(begin // 8 + quantity.column if numbers.shape[0] else -1)
-    column = quantity.column
-    if quantity.kind == "torque":
-        column = SIDES.index(sides[column])
-    return _KINDS.index(quantity.kind), column, here[0], here[1]
+    both = (observed.field(name) for name in (field, f"{field}_bound"))
+    estimate, bound = (
+        each[..., quantity.column] if each.shape[-1] else np.full(each.shape[:-1], np.nan)
+        for each in both
+    )
+    return estimate, bound
+
+
+def _have_jumped(
+    truths: list[Array], quantities: tuple[Quantity, ...], options: MetricsOptions
+) -> NDArray[np.bool_]:
+    """Return whether a truth has jumped since the sample before, shape (runs, samples)."""
+    jumps = np.zeros(truths[0].shape, np.bool_)
+    for truth, quantity in zip(truths, quantities, strict=True):
+        limit = options.jump_threshold if quantity.jump is None else quantity.jump
+        if limit < np.inf:
+            jumps[:, 1:] |= np.abs(np.diff(truth, axis=1)) > limit
+    return jumps
+
+
+def _settled(
+    runs: Trajectories, jumps: NDArray[np.bool_], options: MetricsOptions
+) -> NDArray[np.bool_]:
+    """Return which samples count, before the last measurement of their run, (runs, samples)."""
+    times = runs.times
+    begins = np.full((len(jumps), len(times)), times[0] + options.start_settle_time)
+    for run, jumped in enumerate(jumps):
+        before = -np.inf
+        for place in np.flatnonzero(jumped).tolist():
+            after = times[place] + options.jump_settle_time
+            # A fault that chatters is one event, which begins with its first jump.
+            if times[place] - before > SAME_JUMP and after > begins[run, place]:
+                begins[run, place:] = after
+            before = times[place]
+    measured, samples = np.isfinite(runs.measurements).any(axis=2), np.arange(len(times))
+    last = np.where(measured, samples, 0).max(axis=1, keepdims=True)
+    return np.asarray((times >= begins) & (samples < last))
+
+
+def _claims(observed: Observed) -> NDArray[np.intp]:
+    """Return what the bounds of each sample are said to be, by `CLAIMS`; -1 without any."""
+    basis, claimed = (observed.field(name) for name in ("basis", "claimed"))
+    known = (basis >= 0.0) & (basis < len(_CLAIM_OF))
+    of_basis = _CLAIM_OF[np.where(known, basis, 0.0).astype(np.intp)]
+    said = np.where(claimed == 0.0, len(CLAIMS) - 1, of_basis)
+    return np.where(known, said, -1)
+
+
+def _sums(
+    place: NDArray[np.intp], mask: NDArray[np.bool_], *values: NDArray[Any], bins: int = 0
+) -> list[NDArray[Any]]:
+    """Return number and sums by the place, in the order of the samples: the same on any CPU."""
+    places, bins = place[mask], bins or len(place)
+    number = np.bincount(places, minlength=bins)
+    return [number, *(np.bincount(places, each[mask], bins) for each in values)]

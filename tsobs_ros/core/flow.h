@@ -60,13 +60,6 @@ static inline size_t flow_over_scratch_size(long n, long m)
     return (size_t)(n * (2 * n + m) + 2 * n * n + n * m);
 }
 
-/* Write the series of x' = A x + B u + noise of density W, for A (n, n), B (n, m) and W (n, n), and
- * return the number of rows that are not negligible in steps up to `reach` [s]; the rest is zero.
- * `scratch` has flow_over_scratch_size numbers. */
-long fill_series(
-    const double *A, const double *B, const double *W, double reach, double *series,
-    double *scratch, long n, long m);
-
 /* Write Phi (n, n), Gamma (n, m) and, unless NULL, Q (n, n) over a duration of at least 0 [s].
  *
  * `series` has the Taylor coefficients of Phi, Gamma and Q side by side in `terms` rows, of

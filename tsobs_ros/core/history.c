@@ -413,39 +413,23 @@ int estimate_at(tracker *t, int64_t stamp, double *row)
     return 1;
 }
 
-void follow(tracker *t, const measurements *given, double *rows)
+void advance(
+    tracker *t, const measurements *given, const outcomes *written, const history_ticks *ticks,
+    int64_t stale_after)
 {
     const int64_t p = t->m.s.p, m = t->m.s.m, width = (int64_t)estimate_size(&t->m.s);
-    int64_t i;
-    for (i = 0; i < given->count; i++) {
-        const double *y = given->y + i * p, *u = given->u + i * m;
-        if (is_readable(t, y, u)) {
-            *t->h.accepted += 1;
-            step_to(t, given->stamps[i], y, u);
-        } else {
-            t->h.refused[NON_FINITE] += 1;
-        }
-        estimate_at(t, given->stamps[i], rows + i * width);
+    int64_t done = 0, tick;
+    for (tick = 0; tick < ticks->count; tick++) {
+        const int64_t known = ticks->known[tick], stamp = ticks->stamps[tick];
+        const measurements news = {
+            known - done, given->stamps + done, given->y + done * p, given->u + done * m};
+        const outcomes theirs = {
+            written->codes + done, written->output_codes + done * p,
+            written->innovations + done * p, written->expected_std + done * p};
+        offer(t, &news, ticks->now[tick], &theirs);
+        done = known;
+        ticks->newest[tick] = newest_stamp(t);
+        ticks->there[tick] = ticks->newest[tick] > 0 && stamp - ticks->newest[tick] <= stale_after &&
+                             estimate_at(t, stamp, ticks->rows + tick * width);
     }
-}
-
-/* --- the whole --- */
-
-void copy_history(const tracker *from, tracker *to)
-{
-    int64_t place;
-    memcpy(to->memory, from->memory, history_size(NULL) * sizeof *to->memory);
-    for (place = 0; place < *from->h.length; place++) {
-        copy_state(&from->m, numbers_at(from, place), numbers_at(to, place));
-    }
-    copy_state(&from->m, coasted_numbers(from), coasted_numbers(to));
-}
-
-void forget(tracker *t)
-{
-    history *h = &t->h;
-    if (*h->length > 0) {
-        *h->bad_outputs += *state_at(t, *h->length - 1).failures;
-    }
-    *h->first = *h->length = *h->has_base = *h->coasted_periods = 0;
 }

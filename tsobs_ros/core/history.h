@@ -107,15 +107,21 @@ void offer(tracker *t, const measurements *given, int64_t now, const outcomes *w
  * which is counted. The row is that of `estimate_bind`. */
 int estimate_at(tracker *t, int64_t stamp, double *row);
 
-/* Use measurements in ascending order of stamps, later than any before, those that are finite, and
- * write the estimate at each where there is one, as of `estimate_at`. */
-void follow(tracker *t, const measurements *given, double *rows);
+/* Instants of estimates, and what comes out of them. stamps: of the estimates, ascending; now: time
+ * on their clock [ns]. known: numbers of measurements that are offered before each, ascending.
+ * newest: stamp of the newest one in use [ns]; there: whether there is an estimate; rows: of the
+ * estimates, as of `estimate_at`. */
+typedef struct {
+    int64_t count;
+    const int64_t *stamps, *now, *known;
+    int64_t *newest, *there;
+    double *rows;
+} history_ticks;
 
-/* Copy a history to memories of the same sizes, without the states that it has forgotten. */
-void copy_history(const tracker *from, tracker *to);
-
-/* Forget all measurements, but not the counts. */
-void forget(tracker *t);
+/* Offer measurements and estimate at ticks, unless the newest one is older than `stale_after` [ns]. */
+void advance(
+    tracker *t, const measurements *given, const outcomes *written, const history_ticks *ticks,
+    int64_t stale_after);
 
 /* Return the newest stamp [ns], 0 if there is none. */
 int64_t newest_stamp(const tracker *t);

@@ -8,81 +8,11 @@
  * jitter. Where a step is long for the fastest mode, the series serves a fraction 2^-s of it and is
  * doubled s times; a sum of positive semidefinite terms, so the noise stays a covariance.
  */
-#include <float.h>
 #include <math.h>
 #include <string.h>
 
 #include "flow.h"
 #include "matrices.h"
-
-/* Keep the largest size of each coefficient times power; return whether all are negligible. */
-static int is_negligible(const double *row, double power, double *largest, long count)
-{
-    int negligible = 1;
-    for (long place = 0; place < count; place++) {
-        const double size = fabs(row[place]) * power;
-        if (size > largest[place] || isnan(size)) {
-            largest[place] = size;
-        }
-        /* Judged entry by entry: entries differ by ten orders of magnitude. */
-        negligible = negligible && size <= 1e-3 * DBL_EPSILON * largest[place];
-    }
-    return negligible;
-}
-
-/* Write the coefficients of one order from those of the order before. */
-static void raise_order(
-    const double *A, const double *B, const double *W, const double *row, double *next,
-    double *turned, long order, long n, long m)
-{
-    const long squares = n * n, gammas = n * m;
-    double *noise = next + squares + gammas;
-    multiply(A, row, next, n, n, n);
-    multiply(A, row + squares, next + squares, n, n, m);
-    multiply(A, row + squares + gammas, turned, n, n, n);
-    for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            /* Symmetric to the last bit, as a sum does not depend on the order of two terms. */
-            noise[i * n + j] = turned[i * n + j] + turned[j * n + i];
-        }
-    }
-    for (long place = 0; order == 1 && place < gammas; place++) {
-        next[squares + place] += B[place];
-    }
-    for (long place = 0; order == 1 && place < squares; place++) {
-        noise[place] += W[place];
-    }
-    for (long place = 0; place < 2 * squares + gammas; place++) {
-        next[place] /= (double)order;
-    }
-}
-
-long fill_series(
-    const double *A, const double *B, const double *W, double reach, double *series,
-    double *scratch, long n, long m)
-{
-    const long count = n * (2 * n + m);
-    double *largest = scratch, *turned = scratch + count;
-    double power = 1.0;
-    long order;
-    memset(series, 0, SERIES_TERMS * (size_t)count * sizeof *series);
-    memset(largest, 0, (size_t)count * sizeof *largest);
-    for (long i = 0; i < n; i++) {
-        series[i * n + i] = 1.0;
-    }
-    for (order = 1; order < SERIES_TERMS; order++) {
-        double *row = series + (order - 1) * count;
-        const int negligible = is_negligible(row, power, largest, count);
-        if (order > 2 * n && negligible) {
-            return order;
-        }
-        power *= reach;
-        raise_order(A, B, W, row, row + count, turned, order, n, m);
-    }
-    /* The last row was computed for nothing. */
-    memset(series + (SERIES_TERMS - 1) * count, 0, (size_t)count * sizeof *series);
-    return SERIES_TERMS - 1;
-}
 
 /* Evaluate polynomials by Horner's rule; rows of `series` begin `width` coefficients apart. */
 static void evaluate(

@@ -3,6 +3,8 @@
  *
  * The extension module `tsobs_ros.core.native`: the C library for Python, arrays by buffer.
  */
+#include <string.h>
+
 #include "estimator.h"
 #include "python.h"
 
@@ -17,21 +19,17 @@ static PyTypeObject *memory_type;
 
 static PyObject *memory_new(PyTypeObject *type, PyObject *args, PyObject *keywords)
 {
-    PyObject *array;
-    memory_object *self;
+    PyObject *array, *self;
     (void)keywords;
     if (!PyArg_ParseTuple(args, "O:Memory", &array)) {
         return NULL;
     }
-    self = (memory_object *)PyType_GenericAlloc(type, 0);
-    if (self == NULL) {
-        return NULL;
+    self = PyType_GenericAlloc(type, 0);
+    if (self != NULL && PyObject_GetBuffer(array, &((memory_object *)self)->buffer,
+                                           PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE) < 0) {
+        Py_CLEAR(self);
     }
-    if (PyObject_GetBuffer(array, &self->buffer, PyBUF_C_CONTIGUOUS | PyBUF_WRITABLE) < 0) {
-        Py_DECREF(self);
-        return NULL;
-    }
-    return (PyObject *)self;
+    return self;
 }
 
 static void memory_free(PyObject *self)
@@ -48,99 +46,115 @@ static PyType_Slot memory_slots[] = {
     {Py_tp_doc, (void *)"An array's address, looked up once; the array must stay as it is."},
     {0, NULL},
 };
-
 static PyType_Spec memory_spec = {
     "tsobs_ros.core.native.Memory", sizeof(memory_object), 0, Py_TPFLAGS_DEFAULT, memory_slots,
 };
 
 /* --- arguments --- */
 
-static int take_array(const char *function, Py_ssize_t place, int writable, PyObject *given,
-                      argument *taken)
+PyObject *refuse(const signature *of, const char *why)
 {
+    return PyErr_Format(PyExc_ValueError, "%s: %s", of->function, why);
+}
+
+/* Raise a ValueError about an argument at a place: what was expected, and two numbers. */
+static int refuse_argument(
+    const signature *of, int place, const char *format, long long expected, long long got)
+{
+    const char *name = of->names;
+    PyObject *what = NULL, *why = PyUnicode_FromFormat(format, expected, got);
+    Py_ssize_t length = 0;
+    for (; place > 0; place -= *name++ == ' ') {
+    }
+    while (name[length] != ' ' && name[length] != '\0') {
+        length++;
+    }
+    what = PyUnicode_FromStringAndSize(name, length);
+    if (what != NULL && why != NULL) {
+        PyErr_Format(PyExc_ValueError, "%s: %U: %U", of->function, what, why);
+    }
+    Py_XDECREF(what);
+    Py_XDECREF(why);
+    return 0;
+}
+
+int has(const signature *of, const argument *t, int place, int64_t least)
+{
+    return t[place].length >= least ||
+           refuse_argument(of, place, "expected at least %lld numbers, got %lld", least,
+                           t[place].length);
+}
+
+int is_size(const signature *of, const argument *t, int place, int64_t least)
+{
+    return (least <= t[place].is.integer && t[place].is.integer <= MAX_SIZE) ||
+           refuse_argument(of, place, "expected a size from %lld on, got %lld", least,
+                           t[place].is.integer);
+}
+
+/* Read an array; return whether it is one. */
+static int take_array(const signature *of, int place, PyObject *given, argument *taken)
+{
+    const char kind = of->format[place];
     const Py_buffer *buffer = &taken->buffer;
+    const Py_ssize_t unit = kind == 'b' ? 1 : 8;
     if (Py_TYPE(given) == memory_type) {
         buffer = &((memory_object *)given)->buffer;
     } else {
-        const int flags = PyBUF_C_CONTIGUOUS | (writable ? PyBUF_WRITABLE : 0);
+        const int flags = PyBUF_C_CONTIGUOUS | (kind == 'D' ? PyBUF_WRITABLE : 0);
         if (PyObject_GetBuffer(given, &taken->buffer, flags) < 0) {
-            return -1;
+            return 0;
         }
         taken->held = 1;
     }
-    if (buffer->len % 8 != 0 || ((uintptr_t)buffer->buf) % 8 != 0) {
-        PyErr_Format(PyExc_ValueError, "%s: argument %zd: expected aligned 8-byte numbers",
-                     function, place + 1);
-        return -1;
-    }
-    taken->is.doubles = (double *)buffer->buf;
-    taken->length = buffer->len / 8;
-    return 0;
+    taken->is.bytes = buffer->buf;
+    taken->length = buffer->len / unit;
+    return (buffer->len % unit == 0 && (uintptr_t)buffer->buf % (size_t)unit == 0) ||
+           refuse_argument(of, place, "expected aligned %lld-byte numbers", unit, 0);
 }
 
-int take_arguments(const char *function, const char *format, PyObject *const *given,
-                   Py_ssize_t count, argument *taken)
+/* Read an argument; return whether it is of its kind. */
+static int take(const signature *of, int place, PyObject *given, argument *taken)
 {
-    Py_ssize_t expected = 0, i;
-    while (format[expected] != '\0') {
-        taken[expected++].held = 0;
+    switch (of->format[place]) {
+    case 'f':
+        taken->is.number = PyFloat_AsDouble(given);
+        return taken->is.number != -1.0 || PyErr_Occurred() == NULL;
+    case 'i':
+        taken->is.integer = PyLong_AsLongLong(given);
+        return taken->is.integer != -1 || PyErr_Occurred() == NULL;
+    case 's':
+        taken->is.text = PyUnicode_AsUTF8AndSize(given, NULL);
+        return taken->is.text != NULL;
+    default:
+        return take_array(of, place, given, taken);
     }
+}
+
+PyObject *call_bound(
+    const signature *of, bound_body body, PyObject *const *given, Py_ssize_t count)
+{
+    argument taken[MAX_ARGUMENTS];
+    const Py_ssize_t expected = (Py_ssize_t)strlen(of->format);
+    PyObject *result = NULL;
+    int place = 0;
     if (count != expected) {
-        PyErr_Format(PyExc_TypeError, "%s: expected %zd arguments, got %zd", function, expected,
-                     count);
-        return -1;
+        return PyErr_Format(PyExc_TypeError, "%s: expected %zd arguments, got %zd", of->function,
+                            expected, count);
     }
-    for (i = 0; i < count; i++) {
-        if (format[i] == 'f') {
-            taken[i].is.number = PyFloat_AsDouble(given[i]);
-        } else if (format[i] == 'i') {
-            taken[i].is.integer = PyLong_AsLongLong(given[i]);
-        } else if (take_array(function, i, format[i] == 'D', given[i], &taken[i]) < 0) {
-            release_arguments(format, taken);
-            return -1;
-        }
-        if ((format[i] == 'f' || format[i] == 'i') && PyErr_Occurred()) {
-            release_arguments(format, taken);
-            return -1;
+    for (int is_right = 1; is_right && place < count; place++) {
+        taken[place].held = 0;
+        is_right = take(of, place, given[place], &taken[place]);
+    }
+    if (PyErr_Occurred() == NULL) {
+        result = body(of, taken);
+    }
+    while (place-- > 0) {
+        if (taken[place].held) {
+            PyBuffer_Release(&taken[place].buffer);
         }
     }
-    return 0;
-}
-
-void release_arguments(const char *format, argument *taken)
-{
-    Py_ssize_t i;
-    for (i = 0; format[i] != '\0'; i++) {
-        if (taken[i].held) {
-            PyBuffer_Release(&taken[i].buffer);
-            taken[i].held = 0;
-        }
-    }
-}
-
-int require_length(const char *function, const char *name, const argument *array, size_t least)
-{
-    if ((size_t)array->length >= least) {
-        return 0;
-    }
-    PyErr_Format(PyExc_ValueError, "%s: %s: expected at least %zu numbers, got %zd", function,
-                 name, least, array->length);
-    return -1;
-}
-
-PyObject *fields_as_list(const layout_field *fields, size_t count)
-{
-    size_t i;
-    PyObject *list = PyList_New(0);
-    for (i = 0; list != NULL && i < count; i++) {
-        PyObject *row = Py_BuildValue("(ssll)", fields[i].name, fields[i].kind, fields[i].rows,
-                                      fields[i].columns);
-        if (row == NULL || PyList_Append(list, row) < 0) {
-            Py_CLEAR(list);
-        }
-        Py_XDECREF(row);
-    }
-    return list;
+    return result;
 }
 
 /* --- the module --- */
@@ -166,42 +180,25 @@ static const struct {
 static int module_exec(PyObject *module)
 {
     PyMethodDef *const tables[] = {
-        flow_methods,
-        matrices_methods,
-        messages_methods,
-        faults_methods,
-        scores_methods,
-        estimator_methods,
-        simulate_methods,
-        history_methods,
-        exported_methods,
+        estimator_methods, faults_methods, history_methods, model_methods,
     };
-    size_t i;
     memory_type = (PyTypeObject *)PyType_FromSpec(&memory_spec);
-    if (memory_type == NULL || PyModule_AddObjectRef(module, "Memory", (PyObject *)memory_type) < 0) {
-        return -1;
+    int failed = memory_type == NULL ||
+                 PyModule_AddObjectRef(module, "Memory", (PyObject *)memory_type) < 0 ||
+                 PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0;
+    for (size_t i = 0; !failed && i < sizeof constants / sizeof constants[0]; i++) {
+        failed = PyModule_AddIntConstant(module, constants[i].name, constants[i].value) < 0;
     }
-    if (PyModule_AddStringConstant(module, "SOURCES", SOURCES) < 0) {
-        return -1;
+    for (size_t i = 0; !failed && i < sizeof tables / sizeof tables[0]; i++) {
+        failed = PyModule_AddFunctions(module, tables[i]) < 0;
     }
-    for (i = 0; i < sizeof constants / sizeof constants[0]; i++) {
-        if (PyModule_AddIntConstant(module, constants[i].name, constants[i].value) < 0) {
-            return -1;
-        }
-    }
-    for (i = 0; i < sizeof tables / sizeof tables[0]; i++) {
-        if (PyModule_AddFunctions(module, tables[i]) < 0) {
-            return -1;
-        }
-    }
-    return 0;
+    return failed ? -1 : 0;
 }
 
 static PyModuleDef_Slot module_slots[] = {
     {Py_mod_exec, (void *)module_exec},
     {0, NULL},
 };
-
 static struct PyModuleDef definition = {
     PyModuleDef_HEAD_INIT, "native", "The compiled core of tsobs_ros; see tsobs.h.", 0, NULL,
     module_slots, NULL, NULL, NULL,

@@ -1,7 +1,7 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * What the bindings share: reading arguments, and tables of functions.
+ * One way of binding a function: its arguments are read by a format, and released after it.
  */
 #ifndef TSOBS_PYTHON_H
 #define TSOBS_PYTHON_H
@@ -16,47 +16,59 @@
 #include "layout.h"
 
 #define MAX_ARGUMENTS 24
+#define MAX_SIZE 4096 /* so that no product of sizes overflows */
 
-/* One argument: numbers of an array, or one number. */
+/* One argument: numbers of an array, one number, or a text. */
 typedef struct {
     union {
         double *doubles;
         int64_t *integers;
+        uint8_t *bytes;
         double number;
         int64_t integer;
+        const char *text;
     } is;
-    Py_ssize_t length; /* of an array, in numbers of 8 bytes */
+    Py_ssize_t length; /* of an array, in numbers of 8 bytes; of bytes */
     Py_buffer buffer;
     int held; /* whether `buffer` is to be released */
 } argument;
 
-/* Read arguments by a format with one letter each: 'd' an array that is read, 'D' one that is
- * written (contiguous, of 8-byte numbers, or a `Memory`, which has its address already), 'f' a
- * float, 'i' an int. Return 0, or -1 with an exception set. `release_arguments` ends it. */
-int take_arguments(
-    const char *function, const char *format, PyObject *const *given, Py_ssize_t count,
-    argument *taken);
-void release_arguments(const char *format, argument *taken);
+/* A function of Python. Its format has one letter for each argument: 'd' an array that is read, 'D'
+ * one that is written (contiguous, of 8-byte numbers, or a `Memory`, which has its address already),
+ * 'b' bytes, 'f' a float, 'i' an int, 's' a text. names: of the arguments, for messages. */
+typedef struct {
+    const char *function, *format, *names;
+} signature;
 
-/* Raise a ValueError if an array has fewer numbers than `least`; return 0 or -1. */
-int require_length(const char *function, const char *name, const argument *array, size_t least);
+typedef PyObject *(*bound_body)(const signature *of, const argument *t);
+PyObject *call_bound(
+    const signature *of, bound_body body, PyObject *const *given, Py_ssize_t count);
 
-/* Return a list of (name, kind, rows, columns) of a record's fields. */
-PyObject *fields_as_list(const layout_field *fields, size_t count);
+/* Begin the definition of a binding: the body between braces follows. It sees its signature `of` and
+ * its arguments `t`, and returns a new reference, or NULL with an exception. */
+#define BIND(name, format, names)                                                          \
+    static PyObject *name##_body(const signature *of, const argument *t);                  \
+    static PyObject *name##_bound(PyObject *self, PyObject *const *given, Py_ssize_t count) \
+    {                                                                                      \
+        static const signature of = {#name, format, names};                                \
+        (void)self;                                                                        \
+        return call_bound(&of, name##_body, given, count);                                 \
+    }                                                                                      \
+    static PyObject *name##_body(const signature *of, const argument *t)
 
-typedef PyObject *(*fast_function)(PyObject *module, PyObject *const *given, Py_ssize_t count);
-#define BINDING(name, function, text) \
-    {name, (PyCFunction)(void (*)(void))(fast_function)(function), METH_FASTCALL, text}
+/* A row of a table of functions; native.pyi says what they do. */
+#define METHOD(name) {#name, (PyCFunction)(void (*)(void))name##_bound, METH_FASTCALL, NULL}
+
+/* Raise a ValueError that begins with the function's name; return NULL. */
+PyObject *refuse(const signature *of, const char *why);
+
+/* Return whether an argument has so many numbers at least; else raise a ValueError. */
+int has(const signature *of, const argument *t, int place, int64_t least);
+
+/* Return whether an argument is a number from `least` to MAX_SIZE; else raise a ValueError. */
+int is_size(const signature *of, const argument *t, int place, int64_t least);
 
 /* Tables of functions, one per file, each ended by an empty row. */
-extern PyMethodDef flow_methods[];
-extern PyMethodDef matrices_methods[];
-extern PyMethodDef messages_methods[];
-extern PyMethodDef faults_methods[];
-extern PyMethodDef scores_methods[];
-extern PyMethodDef estimator_methods[];
-extern PyMethodDef simulate_methods[];
-extern PyMethodDef history_methods[];
-extern PyMethodDef exported_methods[];
+extern PyMethodDef estimator_methods[], faults_methods[], history_methods[], model_methods[];
 
 #endif

@@ -1,7 +1,7 @@
 /* Copyright 2026 The tsobs_ros contributors
  * SPDX-License-Identifier: Apache-2.0
  *
- * Bindings of the estimator: its layouts, and its steps for some states one after the other.
+ * Bindings of the estimator: its steps for some states one after the other.
  */
 #include "estimator.h"
 #include "matrices.h"
@@ -10,69 +10,9 @@
 /* Longest duration of a step [s], whose periods can be counted. */
 #define LONGEST 1e12
 
-/* --- layouts --- */
-
-/* Add the layout of a record to a dictionary. Return 0, or -1 with an exception set. */
-static int add_layout(
-    PyObject *layouts, const char *name, const layout_field *fields, size_t count)
-{
-    PyObject *list = fields_as_list(fields, count);
-    const int failed = list == NULL || PyDict_SetItemString(layouts, name, list) < 0;
-    Py_XDECREF(list);
-    return failed ? -1 : 0;
-}
-
-#define ADD_LAYOUT(name, FIELDS)                                                   \
-    do {                                                                           \
-        const layout_field rows[] = {FIELDS(LAYOUT_ROW, s)};                       \
-        if (add_layout(layouts, name, rows, sizeof rows / sizeof rows[0]) < 0) {   \
-            Py_DECREF(layouts);                                                    \
-            return NULL;                                                           \
-        }                                                                          \
-    } while (0)
-
-static PyObject *layouts_of(const estimator_sizes *s)
-{
-    PyObject *layouts = PyDict_New();
-    if (layouts == NULL) {
-        return NULL;
-    }
-    ADD_LAYOUT("sensor", SENSOR_FIELDS);
-    ADD_LAYOUT("hypothesis", HYPOTHESIS_FIELDS);
-    ADD_LAYOUT("state", STATE_FIELDS);
-    ADD_LAYOUT("correction", CORRECTION_FIELDS);
-    ADD_LAYOUT("estimate", ESTIMATE_FIELDS);
-    ADD_LAYOUT("work", WORK_FIELDS);
-    ADD_LAYOUT("model", MODEL_FIELDS);
-    return layouts;
-}
-
-static PyObject *estimator_layouts(PyObject *module, PyObject *const *given, Py_ssize_t count)
-{
-    static const char format[] = "iiiiiiiiii";
-    argument taken[ESTIMATOR_SIZES];
-    int64_t numbers[ESTIMATOR_SIZES];
-    estimator_sizes s;
-    long i;
-    (void)module;
-    if (take_arguments("estimator_layouts", format, given, count, taken) < 0) {
-        return NULL;
-    }
-    for (i = 0; i < ESTIMATOR_SIZES; i++) {
-        numbers[i] = taken[i].is.integer;
-    }
-    if (!sizes_are_sound(numbers)) {
-        PyErr_SetString(PyExc_ValueError, "estimator_layouts: sizes: expected those of an estimator");
-        return NULL;
-    }
-    s = sizes_of(numbers);
-    return layouts_of(&s);
-}
-
 #define CONSTANT_ROW(name, value, what) {#name, value, what},
 
-/* Return the names, values and meanings of the bank's constants, in their order. */
-static PyObject *bank_constants(PyObject *module, PyObject *unused)
+BIND(bank_constants, "", "")
 {
     static const struct {
         const char *name;
@@ -80,10 +20,8 @@ static PyObject *bank_constants(PyObject *module, PyObject *unused)
         const char *what;
     } rows[] = {BANK_CONSTANTS(CONSTANT_ROW)};
     PyObject *list = PyList_New(0);
-    size_t i;
-    (void)module;
-    (void)unused;
-    for (i = 0; list != NULL && i < CONSTANTS; i++) {
+    (void)of, (void)t;
+    for (size_t i = 0; list != NULL && i < CONSTANTS; i++) {
         PyObject *row = Py_BuildValue("(sds)", rows[i].name, rows[i].value, rows[i].what);
         if (row == NULL || PyList_Append(list, row) < 0) {
             Py_CLEAR(list);
@@ -93,159 +31,119 @@ static PyObject *bank_constants(PyObject *module, PyObject *unused)
     return list;
 }
 
-/* --- steps --- */
-
-/* What the steps of some states have in common. */
-typedef struct {
-    const char *function;
-    model m;
-    size_t count; /* states */
-} batch;
-
-/* Bind the model and the states, the first two arguments, and look at each state. Return 0, or -1
- * with an exception set. */
-static int begin_batch(batch *of, const char *function, const argument *taken)
+/* Bind the model and look at each state, the first two arguments. Return the number of states, or -1
+ * with an exception. */
+static int64_t begin_batch(const signature *of, const argument *t, model *m)
 {
-    size_t size, i;
-    state at;
-    of->function = function;
-    if (model_view(taken[0].is.doubles, (size_t)taken[0].length, &of->m) < 0) {
-        PyErr_Format(PyExc_ValueError, "%s: model: expected a model's record", function);
+    if (model_view(t[0].is.doubles, (size_t)t[0].length, m) < 0) {
+        refuse(of, "model: expected a model's record");
         return -1;
     }
-    size = state_size(&of->m.s);
-    of->count = (size_t)taken[1].length / size;
-    if ((size_t)taken[1].length != of->count * size) {
-        PyErr_Format(PyExc_ValueError, "%s: states: expected records of %zu numbers, got %zd",
-                     function, size, taken[1].length);
+    const int64_t size = (int64_t)state_size(&m->s), count = t[1].length / size;
+    if (t[1].length != count * size) {
+        PyErr_Format(PyExc_ValueError, "%s: states: expected records of %lld numbers, got %zd",
+                     of->function, (long long)size, t[1].length);
         return -1;
     }
-    for (i = 0; i < of->count; i++) {
-        state_bind(&at, &of->m.s, taken[1].is.doubles + i * size);
-        if (!state_is_sound(&of->m, &at)) {
-            PyErr_Format(PyExc_ValueError, "%s: states: state %zu is no state of this model",
-                         function, i);
+    for (int64_t i = 0; i < count; i++) {
+        state at;
+        state_bind(&at, &m->s, t[1].is.doubles + i * size);
+        if (!state_is_sound(m, &at)) {
+            PyErr_Format(PyExc_ValueError, "%s: states: state %lld is no state of this model",
+                         of->function, (long long)i);
             return -1;
         }
     }
-    return 0;
+    return count;
 }
 
 /* Return the state at a place. */
-static state state_at(const batch *of, double *states, size_t place)
+static state state_at(const model *m, const argument *t, int64_t place)
 {
     state at;
-    state_bind(&at, &of->m.s, states + place * state_size(&of->m.s));
+    state_bind(&at, &m->s, t[1].is.doubles + place * (int64_t)state_size(&m->s));
     return at;
 }
 
-static PyObject *estimator_correct(PyObject *module, PyObject *const *given, Py_ssize_t count)
+/* Return whether an argument is a duration; else raise a ValueError. */
+static int is_duration(const signature *of, const argument *t, int place)
 {
-    static const char name[] = "estimator_correct", format[] = "dDdD";
-    argument taken[4];
-    batch of;
-    size_t i, p, size;
-    int failed;
-    (void)module;
-    if (take_arguments(name, format, given, count, taken) < 0) {
+    const double duration = t[place].is.number;
+    return (0.0 <= duration && duration <= LONGEST) ||
+           refuse(of, "duration: expected a finite number of at least 0") != NULL;
+}
+
+BIND(estimator_correct, "dDdD", "model states y corrections")
+{
+    model m;
+    const int64_t count = begin_batch(of, t, &m);
+    if (count < 0) {
         return NULL;
     }
-    failed = begin_batch(&of, name, taken) < 0;
-    if (!failed) {
-        p = (size_t)of.m.s.p;
-        size = correction_size(&of.m.s);
-        failed = require_length(name, "y", &taken[2], of.count * p) < 0
-                 || require_length(name, "corrections", &taken[3], of.count * size) < 0;
+    const int64_t size = (int64_t)correction_size(&m.s);
+    if (!has(of, t, 2, count * m.s.p) || !has(of, t, 3, count * size)) {
+        return NULL;
     }
-    for (i = 0; !failed && i < of.count; i++) {
-        state at = state_at(&of, taken[1].is.doubles, i);
+    for (int64_t i = 0; i < count; i++) {
+        state at = state_at(&m, t, i);
         correction effect;
-        correction_bind(&effect, &of.m.s, taken[3].is.doubles + i * size);
-        correct(&of.m, &at, taken[2].is.doubles + i * p, &effect);
+        correction_bind(&effect, &m.s, t[3].is.doubles + i * size);
+        correct(&m, &at, t[2].is.doubles + i * m.s.p, &effect);
     }
-    release_arguments(format, taken);
-    return failed ? NULL : Py_NewRef(Py_None);
+    Py_RETURN_NONE;
 }
 
-static PyObject *estimator_predict(PyObject *module, PyObject *const *given, Py_ssize_t count)
+BIND(estimator_predict, "dDdfiD", "model states u duration between_samples work")
 {
-    static const char name[] = "estimator_predict", format[] = "dDdfiD";
-    argument taken[6];
-    batch of;
+    model m;
     work scratch;
-    size_t i, m;
-    int failed;
-    (void)module;
-    if (take_arguments(name, format, given, count, taken) < 0) {
+    const int64_t count = begin_batch(of, t, &m);
+    if (count < 0 || !has(of, t, 2, count * m.s.m) ||
+        !has(of, t, 5, (int64_t)work_size(&m.s)) || !is_duration(of, t, 3)) {
         return NULL;
     }
-    failed = begin_batch(&of, name, taken) < 0;
-    if (!failed) {
-        m = (size_t)of.m.s.m;
-        failed = require_length(name, "u", &taken[2], of.count * m) < 0
-                 || require_length(name, "work", &taken[5], work_size(&of.m.s)) < 0;
+    work_bind(&scratch, &m.s, t[5].is.doubles);
+    for (int64_t i = 0; i < count; i++) {
+        state at = state_at(&m, t, i);
+        predict(&m, &at, t[2].is.doubles + i * m.s.m, t[3].is.number, t[4].is.integer != 0,
+                &scratch);
     }
-    if (!failed && !(0.0 <= taken[3].is.number && taken[3].is.number <= LONGEST)) {
-        PyErr_Format(PyExc_ValueError, "%s: duration: expected a finite number of at least 0", name);
-        failed = 1;
-    }
-    if (!failed) {
-        work_bind(&scratch, &of.m.s, taken[5].is.doubles);
-    }
-    for (i = 0; !failed && i < of.count; i++) {
-        state at = state_at(&of, taken[1].is.doubles, i);
-        predict(&of.m, &at, taken[2].is.doubles + i * m, taken[3].is.number,
-                taken[4].is.integer != 0, &scratch);
-    }
-    release_arguments(format, taken);
-    return failed ? NULL : Py_NewRef(Py_None);
+    Py_RETURN_NONE;
 }
 
-static PyObject *estimator_read(PyObject *module, PyObject *const *given, Py_ssize_t count)
+BIND(estimator_read, "ddDD", "model states rows work")
 {
-    static const char name[] = "estimator_read", format[] = "ddDD";
-    argument taken[4];
-    batch of;
+    model m;
     work scratch;
-    size_t i, size;
-    int failed;
-    (void)module;
-    if (take_arguments(name, format, given, count, taken) < 0) {
+    const int64_t count = begin_batch(of, t, &m);
+    if (count < 0 || !has(of, t, 2, count * (int64_t)estimate_size(&m.s)) ||
+        !has(of, t, 3, (int64_t)work_size(&m.s))) {
         return NULL;
     }
-    failed = begin_batch(&of, name, taken) < 0;
-    if (!failed) {
-        size = estimate_size(&of.m.s);
-        failed = require_length(name, "rows", &taken[2], of.count * size) < 0
-                 || require_length(name, "work", &taken[3], work_size(&of.m.s)) < 0;
-    }
-    if (!failed) {
-        work_bind(&scratch, &of.m.s, taken[3].is.doubles);
-    }
-    for (i = 0; !failed && i < of.count; i++) {
-        const state at = state_at(&of, taken[1].is.doubles, i);
+    double *row = t[2].is.doubles;
+    work_bind(&scratch, &m.s, t[3].is.doubles);
+    for (int64_t i = 0; i < count; i++) {
+        const state at = state_at(&m, t, i);
         estimate said;
-        estimate_bind(&said, &of.m.s, taken[2].is.doubles + i * size);
-        read_out(&of.m, &at, &said, &scratch);
+        row = estimate_bind(&said, &m.s, row);
+        read_out(&m, &at, &said, &scratch);
     }
-    release_arguments(format, taken);
-    return failed ? NULL : Py_NewRef(Py_None);
+    Py_RETURN_NONE;
 }
 
 /* Step a state through its samples and write a row after each. */
 static void observe_one(
-    const model *m, state *at, const double *y, const double *u, double duration, long samples,
+    const model *m, state *at, const double *y, const double *u, double duration, int64_t samples,
     correction *effect, work *scratch, double *row)
 {
-    const long p = (long)m->s.p, inputs = (long)m->s.m;
+    const int64_t p = m->s.p, inputs = m->s.m;
     estimate said;
-    long sample;
-    for (sample = 0; sample < samples; sample++) {
+    for (int64_t sample = 0; sample < samples; sample++) {
         if (sample > 0) {
             predict(m, at, at->held, duration, 0, scratch);
         }
         take_torque(m, at, u + sample * inputs);
-        if (has_finite(y + sample * p, p)) {
+        if (has_finite(y + sample * p, (long)p)) {
             correct(m, at, y + sample * p, effect);
         }
         row = estimate_bind(&said, &m->s, row);
@@ -253,62 +151,42 @@ static void observe_one(
     }
 }
 
-static PyObject *estimator_observe(PyObject *module, PyObject *const *given, Py_ssize_t count)
+BIND(estimator_observe, "dDddfiDDD", "model states y u duration samples correction work rows")
 {
-    static const char name[] = "estimator_observe", format[] = "dDddfiDDD";
-    argument taken[9];
-    batch of;
+    model m;
     correction effect;
     work scratch;
-    size_t i, p, m, wide, samples = 0;
-    int failed;
-    (void)module;
-    if (take_arguments(name, format, given, count, taken) < 0) {
+    const int64_t samples = t[5].is.integer, count = begin_batch(of, t, &m);
+    if (count < 0 || !is_duration(of, t, 4)) {
         return NULL;
     }
-    failed = begin_batch(&of, name, taken) < 0;
-    if (!failed && (taken[5].is.integer < 0 || taken[5].is.integer > 1000000000)) {
-        PyErr_Format(PyExc_ValueError, "%s: samples: expected a number of at least 0", name);
-        failed = 1;
+    if (samples < 0 || samples > 1000000000) {
+        return refuse(of, "samples: expected a number of at least 0");
     }
-    if (!failed && !(0.0 <= taken[4].is.number && taken[4].is.number <= LONGEST)) {
-        PyErr_Format(PyExc_ValueError, "%s: duration: expected a finite number of at least 0", name);
-        failed = 1;
+    const int64_t p = m.s.p, inputs = m.s.m, wide = (int64_t)estimate_size(&m.s), all = count * samples;
+    if (!has(of, t, 2, all * p) || !has(of, t, 3, all * inputs) ||
+        !has(of, t, 6, (int64_t)correction_size(&m.s)) ||
+        !has(of, t, 7, (int64_t)work_size(&m.s)) || !has(of, t, 8, all * wide)) {
+        return NULL;
     }
-    if (!failed) {
-        p = (size_t)of.m.s.p;
-        m = (size_t)of.m.s.m;
-        wide = estimate_size(&of.m.s);
-        samples = (size_t)taken[5].is.integer;
-        failed = require_length(name, "y", &taken[2], of.count * samples * p) < 0
-                 || require_length(name, "u", &taken[3], of.count * samples * m) < 0
-                 || require_length(name, "correction", &taken[6], correction_size(&of.m.s)) < 0
-                 || require_length(name, "work", &taken[7], work_size(&of.m.s)) < 0
-                 || require_length(name, "rows", &taken[8], of.count * samples * wide) < 0;
+    correction_bind(&effect, &m.s, t[6].is.doubles);
+    work_bind(&scratch, &m.s, t[7].is.doubles);
+    Py_BEGIN_ALLOW_THREADS
+    for (int64_t i = 0; i < count; i++) {
+        state at = state_at(&m, t, i);
+        observe_one(
+            &m, &at, t[2].is.doubles + i * samples * p, t[3].is.doubles + i * samples * inputs,
+            t[4].is.number, samples, &effect, &scratch, t[8].is.doubles + i * samples * wide);
     }
-    if (!failed) {
-        correction_bind(&effect, &of.m.s, taken[6].is.doubles);
-        work_bind(&scratch, &of.m.s, taken[7].is.doubles);
-        Py_BEGIN_ALLOW_THREADS
-        for (i = 0; i < of.count; i++) {
-            state at = state_at(&of, taken[1].is.doubles, i);
-            observe_one(
-                &of.m, &at, taken[2].is.doubles + i * samples * p,
-                taken[3].is.doubles + i * samples * m, taken[4].is.number, (long)samples, &effect,
-                &scratch, taken[8].is.doubles + i * samples * wide);
-        }
-        Py_END_ALLOW_THREADS
-    }
-    release_arguments(format, taken);
-    return failed ? NULL : Py_NewRef(Py_None);
+    Py_END_ALLOW_THREADS
+    Py_RETURN_NONE;
 }
 
 PyMethodDef estimator_methods[] = {
-    BINDING("estimator_layouts", estimator_layouts, "Return the layouts of an estimator's records."),
-    {"bank_constants", bank_constants, METH_NOARGS, "Return the constants of the bank."},
-    BINDING("estimator_correct", estimator_correct, "Use one measurement for each state."),
-    BINDING("estimator_predict", estimator_predict, "Predict each state over a time."),
-    BINDING("estimator_read", estimator_read, "Write the estimate of each state."),
-    BINDING("estimator_observe", estimator_observe, "Step each state through its samples."),
+    METHOD(bank_constants),
+    METHOD(estimator_correct),
+    METHOD(estimator_predict),
+    METHOD(estimator_read),
+    METHOD(estimator_observe),
     {NULL, NULL, 0, NULL},
 };

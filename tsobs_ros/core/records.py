@@ -7,28 +7,30 @@ from typing import Any
 
 import numpy as np
 
-Layout = Iterable[tuple[str, str, int, int]]
-"""Name, kind, rows and columns of the fields of a record, as layout.h defines them."""
+from tsobs_ros.core import native
 
 
-def record_type(layout: Layout, inner: Mapping[str, "np.dtype[Any]"] | None = None) -> Any:
+def record_type(
+    name: str, sizes: Iterable[int] = (), inner: Mapping[str, "np.dtype[Any]"] | None = None
+) -> Any:
     """Return the NumPy type of a record.
 
     Args:
-        layout: Of its fields.
+        name: Of the record in the compiled core.
+        sizes: That its layout depends on.
         inner: Types of the fields that are records themselves: a MATRIX has one per row, a VECTOR
             is a single one.
     """
     nested = inner or {}
     fields: list[tuple[Any, ...]] = []
-    for name, kind, rows, columns in layout:
+    for field, kind, rows, columns in native.layout(name, np.array([*sizes], np.int64)):
         number = np.int64 if kind.startswith("COUNT") else np.float64
-        if name in nested:
+        if field in nested:
             fields.append(
-                (name, nested[name], (rows,)) if kind == "MATRIX" else (name, nested[name])
+                (field, nested[field], (rows,)) if kind == "MATRIX" else (field, nested[field])
             )
         elif kind in ("NUMBER", "COUNT"):
-            fields.append((name, number))
+            fields.append((field, number))
         else:
-            fields.append((name, number, (rows, columns) if kind == "MATRIX" else (rows,)))
+            fields.append((field, number, (rows, columns) if kind == "MATRIX" else (rows,)))
     return np.dtype(fields)

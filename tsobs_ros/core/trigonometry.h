@@ -68,17 +68,4 @@ static inline double first_cosine(double angle)
     return value + (((1.0 - value) - half) + z * (z * r));
 }
 
-/* Return what `sine` returns up to 10^6 rad, NaN beyond, so that loops of it are vectorised. */
-static inline double unbranched_sine(double angle)
-{
-    const double size = fabs(angle);
-    const double nearest = round_down(angle * (2.0 / 3.14159265358979323846) + 0.5);
-    const double whole = size > 0.25 * 3.14159265358979323846 ? nearest : 0.0;
-    const double rest = less_quarters(angle, whole), halves = round_down(0.5 * whole);
-    const double at_sine = first_sine(rest), at_cosine = first_cosine(rest);
-    const double value = whole != 2.0 * halves ? at_cosine : at_sine;
-    const double turned = halves != 2.0 * round_down(0.5 * halves) ? -value : value;
-    return size <= 1e6 ? turned : (double)NAN;
-}
-
 #endif

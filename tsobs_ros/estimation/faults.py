@@ -70,7 +70,7 @@ class Fault(NamedTuple):
     frequency: float | None = None
 
 
-_WATCH = np.dtype((np.record, record_type(native.faults_layout())))
+_WATCH = np.dtype((np.record, record_type("watch")))
 """What is remembered of a sensor; core/faults.h describes it."""
 
 

@@ -42,7 +42,7 @@ CORRECTING = (USED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
 SPARE = 2
 """States at the end of a ring: one in a gap, and one that is read."""
 
-_MEMORY = record_type(native.history_layout())
+_MEMORY = record_type("history")
 
 
 class History:
@@ -145,33 +145,49 @@ class History:
         return native.history_estimate(*self._records, stamp, row)
 
     def follow(self, stamps: NDArray[np.int64], y: Array, u: Array, rows: Array) -> None:
-        """Use measurements in ascending order of stamps, those that are finite; estimate at each.
-
-        Other threads of Python can run meanwhile.
+        """Use measurements in ascending order of stamps, and estimate at each.
 
         Args:
             stamps: Of N measurements, later than any before [ns], shape (N,).
             y: NaN of an output that is missing, shape (N, p).
             u: Shape (N, m).
-            rows: The estimates, as of `estimate_at`, written where there are any, shape (N, width).
+            rows: The estimates, as of `estimate_at`, NaN where there is none, shape (N, width).
 
         Raises:
-            ValueError: An array is too short, or the stamps do not ascend.
+            ValueError: An array is too short.
         """
-        native.history_follow(*self._records, stamps, y, u, rows)
+        count = len(stamps)
+        codes, innovations = np.empty((2, *y.shape), np.int64), np.empty((2, *y.shape))
+        outcomes, newest, there = np.empty((3, count), np.int64)
+        known = np.arange(1, count + 1)
+        self.advance(
+            stamps, y, u, outcomes, codes[0], *innovations,
+            stamps, stamps, known, newest, there, rows, 2**62,
+        )  # fmt: skip
+        rows[there == 0] = np.nan
 
-    def advance(self, *arguments: Any) -> int:
-        """Make ticks of a replay; see `native.replay_advance`, whose arguments these are."""
-        return native.replay_advance(*self._records, *arguments)
+    def advance(self, *arguments: Any) -> None:
+        """Offer measurements, and estimate at ticks, without other threads waiting.
+
+        See `native.history_advance`, whose arguments these are.
+        """
+        native.history_advance(*self._records, *arguments)
 
     def copy_to(self, other: "History") -> None:
-        """Copy to a history of the same sizes, without the states that are forgotten.
-
-        Raises:
-            ValueError: It is of other sizes.
-        """
-        native.history_copy(*self._records, *other._records)
+        """Copy to a history of the same sizes, without the states that are forgotten."""
+        memory = self.memory[0]
+        first, length, slots = int(memory["first"]), int(memory["length"]), len(self.ring) - SPARE
+        other.memory[:] = self.memory
+        for used in (
+            slice(first, min(first + length, slots)),
+            slice(0, max(0, first + length - slots)),
+            slice(slots, slots + 1),  # the state in a gap
+        ):
+            other.ring[used] = self.ring[used]
 
     def forget(self) -> None:
         """Forget all measurements, but not the counts."""
-        native.history_forget(*self._records)
+        if (last := self.last) is not None:
+            self.memory["bad_outputs"] += last["failures"]
+        for name in ("first", "length", "has_base", "coasted_periods"):
+            self.memory[name] = 0

@@ -27,7 +27,7 @@ from tsobs_ros.estimation.options import (
 from tsobs_ros.estimation.records import Basis
 from tsobs_ros.model.arm import LINK_ANGLE, MOTOR_ANGLE
 from tsobs_ros.model.matrices import congruent, inverse, joseph
-from tsobs_ros.model.prediction import FlowSizes, Record, fill_matrix, flow_type
+from tsobs_ros.model.prediction import FlowSizes, Record, fill_matrix, flow_type, scratch_size
 
 
 class Shape(NamedTuple):
@@ -104,13 +104,10 @@ class Types(NamedTuple):
 @cache
 def types_of(sizes: Sizes) -> Types:
     """Return the types of an estimator's records; flows of a model are plain numbers."""
-    layouts = native.estimator_layouts(*sizes)
-    plain = {name: record_type(layouts[name]) for name in ("sensor", "hypothesis")}
-    state = record_type(
-        layouts["state"], {"sensors": plain["sensor"], "hypotheses": plain["hypothesis"]}
-    )
-    others = {name: record_type(layouts[name]) for name in ("correction", "estimate", "work")}
-    return Types(state=state, **others, model=record_type(layouts["model"], {"initial": state}))
+    sensor, hypothesis = (record_type(name, sizes) for name in ("sensor", "hypothesis"))
+    state = record_type("state", sizes, {"sensors": sensor, "hypotheses": hypothesis})
+    others = {name: record_type(name, sizes) for name in ("correction", "estimate", "work")}
+    return Types(state=state, **others, model=record_type("model", sizes, {"initial": state}))
 
 
 def types_of_model(model: Record) -> Types:
@@ -142,7 +139,7 @@ def new_model(shape: Shape, period: float, flow: Record, *, auxiliary: bool = Fa
         t=shape.t,
         hypotheses=native.HYPOTHESES if auxiliary else 1,
         flow_size=flow.dtype.itemsize // 8,
-        scratch=native.flow_scratch_size(*(int(flow[name][0]) for name in FlowSizes._fields)),
+        scratch=scratch_size(FlowSizes(*(int(flow[name][0]) for name in FlowSizes._fields))),
     )
     model = np.zeros(1, types_of(sizes).model)
     model.view(np.int64)[: len(sizes)] = sizes

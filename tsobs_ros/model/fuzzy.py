@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, Integers, finite, positive
 from tsobs_ros.core import native
+from tsobs_ros.core.functions import evaluate
 from tsobs_ros.errors import ModelError
 
 ALWAYS, LINEAR, TRAPEZOID, GAUSSIAN, SINE_UPPER, SINE_LOWER, SQUARE, SQUARE_REST = range(8)
@@ -301,7 +302,7 @@ class SineUpper(Membership):
     @property
     def coded(self) -> tuple[float, float, float, float]:
         """The half width and the lower sector b."""
-        return self.half_width, native.sine(self.half_width) / self.half_width, 0.0, 0.0
+        return self.half_width, evaluate("sine", self.half_width).item() / self.half_width, 0.0, 0.0
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
+from tsobs_ros.model.matrices import product
 
 MAX_TERMS = 60
 """Rows of a series; those behind `LinearFlow.terms` are zero."""
@@ -57,16 +58,35 @@ class LinearFlow:
         self.reach = STRETCH * period / max(1.0, STRETCH * turn)
         self._n, self._m = B.shape
         self.series = np.zeros((MAX_TERMS, self._n * (2 * self._n + self._m)))
-        drift, forced, density = (np.array(each, np.float64, order="C") for each in (A, B, W))
-        n, m, scratch = self._n, self._m, np.empty(self._n * (4 * self._n + 2 * self._m))
-        self.terms = native.fill_series(
-            drift, forced, density, self.reach, self.series, scratch, n, m
-        )
+        self.terms = self._fill(A, B, W)
         if not all(np.isfinite(part).all() for part in self.over(period)):
             raise ModelError(
                 f"flow: every entry over a step of {period:.4g} s must be finite; "
                 f"the model's numbers are too large"
             )
+
+    @np.errstate(all="ignore")
+    def _fill(self, A: Array, B: Array, W: Array) -> int:
+        """Write the series; return the number of rows that are not negligible."""
+        n, m = self._n, self._m
+        row = np.concatenate([np.eye(n), np.zeros((n, n + m))], axis=1)
+        largest, power = np.zeros_like(row), 1.0
+        for order in range(1, MAX_TERMS):
+            size = np.abs(row) * power
+            largest = np.where((size > largest) | np.isnan(size), size, largest)
+            self.series[order - 1] = np.concatenate(
+                [part.ravel() for part in np.split(row, (n, n + m), axis=1)]
+            )
+            # Judged entry by entry: entries differ by ten orders of magnitude.
+            if order > 2 * n and (size <= 1e-3 * np.finfo(float).eps * largest).all():
+                return order
+            power *= self.reach
+            row = product(A, row)
+            row[:, n + m :] += row[:, n + m :].T.copy()
+            if order == 1:
+                row[:, n:] += np.concatenate([B, W], axis=1)
+            row /= order
+        return MAX_TERMS - 1
 
     def over(self, duration: float) -> tuple[Array, Array, Array]:
         """Return Φ, Γ and Q over `duration` [s] ≥ 0, shapes (n, n), (n, m) and (n, n)."""

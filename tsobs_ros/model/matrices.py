@@ -1,6 +1,6 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""Products, factors and solutions for matrices of a few rows, as loops in a fixed order.
+"""Products, factors and solutions for matrices of a few rows, as sums in the order of the core's.
 
 A BLAS library has other kernels for other CPUs, and so other last bits.
 """
@@ -9,47 +9,45 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array
-from tsobs_ros.core import native
 
 
 def product(a: ArrayLike, b: ArrayLike) -> Array:
     """Return a b as a new matrix."""
-    left, right = _rows(a), _rows(b)
-    result = np.empty((left.shape[0], right.shape[1]))
-    rows, inner = left.shape
-    native.multiply(left, right, result, rows, inner, right.shape[1])
+    left, right = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    result = np.zeros((len(left), right.shape[1]))
+    for column, row in zip(left.T, right, strict=True):
+        result += column[:, np.newaxis] * row
     return result
 
 
 def congruent(a: ArrayLike, s: ArrayLike, added: ArrayLike = 0.0) -> Array:
     """Return a s aᵀ + `added` as a new matrix, exactly symmetric."""
-    left = _rows(a)
-    rows, inner = left.shape
-    result = np.empty((rows, rows))
-    extra = np.broadcast_to(added, (rows, rows))
-    scratch = np.empty((rows, inner))
-    native.congruence(left, _rows(s), _rows(extra), scratch, result, rows, inner)
-    return result
+    upper = np.triu(product(product(a, s), np.transpose(a)) + np.asarray(added, np.float64))
+    return np.asarray(upper + np.triu(upper, 1).T)
 
 
 def joseph(C: ArrayLike, R: ArrayLike, covariance: ArrayLike, gain: ArrayLike) -> Array:
     """Return (I − KC) Σ (I − KC)ᵀ + K R Kᵀ as a new matrix, exactly symmetric."""
-    K = _rows(gain)
-    n, p = K.shape
-    result, scratch = np.empty((n, n)), np.empty((3, n, max(n, p)))
-    native.joseph_form(_rows(C), _rows(R), _rows(covariance), K, scratch, result, n, p)
-    return result
+    closed = np.eye(len(np.asarray(gain))) - product(gain, C)
+    return congruent(closed, covariance, congruent(gain, R))
 
 
 def inverse(matrix: ArrayLike) -> Array:
     """Return the inverse of a symmetric positive definite matrix; not finite if it is not."""
-    rows = _rows(matrix)
-    n = len(rows)
-    result = np.empty((n, n))
-    native.solve(rows, np.eye(n), np.empty((n, n)), result, n, n)
-    return np.asarray(0.5 * (result + result.T))
-
-
-def _rows(matrix: ArrayLike) -> Array:
-    """Return a copy by rows, as the compiled core takes them."""
-    return np.array(matrix, np.float64, order="C")
+    s = np.array(matrix, np.float64)
+    n = len(s)
+    L, D, result = np.eye(n), np.zeros(n), np.eye(n)
+    with np.errstate(all="ignore"):
+        for j in range(n):
+            column = s[j:, j].copy()
+            for k in range(j):
+                column -= L[j:, k] * L[j, k] * D[k]
+            D[j], L[j + 1 :, j] = column[0], column[1:] / column[0]
+        for i in range(n):
+            for k in range(i):
+                result[i] -= L[i, k] * result[k]
+        result /= D[:, np.newaxis]
+        for i in reversed(range(n)):
+            for k in range(i + 1, n):
+                result[i] -= L[k, i] * result[k]
+        return np.asarray(0.5 * (result + result.T))

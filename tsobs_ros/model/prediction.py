@@ -52,8 +52,14 @@ class FlowSizes(NamedTuple):
 @cache
 def flow_type(sizes: FlowSizes) -> "np.dtype[Any]":
     """Return the type of a model's numbers, those of the compiled core's `flow`."""
-    kind: np.dtype[Any] = record_type(native.flow_layout(*sizes))
+    kind: np.dtype[Any] = record_type("flow", sizes)
     return kind
+
+
+@cache
+def scratch_size(sizes: FlowSizes) -> int:
+    """Return the numbers of scratch that a step of a model needs."""
+    return int(record_type("flow_scratch", sizes).itemsize // 8)
 
 
 class Flow(ABC):
@@ -197,7 +203,7 @@ class Flow(ABC):
         sigma = np.zeros((n, n)) if covariance is None else covariance
         spread = as_rows("covariance", sigma, batch, (n, n))
         moved = np.empty(0) if covariance is None else spread
-        none, scratch = np.empty(0), np.empty(native.flow_scratch_size(*sizes))
+        none, scratch = np.empty(0), np.empty(scratch_size(sizes))
         record = flow_record(self).view(np.float64)
         native.advance_all(record, states, none, moved, none, none, inputs, duration, scratch)
         return states.reshape(*batch, n), spread.reshape(*batch, n, n)

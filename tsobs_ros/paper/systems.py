@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix, shown
-from tsobs_ros.core import native
+from tsobs_ros.core.functions import evaluate
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.fuzzy import RuleBase, SineLower, SineUpper
@@ -99,7 +99,7 @@ def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSSystem:
     if not 0.0 < x_max < math.pi:
         raise ModelError(f"x_max: expected 0 < x_max < π, got {x_max!r}")
     return TSSystem.from_rules(
-        A=[arm.slope_matrix(1.0), arm.slope_matrix(native.sine(x_max) / x_max)],
+        A=[arm.slope_matrix(1.0), arm.slope_matrix(evaluate("sine", x_max).item() / x_max)],
         B=[arm.input_matrix],
         C=[arm.output_matrix],
         rule_base=RuleBase(((SineUpper(x_max),), (SineLower(x_max),))),

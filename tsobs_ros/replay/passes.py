@@ -9,7 +9,7 @@ observer was recorded, its output decides which samples it received:
 * of the others, those with which the estimate is the recorded one: alternatives are tried;
 * none from before a restart, which shows in an innovation that only an observer without a past has.
 
-The loop of core/replay.c stops at ticks with anything to decide, which are few.
+Ticks with nothing to decide, which are most, are made by core/history.c.
 """
 
 from enum import Enum, auto
@@ -196,10 +196,21 @@ class Pass:
             np.zeros(2, np.int64),
         )
         self._ticks, self._stale_after = ticks, stale_after
+        self._plain_until = self._ends_of_plain_ticks()
         others = 2 * (innovations is not None)
         self._tracker = tracker
         # To try alternatives with.
         self._spare = [Tracker(tracker.estimator, tracker.options) for _ in range(others)]
+
+    def _ends_of_plain_ticks(self) -> NDArray[np.intp]:
+        """Return for each tick the next one with anything to decide, shape (m,)."""
+        ticks, known = self._ticks, self._ticks.min_known
+        open_ = (self.samples.evidence != CERTAIN) | (self.samples.begins != 0)
+        opened = np.concatenate([[0], np.cumsum(open_)])[known]
+        undecided = (ticks.reset_after >= 0) | (ticks.max_known > known)
+        undecided |= np.diff(opened, prepend=0) > 0
+        ends = np.where(undecided, np.arange(len(known)), len(known))
+        return np.asarray(np.minimum.accumulate(ends[::-1])[::-1])
 
     @property
     def taken(self) -> int:
@@ -230,25 +241,18 @@ class Pass:
             rows: Estimates as `History.estimate_at` writes them, written where `results.there` is
                 1 and else undefined, shape (end − begin, width).
         """
-        tick = begin
-        samples, ticks = self.samples, self._ticks
+        tick, counts = begin, self.results.counts
         while tick < end:
-            tick = self._tracker.history.advance(
-                samples.stamps,
-                samples.y,
-                samples.u,
-                samples.evidence,
-                samples.begins,
-                *ticks,
-                *self.results,
-                rows[tick - begin :],
-                tick,
-                end,
-                self._stale_after,
-            )
-            if tick < end:
+            plain = int(self._plain_until[tick])
+            # A tick before has taken more, or less, than the schedule says.
+            if counts[_TAKEN] != counts[_OFFERED] or counts[_TAKEN] > self._ticks.min_known[tick]:
+                plain = tick
+            plain = min(plain, end)
+            if plain > tick:
+                self._make_plain(tick, plain, rows[tick - begin :])
+            else:
                 self._make(tick, rows[tick - begin])
-                tick += 1
+            tick = max(plain, tick + 1)
 
     def use(self, tick: int, end: int) -> None:
         """Use the samples up to one in the order of arrival, without a tick.
@@ -260,6 +264,21 @@ class Pass:
         for place in self.samples.places[self.taken : end].tolist():
             self._use(place, tick, int(self.samples.arrivals[place]), _Choice.LIKELY)
         self.results.counts[:] = np.maximum(self.results.counts, end)
+
+    def _make_plain(self, begin: int, end: int, rows: Array) -> None:
+        """Make ticks with nothing to decide."""
+        samples, results, ticks = self.samples, self.results, self._ticks
+        known, taken = ticks.min_known[begin:end], int(results.counts[_TAKEN])
+        own, made = slice(taken, int(known[-1])), slice(begin, end)
+        self._tracker.history.advance(
+            samples.stamps[own], samples.y[own], samples.u[own],
+            results.outcomes[own], results.output_codes[own],
+            results.innovations[own], results.expected_std[own],
+            ticks.stamps[made], ticks.now[made], known - taken,
+            results.newest[made], results.there[made], rows, self._stale_after,
+        )  # fmt: skip
+        results.ticks_of_use[own] = np.repeat(np.arange(begin, end), np.diff(known, prepend=taken))
+        results.counts[:] = known[-1]
 
     def _make(self, tick: int, row: Array) -> None:
         """Make a tick with something to decide."""

@@ -29,7 +29,7 @@ CREEP = 0.01
 """Speed below which Coulomb friction is proportional to the speed [rad/s], as in simulate.c."""
 
 _LONGEST_SUBSTEP = 1e-3
-_ARM = record_type(native.simulated_arm_layout())
+_ARM = record_type("simulated_arm")
 _STANDARD_GRAVITY = 9.80665
 
 

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from tsobs_ros.checks import Array, Flags, finite, non_negative, positive, shown
-from tsobs_ros.core import native
+from tsobs_ros.core.functions import evaluate
 from tsobs_ros.errors import ModelError
 from tsobs_ros.schema import decode
 
@@ -133,7 +133,7 @@ class Sine(Signal):
     frequency: float = _number(1.0, "Frequency", "rad/s", 0.0, above=True)
 
     def _at(self, times: Array) -> Array:
-        return self.amplitude * _sine(self.frequency * times)
+        return self.amplitude * evaluate("sine", self.frequency * times)
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ class Multisine(Signal):
         total = np.zeros(len(times))
         for i in range(self.tones):
             phase = math.pi * i * (i + 1) / self.tones
-            total += _sine((self.lowest + i * spacing) * times - phase)
+            total += evaluate("sine", (self.lowest + i * spacing) * times - phase)
         return self.amplitude / math.sqrt(self.tones) * total
 
 
@@ -193,7 +193,7 @@ class Chirp(Signal):
     def _at(self, times: Array) -> Array:
         within = times % self.sweep
         half_rate = 0.5 * ((self.highest - self.lowest) / self.sweep)
-        return self.amplitude * _sine((self.lowest + half_rate * within) * within)
+        return self.amplitude * evaluate("sine", (self.lowest + half_rate * within) * within)
 
 
 def _start() -> Any:
@@ -224,7 +224,7 @@ class Sinusoid(Signal):
 
     def _at(self, times: Array) -> Array:
         since = times - self.start
-        values = self.amplitude * _sine(self.frequency * since + self.phase)
+        values = self.amplitude * evaluate("sine", self.frequency * since + self.phase)
         return np.where(since >= 0.0, values, 0.0)
 
 
@@ -252,7 +252,7 @@ class TwoTone(Signal):
     start: float = _start()
 
     def _at(self, times: Array) -> Array:
-        values = self.amplitude * (_sine(2.0 * times) + _cosine(3.0 * times))
+        values = self.amplitude * (evaluate("sine", 2.0 * times) + evaluate("cosine", 3.0 * times))
         return np.where(times >= self.start, values, 0.0)
 
 
@@ -349,17 +349,5 @@ def markov_step(period: float, time_constant: float) -> tuple[float, float]:
 
     This is the exact discretisation over a period [s].
     """
-    decay = native.exponential(-period / time_constant)
+    decay = evaluate("exponential", -period / time_constant).item()
     return decay, math.sqrt(1.0 - decay * decay)
-
-
-def _sine(angles: Array) -> Array:
-    """Return the sines of angles that are not used otherwise."""
-    native.take_sines(angles)
-    return angles
-
-
-def _cosine(angles: Array) -> Array:
-    """Return the cosines of angles that are not used otherwise."""
-    native.take_cosines(angles)
-    return angles

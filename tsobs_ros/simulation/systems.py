@@ -114,7 +114,7 @@ class SystemMotion(Motion):
         sizes = [n, m, model.schedule.shape[1], model.C.shape[0], *shapes.shape]
         self._sizes, steps = np.array(sizes, np.int64), substeps(rate)
         densities = np.asarray(scenario.process_noise)
-        record = np.zeros(1, record_type(native.simulated_system_layout(self._sizes)))
+        record = np.zeros(1, record_type("simulated_system", self._sizes))
         for name, value in {
             "substeps": steps,
             "substep": 1.0 / rate / steps,
