@@ -133,7 +133,7 @@ def test_memory_does_not_grow_with_the_recording(arms, write_bag, design, tmp_pa
             for name, method in (("observer", "certified"), ("other", "high_gain"))
         ]
         runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
-        scores = RunScores(source, runs, size=WINDOW)
+        scores = RunScores(source, runs)
         run_all(source, runs, output, after_window=scores.add)
         scores.errors()
 

@@ -18,7 +18,8 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.estimation.records import Basis, Hypothesis, Innovation, Measurement
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.replay.health import BASIS, CLAIMED, HYPOTHESIS
-from tsobs_ros.report.run import RecordedRun, Series
+from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.series import Series
 from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import simulate
 from tsobs_ros.simulation.signals import BiasStep
@@ -58,7 +59,7 @@ def blank_run(measurements: Series, stamps: Any, **truth: Any) -> RecordedRun:
 
 def observed(run: RecordedRun, tracker: Tracker) -> RecordedRun:
     """Return the run with estimates at its stamps, each from the measurements up to it."""
-    stamps, values = run.measurements
+    stamps, values, _ = run.measurements
     innovations, rows, place = [], [], 0
     for stamp in run.stamps.tolist():
         while place < len(stamps) and stamps[place] <= stamp:
@@ -160,12 +161,12 @@ def topics_of(run: RecordedRun, namespace: str = "") -> dict[str, list[Row]]:
         "observer/disturbance_bound": scalar(run.stamps, run.disturbance_bounds[:, 0]),
     }
     if run.innovations is not None:
-        stamps, values = run.innovations
+        stamps, values, _ = run.innovations
         topics["observer/innovation"] = scalar(stamps, values[:, 0])
     if run.truth is not None:
-        topics["ground_truth/joint_states"] = motion(*run.truth)
+        topics["ground_truth/joint_states"] = motion(*run.truth[:2])
     if run.true_disturbance is not None:
-        stamps, values = run.true_disturbance
+        stamps, values, _ = run.true_disturbance
         topics["ground_truth/disturbance"] = scalar(stamps, values[:, 0])
     if run.health is not None:
         topics["observer/health"] = [

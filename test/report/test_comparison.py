@@ -102,7 +102,7 @@ def test_windows_give_the_errors_of_the_whole(
     found = []
     for window in (None, 400):
         (run,) = runs = make_runs(source, [observer], rate=None, as_live=False, window=window)
-        scores = RunScores(source, runs, size=window)
+        scores = RunScores(source, runs)
         run_all(source, runs, None, after_window=scores.add)
         found += scores.errors()
     expected, of_windows = found

@@ -17,7 +17,7 @@ from tsobs_ros.report.comparison import (
     render_metrics,
 )
 from tsobs_ros.report.metrics import MetricsOptions, measure
-from tsobs_ros.report.run import Series
+from tsobs_ros.series import Series
 
 PERIOD = 5_000_000
 START = 1_000_000_000
@@ -105,7 +105,7 @@ def test_settling_is_timed_from_the_start_and_from_each_jump(exact) -> None:
 
 
 def test_small_steps_of_the_disturbance_are_no_jumps(exact) -> None:
-    stamps, values = exact.true_disturbance
+    stamps, values, _ = exact.true_disturbance
     ramp = Series(stamps, 0.2 * np.sin(3.0 * exact.times)[:, np.newaxis])
     chatter = values.copy()
     chatter[4001:4010:2] = 0.0

@@ -9,9 +9,8 @@ import pytest
 
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
-from tsobs_ros.report.metrics import MetricsOptions, measure
-from tsobs_ros.report.panels import picture
-from tsobs_ros.report.run import Series, align, find_run, hold, interpolate_motion, read_run
+from tsobs_ros.report.run import align, hold, interpolate_motion, read_run
+from tsobs_ros.series import Series
 
 SECOND = 1_000_000_000
 
@@ -23,12 +22,12 @@ def test_a_run_comes_back_from_its_bag(short, messages_of, write_bag, namespace)
     for name in ("stamps", "states", "state_bounds", "disturbance", "disturbance_bounds"):
         np.testing.assert_array_equal(getattr(run, name), getattr(short, name), err_msg=name)
     for name in ("measurements", "innovations", "truth", "true_disturbance"):
-        for read, written in zip(getattr(run, name), getattr(short, name), strict=True):
+        for read, written in zip(getattr(run, name)[:2], getattr(short, name)[:2], strict=True):
             np.testing.assert_array_equal(read, written, err_msg=name)
     assert run.joint == "elastic_joint"
     assert run.passes == 1
     assert run.origin == short.measurements.stamps[0]
-    assert run.name.endswith("/bag")
+    assert run.name.startswith("elastic_joint, test_a_run_comes_back")
 
 
 @pytest.mark.parametrize("alone", [True, False])
@@ -100,8 +99,8 @@ def test_optional_topics_may_be_empty_or_lack(short, messages_of, write_bag) -> 
 
     run = read_run(write_bag({**topics, **empty}))
 
-    assert run.truth is run.true_states is run.innovations is None
-    assert run.true_disturbance is run.true_disturbance_held is None
+    assert run.truth is run.innovations is run.true_disturbance is None
+    assert np.isnan(run.of(run.quantities[0]).error).all()
     assert len(run.stamps) == len(short.stamps)
 
 
@@ -224,32 +223,3 @@ def test_alignment_is_by_stamp_and_the_first_of_equals_counts() -> None:
 
     np.testing.assert_array_equal(aligned, [1.0, np.nan, 3.0, np.nan])
     assert np.isnan(align(Series(series.stamps[:0], series.values[:0]), np.array([1]))).all()
-
-
-def test_parts_are_the_whole(simulated, messages_of, write_bag, approximately) -> None:
-    bag = write_bag(messages_of(simulated))
-    options = MetricsOptions(innovation_std=0.03)
-    whole, parts = read_run(bag), find_run(bag, size=2000)
-
-    assert len(list(parts)) > 10
-    for name in ("stamps", "states", "state_bounds", "disturbance", "disturbance_bounds"):
-        joined = np.concatenate([getattr(part, name) for part in parts])
-        np.testing.assert_array_equal(joined, getattr(whole, name))
-    metrics = measure(whole, options)
-    assert measure(parts, options).as_mapping() == approximately(metrics.as_mapping())
-    for one, other in zip(
-        picture(parts, metrics, (0.03,)).panels,
-        picture(whole, metrics, (0.03,)).panels,
-        strict=True,
-    ):
-        assert one.remark == other.remark
-        for shown, expected in ((one.values, other.values), (one.error, other.error)):
-            if expected is None:
-                assert shown is None
-                continue
-            assert shown.limits == pytest.approx(expected.limits)
-            for name in ("dots", "truth", "estimate"):
-                curve = getattr(expected, name)
-                assert (getattr(shown, name) is None) == (curve is None)
-                if curve is not None:
-                    np.testing.assert_allclose(getattr(shown, name), curve, atol=1e-9)

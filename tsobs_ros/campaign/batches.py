@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batches of simulated runs: their estimates, and the scores of these."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -15,9 +16,10 @@ from tsobs_ros.estimation.records import Basis
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import ObserverSettings, make_estimator
 from tsobs_ros.model.arm import SIDES
-from tsobs_ros.report.metrics import SAME_JUMP, SIGMAS, MetricsOptions
+from tsobs_ros.report.metrics import SIGMAS, MetricsOptions, measure
 from tsobs_ros.report.quantities import QUANTITIES, Quantity
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.report.run import RecordedRun
+from tsobs_ros.series import NANOSECONDS, Series
 from tsobs_ros.simulation.plant import Trajectories
 
 CLAIMS: Mapping[str, tuple[Basis, ...]] = {
@@ -39,8 +41,6 @@ learnt parameters, a covariance; and nothing, which any other one is said to be.
 _CLAIM_OF = np.array(
     [[basis in bases for bases in CLAIMS.values()].index(True) for basis in Basis], np.int64
 )
-
-_FIELDS = {"torque": "torque_disturbance"}
 
 
 class Observed(NamedTuple):
@@ -123,10 +123,8 @@ class Scores(NamedTuple):
         normalised_rmse: Root mean square over the states of RMSE / scale, shape (runs,).
         claimed: Number of samples whose bounds are said to be one of `CLAIMS`, settled or not,
             shape (runs, claims).
-        claim_inside: Shares of errors inside `SIGMAS` times their bound at these samples, shape
-            (runs, claims, q).
-        claim_ratio: Root mean square of error / bound there, shape (runs, claims, q).
-        claim_worst: Largest |error| / bound there, shape (runs, claims, q).
+        claims: At these samples the share of errors inside `SIGMAS` times their bound, and the root
+            mean square and the largest of |error| / bound, shape (runs, claims, q, 3).
         reach: Largest size of the first true state, shape (runs,).
     """
 
@@ -135,9 +133,7 @@ class Scores(NamedTuple):
     inside: Array
     normalised_rmse: Array
     claimed: NDArray[np.int64]
-    claim_inside: Array
-    claim_ratio: Array
-    claim_worst: Array
+    claims: Array
     reach: Array
 
 
@@ -204,7 +200,7 @@ def score(
     quantities: tuple[Quantity, ...] = QUANTITIES,
     sides: tuple[str, ...] = (),
 ) -> Scores:
-    """Score estimates of a batch of runs.
+    """Score estimates of a batch of runs as a report does.
 
     Args:
         runs: What is true.
@@ -213,116 +209,81 @@ def score(
         quantities: What is scored.
         sides: Of the design's torque disturbances, of "motor" and "link".
     """
-    options = options or MetricsOptions()
-    count, claims, truths = len(runs.states), _claims(observed), _truths(runs, quantities, sides)
-    settled = _settled(runs, _have_jumped(truths, quantities, options), options)
-    run = np.broadcast_to(np.arange(count)[:, np.newaxis], settled.shape)
-    claim = run * len(CLAIMS) + claims
-    shape = (count, len(CLAIMS))
-    each: list[list[Array]] = [[] for _ in range(6)]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for quantity, truth in zip(quantities, truths, strict=True):
-            estimate, bound = _estimated(observed, quantity)
-            error = estimate - truth
-            within, ratio = np.abs(error) <= SIGMAS * bound, np.abs(error) / bound
-            known, bounded = np.isfinite(error), np.isfinite(bound)
-            number, squares = _sums(run, settled & known, error * error)
-            bounds, bound_squares, inside = _sums(
-                run, settled & known & bounded, bound * bound, within
-            )
-            judged = known & bounded & (bound > 0.0) & (claims >= 0)
-            said, said_inside, ratios = (
-                sums.reshape(shape)
-                for sums in _sums(claim, judged, within, ratio * ratio, bins=count * len(CLAIMS))
-            )
-            worst = np.where(said > 0, 0.0, np.nan)
-            np.maximum.at(worst.reshape(-1), claim[judged], ratio[judged])
-            found = (np.sqrt(squares / number), np.sqrt(bound_squares / bounds), inside / bounds)
-            claim_found = (said_inside / said, np.sqrt(ratios / said), worst)
-            for those, one in zip(each, (*found, *claim_found), strict=True):
-                those.append(one)
-    rmse, rms_bound, share_inside, claim_inside, claim_ratio, claim_worst = (
-        np.stack(those, axis=-1) for those in each
+    count, q = len(runs.physical), len(quantities)
+    settled, normalised = np.full((3, count, q), np.nan), np.full(count, np.nan)
+    claimed = np.zeros((count, len(CLAIMS)), np.int64)
+    claims = np.full((count, len(CLAIMS), q, 3), np.nan)
+    for place in range(count):
+        run = recorded(runs, observed, place, quantities, sides)
+        metrics = measure(run, options)
+        normalised[place] = _number(metrics.normalised_rmse)
+        for column, one in enumerate(metrics.quantities):
+            settled[:, place, column] = [
+                _number(each) for each in (one.rmse, one.bound, one.inside)
+            ]
+        said = _said(observed, place)
+        claimed[place] = np.bincount(said[said >= 0], minlength=len(CLAIMS))
+        for column, quantity in enumerate(quantities):
+            one_of = run.of(quantity)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = np.abs(one_of.error) / one_of.bounds
+            known = np.isfinite(ratio)
+            for claim in range(len(CLAIMS)):
+                own = ratio[known & (said == claim)]
+                if len(own):
+                    inside, mean = np.mean(own <= SIGMAS), np.mean(own * own)
+                    claims[place, claim, column] = inside, np.sqrt(mean), own.max()
+    reach = np.abs(runs.physical[:, :, 0]).max(axis=1)
+    rmse, bound, inside = settled
+    return Scores(rmse, bound, inside, normalised, claimed, claims, reach)
+
+
+def recorded(
+    runs: Trajectories,
+    observed: Observed,
+    run: int,
+    quantities: tuple[Quantity, ...] = QUANTITIES,
+    sides: tuple[str, ...] = (),
+) -> RecordedRun:
+    """Return one run of a batch as if it had been recorded; see `score`."""
+    stamps = stamps_of(runs.times)
+    there = np.flatnonzero(np.isfinite(runs.measurements[run]).any(axis=1))
+    torques = runs.torque_disturbances[run][:, [SIDES.index(side) for side in sides]]
+    fields: dict[str, Any] = {}
+    for key, bounds, name, width in (
+        ("states", "state_bounds", "state", 4),
+        ("disturbance", "disturbance_bounds", "disturbance", runs.disturbances.shape[2]),
+        ("torque", "torque_bounds", "torque_disturbance", len(sides)),
+    ):
+        for field, part in ((key, name), (bounds, f"{name}_bound")):
+            unknown = np.full((len(stamps), width), np.nan)
+            numbers = observed.rows[part][run] if part in (observed.rows.dtype.names or ()) else ()
+            fields[field] = numbers if np.size(numbers) else unknown
+    return RecordedRun(
+        name="run",
+        joint="run",
+        measurements=Series(
+            stamps[there], np.hstack([runs.measurements[run], runs.torques[run]])[there]
+        ),
+        stamps=stamps,
+        quantities=quantities,
+        truth=Series(stamps, runs.physical[run]),
+        true_disturbance=Series(stamps, runs.disturbances[run]),
+        true_torque=Series(stamps, torques) if sides else None,
+        **fields,
     )
-    claimed = np.bincount(claim[claims >= 0], minlength=count * len(CLAIMS)).reshape(shape)
-    reach = np.abs(runs.physical[..., 0]).max(axis=1)
-    states = [place for place, each in enumerate(quantities) if each.kind == "state"]
-    relative = rmse[:, states] / np.array(options.scale)
-    normalised = np.sqrt((relative * relative).sum(axis=1) / len(states))
-    return Scores(
-        rmse, rms_bound, share_inside, normalised,
-        claimed, claim_inside, claim_ratio, claim_worst, reach,
-    )  # fmt: skip
 
 
-def _truths(
-    runs: Trajectories, quantities: tuple[Quantity, ...], sides: tuple[str, ...]
-) -> list[Array]:
-    """Return what is true of each quantity, shape (runs, samples) each."""
-    truths = {
-        "state": runs.physical,
-        "disturbance": runs.disturbances,
-        "torque": runs.torque_disturbances,
-    }
-    columns = (SIDES.index(sides[q.column]) if q.kind == "torque" else q.column for q in quantities)
-    return [truths[q.kind][..., column] for q, column in zip(quantities, columns, strict=True)]
-
-
-def _estimated(observed: Observed, quantity: Quantity) -> tuple[Array, Array]:
-    """Return estimates and bounds of a quantity, NaN without, shape (runs, samples) each."""
-    field = _FIELDS.get(quantity.kind, quantity.kind)
-    both = (observed.field(name) for name in (field, f"{field}_bound"))
-    estimate, bound = (
-        each[..., quantity.column] if each.shape[-1] else np.full(each.shape[:-1], np.nan)
-        for each in both
+def _said(observed: Observed, run: int) -> NDArray[np.int64]:
+    """Return which of `CLAIMS` the bounds of a run are said to be, -1 without an estimate."""
+    basis, claimed = (observed.rows[name][run] for name in ("basis", "claimed"))
+    known = np.isfinite(basis)
+    said = np.full(len(basis), -1, np.int64)
+    said[known] = np.where(
+        claimed[known] == 0.0, len(CLAIMS) - 1, _CLAIM_OF[basis[known].astype(int)]
     )
-    return estimate, bound
+    return said
 
 
-def _have_jumped(
-    truths: list[Array], quantities: tuple[Quantity, ...], options: MetricsOptions
-) -> NDArray[np.bool_]:
-    """Return whether a truth has jumped since the sample before, shape (runs, samples)."""
-    jumps = np.zeros(truths[0].shape, np.bool_)
-    for truth, quantity in zip(truths, quantities, strict=True):
-        limit = options.jump_threshold if quantity.jump is None else quantity.jump
-        if limit < np.inf:
-            jumps[:, 1:] |= np.abs(np.diff(truth, axis=1)) > limit
-    return jumps
-
-
-def _settled(
-    runs: Trajectories, jumps: NDArray[np.bool_], options: MetricsOptions
-) -> NDArray[np.bool_]:
-    """Return which samples count, before the last measurement of their run, (runs, samples)."""
-    times = runs.times
-    begins = np.full((len(jumps), len(times)), times[0] + options.start_settle_time)
-    for run, jumped in enumerate(jumps):
-        before = -np.inf
-        for place in np.flatnonzero(jumped).tolist():
-            after = times[place] + options.jump_settle_time
-            # A fault that chatters is one event, which begins with its first jump.
-            if times[place] - before > SAME_JUMP and after > begins[run, place]:
-                begins[run, place:] = after
-            before = times[place]
-    measured, samples = np.isfinite(runs.measurements).any(axis=2), np.arange(len(times))
-    last = np.where(measured, samples, 0).max(axis=1, keepdims=True)
-    return np.asarray((times >= begins) & (samples < last))
-
-
-def _claims(observed: Observed) -> NDArray[np.intp]:
-    """Return what the bounds of each sample are said to be, by `CLAIMS`; -1 without any."""
-    basis, claimed = (observed.field(name) for name in ("basis", "claimed"))
-    known = (basis >= 0.0) & (basis < len(_CLAIM_OF))
-    of_basis = _CLAIM_OF[np.where(known, basis, 0.0).astype(np.intp)]
-    said = np.where(claimed == 0.0, len(CLAIMS) - 1, of_basis)
-    return np.where(known, said, -1)
-
-
-def _sums(
-    place: NDArray[np.intp], mask: NDArray[np.bool_], *values: NDArray[Any], bins: int = 0
-) -> list[NDArray[Any]]:
-    """Return number and sums by the place, in the order of the samples: the same on any CPU."""
-    places, bins = place[mask], bins or len(place)
-    number = np.bincount(places, minlength=bins)
-    return [number, *(np.bincount(places, each[mask], bins) for each in values)]
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value

@@ -136,9 +136,9 @@ def _of_scores(
     for claim, name in enumerate(CLAIMS):
         row[f"{name}_samples"] = int(scores.claimed[run, claim])
         for place, quantity in enumerate(quantities):
-            for what in ("inside", "ratio", "worst"):
-                number = getattr(scores, f"claim_{what}")[run, claim, place]
-                row[f"{quantity.key}_{name}_{what}"] = float(number)
+            inside, ratio, worst = scores.claims[run, claim, place].tolist()
+            numbers = {"inside": inside, "ratio": ratio, "worst": worst}
+            row |= {f"{quantity.key}_{name}_{what}": number for what, number in numbers.items()}
     return row
 
 

@@ -3,10 +3,9 @@
 """The report on a bag: a table, a figure, an interactive page, and the same numbers as JSON."""
 
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import takewhile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -35,9 +34,9 @@ from tsobs_ros.report.comparison import (
 )
 from tsobs_ros.report.diagnosed import Diagnosed, diagnose
 from tsobs_ros.report.metrics import RunMetrics, measure
-from tsobs_ros.report.panels import RivalCurves, TimingSummary, picture
+from tsobs_ros.report.panels import TimingSummary, picture
 from tsobs_ros.report.quantities import inputs_of, outputs_of, quantities_of
-from tsobs_ros.report.run import RecordedRun, RunParts, find_observer
+from tsobs_ros.report.run import find_observer
 from tsobs_ros.report.summary import About, Summary, Table, summarise
 from tsobs_ros.series import NANOSECONDS
 
@@ -132,7 +131,7 @@ def make_bag_report(
     force: bool = False,
     notes: Mapping[str, str] = MappingProxyType({}),
 ) -> BagReport:
-    """Measure a bag and write `report.html`, `report.png`, `report.pdf` and `report.json`.
+    """Measure a bag and write `report.html`, `report.png` and `report.json`.
 
     Args:
         bag: Bag folder or MCAP file.
@@ -155,7 +154,7 @@ def make_bag_report(
         ModuleNotFoundError: matplotlib is not installed.
     """
     page = html and find_spec("plotly") is not None
-    names = ["report.png", "report.pdf", *(["report.html"] if page else []), "report.json"]
+    names = ["report.png", *(["report.html"] if page else []), "report.json"]
     written = tuple(output / name for name in names)
     require_new(written, force=force)
     found = find_observer(bag, namespace=namespace)
@@ -168,26 +167,27 @@ def make_bag_report(
     files = dict(zip(joints, chosen, strict=True))
     file = files[joint]
     request = file.design.request
-    parts = found.run(joint, request)
-    run = parts.run
+    run = found.run(joint, request)
     options = metrics_options(file.design)
-    health_of = _HealthOf(parts)
-    metrics = measure(health_of, options)
+    metrics = measure(run, options)
+    health, events = HealthSum(), EventFinder([joint], run.topic)
+    if run.health is not None:
+        stamps, values, _ = run.health
+        health.add(values)
+        events.add(stamps, stamps, values[:, np.newaxis])
     diagnosed = diagnose(found.statuses(joint), run.origin, metrics.last)
-    comparison, rival = None, RivalCurves(joint, run.origin)
+    comparison, rival = None, None
     remarks = [*ran.doubt(given), *ran.remarks]
-    if ekf and parts.has_truth:
-        comparison = compare_with_ekf(
-            run, metrics, bag, files, ran.settings(), options, rival.add, MAX_RIVAL
+    if ekf and run.truth is not None:
+        comparison, rival = compare_with_ekf(
+            run, metrics, bag, files, ran.settings(), options, MAX_RIVAL
         )
-        if metrics.estimates > MAX_RIVAL and rival.until < metrics.last - 1.0:
-            until = takewhile(lambda part: float(part.times[0]) < rival.until, parts)
-            comparison = replace(comparison, observer=measure(until, options))
+        if metrics.estimates > MAX_RIVAL:
             remarks.append(
-                f"note: the EKF was run over the first {rival.until:.0f} s, and is compared with "
-                "the observer over the same time"
+                f"note: the EKF was run over the first {comparison.observer.duration:.0f} s, and "
+                "is compared with the observer over the same time"
             )
-    if not parts.has_truth:
+    if run.truth is None:
         remarks.append("note: the bag has no ground truth, so there are bounds but no errors")
     if run.passes > 1:
         remarks.append(f"note: time restarted {run.passes - 1} times; this is the longest pass")
@@ -205,7 +205,7 @@ def make_bag_report(
         from tsobs_ros.report.figures import draw_run
 
         shown = picture(
-            parts,
+            run,
             metrics,
             options.innovation_stds,
             outputs_of(request),
@@ -213,20 +213,20 @@ def make_bag_report(
             learnt=request.uncertainty_model.names,
             period=1.0 / request.rate,
             diagnosed=diagnosed,
-            rival=None if comparison is None else rival.of(comparison.method),
+            rival=rival,
         )
-        health, events = health_of.sum.result(), tuple(health_of.finder.events)
+        summed = health.result()
         report = BagReport(
             bag=bag,
-            joint=run.joint,
+            joint=joint,
             design=file,
             metrics=metrics,
-            health=health,
-            events=events,
+            health=summed,
+            events=tuple(events.events),
             begin=run.origin,
             comparison=comparison,
             summary=summarise(
-                metrics, health, diagnosed, shown.timing, quantities_of(request), events
+                metrics, summed, diagnosed, shown.timing, quantities_of(request), events.events
             ),
             diagnosed=diagnosed,
             timing=shown.timing,
@@ -234,11 +234,11 @@ def make_bag_report(
             files=written,
             remarks=tuple(remarks),
         )
-        draw_run(shown, *(folder / name for name in names[:2]))
+        draw_run(shown, folder / names[0])
         if page:
             from tsobs_ros.report.page import write_html
 
-            write_html(shown, folder / names[2], about(report, ran))
+            write_html(shown, folder / names[1], about(report, ran))
         text = json.dumps(report.as_mapping(), indent=2, allow_nan=False)
         (folder / names[-1]).write_text(text + "\n", encoding="utf-8")
     return report
@@ -292,19 +292,3 @@ def about(report: BagReport, ran: RecordedObserver) -> About:
     return About(
         report.summary.level, report.summary.sentences, tables, facts, (*health, *report.remarks)
     )
-
-
-class _HealthOf:
-    """The parts of a run, whose health is gathered as they pass."""
-
-    def __init__(self, parts: RunParts) -> None:
-        self._parts = parts
-        self.sum, self.finder = HealthSum(), EventFinder([parts.run.joint], parts.run.topic)
-
-    def __iter__(self) -> Iterator[RecordedRun]:
-        for part in self._parts:
-            if part.health is not None:
-                stamps, values = part.health
-                self.finder.add(stamps, stamps, values[:, np.newaxis])
-                self.sum.add(values)
-            yield part

@@ -8,7 +8,7 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,9 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tsobs_ros.bag.joint_series import JointSeries
 from tsobs_ros.design.file import DesignFile
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import TSRequest
@@ -26,15 +24,14 @@ from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.methods import EKFS, ObserverSettings
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all, without_misfits
-from tsobs_ros.replay.source import BagSource, Source, Truth, passes
+from tsobs_ros.replay.source import BagSource, Source
 from tsobs_ros.replay.windows import WINDOW
 from tsobs_ros.report.metrics import (
     SIGMAS,
     MetricsOptions,
     RunMetrics,
-    ScoreFile,
-    SquareSum,
-    measure_scores,
+    measure,
+    root_mean,
 )
 from tsobs_ros.report.quantities import (
     QUANTITIES,
@@ -43,8 +40,8 @@ from tsobs_ros.report.quantities import (
     outputs_of,
     quantities_of,
 )
-from tsobs_ros.report.run import RecordedRun, Series
-from tsobs_ros.series import NANOSECONDS
+from tsobs_ros.report.run import RecordedRun, Rows, nearest_pass
+from tsobs_ros.series import Series
 
 DIVERGED = 1e6
 """No joint's error is so large [rad, rad/s]; the number is not worth a column of digits."""
@@ -55,9 +52,6 @@ THETAS = tuple(np.geomspace(0.7, 20.0, 12).tolist())
 HIGH_GAIN = ("high_gain", "proportional_integral")
 MAX_TUNED = 50_000
 """Measurements of a recording in which the best θ is looked for, which takes two dozen runs."""
-
-OnPart = Callable[[RecordedRun], object]
-"""Called with parts of runs, whose name is that of their observer."""
 
 _NOTHING = "–"
 _EKFS = {
@@ -177,23 +171,24 @@ def compare_with_ekf(
     files: Mapping[str, DesignFile],
     settings: ObserverSettings,
     options: MetricsOptions | None = None,
-    on_part: OnPart | None = None,
     limit: int | None = None,
-) -> EkfComparison:
+) -> tuple[EkfComparison, RecordedRun]:
     """Run EKFs over the measurements of a recorded run, as `tsobs compare` does.
 
     If ours learns parameters, there are two: one with the nominal parameters, and one that has
     those as states. The comparison is with the better one.
 
     Args:
-        run: The recorded run, or a part of it.
+        run: The recorded run.
         metrics: Its metrics.
         bag: The bag that it is from.
         files: Design file of each joint that the observer observed.
         settings: Those that it ran with.
         options: Options of the measures.
-        on_part: Called with each part of the runs of the EKFs.
-        limit: Number of estimates after which they end; of all measurements if None.
+        limit: Number of estimates after which they end, to compare up to there; none if None.
+
+    Returns:
+        The comparison, and the run of the EKF.
     """
     source = BagSource(bag, topic=run.topic, joints=tuple(files))
     learns = settings.learnt(files[run.joint].design)
@@ -202,12 +197,14 @@ def compare_with_ekf(
         for method in (EKFS if learns else EKFS[:1])
     ]
     observers, _ = without_misfits(observers)
-    errors = compare_observers(source, observers, options, on_part, limit)
-    own = [one for one in errors if one.joint == run.joint]
-    best = min(own, key=lambda one: one.normalised_rmse)
-    if best.metrics is None:
+    scores = _scores(source, observers, options, limit)
+    own = [one for one in scores.results() if one[0].joint == run.joint]
+    best, theirs = min(own, key=lambda one: one[0].normalised_rmse)
+    if best.metrics is None or theirs is None:
         raise BagReadError(f"{bag}: no EKF could be run over the measurements of {run.joint}")
-    return EkfComparison(metrics, best.metrics, best.observer, len(own))
+    if limit is not None and len(run.stamps) > limit:
+        metrics = measure(run.until(int(theirs.stamps[-1])), options)
+    return EkfComparison(metrics, best.metrics, best.observer, len(own)), theirs
 
 
 def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer], list[str]]:
@@ -240,11 +237,7 @@ def tune(source: Source, observers: Sequence[Observer]) -> tuple[list[Observer],
 
 
 def compare_observers(
-    source: Source,
-    observers: Sequence[Observer],
-    options: MetricsOptions | None = None,
-    on_part: OnPart | None = None,
-    limit: int | None = None,
+    source: Source, observers: Sequence[Observer], options: MetricsOptions | None = None
 ) -> list[ObserverErrors]:
     """Run observers when the recorded one estimated, if there is one, and measure them.
 
@@ -252,11 +245,18 @@ def compare_observers(
         source: The measurements.
         observers: The observers.
         options: Options of the measures.
-        on_part: Called with each part of the runs.
-        limit: Number of estimates after which the runs end; of all measurements if None.
     """
+    return _scores(source, observers, options).errors()
+
+
+def _scores(
+    source: Source,
+    observers: Sequence[Observer],
+    options: MetricsOptions | None,
+    limit: int | None = None,
+) -> "RunScores":
     runs = make_runs(source, observers, rate=None, as_live=True, window=WINDOW)
-    scores = RunScores(source, runs, options, on_part=on_part)
+    scores = RunScores(source, runs, options)
 
     def add() -> None:
         scores.add()
@@ -265,7 +265,7 @@ def compare_observers(
 
     with suppress(_EnoughError):
         run_all(source, runs, None, after_window=add)
-    return scores.errors()
+    return scores
 
 
 class _EnoughError(Exception):
@@ -275,167 +275,153 @@ class _EnoughError(Exception):
 class RunScores:
     """Measures runs over the same measurements; if time restarted, the longest pass.
 
-    What must be gone through twice is in temporary files, 0.1 kB for each estimate.
+    Their estimates are kept in temporary files, 0.1 kB for each.
 
     Args:
         source: The measurements.
         runs: The runs.
         options: Options of the measures.
-        size: Number of messages of the truth that are read at once.
-        on_part: Called with each part of the runs.
     """
 
     def __init__(
-        self,
-        source: Source,
-        runs: Sequence[Run],
-        options: MetricsOptions | None = None,
-        size: int | None = WINDOW,
-        on_part: OnPart | None = None,
+        self, source: Source, runs: Sequence[Run], options: MetricsOptions | None = None
     ) -> None:
-        self._runs, self._truth = runs, _TruthReader(source, size)
-        self._scores = [
-            (run, joint, _RunScore(run, joint, name, options or MetricsOptions(), on_part))
+        self._source = source
+        self._kept = [
+            (_Kept(run, joint, name), metrics_options(run.observer.designs[joint], options))
             for joint, name in enumerate(source.joints)
             for run in runs
         ]
 
     def add(self) -> None:
         """Add what the runs have made of their window."""
-        ticks, _ = self._runs[0].made
-        log_times = self._runs[0].schedule.log_times[ticks]
-        until = self._runs[0].horizon
-        truth = self._truth.read(min([*log_times[:1].tolist(), until]), until + NANOSECONDS)
-        for _, _, one in self._scores:
-            one.add(truth)
+        for one, _ in self._kept:
+            one.add()
 
     def errors(self) -> list[ObserverErrors]:
         """Return the errors of all observers, joint by joint."""
-        return [one.errors() for _, _, one in self._scores]
+        return [errors for errors, _ in self.results()]
 
+    def results(self) -> Iterator[tuple[ObserverErrors, RecordedRun | None]]:
+        """Yield the errors of each observer with its run, None if it made no estimate."""
+        truth = self._truth()
+        for one, options in self._kept:
+            run = one.run([each[one.joint] for each in truth])
+            design = one.of.observer.designs[one.joint]
+            errors = ObserverErrors(
+                one.of.observer.name,
+                one.name,
+                tuple(map(root_mean, one.innovations.read()["values"].T)),
+                None if run is None else measure(run, options),
+                quantities_of(design.request),
+                tuple(outputs_of(design.request)),
+            )
+            yield errors, run
 
-class _TruthReader:
-    """Reads the truth that goes with windows."""
-
-    def __init__(self, source: Source, size: int | None) -> None:
-        self._parts, self._read_until = source.truth(size), -math.inf
-        self._kept = Truth(None, None, None)
-
-    def read(self, begin: float, end: float) -> Truth:
-        """Return the truth that was recorded from a second before one log time to another [ns]."""
+    def _truth(self) -> list[list[Rows]]:
+        """Return the recorded truth of each kind, joint by joint."""
+        signals = self._kept[0][0].of.signals
         kept = [
-            series if series is None else series.take(series.log_times >= begin - NANOSECONDS)
-            for series in self._kept
+            [Rows({"values": len(getattr(own, name))}) for own in signals]
+            for name in ("states", "disturbances", "torques")
         ]
-        while self._read_until < end:
-            part = next(self._parts, None)
-            if part is None:
-                break
-            times = [int(one.log_times[-1]) for one in part if one is not None and one.count]
-            self._read_until = max([self._read_until, *times])
-            kept = [
-                after if before is None or after is None else before.followed_by(after)
-                for before, after in zip(kept, part, strict=True)
-            ]
-        self._kept = Truth(*kept)
-        return self._kept
+        for part in self._source.truth(WINDOW):
+            for rows, series in zip(kept, part, strict=True):
+                for joint, one in enumerate(rows if series is not None else ()):
+                    assert series is not None
+                    there = series.named[:, joint]
+                    width = one.widths["values"]
+                    one.add(
+                        stamps=series.stamps[there],
+                        log_times=series.log_times[there],
+                        values=series.values[there, joint, :width],
+                    )
+        return kept
 
 
-class _RunScore:
-    """Measures a joint of a run, window by window."""
+class _Kept:
+    """The estimates of one joint by one run, as they are made.
 
-    def __init__(
-        self, run: Run, joint: int, name: str, options: MetricsOptions, on_part: OnPart | None
-    ) -> None:
-        self._run, self._joint, self._name, self._on_part = run, joint, name, on_part
-        design = run.observer.designs[joint]
-        self._request, self._options = design.request, metrics_options(design, options)
-        self._outputs = tuple(outputs_of(design.request))
-        self._quantities = quantities_of(design.request)
-        self._innovations = [SquareSum() for _ in self._outputs]
-        self._pass, self._longest = ScoreFile(), ScoreFile()
-        self._newest = 0
+    Args:
+        of: The run.
+        joint: Place of the joint.
+        name: Its name.
+    """
 
-    def add(self, truth: Truth) -> None:
-        run, joint = self._run, self._joint
-        ticks, messages = run.made
-        for place, squares in enumerate(self._innovations):
-            squares.add(run.table.innovations[messages, joint, place])
-        there = np.flatnonzero(np.isfinite(run.table.states[ticks, joint, 0]))
-        stamps = run.schedule.stamps[there]
-        for number, (begin, end) in enumerate(passes(stamps, self._newest)):
-            if number:
-                self._end_pass()
-            if begin == end:
-                continue
-            self._newest = max(self._newest, int(stamps[begin:end].max()))
-            part = self._part(there[begin:end], messages, truth)
-            self._pass.add(part, self._options)
-            if self._on_part is not None:
-                self._on_part(part)
-
-    def _end_pass(self) -> None:
-        if self._pass.count > self._longest.count:
-            self._pass, self._longest = self._longest, self._pass
-        self._pass.close()
-        self._pass, self._newest = ScoreFile(), 0
-
-    def _part(self, ticks: NDArray[np.intp], messages: slice, truth: Truth) -> RecordedRun:
-        """Return a part of the run as if it had been recorded."""
-        run, joint = self._run, self._joint
-        samples, table = run.samples.take(messages), run.table
-        there = samples.complete[:, joint]
-        own = run.signals[joint]
+    def __init__(self, of: Run, joint: int, name: str) -> None:
+        self.of, self.joint, self.name = of, joint, name
+        own = of.signals[joint]
         p, m, plant, t = map(len, (own.outputs, own.inputs, own.states, own.torques))
-        measured = np.hstack([samples.y[there, joint, :p], samples.u[there, joint, :m]])
+        self._fields = {
+            "states": ("states", plant),
+            "state_bounds": ("state_bounds", plant),
+            "disturbance": ("disturbances", p),
+            "disturbance_bounds": ("disturbance_bounds", p),
+            "torque": ("torques", t),
+            "torque_bounds": ("torque_bounds", t),
+        }
+        self._estimates = Rows({name: width for name, (_, width) in self._fields.items()})
+        self._measurements, self.innovations = Rows({"values": p + m}), Rows({"values": p})
+
+    def add(self) -> None:
+        """Add what the run has made of its window."""
+        ticks, messages = self.of.made
+        samples, table, joint = self.of.samples.take(messages), self.of.table, self.joint
+        there = np.flatnonzero(np.isfinite(table.states[ticks, joint, 0]))
+        schedule = self.of.schedule
+        self._estimates.add(
+            stamps=schedule.stamps[there],
+            log_times=schedule.log_times[there],
+            **{
+                key: getattr(table, name)[there, joint, :width]
+                for key, (name, width) in self._fields.items()
+            },
+        )
+        p = self.innovations.widths["values"]
+        m = self._measurements.widths["values"] - p
+        values = np.hstack([samples.y[:, joint, :p], samples.u[:, joint, :m]])
         innovations = table.innovations[messages, joint, :p]
-        used = np.isfinite(innovations).any(axis=1)
-        stamps = run.schedule.stamps[ticks]
+        for rows, numbers, own in (
+            (self._measurements, values, samples.complete[:, joint]),
+            (self.innovations, innovations, np.isfinite(innovations).any(axis=1)),
+        ):
+            rows.add(
+                stamps=samples.stamps[own], log_times=samples.log_times[own], values=numbers[own]
+            )
+
+    def run(self, truth: Sequence[Rows]) -> RecordedRun | None:
+        """Return the run as if it had been recorded, None without an estimate.
+
+        Args:
+            truth: Of states, disturbances and torque disturbances.
+        """
+        found = self._estimates.passes()
+        if not found:
+            return None
+        request = self.of.observer.designs[self.joint].request
+        rows = max(found, key=len)
+        log_time = int(rows["log_times"][0])
+        measured, innovations, *true = (
+            None if one is None else Series(one["stamps"], one["values"])
+            for one in (
+                nearest_pass(each.passes(), log_time)
+                for each in (self._measurements, self.innovations, *truth)
+            )
+        )
+        ordered = (None if one is None else one.ordered() for one in (innovations, *true))
+        names = ("innovations", "truth", "true_disturbance", "true_torque")
+        estimates: dict[str, Any] = {key: rows[key] for key in self._fields}
+        others: dict[str, Any] = dict(zip(names, ordered, strict=True))
         return RecordedRun(
-            name=run.observer.name,
-            joint=self._name,
-            measurements=Series(samples.stamps[there], measured),
-            stamps=stamps,
-            states=table.states[ticks, joint, :plant],
-            state_bounds=table.state_bounds[ticks, joint, :plant],
-            disturbance=table.disturbances[ticks, joint, :p],
-            disturbance_bounds=table.disturbance_bounds[ticks, joint, :p],
-            torque=table.torques[ticks, joint, :t],
-            torque_bounds=table.torque_bounds[ticks, joint, :t],
-            innovations=Series(samples.stamps[used], innovations[used]).ordered(),
-            truth=_series(truth.states, joint, plant),
-            true_disturbance=_series(truth.disturbance, joint, p),
-            true_torque=_series(truth.torque, joint, t),
-            quantities=self._quantities,
-            measured=measured_states(self._request),
-            begin=self._pass.origin,
-            since=self._pass.until,
-            until=int(stamps[-1]) + 1,
+            name=self.of.observer.name,
+            joint=self.name,
+            measurements=Series.empty(0) if measured is None else measured,
+            stamps=rows["stamps"],
+            quantities=quantities_of(request),
+            measured=measured_states(request),
+            **estimates,
+            **others,
         )
-
-    def errors(self) -> ObserverErrors:
-        self._end_pass()
-        self._pass.close()
-        metrics, scores = None, self._longest
-        if scores.count:
-            metrics = measure_scores(scores, self._options, self._quantities)
-        scores.close()
-        return ObserverErrors(
-            self._run.observer.name,
-            self._name,
-            tuple(one.root_mean() for one in self._innovations),
-            metrics,
-            self._quantities,
-            self._outputs,
-        )
-
-
-def _series(series: JointSeries | None, joint: int, width: int) -> Series | None:
-    """Return a joint's values on a topic, None if no message has them."""
-    there = None if series is None else series.named[:, joint]
-    if series is None or there is None or not there.any():
-        return None
-    return Series(series.stamps[there], series.values[there, joint, :width]).ordered()
 
 
 def _ratio(ours: float | None, theirs: float | None) -> float | None:

@@ -59,5 +59,5 @@ async function draw() {
 
 draw().catch((error) => {
   document.getElementById("failure").textContent =
-    `The figures cannot be drawn: ${error.message}. report.png and report.pdf have them too.`;
+    `The figures cannot be drawn: ${error.message}. report.png has them too.`;
 });

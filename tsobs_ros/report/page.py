@@ -5,7 +5,7 @@
 import base64
 import gzip
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,16 @@ from plotly.offline import get_plotlyjs
 
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.health import Level
-from tsobs_ros.report import panels as content
-from tsobs_ros.report.metrics import SIGMAS
-from tsobs_ros.report.panels import ERROR, TIME, Curve, Panel, Picture, Plot
+from tsobs_ros.report.panels import (
+    EVENT_COLOUR,
+    LEVEL_COLOURS,
+    SETTLING_COLOUR,
+    STYLES,
+    TIME,
+    Band,
+    Picture,
+    Plot,
+)
 from tsobs_ros.report.summary import About, Table
 from tsobs_ros.style import GRID, INK, MUTED
 
@@ -79,10 +86,7 @@ def _head(picture: Picture, about: About) -> Iterator[str]:
         yield f'<p class="verdict {kind}"><strong>{verdict}</strong>{text}</p>\n'
     yield f'<p class="muted">{escape(picture.headline)}</p>\n</header>\n<main>\n'
     yield '<p id="failure" role="status"></p>\n'
-    yield (
-        "<noscript><p>The figures need JavaScript; report.png and report.pdf have them too."
-        "</p></noscript>\n"
-    )
+    yield ("<noscript><p>The figures need JavaScript; report.png has them too.</p></noscript>\n")
 
 
 def _tail(about: About) -> Iterator[str]:
@@ -118,19 +122,14 @@ def _table(table: Table) -> str:
 
 
 def _figures(picture: Picture) -> tuple[str, list[dict[str, Any]]]:
-    """Return the panels' elements, and what is drawn into them."""
-    drawn: list[dict[str, Any]] = []
-    rows = []
-    for panel in picture.panels:
-        plots = [panel.values, *([panel.error] if panel.error is not None else [])]
-        figures = []
-        for plot in plots:
-            identity = f"plot{len(drawn)}"
-            drawn.append(_drawn(plot, picture, identity))
-            last = plot is plots[-1]
-            figures.append(_figure(plot, panel, identity, panel.remark if last else ()))
-        single = "" if len(plots) > 1 else " single"
-        rows.append(f'<div class="row{single}">{"".join(figures)}</div>\n')
+    """Return the plots' elements, and what is drawn into them."""
+    drawn = [_drawn(plot, picture, f"plot{place}") for place, plot in enumerate(picture.plots)]
+    elements = iter([_figure(plot, f"plot{place}") for place, plot in enumerate(picture.plots)])
+    rows = "".join(
+        f'<div class="row{"" if len(row) > 1 else " single"}">'
+        f"{''.join(next(elements) for _ in row)}</div>\n"
+        for row in picture.rows
+    )
     groups = {
         trace["legendgroup"]: trace["meta"]
         for one in drawn
@@ -138,29 +137,26 @@ def _figures(picture: Picture) -> tuple[str, list[dict[str, Any]]]:
         if "legendgroup" in trace
     }
     keys = "".join(
-        f'<button type="button" aria-pressed="true" disabled data-group="{escape(group)}">'
-        f'<span class="swatch" style="background:{colour}"></span>{escape(group)}</button>'
+        f'<button type="button" aria-pressed="true" disabled data-group="{group}">'
+        f'<span class="swatch" style="background:{colour}"></span>{group}</button>'
         for group, colour in groups.items()
     )
     bar = f'<div class="keys" role="group" aria-label="curves to show">{keys}</div>\n'
-    return f"<section>\n{bar}{''.join(rows)}</section>\n", drawn
+    return f"<section>\n{bar}{rows}</section>\n", drawn
 
 
-def _figure(plot: Plot, panel: Panel, identity: str, remark: Sequence[str]) -> str:
-    name = f"{plot.label} [{panel.unit}]" if panel.unit else plot.label
-    if plot.label == ERROR:
-        name = f"{panel.values.label}: {name}"
-    notes = [f"– – {dashed[1]}" for dashed in (plot.level, plot.other) if dashed is not None]
-    text = escape("  ·  ".join([*notes, *remark]))
+def _figure(plot: Plot, identity: str) -> str:
+    text = escape("  ·  ".join(plot.remark))
     own = "".join(
-        f'<li><span class="swatch" style="background:{line.colour}"></span>{escape(line.name)}</li>'
-        for line in plot.lines
+        f'<li><span class="swatch" style="background:{one.style.colour}"></span>'
+        f"{escape(one.name)}</li>"
+        for one in plot.own
     )
-    legend = f'<ul class="own">{own}</ul>' if len(plot.lines) > 1 else ""
+    legend = f'<ul class="own">{own}</ul>' if own else ""
     return (
-        f'<figure><figcaption><h3>{escape(name)}</h3><p class="remark">{text}</p>{legend}'
+        f'<figure><figcaption><h3>{escape(plot.title)}</h3><p class="remark">{text}</p>{legend}'
         f'</figcaption><div class="plot" id="{identity}" role="img" '
-        f'aria-label="{escape(f"{name} over {plot.axis}. {text}")}"></div></figure>'
+        f'aria-label="{escape(f"{plot.title} over {plot.axis}. {text}")}"></div></figure>'
     )
 
 
@@ -168,7 +164,8 @@ def _drawn(plot: Plot, picture: Picture, identity: str) -> dict[str, Any]:
     follows = plot.axis == TIME
     axis = {"zeroline": False, "gridcolor": GRID, "fixedrange": False}
     layout: dict[str, Any] = {
-        "margin": {"l": 56, "r": 10, "t": 6, "b": 34},
+        # The toolbar has its room above the values.
+        "margin": {"l": 56, "r": 10, "t": 30, "b": 34},
         "font": {"color": INK, "size": 12, "family": "system-ui, sans-serif"},
         "showlegend": False,
         "hovermode": "x",
@@ -178,66 +175,43 @@ def _drawn(plot: Plot, picture: Picture, identity: str) -> dict[str, Any]:
         "yaxis": axis | {"range": list(plot.limits), "nticks": 5},
         "shapes": list(_shapes(plot, picture)),
     }
-    if plot.strips:
-        names = list(dict.fromkeys(strip.name for strip in plot.strips))
-        layout["yaxis"] |= {"tickvals": list(range(len(names))), "ticktext": [*map(escape, names)]}
-        layout["yaxis"]["automargin"] = True
+    if plot.rows:
+        ticks = {"tickvals": [*range(len(plot.rows))], "ticktext": [*map(escape, plot.rows)]}
+        layout["yaxis"] |= ticks | {"automargin": True}
     return {"id": identity, "data": list(_traces(plot)), "layout": layout, "follows": follows}
 
 
 def _traces(plot: Plot) -> Iterator[dict[str, Any]]:
-    blue = content.ESTIMATE_COLOUR
-    for sigmas, times, lower, upper in plot.bands or ():
-        x, y = _outline(times, lower, upper)
+    for band in plot.bands:
+        x, y = _outline(band)
         fill = {"fill": "toself", "fillcolor": "rgba(0, 114, 178, 0.15)", "hoverinfo": "skip"}
-        yield _trace(f"bound {sigmas:g}σ", Curve(x, y), {"width": 0}, "#9cc6e0", **fill)
-    if plot.dots is not None:
-        name = plot.label if plot.estimate is None else "measured"
-        grey = content.MEASUREMENT_COLOUR
-        if plot.dense:
-            yield _trace(name, plot.dots, {"width": 0.7}, grey)
-        else:
-            mark = {"size": 2.5, "color": grey}
-            yield _trace(name, plot.dots, None, grey, mode="markers", marker=mark)
-    if plot.truth is not None:
-        yield _trace("true", plot.truth, {"width": 4}, content.TRUTH_COLOUR)
-    if plot.rival is not None:
-        line = {"width": 1.2, "dash": "dot"}
-        yield _trace("EKF", plot.rival, line, content.RIVAL_COLOUR)
-    if plot.estimate is not None:
-        yield _trace("estimated", plot.estimate, {"width": 1.5}, blue)
-    if plot.other is not None:
-        curve, name = plot.other
-        yield _trace(name, curve, {"width": 1, "dash": "dash"}, MUTED)
-    for one in plot.lines:
-        yield _trace(one.name, one.curve, {"width": 1.3}, one.colour)
-    names = list(dict.fromkeys(strip.name for strip in plot.strips))
+        yield _trace(band.name, x, y, line={"width": 0}, **fill) | _switch(band.name, "#9cc6e0")
+    for curve in plot.curves:
+        colour, width, dash = curve.style
+        look: dict[str, Any] = {"line": {"color": colour, "width": width, "dash": _DASHES[dash]}}
+        if dash == ".":
+            look = {"mode": "markers", "marker": {"size": 2.5, "color": colour}}
+        trace = _trace(curve.name, curve.times, curve.values, **look)
+        yield trace | (_switch(curve.name, colour) if curve.name in STYLES else {})
     for strip in plot.strips[:_MAX_ROWS]:
-        place = float(names.index(strip.name))
-        ends = Curve(np.array([strip.begin, strip.end]), np.full(2, place))
-        colour = content.LEVEL_COLOURS.get(strip.level, content.EVENT_COLOUR)
-        yield _trace(f"{strip.name}, {strip.level.name}", ends, {"width": 14}, colour)
+        height = float(plot.rows.index(strip.name))
+        colour = LEVEL_COLOURS.get(strip.level, EVENT_COLOUR)
+        ends = np.array([strip.begin, strip.end]), np.full(2, height)
+        name = f"{strip.name}, {strip.level.name}"
+        yield _trace(name, *ends, line={"color": colour, "width": 14})
 
 
-def _trace(
-    name: str, curve: Curve, line: Mapping[str, Any] | None, colour: str, **style: Any
-) -> dict[str, Any]:
-    trace = {
-        "type": "scatter",
-        "mode": "lines",
-        "name": escape(name),
-        "x": _encoded(curve.times),
-        "y": _encoded(curve.values),
-        **({} if line is None else {"line": {"color": colour, **line}}),
-        **style,
-    }
-    # A curve of one of these names is in many panels, and switched in all of them.
-    if name in _SHARED:
-        trace |= {"legendgroup": name, "meta": colour}
-    return trace
+_DASHES = {"-": "solid", "--": "dash", ":": "dot", ".": "solid"}
 
 
-_SHARED = ("measured", "true", "estimated", "EKF", "bound 1σ", f"bound {SIGMAS:g}σ")
+def _trace(name: str, x: Array, y: Array, **style: Any) -> dict[str, Any]:
+    points = {"x": _encoded(x), "y": _encoded(y)}
+    return {"type": "scatter", "mode": "lines", "name": escape(name), **points, **style}
+
+
+def _switch(name: str, colour: str) -> dict[str, str]:
+    """Return what lets a button switch all curves of a name."""
+    return {"legendgroup": name, "meta": colour}
 
 
 def _encoded(values: Array) -> dict[str, str]:
@@ -246,40 +220,37 @@ def _encoded(values: Array) -> dict[str, str]:
     return {"dtype": "f4", "bdata": base64.b64encode(data).decode("ascii")}
 
 
-def _outline(times: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+def _outline(band: Band) -> tuple[Array, Array]:
     """Return the outlines of a band, with NaN between its parts."""
-    known = np.isfinite(lower) & np.isfinite(upper)
+    known = np.isfinite(band.lower) & np.isfinite(band.upper)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
-    x, y = [], []
+    x, y = [np.zeros(0)], [np.zeros(0)]
     for begin, end in edges.reshape(-1, 2).tolist():
         own = slice(begin, end)
-        x += [times[own], times[own][::-1], [np.nan]]
-        y += [upper[own], lower[own][::-1], [np.nan]]
-    return np.concatenate([[], *x[:-1]]), np.concatenate([[], *y[:-1]])
+        x += [band.times[own], band.times[own][::-1], np.array([np.nan])]
+        y += [band.upper[own], band.lower[own][::-1], np.array([np.nan])]
+    return np.concatenate(x)[:-1], np.concatenate(y)[:-1]
 
 
 def _shapes(plot: Plot, picture: Picture) -> Iterator[dict[str, Any]]:
     if plot.axis == TIME:
         # One path for all: a shape for each would make a page of many events slow.
-        if picture.unsettled:
-            colour = content.SETTLING_COLOUR
-            yield _area(picture.unsettled) | {"fillcolor": colour, "line": {"width": 0}}
-        if plot.spans:
-            spans = _area(plot.spans) | {"fillcolor": content.EVENT_COLOUR, "opacity": 0.2}
-            yield spans | {"line": {"width": 0}}
-        jumps = [event.time for event in picture.events if event.what != "start"]
-        if jumps:
-            path = " ".join(f"M{time:.4f},0 L{time:.4f},1" for time in jumps)
-            line = {"color": content.EVENT_COLOUR, "dash": "dot", "width": 1}
-            yield {"type": "path", "xref": "x", "yref": "paper", "path": path, "line": line}
+        yield _path("M{0:.4f},0 L{0:.4f},1 L{1:.4f},1 L{1:.4f},0 Z", picture.unsettled) | {
+            "fillcolor": SETTLING_COLOUR, "line": {"width": 0}, "layer": "below",
+        }  # fmt: skip
+        yield _path("M{0:.4f},0 L{0:.4f},1 L{1:.4f},1 L{1:.4f},0 Z", plot.spans) | {
+            "fillcolor": EVENT_COLOUR, "opacity": 0.2, "line": {"width": 0}, "layer": "below",
+        }  # fmt: skip
+        line = {"color": EVENT_COLOUR, "dash": "dot", "width": 1}
+        yield _path("M{0:.4f},0 L{0:.4f},1", picture.jumps) | {"line": line}
     for sign in (-1.0, 1.0) if plot.level is not None else ():
         assert plot.level is not None
-        height = sign * plot.level[0]
+        height = sign * plot.level
         line = {"color": MUTED, "dash": "dash", "width": 1}
         ends = {"xref": "paper", "x0": 0, "x1": 1, "yref": "y", "y0": height, "y1": height}
         yield {"type": "line", "line": line, **ends}
 
 
-def _area(spans: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    path = " ".join(f"M{a:.4f},0 L{a:.4f},1 L{b:.4f},1 L{b:.4f},0 Z" for a, b in spans)
-    return {"type": "path", "xref": "x", "yref": "paper", "path": path, "layer": "below"}
+def _path(part: str, times: Sequence[tuple[float, Any]]) -> dict[str, Any]:
+    path = " ".join(part.format(*one) for one in times) or "M0,0"
+    return {"type": "path", "xref": "x", "yref": "paper", "path": path}

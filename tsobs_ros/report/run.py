@@ -2,14 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """One recorded run of the observer as stamped series of numbers, read from a bag."""
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain, islice, pairwise
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 from weakref import finalize
 
 import numpy as np
@@ -18,9 +17,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.diagnostics import DIAGNOSTICS, RecordedStatus, read_statuses
-from tsobs_ros.bag.joint_series import JointSeries, Wanted, read_blocks
+from tsobs_ros.bag.joint_series import Wanted, read_blocks
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder
-from tsobs_ros.bag.message_rows import read_rows
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.checks import Array
 from tsobs_ros.design.request import ArmRequest, TSRequest
@@ -29,75 +27,64 @@ from tsobs_ros.errors import BagReadError
 from tsobs_ros.replay.designs import RecordedObserver, choose_designs, recorded_observer
 from tsobs_ros.replay.health import as_of_now
 from tsobs_ros.replay.places import places_of
-from tsobs_ros.replay.source import MEASUREMENTS, RESTART_MESSAGES, UNNAMED_SYSTEM, restarts
+from tsobs_ros.replay.source import MEASUREMENTS, UNNAMED_SYSTEM, passes
 from tsobs_ros.report.quantities import QUANTITIES, Quantity, measured_states, quantities_of
-from tsobs_ros.series import NANOSECONDS
-
-Stamps = NDArray[np.int64]
-"""Integer nanoseconds, shape (n,)."""
+from tsobs_ros.series import NANOSECONDS, Series, Stamps
 
 MAX_GAP = 0.1
 """Series are not interpolated across longer gaps [s]: messages were lost there."""
 
-
-_FIRST_MESSAGES = 1000
-_TRUTH = ("truth", "true_disturbance", "true_torque")
-_REQUIRED = ("measurements", "states", "bounds", "disturbance", "disturbance_bound")
-_SERIES = (
-    "innovations", *_TRUTH, "health", "parameters", "parameter_bounds", "delays", "estimate_delays",
-)  # fmt: skip
-# Numbers of a joint that is alone, and those of one among several, are in entries of other names.
-_TWICE = ("health", "parameters", "parameter_bounds")
-# Of which topics the time from the stamp to the recording is of interest.
-_DELAYED = {"measurements": "delays", "states": "estimate_delays"}
-_ALIGNED = {
-    "bounds": "state_bounds",
-    "disturbance": "disturbance",
-    "disturbance_bound": "disturbance_bounds",
-    "torque": "torque",
-    "torque_bound": "torque_bounds",
-}
 BLOCK = 2**17
 """Number of messages that are read at once, of all topics: some 80 s at 200 Hz."""
-# Messages may be recorded this late [ns], and truth before a part still serves it.
-_LATENESS, _BEFORE = 2 * NANOSECONDS, NANOSECONDS
+
+_FIRST_MESSAGES = 1000
+_REQUIRED = ("measurements", "states", "state_bounds", "disturbance", "disturbance_bounds")
+_ALIGNED = (*_REQUIRED[1:], "torque", "torque_bounds")
+# Numbers of a joint that is alone, and those of one among several, are in entries of other names.
+_TWICE = ("health", "parameters", "parameter_bounds")
 
 
-class Series(NamedTuple):
-    """Values with their stamps.
+class Rows:
+    """Rows of numbers that grow in a temporary file, so that long recordings need little memory.
+
+    Args:
+        widths: Number of columns of each field, by name; stamps and log times come besides.
 
     Attributes:
-        stamps: [ns], shape (n,).
-        values: Shape (n, k).
+        widths: The same.
     """
 
-    stamps: Stamps
-    values: Array
+    def __init__(self, widths: Mapping[str, int]) -> None:
+        self.widths = widths
+        times = [("stamps", np.int64), ("log_times", np.int64)]
+        self._type = np.dtype([*times, *((key, np.float64, (n,)) for key, n in widths.items())])
+        self._file = TemporaryFile()  # noqa: SIM115
+        finalize(self, self._file.close)
 
-    def ordered(self) -> "Series":
-        """Return the series by ascending stamp; of equal stamps the first that came is kept."""
-        stamps, places = np.unique(self.stamps, return_index=True)
-        return Series(stamps, self.values[places])
+    def add(self, **fields: NDArray[Any]) -> None:
+        """Add rows, each field of shape (n, width), the times of shape (n,)."""
+        rows = np.empty(len(fields["stamps"]), self._type)
+        for key, values in fields.items():
+            rows[key] = values
+        self._file.write(rows.tobytes())
 
-    def take(self, chosen: NDArray[np.bool_] | slice) -> "Series":
-        """Return some of the values."""
-        return Series(self.stamps[chosen], self.values[chosen])
+    def read(self) -> NDArray[Any]:
+        """Return all rows, a structured array of these fields that is paged in as it is used."""
+        self._file.flush()
+        if not self._file.tell():
+            return np.zeros(0, self._type)
+        return np.memmap(self._file, self._type, "r")
 
-    def followed_by(self, other: "Series") -> "Series":
-        """Return these values and others behind them."""
-        return Series(*(np.concatenate(both) for both in zip(self, other, strict=True)))
-
-    def column(self, place: int) -> "Series":
-        """Return one of the values at each stamp."""
-        return Series(self.stamps, self.values[:, place : place + 1])
-
-    def seconds(self, origin: int) -> Array:
-        """Return the stamps as seconds since `origin` [ns], shape (n,)."""
-        return np.asarray((self.stamps - origin) / NANOSECONDS, dtype=np.float64)
+    def passes(self) -> list[NDArray[Any]]:
+        """Return the passes over the recorded time, of which a looped bag has several."""
+        rows = self.read()
+        return [rows[begin:end] for begin, end in passes(rows["stamps"]) if begin < end]
 
 
-def _no_series(width: int) -> Series:
-    return Series(np.zeros(0, np.int64), np.zeros((0, width)))
+def nearest_pass(found: Sequence[NDArray[Any]], log_time: int) -> NDArray[Any] | None:
+    """Return the pass of `Rows` that began nearest to a log time [ns], None without any."""
+    # Each topic restarts at its own moment, but all of them at about the same.
+    return min(found, key=lambda one: abs(int(one["log_times"][0]) - log_time), default=None)
 
 
 class Estimated(NamedTuple):
@@ -153,14 +140,9 @@ class RecordedRun:
             not recorded.
         estimate_delays: The same of the estimates, values (m, 1).
         topic: Name of the measurements' topic.
-        joints: All that there are estimates of.
-        ran: What the observer ran, as far as the bag has it.
         passes: Number of passes over the recorded time; this is the longest one.
         quantities: What the estimates are of.
         measured: The place of the output that measures a state, by the state's key.
-        begin: Origin of the times [ns]; None if it is in these data.
-        since: Begin of this part of a run [ns], truth may begin earlier; None for the first.
-        until: End of this part of a run [ns], truth may go on; None for the last.
     """
 
     name: str
@@ -183,76 +165,48 @@ class RecordedRun:
     delays: Series | None = None
     estimate_delays: Series | None = None
     topic: str = "joint_measurements"
-    joints: tuple[str, ...] = ()
-    ran: RecordedObserver = field(default_factory=RecordedObserver)
     passes: int = 1
     quantities: tuple[Quantity, ...] = QUANTITIES
     measured: Mapping[str, int] = field(default_factory=lambda: {"link_angle": 0})
-    begin: int | None = None
-    since: int | None = None
-    until: int | None = None
-
-    def covers(self, stamps: Stamps) -> NDArray[np.bool_]:
-        """Return whether stamps are of this part and of no other, shape (n,)."""
-        there = np.ones(len(stamps), np.bool_)
-        if self.since is not None:
-            there &= stamps >= self.since
-        if self.until is not None:
-            there &= stamps < self.until
-        return there
 
     @cached_property
     def origin(self) -> int:
         """Stamp that times count from: the first measurement's, or estimate's if earlier [ns]."""
-        if self.begin is not None:
-            return self.begin
-        first = int(self.stamps[0])
         stamped = self.measurements.stamps[self.measurements.stamps > 0]
-        return min(first, int(stamped.min())) if len(stamped) else first
+        return int(np.append(stamped, self.stamps[0]).min())
 
     @cached_property
     def times(self) -> Array:
         """Times of the estimates since the origin [s], shape (m,)."""
         return np.asarray((self.stamps - self.origin) / NANOSECONDS, dtype=np.float64)
 
-    @property
-    def output_count(self) -> int:
-        """Number of outputs p."""
-        return int(self.disturbance.shape[1])
+    def until(self, stamp: int) -> "RecordedRun":
+        """Return the run with its estimates up to a stamp [ns]."""
+        own = slice(int(np.searchsorted(self.stamps, stamp, side="right")))
+        cut: dict[str, Any] = {key: getattr(self, key)[own] for key in ("stamps", *_ALIGNED)}
+        return replace(self, **cut)
 
     @cached_property
-    def true_states(self) -> Array | None:
-        """Truth at the estimates' stamps, NaN if unknown, shape (m, plant)."""
-        if self.truth is None:
-            return None
+    def _true_values(self) -> dict[str, Array | None]:
+        """Truth at the estimates' stamps by kind, NaN if unknown."""
         rated = self.quantities[1].key == "link_velocity"
-        return (interpolate_motion if rated else interpolate)(self.truth, self.stamps)
-
-    @cached_property
-    def true_disturbance_held(self) -> Array | None:
-        """True disturbances at the estimates' stamps, NaN if unknown, shape (m, p)."""
-        truth = self.true_disturbance
-        return None if truth is None else hold(truth, self.stamps)
-
-    @cached_property
-    def true_torque_held(self) -> Array | None:
-        """True torque disturbances at the estimates' stamps, NaN if unknown [N m], shape (m, t)."""
-        return None if self.true_torque is None else hold(self.true_torque, self.stamps)
+        return {
+            kind: None if series is None else read(series, self.stamps)
+            for kind, series, read in (
+                ("state", self.truth, interpolate_motion if rated else interpolate),
+                ("disturbance", self.true_disturbance, hold),
+                ("torque", self.true_torque, hold),
+            )
+        }
 
     def of(self, quantity: Quantity) -> Estimated:
         """Return what is known of a quantity."""
-        own = {
-            "state": (self.states, self.state_bounds, self.truth, self.true_states),
-            "disturbance": (
-                self.disturbance,
-                self.disturbance_bounds,
-                self.true_disturbance,
-                self.true_disturbance_held,
-            ),
-            "torque": (self.torque, self.torque_bounds, self.true_torque, self.true_torque_held),
-        }
-        values, bounds, series, truth = own[quantity.kind]
-        column = quantity.column
+        values, bounds, series = {
+            "state": (self.states, self.state_bounds, self.truth),
+            "disturbance": (self.disturbance, self.disturbance_bounds, self.true_disturbance),
+            "torque": (self.torque, self.torque_bounds, self.true_torque),
+        }[quantity.kind]
+        truth, column = self._true_values[quantity.kind], quantity.column
         return Estimated(
             values[:, column],
             bounds[:, column],
@@ -268,27 +222,13 @@ def read_run(
     namespace: str | None = None,
     observer: str = "observer",
 ) -> RecordedRun:
-    """Read a run from a bag at once; see `find_run`."""
-    (run,) = find_run(bag, joint, namespace=namespace, observer=observer, size=None)
-    return run
-
-
-def find_run(
-    bag: Path,
-    joint: str | None = None,
-    *,
-    namespace: str | None = None,
-    observer: str = "observer",
-    size: int | None = BLOCK,
-) -> "RunParts":
-    """Find a run in a bag, of the design that its observer ran, else of the shipped one.
+    """Read a run from a bag, of the design that its observer ran, else of the shipped one.
 
     Args:
         bag: Bag folder or MCAP file.
         joint: Name of the joint; None if there are estimates of one only.
         namespace: Namespace of all topics, for a bag with several arms.
         observer: Name of the observer node.
-        size: Number of messages in a part, divisible by 4; None for one part.
 
     Raises:
         BagReadError: As for `find_observer` and its `run`.
@@ -297,7 +237,7 @@ def find_run(
     found = find_observer(bag, namespace=namespace, observer=observer)
     joint = found.choose(joint)
     (files,) = choose_designs(bag, found.ran, [joint]).values()
-    return found.run(joint, files[0].design.request, size)
+    return found.run(joint, files[0].design.request)
 
 
 def find_observer(
@@ -314,48 +254,51 @@ def find_observer(
         BagReadError: The bag cannot be read, or has several topics that could be meant.
     """
     reader = BagReader(bag)
-    names = {key: _find(reader, end, namespace) for key, end in _topics(observer).items()}
+    ends = _topics(observer)
+    names = {key: _find(reader, end, namespace) for key, end in ends.items()}
     ran, entries = RecordedObserver(), tuple[str, ...]()
     if names["states"] is not None:
         ran = recorded_observer(reader, names["states"].removesuffix(f"/{topics.STATES}"))
-        names["measurements"] = names["measurements"] or _there(reader, ran.measurements)
-        entries = _first_entries(reader, names["states"])
-    return FoundObserver(reader, observer, names, ran, entries)
+        info = reader.topics.get(ran.measurements or "")
+        if names["measurements"] is None and info is not None and info.type == JOINT_STATE:
+            names["measurements"] = info.name
+        messages = islice(reader.messages([names["states"]]), _FIRST_MESSAGES)
+        groups, _ = JointStateDecoder().decode_all([message.data for message in messages])
+        entries = tuple(dict.fromkeys(name for group in groups for name in group.names))
+    return FoundObserver(reader, ends, names, ran, entries)
 
 
+@dataclass(frozen=True)
 class FoundObserver:
     """A recorded observer.
 
-    Args:
+    Attributes:
         reader: The bag.
-        observer: Name of the node.
-        names: Its topics by what they are of; None for one that the bag does not have.
+        ends: Ends of the names of its topics, by what they are of.
+        names: Their names; None for one that the bag does not have.
         ran: What it ran, as far as the bag has it.
         entries: Names in its first estimates.
-
-    Attributes:
-        ran: The same.
-        joints: All that there are estimates of.
     """
 
-    def __init__(
-        self,
-        reader: BagReader,
-        observer: str,
-        names: Mapping[str, str | None],
-        ran: RecordedObserver,
-        entries: tuple[str, ...],
-    ) -> None:
-        self._reader, self._observer, self._names, self.ran = reader, observer, names, ran
-        self._entries = entries
-        links = [one.removesuffix("_link") for one in entries if one.endswith("_link")]
-        arms = [joint for joint in links if topics.sides(joint)[1] in entries]
-        self._has_names = {one.partition("/")[0] for one in entries if "/" in one}
-        alone = len(ran.designs) == 1 and bool(entries)
-        systems = [one for one in ran.designs if one in self._has_names or alone]
-        self.joints = tuple(dict.fromkeys([*arms, *systems]))
-        if entries and not self.joints:
-            self.joints = (UNNAMED_SYSTEM,)
+    reader: BagReader
+    ends: Mapping[str, str]
+    names: dict[str, str | None]
+    ran: RecordedObserver
+    entries: tuple[str, ...]
+
+    @property
+    def _named(self) -> set[str]:
+        return {one.partition("/")[0] for one in self.entries if "/" in one}
+
+    @cached_property
+    def joints(self) -> tuple[str, ...]:
+        """All that there are estimates of."""
+        links = [one.removesuffix("_link") for one in self.entries if one.endswith("_link")]
+        arms = [joint for joint in links if topics.sides(joint)[1] in self.entries]
+        alone = len(self.ran.designs) == 1 and bool(self.entries)
+        systems = [one for one in self.ran.designs if one in self._named or alone]
+        found = tuple(dict.fromkeys([*arms, *systems]))
+        return (UNNAMED_SYSTEM,) if self.entries and not found else found
 
     def choose(self, joint: str | None) -> str:
         """Return the joint of a name, the only one if it is None.
@@ -363,20 +306,23 @@ class FoundObserver:
         Raises:
             BagReadError: There are no estimates of such a joint, or of several.
         """
-        self._require({key: self._names[key] for key in ("states",)})
-        if not self._entries:
-            made = self._reader.topics.get(self._names["measurements"] or "")
+        path = self.reader.path
+        self._require(["states"])
+        if not self.entries:
+            made = self.reader.topics.get(self.names["measurements"] or "")
             of = "" if made is None else f" of {made.count} measurements on {made.name}"
             raise BagReadError(
-                f"{self._reader.path}: the observer made no estimate{of}; its design may be of "
-                "another arm or system, and its log and /diagnostics say why measurements were "
-                "rejected"
+                f"{path}: the observer made no estimate{of}; its design may be of another arm or "
+                "system, and its log and /diagnostics say why measurements were rejected"
             )
-        return _choose_joint(self._reader.path, self.joints, joint)
+        if joint in self.joints or (joint is None and len(self.joints) == 1):
+            return joint or self.joints[0]
+        has = ", ".join(self.joints)
+        if joint is None:
+            raise BagReadError(f"{path}: estimates of several joints, choose one of: {has}")
+        raise BagReadError(f"{path}: no estimate of joint '{joint}'; joints: {has}")
 
-    def run(
-        self, joint: str, request: ArmRequest | TSRequest, size: int | None = BLOCK
-    ) -> "RunParts":
+    def run(self, joint: str, request: ArmRequest | TSRequest) -> RecordedRun:
         """Return the estimates of a joint.
 
         If the recorded time restarts, as in a looped bag, the pass with the longest estimates is
@@ -385,288 +331,102 @@ class FoundObserver:
         Args:
             joint: The joint.
             request: Of its design.
-            size: Number of messages in a part, divisible by 4; None for one part.
 
         Raises:
             BagReadError: The bag lacks a topic that is needed, or messages of the joint on it.
         """
-        reader, names = self._reader, self._names
-        own = signals(request, joint, joint not in self._has_names)
-        quantities = quantities_of(request)
+        self._require(_REQUIRED)
+        own = signals(request, joint, joint not in self._named)
         wanted = _wanted(joint, own, request.uncertainty_model.names)
-        required = {key: names[key] for key in _REQUIRED}
-        self._require(required)
-        there = {name: (key, wanted[key]) for key, name in names.items()
-                 if name is not None and any(wanted[key])}  # fmt: skip
-        kept = _KeptBlocks(_blocks(reader, there, BLOCK if size is None else size))
-        streams = _survey(kept.write())
-        if empty := [str(name) for key, name in required.items() if not streams[key]]:
+        found = {key: rows.passes() for key, rows in self._rows(wanted).items()}
+        if empty := [str(self.names[key]) for key in _REQUIRED if not found[key]]:
             raise BagReadError(
-                f"{reader.path}: no message about joint '{joint}' on {', '.join(empty)}"
+                f"{self.reader.path}: no message about joint '{joint}' on {', '.join(empty)}"
             )
-        states = max(streams["states"], key=lambda one: one.last - one.first)
-        # Each topic restarts at its own moment, but all of them at about the same.
+        states = max(found["states"], key=lambda one: float(np.ptp(one["stamps"])))
+        log_time = int(states["log_times"][0])
         chosen = {
-            key: min(spans, key=lambda one: abs(one.log_time - states.log_time))
-            for key, spans in streams.items()
-            if spans
+            key: rows
+            for key, all_of_it in found.items()
+            if (rows := nearest_pass(all_of_it, log_time)) is not None
         }
-        none = {key: np.zeros((0, sum(map(len, one)))) for key, one in wanted.items()}
-        run = RecordedRun(
-            name="/".join(Path(reader.path).absolute().parts[-2:]),
+        series = {key: Series(one["stamps"], one["values"]) for key, one in chosen.items()}
+        delays: dict[str, Any] = {
+            key: Series(chosen[name]["stamps"], late[:, np.newaxis]).ordered()
+            for key, name in (("delays", "measurements"), ("estimate_delays", "states"))
+            for late in [(chosen[name]["log_times"] - chosen[name]["stamps"]) / NANOSECONDS]
+        }
+        stamps = (ordered := series.pop("states").ordered()).stamps
+        nothing = np.full((len(stamps), len(own.torques)), np.nan)
+        aligned: dict[str, Any] = {
+            key: align(series.pop(key), stamps) if key in series else nothing
+            for key in _ALIGNED
+            if key != "states"
+        }
+        if "health" in series:
+            series["health"] = series["health"]._replace(values=as_of_now(series["health"].values))
+        measurements = series.pop("measurements")
+        others: dict[str, Any] = {key: one.ordered() for key, one in series.items()}
+        parts = [part for part in Path(self.reader.path).absolute().parts if part != "bag"]
+        return RecordedRun(
+            name=f"{joint}, {parts[-1]}" if len(parts) > 1 else joint,
             joint=joint,
-            measurements=_no_series(len(own.outputs) + len(own.inputs)),
-            stamps=_no_series(0).stamps,
-            states=none["states"],
-            state_bounds=none["bounds"],
-            disturbance=none["disturbance"],
-            disturbance_bounds=none["disturbance_bound"],
-            torque=none["torque"],
-            torque_bounds=none["torque_bound"],
-            topic=str(names["measurements"]),
-            joints=self.joints,
-            ran=self.ran,
-            passes=len(streams["states"]),
-            quantities=quantities,
+            measurements=measurements,
+            stamps=stamps,
+            states=ordered.values,
+            topic=str(self.names["measurements"]),
+            passes=len(found["states"]),
+            quantities=quantities_of(request),
             measured=measured_states(request),
-            begin=min([states.first, *chosen["measurements"].first_stamped]),
+            **aligned,
+            **others,
+            **delays,
         )
-        shown = {name: one for name, one in there.items() if one[0] in chosen}
-        return RunParts(_blocks(reader, shown, None) if size is None else kept, shown, chosen, run)
+
+    def _rows(self, wanted: Mapping[str, Wanted]) -> dict[str, Rows]:
+        """Read what is there of a joint."""
+        there = {name: (key, wanted[key]) for key, name in self.names.items()
+                 if name is not None and any(wanted[key])}  # fmt: skip
+        found = {
+            key: Rows({"values": sum(map(len, groups[: 1 if key in _TWICE else None]))})
+            for key, groups in there.values()
+        }
+        blocks = read_blocks(self.reader, {name: own for name, (_, own) in there.items()}, BLOCK)
+        for block in blocks:
+            for name, (key, groups) in there.items():
+                one = block.series[name]
+                parts = [one.values[:, place, : len(own)] for place, own in enumerate(groups)]
+                there_is = one.named[:, 0]
+                if key in _TWICE:
+                    several = one.named[:, 1]
+                    parts = [np.where(several[:, np.newaxis], parts[1], parts[0])]
+                    there_is = there_is | several
+                found[key].add(
+                    stamps=one.stamps[there_is],
+                    log_times=one.log_times[there_is],
+                    values=np.hstack(parts)[there_is],
+                )
+        return found
 
     def statuses(self, joint: str) -> Iterator[RecordedStatus]:
         """Yield the recorded statuses of the observer that are of a joint, or of all joints."""
-        topic = self._reader.topics.get("/diagnostics")
-        node = str(self._names["states"]).removesuffix(f"/{topics.STATES}").strip("/")
+        topic = self.reader.topics.get("/diagnostics")
+        node = str(self.names["states"]).removesuffix(f"/{topics.STATES}").strip("/")
         if topic is None or topic.type != DIAGNOSTICS:
             return
         mark = f"{node}: ".encode()
-        for rows, records in read_rows(self._reader, [topic.name]):
-            places = zip(
-                rows.chunks.tolist(), rows.begins.tolist(), rows.sizes.tolist(), strict=True
-            )
-            for chunk, begin, size in places:
-                data = records[chunk][begin : begin + size].tobytes()
-                for status in read_statuses(data) if mark in data else ():
-                    of_all = status.name[-1] == "timing" or len(self.joints) == 1
-                    if status.name[0] == node and (of_all or status.hardware == joint):
-                        yield status
+        for message in self.reader.messages([topic.name]):
+            for status in read_statuses(message.data) if mark in message.data else ():
+                of_all = status.name[-1] == "timing" or len(self.joints) == 1
+                if status.name[0] == node and (of_all or status.hardware == joint):
+                    yield status
 
-    def _require(self, names: Mapping[str, str | None]) -> None:
-        ends = _topics(self._observer)
-        if missing := [ends[key] for key, name in names.items() if name is None]:
-            has = ", ".join(self._reader.topics) or "none"
+    def _require(self, keys: Sequence[str]) -> None:
+        if missing := [self.ends[key] for key in keys if self.names[key] is None]:
+            has = ", ".join(self.reader.topics) or "none"
             raise BagReadError(
-                f"{self._reader.path}: no topic ends in {', '.join(missing)}; topics: {has}"
+                f"{self.reader.path}: no topic ends in {', '.join(missing)}; topics: {has}"
             )
-
-
-class _Span(NamedTuple):
-    """A pass over the stamps of a topic.
-
-    Attributes:
-        begin: Place of its first message among those about the joint.
-        end: Place after its last message.
-        log_time: Of its first message [ns].
-        first: Smallest stamp [ns].
-        last: Largest stamp [ns].
-        first_stamped: Smallest stamp above zero, none or one.
-    """
-
-    begin: int
-    end: int
-    log_time: int
-    first: int
-    last: int
-    first_stamped: tuple[int, ...]
-
-
-class _PassFinder:
-    """Finds the passes over a topic's stamps, block by block."""
-
-    def __init__(self) -> None:
-        self.spans: list[_Span] = []
-        self._waiting = np.zeros((2, 0), np.int64)
-        self._count, self._highest = 0, 0
-
-    def add(self, log_times: Stamps, stamps: Stamps, *, is_last: bool) -> None:
-        """Add messages; whether time restarts at one shows in the next ones."""
-        log_times, stamps = np.concatenate([self._waiting, [log_times, stamps]], axis=1)
-        known = len(stamps) if is_last else max(0, len(stamps) - RESTART_MESSAGES)
-        edges = [edge for edge in restarts(stamps, self._highest) if edge < known]
-        for number, (begin, end) in enumerate(pairwise([0, *edges, known])):
-            if begin == end:
-                continue
-            own = stamps[begin:end]
-            span = _Span(
-                self._count + begin,
-                self._count + end,
-                int(log_times[begin]),
-                int(own.min()),
-                int(own.max()),
-                tuple(own[own > 0][:1].tolist() and [int(own[own > 0].min())]),
-            )
-            self._highest = max(span.last, 0 if number else self._highest)
-            if number or not self.spans:
-                self.spans.append(span)
-                continue
-            last = self.spans[-1]
-            self.spans[-1] = last._replace(
-                end=span.end,
-                first=min(last.first, span.first),
-                last=max(last.last, span.last),
-                first_stamped=tuple(sorted(last.first_stamped + span.first_stamped)[:1]),
-            )
-        self._count += known
-        self._waiting = np.stack([log_times[known:], stamps[known:]])
-
-
-class _Read(NamedTuple):
-    """Messages about a joint.
-
-    Attributes:
-        stamps: [ns], shape (n,).
-        log_times: [ns], shape (n,).
-        values: Of all groups that are read, shape (n, k).
-    """
-
-    stamps: Stamps
-    log_times: Stamps
-    values: Array
-
-
-_Blocks: TypeAlias = Iterable[tuple[dict[str, _Read], bool]]
-"""The topics of a run block by block, and whether it is the last one."""
-
-
-class _KeptBlocks:
-    """Blocks in a temporary file, some 0.3 kB for each estimate, as they are needed thrice."""
-
-    def __init__(self, blocks: _Blocks) -> None:
-        self._file = TemporaryFile()  # noqa: SIM115 (closed when this object goes)
-        finalize(self, self._file.close)
-        self._keys: list[tuple[str, ...]] = []
-        self._blocks = blocks
-
-    def write(self) -> Iterator[tuple[dict[str, _Read], bool]]:
-        """Yield the blocks, and keep them."""
-        for block, is_last in self._blocks:
-            self._keys.append(tuple(block))
-            for array in chain.from_iterable(block.values()):
-                np.save(self._file, array)
-            yield block, is_last
-
-    def __iter__(self) -> Iterator[tuple[dict[str, _Read], bool]]:
-        self._file.seek(0)
-        for number, keys in enumerate(self._keys, 1):
-            block = {key: _Read(*(np.load(self._file) for _ in _Read._fields)) for key in keys}
-            yield block, number == len(self._keys)
-
-
-def _survey(blocks: _Blocks) -> dict[str, list[_Span]]:
-    finders: dict[str, _PassFinder] = {}
-    for block, is_last in blocks:
-        for key, (stamps, log_times, _) in block.items():
-            finder = finders.setdefault(key, _PassFinder())
-            finder.add(log_times, stamps, is_last=is_last)
-    return {key: finder.spans for key, finder in finders.items()}
-
-
-def _blocks(
-    reader: BagReader, there: Mapping[str, tuple[str, Wanted]], size: int | None
-) -> Iterator[tuple[dict[str, _Read], bool]]:
-    wanted = {name: own for name, (_, own) in there.items()}
-    for block in read_blocks(reader, wanted, size):
-        found = {}
-        for name, (key, groups) in there.items():
-            series, shown = block.series[name], groups
-            if key in _TWICE:
-                series, shown = _as_named(series), groups[:1]
-            named = series.named[:, 0]
-            parts = [series.values[named, group, : len(one)] for group, one in enumerate(shown)]
-            values = as_of_now(parts[0]) if key == "health" else np.hstack(parts)
-            found[key] = _Read(series.stamps[named], series.log_times[named], values)
-        yield found, block.horizon == math.inf
-
-
-class RunParts:
-    """A recorded run in parts of bounded size, read from the bag each time that they are needed.
-
-    Args:
-        blocks: The messages.
-        there: What is read of which topic, and the name of a run's part that it is.
-        spans: The pass to read of each.
-        run: What all parts have in common.
-
-    Attributes:
-        run: The same.
-        has_truth: Whether there is any.
-    """
-
-    def __init__(
-        self,
-        blocks: _Blocks,
-        there: Mapping[str, tuple[str, Wanted]],
-        spans: Mapping[str, _Span],
-        run: RecordedRun,
-    ) -> None:
-        self.run, self._blocks, self._spans = run, blocks, spans
-        self._widths = {key: sum(map(len, wanted[: 1 if key in _TWICE else None]))
-                        for key, wanted in there.values()}  # fmt: skip
-        self.has_truth = "truth" in spans
-
-    def __iter__(self) -> Iterator[RecordedRun]:
-        count = dict.fromkeys(self._spans, 0)
-        waiting = {key: _no_series(self._widths[key]) for key in self._spans}
-        waiting |= {_DELAYED[key]: _no_series(1) for key in self._spans.keys() & _DELAYED.keys()}
-        since: int | None = None
-        for block, is_last in self._blocks:
-            for key, span in self._spans.items():
-                stamps, log_times, values = block[key]
-                # The messages of the block that are of the pass.
-                first = min(max(span.begin - count[key], 0), len(stamps))
-                own = slice(first, max(span.end - count[key], first))
-                count[key] += len(stamps)
-                waiting[key] = waiting[key].followed_by(Series(stamps[own], values[own]))
-                if key in _DELAYED:
-                    late = (log_times[own] - stamps[own]) / NANOSECONDS
-                    delays = Series(stamps[own], late[:, np.newaxis])
-                    waiting[_DELAYED[key]] = waiting[_DELAYED[key]].followed_by(delays)
-            latest = waiting["states"].stamps.max(initial=0)
-            until = None if is_last else int(latest) - _LATENESS
-            part = self._part(waiting, since, until)
-            if len(part.stamps) or is_last:
-                yield part
-                since = until
-                waiting = {
-                    key: one.take(one.stamps >= (until or 0) - (_BEFORE if key in _TRUTH else 0))
-                    if key != "measurements"
-                    else one.take(slice(0))
-                    for key, one in waiting.items()
-                }
-
-    def _part(
-        self, waiting: Mapping[str, Series], since: int | None, until: int | None
-    ) -> RecordedRun:
-        run = replace(self.run, since=since, until=until)
-        known = {
-            key: one if key in (*_TRUTH, "measurements") else one.take(run.covers(one.stamps))
-            for key, one in waiting.items()
-        }
-        states = known["states"].ordered()
-        optional: dict[str, Any] = {key: known[key].ordered() for key in _SERIES if key in known}
-        aligned: dict[str, Any] = {
-            name: align(known[key], states.stamps) for key, name in _ALIGNED.items() if key in known
-        }
-        nothing = np.full((len(states.stamps), run.torque.shape[1]), np.nan)
-        return replace(
-            run,
-            measurements=known["measurements"],
-            stamps=states.stamps,
-            states=states.values,
-            **{"torque": nothing, "torque_bounds": nothing, **aligned},
-            **optional,
-        )
 
 
 def _topics(observer: str) -> dict[str, str]:
@@ -674,11 +434,11 @@ def _topics(observer: str) -> dict[str, str]:
     return {
         "measurements": MEASUREMENTS,
         "states": f"{observer}/{topics.STATES}",
-        "bounds": f"{observer}/{topics.STATE_BOUNDS}",
+        "state_bounds": f"{observer}/{topics.STATE_BOUNDS}",
         "disturbance": f"{observer}/{topics.DISTURBANCE}",
-        "disturbance_bound": f"{observer}/{topics.DISTURBANCE_BOUND}",
+        "disturbance_bounds": f"{observer}/{topics.DISTURBANCE_BOUND}",
         "torque": f"{observer}/{topics.TORQUE_DISTURBANCE}",
-        "torque_bound": f"{observer}/{topics.TORQUE_DISTURBANCE_BOUND}",
+        "torque_bounds": f"{observer}/{topics.TORQUE_DISTURBANCE_BOUND}",
         "innovations": f"{observer}/{topics.INNOVATION}",
         "health": f"{observer}/{topics.HEALTH}",
         "parameters": f"{observer}/{topics.PARAMETERS}",
@@ -694,22 +454,23 @@ def _wanted(joint: str, own: Signals, learnt: tuple[str, ...]) -> dict[str, Want
     alone, named = (
         places_of(joint, own, alone=alone, learnt=learnt, rated=False) for alone in (True, False)
     )
-    return {
+    states, torques, channels = [own.states], [own.torques], [alone[topics.DISTURBANCE]]
+    places: dict[str, Wanted] = {
         "measurements": [own.outputs, own.inputs],
-        "states": [own.states],
-        "bounds": [own.states],
-        "disturbance": [alone[topics.DISTURBANCE]],
-        "disturbance_bound": [alone[topics.DISTURBANCE]],
-        "torque": [own.torques],
-        "torque_bound": [own.torques],
-        "innovations": [alone[topics.INNOVATION]],
-        **{
-            key: [alone[topic], named[topic]]
-            for key, topic in zip(_TWICE, (topics.HEALTH, *topics.PARAMETER_TOPICS), strict=True)
-        },
-        "truth": [own.states],
-        "true_disturbance": [alone[topics.TRUE_DISTURBANCE]],
-        "true_torque": [own.torques],
+        "states": states,
+        "disturbance": channels,
+        "torque": torques,
+        "innovations": channels,
+        "truth": states,
+        "true_disturbance": channels,
+        "true_torque": torques,
+    }
+    twice = zip(_TWICE, (topics.HEALTH, *topics.PARAMETER_TOPICS), strict=True)
+    return {
+        **places,
+        **{f"{key}_bounds": places[key] for key in ("disturbance", "torque")},
+        "state_bounds": states,
+        **{key: [alone[topic], named[topic]] for key, topic in twice},
     }
 
 
@@ -729,41 +490,14 @@ def _find(reader: BagReader, suffix: str, namespace: str | None) -> str | None:
     return matches[0] if matches else None
 
 
-def _there(reader: BagReader, name: str | None) -> str | None:
-    info = reader.topics.get(name or "")
-    return None if info is None or info.type != JOINT_STATE else info.name
-
-
-def _first_entries(reader: BagReader, topic: str) -> tuple[str, ...]:
-    """Return the names in the first estimates."""
-    messages = islice(reader.messages([topic]), _FIRST_MESSAGES)
-    groups, _ = JointStateDecoder().decode_all([message.data for message in messages])
-    return tuple(dict.fromkeys(name for group in groups for name in group.names))
-
-
-def _choose_joint(bag: Path, joints: tuple[str, ...], joint: str | None) -> str:
-    if joint in joints or (joint is None and len(joints) == 1):
-        return joint or joints[0]
-    has = ", ".join(joints) or "none"
-    if joint is None and joints:
-        raise BagReadError(f"{bag}: estimates of several joints, choose one of: {has}")
-    whom = "" if joint is None else f" of joint '{joint}'"
-    raise BagReadError(f"{bag}: no estimate{whom}; joints: {has}")
-
-
-def _as_named(series: JointSeries) -> JointSeries:
-    """Return the numbers of a joint that is alone or, if there are such, of one among several."""
-    return series.of_joint(int(series.named[:, 1].any()))
-
-
 def align(series: Series, stamps: Stamps) -> Array:
     """Return the values that have exactly these stamps, NaN if there is none, (m, k)."""
     source = series.ordered()
+    if np.array_equal(source.stamps, stamps):
+        return source.values
     result = np.full((len(stamps), source.values.shape[1]), np.nan)
-    if len(source.stamps):
-        places = np.searchsorted(source.stamps, stamps).clip(max=len(source.stamps) - 1)
-        found = source.stamps[places] == stamps
-        result[found] = source.values[places[found]]
+    _, here, there = np.intersect1d(stamps, source.stamps, return_indices=True)
+    result[here] = source.values[there]
     return result
 
 
@@ -785,23 +519,12 @@ def interpolate_motion(series: Series, stamps: Stamps, max_gap: float = MAX_GAP)
     Returns:
         The motion, shape (m, 4).
     """
-    result = np.full((len(stamps), 4), np.nan)
-    series = _known(series)
-    if len(series.stamps) < 2:
-        return result
-    inside = _between_close_samples(series.stamps, stamps, max_gap)
-    origin = int(series.stamps[0])
-    times, wanted = series.seconds(origin), (stamps[inside] - origin) / NANOSECONDS
-    spline = CubicHermiteSpline(times, series.values[:, 0::2], series.values[:, 1::2], axis=0)
-    result[inside, 0::2] = spline(wanted)
-    result[inside, 1::2] = spline(wanted, 1)
-    return result
 
+    def motion(times: Array, values: Array, wanted: Array) -> Array:
+        spline = CubicHermiteSpline(times, values[:, 0::2], values[:, 1::2], axis=0)
+        return np.stack([spline(wanted), spline(wanted, 1)], axis=2).reshape(len(wanted), 4)
 
-def _known(series: Series) -> Series:
-    """Return the samples without those that have a number that is none."""
-    known = np.isfinite(series.values).all(axis=1)
-    return Series(series.stamps[known], series.values[known])
+    return _between(series, stamps, max_gap, motion)
 
 
 def interpolate(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
@@ -814,15 +537,40 @@ def interpolate(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Arr
         stamps: Where to evaluate [ns], shape (m,).
         max_gap: Distance of neighbouring samples that still counts as sampled [s].
     """
+
+    def curve(times: Array, values: Array, wanted: Array) -> Array:
+        slopes = np.gradient(values, times, axis=0)
+        return np.asarray(CubicHermiteSpline(times, values, slopes, axis=0)(wanted))
+
+    return _between(series, stamps, max_gap, curve)
+
+
+def _between(
+    series: Series,
+    stamps: Stamps,
+    max_gap: float,
+    curve: Callable[[Array, Array, Array], Array],
+) -> Array:
+    """Evaluate a curve through samples block by block, NaN outside of them and in gaps."""
+    if np.array_equal(series.stamps, stamps):
+        return series.values
     result = np.full((len(stamps), series.values.shape[1]), np.nan)
-    series = _known(series)
-    if len(series.stamps) < 2:
-        return result
-    inside = _between_close_samples(series.stamps, stamps, max_gap)
-    origin = int(series.stamps[0])
-    times, wanted = series.seconds(origin), (stamps[inside] - origin) / NANOSECONDS
-    slopes = np.gradient(series.values, times, axis=0)
-    result[inside] = CubicHermiteSpline(times, series.values, slopes, axis=0)(wanted)
+    series = series.take(np.flatnonzero(np.isfinite(series.values).all(axis=1)))
+    for begin in range(0, len(stamps), BLOCK):
+        own = stamps[begin : begin + BLOCK]
+        near = slice(
+            max(int(np.searchsorted(series.stamps, own[0])) - 2, 0),
+            int(np.searchsorted(series.stamps, own[-1])) + 2,
+        )
+        known = series.take(near)
+        if len(known.stamps) < 2:
+            continue
+        inside = (own >= known.stamps[0]) & (own <= known.stamps[-1])
+        right = np.searchsorted(known.stamps, own, side="right").clip(1, len(known.stamps) - 1)
+        inside &= known.stamps[right] - known.stamps[right - 1] <= max_gap * NANOSECONDS
+        origin = int(known.stamps[0])
+        wanted = (own[inside] - origin) / NANOSECONDS
+        result[begin : begin + BLOCK][inside] = curve(known.seconds(origin), known.values, wanted)
     return result
 
 
@@ -832,6 +580,8 @@ def hold(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
     A disturbance may jump, so nothing is assumed between its samples; of one that moves at a
     rate r this is late by at most one period h, an error of at most r h.
     """
+    if np.array_equal(series.stamps, stamps):
+        return series.values
     result = np.full((len(stamps), series.values.shape[1]), np.nan)
     places = np.searchsorted(series.stamps, stamps, side="right") - 1
     recent = places >= 0
@@ -839,10 +589,3 @@ def hold(series: Series, stamps: Stamps, max_gap: float = MAX_GAP) -> Array:
     recent[recent] = age <= max_gap * NANOSECONDS
     result[recent] = series.values[places[recent]]
     return result
-
-
-def _between_close_samples(known: Stamps, stamps: Stamps, max_gap: float) -> NDArray[np.bool_]:
-    inside = (stamps >= known[0]) & (stamps <= known[-1])
-    right = np.searchsorted(known, stamps, side="right").clip(1, len(known) - 1)
-    close = known[right] - known[right - 1] <= max_gap * NANOSECONDS
-    return np.asarray(inside & close)
