@@ -296,7 +296,7 @@ def cut_a_record(file: Path) -> None:
     [
         (damage_data, {}, r"the file is damaged: at byte \d+: .*checksum"),
         (forget_a_channel, {"enable_crcs": False}, "channel 9, which is not described"),
-        (cut_a_record, {"enable_crcs": False}, "not whole records"),
+        (cut_a_record, {"enable_crcs": False}, "bytes that are no record"),
     ],
 )
 def test_a_damaged_chunk_is_not_copied(

@@ -28,12 +28,12 @@ from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
-from tsobs_ros.bag.container import MAGIC, RECORD, split_messages
-from tsobs_ros.bag.damaged_file import Content, DamagedFile
+from tsobs_ros.bag.container import MAGIC, RECORD
 from tsobs_ros.bag.metadata import read_metadata
 from tsobs_ros.bag.recovery import Recovery, recover
 from tsobs_ros.bag.summary import summarise
 from tsobs_ros.bag.verification import verify
+from tsobs_ros.bag.walker import FileWalker
 from tsobs_ros.errors import BagReadError, BagWriteError
 
 STRING = "std_msgs/msg/String"
@@ -102,12 +102,13 @@ def scanned(data: bytes, *, checked: bool = False) -> list[tuple[bytes, int, int
     with TemporaryFile() as stream:
         stream.write(data)
         stream.flush()
-        pieces = DamagedFile(stream, len(data)).pieces(lambda _: None)
         return [
-            (message, log_time, publish_time)
-            for piece in pieces
-            if isinstance(piece, Content) and (piece.is_checked or not checked)
-            for _, log_time, publish_time, _, message in split_messages(piece.records)
+            (content.data[begin : begin + size], log_time, publish_time)
+            for part in FileWalker(stream, len(data)).parts()
+            if (content := part.content) and (part.is_checked or not checked)
+            for _, log_time, publish_time, begin, size in zip(
+                *(column.tolist() for column in content[1:]), strict=True
+            )
         ]
 
 

@@ -20,8 +20,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from tsobs_ros.bag import BagWriter, QosProfile
-from tsobs_ros.bag.container import MAGIC, RECORD
-from tsobs_ros.bag.damaged_file import parse_record
+from tsobs_ros.bag.container import MAGIC, RECORD, parse_record
 from tsobs_ros.bag.definitions import find_definition
 from tsobs_ros.bag.metadata import profiles_to_yaml
 from tsobs_ros.bag.verification import Verification, verify
@@ -242,7 +241,7 @@ def setter(**values: object) -> Callable[[Any], object]:
         (Opcode.STATISTICS, setter(channel_message_counts={1: 9, 2: 9}), "messages by channel is"),
         (Opcode.CHUNK_INDEX, setter(message_start_time=1), "of the chunk at byte .* is stated as"),
         (Opcode.CHUNK_INDEX, setter(message_end_time=1), "of the chunk at byte .* is stated as"),
-        (Opcode.CHUNK_INDEX, setter(chunk_length=1), "of the chunk at byte .* is stated as"),
+        (Opcode.CHUNK_INDEX, setter(chunk_length=1), "at byte .* index of the file does not state"),
         (Opcode.CHUNK_INDEX, setter(message_index_offsets={1: 5, 2: 6}), "index offsets of the"),
         (Opcode.CHUNK_INDEX, setter(chunk_start_offset=1), "no index of the chunk at byte"),
         (Opcode.CHUNK_INDEX, setter(chunk_start_offset=1), "chunk at byte 1, where none is"),
@@ -287,22 +286,11 @@ def overwritten(data: bytes, opcode: Opcode, place: int, new: bytes) -> bytes:
         (lambda d: MAGIC * 2, "has no end|damaged"),
         (lambda d: d[:-12] + b"abcd" + MAGIC, "checksum .* of its summary"),
         (lambda d: MAGIC + d[d.index(b"\x0c") :], "does not start with a header"),
-        (
-            lambda d: overwritten(d, Opcode.CHUNK, 6, b"\xff"),
-            "at byte .* no record, or one that is",
-        ),
-        (
-            lambda d: overwritten(d, Opcode.CHUNK, 4, b"\x10"),
-            "at byte .* no record, or one that is",
-        ),
-        (lambda d: overwritten(d, Opcode.CHUNK, 41, b"\xff"), "damaged: at byte .*: not a record"),
-        (lambda d: overwritten(d, Opcode.CHUNK, 48, b"\xff"), "damaged: at byte .*: not a record"),
+        (lambda d: overwritten(d, Opcode.CHUNK, 6, b"\xff"), "at byte .* not a record"),
+        (lambda d: overwritten(d, Opcode.CHUNK, 41, b"\xff"), "at byte .* not a record"),
         (lambda d: overwritten(d, Opcode.CHUNK, 25, b"\x00"), "states .* bytes of content"),
         (lambda d: overwritten(d, Opcode.MESSAGE_INDEX, 11, b"\x09"), "index at byte .* is malf"),
-        (
-            lambda d: overwritten(d, Opcode.METADATA, 9, b"\xff"),
-            "damaged: at byte .*: not a record",
-        ),
+        (lambda d: overwritten(d, Opcode.METADATA, 9, b"\xff"), "at byte .*: not a record"),
     ],
 )
 def test_a_damaged_file_is_an_error(
@@ -363,7 +351,7 @@ def defined(text: str) -> tuple[str, str, bytes]:
         ({"schema_id": 7}, "/a: has the schema 7, which is not there before it"),
         ({"metadata": {**CHANNEL, "offered_qos_profiles": "["}}, "/a: not a list of QoS profiles"),
         ({"channel_id": 7}, "a message is of channel 7, which is not there before it"),
-        ({"log_time": 2**63}, "/a: a time does not fit 63 bits: log 9223372036854775808 ns"),
+        ({"log_time": 2**63}, "/a: a time does not fit 63 bits"),
         ({"publish_time": 2**63}, "/a: a time does not fit 63 bits"),
         ({"data": HELLO[:-3]}, r"/a: the message at 5 ns is not whole: its .* \(and 2 more\)"),
         ({"data": b""}, "not begin with the header of plain CDR"),

@@ -95,9 +95,11 @@ def test_every_reader_gives_back_what_was_written(written: list[Entry], compress
             ] == [(e.topic, TOPICS[e.topic], e.log_time, e.data) for e in expected]
 
         metadata, times = read_metadata(path), [entry.log_time for entry in written]
-        assert metadata.message_count == len(written)
-        assert metadata.starting_time_ns == min(times, default=EMPTY_START_NS)
-        assert metadata.duration_ns == max(times, default=0) - min(times, default=0)
+        found = metadata.to_map()
+        assert found["message_count"] == len(written)
+        start = min(times, default=EMPTY_START_NS)
+        assert found["starting_time"] == {"nanoseconds_since_epoch": start}
+        assert found["duration"] == {"nanoseconds": max(times, default=start) - start}
         assert {t.name: (t.type, t.count) for t in metadata.topics} == {
             topic: (msgtype, sum(entry.topic == topic for entry in written))
             for topic, msgtype in TOPICS.items()
@@ -221,7 +223,7 @@ def test_a_file_that_cannot_be_begun_leaves_the_bag_closed_and_whole(tmp_path: P
     writer.add_topic("/a", STRING)
     writer.write("/a", b"one", 1, 1)
     (tmp_path / "bag" / "bag_1.mcap").write_text("in the way")
-    with pytest.raises(BagWriteError, match=r"bag_1\.mcap: cannot create it"):
+    with pytest.raises(BagWriteError, match=r"bag_1\.mcap: cannot write it"):
         writer.split()
     with pytest.raises(BagWriteError, match="the bag is closed"):
         writer.write("/a", b"two", 2, 2)
@@ -336,16 +338,3 @@ def test_a_bag_cannot_be_begun_on_a_full_disk(tmp_path: Path) -> None:
     refusal = r"bag_0\.mcap: cannot write it: .* too large"
     with no_room_beyond(100), pytest.raises(BagWriteError, match=refusal):
         BagWriter(tmp_path / "bag")
-
-
-def test_a_split_on_a_full_disk_leaves_the_bag_closed_and_whole(tmp_path: Path) -> None:
-    writer = BagWriter(tmp_path / "bag")
-    writer.add_topic("/a", STRING)
-    writer.write("/a", b"one", 1, 1)
-    # Before the disk is full: the limit is that of each file, and the first is the larger one.
-    writer._file.finish(writer.metadata())
-    with no_room_beyond(100), pytest.raises(BagWriteError, match=r"cannot write it: .* too large"):
-        writer.split()
-    with pytest.raises(BagWriteError, match="the bag is closed"):
-        writer.write("/a", b"two", 2, 2)
-    assert [m.data for m in BagReader(tmp_path / "bag").messages()] == [b"one"]

@@ -3,27 +3,32 @@
 """The MCAP container: the summary of a file, its chunks, and the messages in them.
 
 The records are those of the library `mcap`. Ours are the limits, as the library accepts any length
-a file states, and the splitting of a chunk into messages, as the library's takes 8 to 30 times as
-long.
+a file states, and the splitting of a chunk into messages, which the compiled core does.
 """
 
 import struct
 import zlib
 from collections.abc import Iterator
-from contextlib import suppress
 from io import BytesIO
 from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
-from typing import IO, NamedTuple, TypeAlias
+from typing import IO, Any, NamedTuple
 
-from mcap.exceptions import EndOfFile, McapError
+import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, Header, McapRecord, Schema, Statistics
 from mcap.stream_reader import StreamReader
+from numpy.typing import NDArray
 
+from tsobs_ros.core import native
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.files import open_regular
+
+Integers = NDArray[np.int64]
+Bytes = NDArray[np.uint8]
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -33,16 +38,14 @@ RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<BQHIQQ")
 """The start of a message: opcode, length, channel, sequence, log time, publish time."""
 
-MESSAGE_OPCODE = int(Opcode.MESSAGE)
-
 CHUNK_HEAD = struct.Struct("<BQQQQII")
 """The start of a chunk: opcode, length, first and last log time, size, checksum, size of a name."""
 
+CHUNK_HEAD_SIZE = 80
+"""Bytes that have all of a chunk's head."""
+
 INDEX_HEAD = struct.Struct("<BQHI")
 """The start of a message index: opcode, length, channel, size of its entries."""
-
-CHUNK_INDEX = struct.Struct("<QQQQI")
-"""The body of a chunk index: first and last log time, place, size, size of its offsets."""
 
 MAX_SIZE = 2**28
 """The largest record and chunk content that is read, bytes; larger ones are damage."""
@@ -50,70 +53,76 @@ MAX_SIZE = 2**28
 MAX_SUMMARY_SIZE = 2**27
 """The largest summary that is read, bytes: of a million chunks, a recording of days."""
 
+MAX_MESSAGES = 2**20
+"""The largest number of messages of a chunk: as objects they take 300 MB."""
+
 RECOVER_HINT = "'tsobs bag recover' makes a whole bag of what it holds"
 
-RawMessage: TypeAlias = tuple[int, int, int, int, bytes]
-"""Channel, log time [ns], publish time [ns], sequence and data of a message."""
-
-# More than there can be schemas and channels.
-_MAX_OTHERS = 2**18
-_MESSAGE_BODY_SIZE = MESSAGE.size - RECORD.size
-_MAX_CHUNK_HEAD_SIZE = 80
+_CHUNK_INDEX = struct.Struct("<QQQQI")
 _CHUNK_INDEX_REST = 28
 _INDEX_OFFSET = struct.Struct("<HQ")
 _MAX_STATISTICS_SIZE = 2**20
-_FOOTER = struct.Struct("<BQQQI")
+_FOOTER_SIZE = RECORD.size + 20
 _MAX_HEADER_SIZE = 2**16
 _RUN_SIZE = 1_000_000
+_FIELDS = 5
 
 
 class RecordError(ValueError):
     """Bytes that are not the records they should be."""
 
 
-def split_messages(records: bytes) -> Iterator[RawMessage]:
-    """Yield the messages in a run of records, in their order; records of other kinds are skipped.
+class Records(NamedTuple):
+    """Messages in a run of records, n of them.
+
+    Attributes:
+        data: The records.
+        channels: Channel of each message, shape (n,).
+        log_times: [ns], shape (n,); negative if it does not fit 63 bits.
+        publish_times: As `log_times`.
+        begins: First byte of the data of each, shape (n,).
+        sizes: Size of its data, shape (n,).
+    """
+
+    data: bytes
+    channels: Integers
+    log_times: Integers
+    publish_times: Integers
+    begins: Integers
+    sizes: Integers
+
+    def descriptions(self) -> Iterator[bytes]:
+        """Yield the records between the messages: schemas and channels."""
+        begins = np.append(self.begins - MESSAGE.size, len(self.data))
+        ends = np.append(0, self.begins + self.sizes)
+        for gap in np.flatnonzero(begins != ends).tolist():
+            at = int(ends[gap])
+            while at < begins[gap]:
+                end = at + RECORD.size + RECORD.unpack_from(self.data, at)[1]
+                yield self.data[at:end]
+                at = end
+
+
+def split_records(data: bytes) -> Records:
+    """Return the messages in a run of records, in their order.
 
     Args:
-        records: Whole records, one after the other, as in a decompressed chunk.
+        data: Whole records, one after the other, as in a decompressed chunk.
 
     Raises:
-        RecordError: A record is cut off or malformed; all messages before it have been yielded.
+        RecordError: A record is cut off or malformed, or there are more than `MAX_MESSAGES`.
 
     >>> record = MESSAGE.pack(Opcode.MESSAGE, 24, 1, 0, 20, 10) + b"hi"
-    >>> list(split_messages(record))
-    [(1, 20, 10, 0, b'hi')]
+    >>> split_records(record).log_times.tolist()
+    [20]
     """
-    # Local names: a bag has millions of messages.
-    opcode, head_size, unpack = MESSAGE_OPCODE, MESSAGE.size, MESSAGE.unpack_from
-    start, size, others = 0, len(records), 0
-    try:
-        while start < size:
-            if records[start] == opcode:
-                _, length, channel, sequence, log_time, publish_time = unpack(records, start)
-                end = start + RECORD.size + length
-                data = start + head_size
-                if not data <= end <= size:
-                    break
-                yield channel, log_time, publish_time, sequence, records[data:end]
-            else:
-                kind, length = RECORD.unpack_from(records, start)
-                end = start + RECORD.size + length
-                others += 1
-                # Zeros are no records without a body.
-                if end > size or not kind or others > _MAX_OTHERS:
-                    break
-            start = end
-    except struct.error as error:
-        raise RecordError(f"the record at byte {start} of {size} is cut off") from error
-    if others > _MAX_OTHERS:
-        raise RecordError(f"more than {_MAX_OTHERS} records are no messages, too many to read")
-    if start != size:
-        length = RECORD.unpack_from(records, start)[1]
-        raise RecordError(
-            f"the record at byte {start} of {size} states a length of {length} bytes, "
-            f"{size - start - RECORD.size} follow"
-        )
+    # Memory that nothing is written to costs nothing.
+    found = np.empty((_FIELDS, min(len(data) // MESSAGE.size, MAX_MESSAGES)), np.int64)
+    count = native.messages_split(data, found)
+    if count < 0:
+        many = f", or more than {MAX_MESSAGES} messages" if found.shape[1] == MAX_MESSAGES else ""
+        raise RecordError(f"it holds bytes that are no record{many}")
+    return Records(data, *found[:, :count])
 
 
 def chunk_records(chunk: Chunk) -> bytes:
@@ -136,47 +145,6 @@ def chunk_records(chunk: Chunk) -> bytes:
     if stated and (crc := zlib.crc32(records)) != stated:
         raise RecordError(f"the chunk's checksum (crc) is {stated:08x}, its content's {crc:08x}")
     return records
-
-
-class ContentLimit:
-    """What the chunks of a file may decompress to: 1 GiB and 100 bytes for each byte of the file.
-
-    In these there may be 524,288 records, and one for each six bytes of the file. Without a
-    limit, a file of some kilobytes can be hours of work.
-
-    Args:
-        size: The file's size, bytes.
-        is_trusted: Whether there is no limit.
-
-    Attributes:
-        records_left: How many more records there may be.
-    """
-
-    def __init__(self, size: int, is_trusted: bool) -> None:
-        self._bytes_left = 2**64 if is_trusted else 2**30 + 100 * size
-        self.records_left = 2**64 if is_trusted else 2**19 + size // 6
-
-    def count_chunk(self, chunk: Chunk) -> None:
-        """Count a chunk before it is decompressed.
-
-        Raises:
-            RecordError: There are too many bytes.
-        """
-        if chunk.compression:
-            self._bytes_left -= min(chunk.uncompressed_size, MAX_SIZE)
-        self.count_records(0)
-
-    def count_records(self, number: int) -> None:
-        """Count records in chunks.
-
-        Raises:
-            RecordError: There are too many.
-        """
-        self.records_left -= number
-        if min(self._bytes_left, self.records_left) < 0:
-            raise RecordError(
-                "the chunks decompress to too much for a file of this size; --trusted reads them"
-            )
 
 
 def _decompress(compression: str, data: bytes, size: int) -> bytes:
@@ -224,11 +192,6 @@ class Span(NamedTuple):
         """The places of its message indexes in the file, by channel."""
         return dict(_INDEX_OFFSET.iter_unpack(self.places))
 
-    def check(self, first: int, last: int) -> None:
-        """Raise `RecordError` unless log times in it are as the index states [ns]."""
-        if not self.start <= first <= last <= self.end:
-            raise RecordError(f"the index states other times at byte {self.offset}")
-
     @property
     def channels(self) -> frozenset[int] | None:
         """The channels it has messages of; None if that is unknown."""
@@ -269,9 +232,8 @@ def read_summary(path: Path, rank: int = 0) -> Summary:
     try:
         with open_regular(path) as stream:
             return _read_summary(path, rank, stream)
-    except (RecordError, McapError, struct.error, UnicodeDecodeError) as error:
-        reason = f"the file is damaged: {_reason(error)}; {RECOVER_HINT}"
-        raise BagReadError(f"{path}: {reason}") from error
+    except RecordError as error:
+        raise BagReadError(f"{path}: the file is damaged: {error}; {RECOVER_HINT}") from error
     except OSError as error:
         if isinstance(error, BagReadError):
             raise
@@ -280,7 +242,7 @@ def read_summary(path: Path, rank: int = 0) -> Summary:
 
 def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
     size = stream.seek(0, 2)
-    footer_at = size - _FOOTER.size - len(MAGIC)
+    footer_at = size - _FOOTER_SIZE - len(MAGIC)
     stream.seek(0)
     front = stream.read(_MAX_HEADER_SIZE)
     if not front.startswith(MAGIC):
@@ -292,74 +254,107 @@ def _read_summary(path: Path, rank: int, stream: IO[bytes]) -> Summary:
             f"{path}: the file has no end: it is still being recorded, was truncated, or its "
             f"recorder was killed; {RECOVER_HINT}"
         )
-    header, footer = next(_records(front[len(MAGIC) :])), next(_records(end))
+    header = parse_record(_first(front[len(MAGIC) :]))
+    footer = parse_record(end[:_FOOTER_SIZE])
     if not isinstance(header, Header):
         raise RecordError("it does not start with a header")
     if not isinstance(footer, Footer):
         raise RecordError("it does not end with a footer")
     start = footer.summary_start
     if not len(MAGIC) < start < footer_at:
-        raise BagReadError(f"{path}: the file has no index; {RECOVER_HINT}")
+        raise RecordError("it has no index")
     if size - start > MAX_SUMMARY_SIZE:
         raise RecordError(f"it states a summary of {size - start} bytes, too many to read")
     stream.seek(start)
-    summary = stream.read(footer_at - start)
+    data = stream.read(footer_at - start)
     # The checksum covers the summary and the footer up to the checksum.
-    stated, covered = footer.summary_crc, end[: _FOOTER.size - 4]
-    if stated and (crc := zlib.crc32(covered, zlib.crc32(summary))) != stated:
+    stated, covered = footer.summary_crc, end[: _FOOTER_SIZE - 4]
+    if stated and (crc := zlib.crc32(covered, zlib.crc32(data))) != stated:
         raise RecordError(f"the checksum (crc) of its summary is {stated:08x}, not {crc:08x}")
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    chunks: list[Span] = []
-    statistics: Statistics | None = None
-    at = 0
-    while at < len(summary):
-        opcode, length = RECORD.unpack_from(summary, at)
-        body = at + RECORD.size
-        following = body + length
-        if following > len(summary) or not opcode:
-            raise RecordError(f"at byte {start + at} there is no record, or one that is cut off")
-        if opcode == Opcode.CHUNK_INDEX:
-            chunks.append(_chunk_span(summary, body, following, rank, size))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
-            if opcode == Opcode.STATISTICS and length > _MAX_STATISTICS_SIZE:
-                raise RecordError(f"it states statistics of {length} bytes, too many to read")
-            match next(_records(summary[at:following])):
-                case Schema() as record:
-                    schemas[record.id] = record
-                case Channel() as record:
-                    channels[record.id] = record
-                case Statistics() as record:
-                    statistics = record
-        at = following
-    if statistics is None:
-        raise BagReadError(f"{path}: the file has no index; {RECOVER_HINT}")
-    if statistics.chunk_count != len(chunks):
-        raise RecordError(f"{statistics.chunk_count} chunks, but {len(chunks)} in the index")
+    summary = parse_summary(data, rank)._replace(path=path, profile=header.profile)
+    spans, statistics = summary.spans, summary.statistics
     # Else a few bytes of index could ask for the same large chunk again and again.
-    for one, other in pairwise(sorted(chunks, key=attrgetter("offset"))):
+    for one, other in pairwise(sorted(spans, key=attrgetter("offset"))):
         if one.offset + one.size > other.offset:
             raise RecordError(f"the index states chunks that overlap at byte {other.offset}")
-    if statistics.message_count and not chunks:
-        chunks = list(_bare_spans(stream, rank, start))
-    return Summary(path, header.profile, schemas, channels, statistics, tuple(chunks))
+    if (reach := max((span.offset + span.size for span in spans), default=0)) > size:
+        raise RecordError(f"the index states a chunk up to byte {reach} of {size}")
+    if statistics.message_count and not spans:
+        spans = tuple(_bare_spans(stream, rank, start))
+    return summary._replace(spans=spans)
 
 
-def _records(data: bytes) -> Iterator[McapRecord]:
-    # From memory, so that a length that goes beyond the end allocates nothing.
-    return iter(StreamReader(BytesIO(data), skip_magic=True, emit_chunks=True).records)
+def parse_summary(data: bytes, rank: int = 0) -> Summary:
+    """Return what the records of a summary state; its path and profile are empty.
+
+    Raises:
+        RecordError: A record is malformed, or there is none with the counts, or these differ.
+    """
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    spans: list[Span] = []
+    statistics: Statistics | None = None
+    at = 0
+    while at < len(data):
+        record = _first(data, at)
+        at += len(record)
+        if record[0] == Opcode.CHUNK_INDEX:
+            spans.append(_chunk_span(record, rank))
+        elif record[0] in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+            if record[0] == Opcode.STATISTICS and len(record) > _MAX_STATISTICS_SIZE:
+                raise RecordError(f"it states statistics of {len(record)} bytes, too many to read")
+            match parse_record(record):
+                case Schema() as found:
+                    schemas[found.id] = found
+                case Channel() as found:
+                    channels[found.id] = found
+                case Statistics() as found:
+                    statistics = found
+    if statistics is None:
+        raise RecordError("it has no index")
+    if statistics.chunk_count != len(spans):
+        raise RecordError(f"{statistics.chunk_count} chunks, but {len(spans)} in the index")
+    return Summary(Path(), "", schemas, channels, statistics, tuple(spans))
 
 
-def _chunk_span(summary: bytes, at: int, end: int, rank: int, file_size: int) -> Span:
+def parse_record(record: bytes) -> McapRecord:
+    """Return the record that some bytes are, of a kind that the library `mcap` has.
+
+    Raises:
+        RecordError: They are no such record, or not as many bytes as the lengths in it need.
+    """
+    written: Any = RecordBuilder()
+    try:
+        # From memory, so that no length allocates more than there is.
+        reader = StreamReader(BytesIO(record), skip_magic=True, emit_chunks=True)
+        found = next(reader.records)
+        found.write(written)
+    except (McapError, struct.error, ValueError, OverflowError, StopIteration) as error:
+        raise RecordError("not a record") from error
+    # The library accepts a text that ends early.
+    if written.end() != record:
+        raise RecordError("not a record")
+    return found
+
+
+def _first(data: bytes, at: int = 0) -> bytes:
+    """Return the record that begins at a place."""
+    head = data[at : at + RECORD.size]
+    opcode, length = RECORD.unpack(head.ljust(RECORD.size, b"\0"))
+    if not opcode or length > len(data) - at - RECORD.size:
+        raise RecordError("a record is cut off")
+    return data[at : at + RECORD.size + length]
+
+
+def _chunk_span(record: bytes, rank: int) -> Span:
     """Return the chunk that a chunk index is of; the library takes ten times as long."""
-    start_time, end_time, offset, size, index_size = CHUNK_INDEX.unpack_from(summary, at)
-    at += CHUNK_INDEX.size
-    if index_size % _INDEX_OFFSET.size or at + index_size + _CHUNK_INDEX_REST > end:
+    begin = RECORD.size + _CHUNK_INDEX.size
+    if len(record) < begin + _CHUNK_INDEX_REST:
         raise RecordError("an index of a chunk is malformed")
-    if offset + size > file_size:
-        raise RecordError(f"the index states a chunk up to byte {offset + size} of {file_size}")
-    index = summary[at : at + index_size]
-    return Span(start_time, end_time, rank, offset, size, True, index)
+    start, end, offset, size, index_size = _CHUNK_INDEX.unpack_from(record, RECORD.size)
+    if index_size % _INDEX_OFFSET.size or begin + index_size + _CHUNK_INDEX_REST > len(record):
+        raise RecordError("an index of a chunk is malformed")
+    return Span(start, end, rank, offset, size, True, record[begin : begin + index_size])
 
 
 def _bare_spans(stream: IO[bytes], rank: int, end: int) -> Iterator[Span]:
@@ -368,15 +363,13 @@ def _bare_spans(stream: IO[bytes], rank: int, end: int) -> Iterator[Span]:
     times: list[int] = []
     while start < end:
         stream.seek(start)
-        head = stream.read(MESSAGE.size)
-        if len(head) < RECORD.size:
-            raise RecordError(f"the record at byte {start} is cut off")
+        head = stream.read(MESSAGE.size).ljust(MESSAGE.size, b"\0")
         opcode, length = RECORD.unpack_from(head)
         following = start + RECORD.size + length
         if following > end or not opcode:
             raise RecordError(f"the record at byte {start} ends at byte {following}, not by {end}")
-        if opcode == MESSAGE_OPCODE:
-            if length < _MESSAGE_BODY_SIZE:
+        if opcode == Opcode.MESSAGE:
+            if length < MESSAGE.size - RECORD.size:
                 raise RecordError(f"the message at byte {start} has only {length} bytes")
             times.append(MESSAGE.unpack(head)[4])
         if times and (following - first > _RUN_SIZE or following == end):
@@ -391,15 +384,10 @@ def read_chunk(stream: IO[bytes], span: Span) -> tuple[bytes, Chunk]:
     Raises:
         RecordError: There is no chunk at the place of one, or a damaged one.
     """
-    _require_size(span)
-    stream.seek(span.offset)
-    record = stream.read(span.size)
-    try:
-        chunk, data_at, size = chunk_head(record[:_MAX_CHUNK_HEAD_SIZE])
-        if size != span.size:
-            raise RecordError("the index states another size")
-    except RecordError as error:
-        raise RecordError(f"at byte {span.offset}: {error}") from error
+    record = _bytes_of(stream, span)
+    chunk, data_at, size = chunk_head(record[:CHUNK_HEAD_SIZE])
+    if size != span.size:
+        raise RecordError("the index states another size")
     chunk.data = record[data_at:]
     return record, chunk
 
@@ -411,35 +399,23 @@ def read_span(stream: IO[bytes], span: Span) -> tuple[bytes, bool]:
         RecordError: They are damaged, or there is no chunk at the place of one.
     """
     if not span.is_chunk:
-        _require_size(span)
-        stream.seek(span.offset)
-        return stream.read(span.size), False
+        return _bytes_of(stream, span), False
     _, chunk = read_chunk(stream, span)
-    try:
-        return chunk_records(chunk), chunk.uncompressed_crc != 0
-    except RecordError as error:
-        raise RecordError(f"at byte {span.offset}: {error}") from error
+    return chunk_records(chunk), chunk.uncompressed_crc != 0
 
 
-def _require_size(span: Span) -> None:
+def _bytes_of(stream: IO[bytes], span: Span) -> bytes:
     if span.size > MAX_SIZE:
-        raise RecordError(f"{span.size} bytes at byte {span.offset}, too many to read")
-
-
-def has_checksum(stream: IO[bytes], span: Span) -> bool:
-    """Return whether a checksum covers the records in a span of a file, damaged or not."""
-    if span.is_chunk:
-        stream.seek(span.offset)
-        with suppress(RecordError):
-            return chunk_head(stream.read(_MAX_CHUNK_HEAD_SIZE))[0].uncompressed_crc != 0
-    return False
+        raise RecordError(f"{span.size} bytes, too many to read")
+    stream.seek(span.offset)
+    return stream.read(span.size)
 
 
 def chunk_head(head: bytes) -> tuple[Chunk, int, int]:
     """Return a chunk without its data, where in the record that starts, and the record's size.
 
     Args:
-        head: The first bytes of the record, at least 80 if there are as many.
+        head: The first bytes of the record, at least `CHUNK_HEAD_SIZE` if there are as many.
 
     Raises:
         RecordError: There is no chunk, or one of more than `MAX_SIZE` bytes.
@@ -456,7 +432,3 @@ def chunk_head(head: bytes) -> tuple[Chunk, int, int]:
     if length > MAX_SIZE:
         raise RecordError(f"the chunk states {length} bytes, too many to read")
     return Chunk(name, b"", end, start, crc, size), data_at, data_at + data_size
-
-
-def _reason(error: Exception) -> str:
-    return "a record is cut off" if isinstance(error, struct.error | EndOfFile) else str(error)

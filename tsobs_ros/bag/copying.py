@@ -7,25 +7,24 @@ another one the records of the wanted messages are picked out, and compressed an
 taken apart either way.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from mcap.records import Channel, Chunk, McapRecord, Schema
+from mcap.records import Channel, Chunk, Schema
 
 from tsobs_ros.bag.container import (
     MESSAGE,
     RECORD,
-    RECOVER_HINT,
     RecordError,
+    Records,
     Span,
     chunk_records,
+    parse_record,
     read_chunk,
+    split_records,
 )
-from tsobs_ros.bag.damaged_file import parse_record
-from tsobs_ros.bag.file_writer import Records
-from tsobs_ros.bag.message_rows import Integers, split_fields
-from tsobs_ros.bag.reader import MAX_MESSAGES, TOO_MANY_MESSAGES, BagReader
+from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.errors import BagReadError
 from tsobs_ros.files import open_regular
 
@@ -34,24 +33,15 @@ if TYPE_CHECKING:
 
 # More than a file of a robot has topics and types.
 _MAX_DESCRIPTIONS = 10_000
-_CHANNEL_AT = RECORD.size
 _NO_CHANNEL = -1
 
 
 class RecordedChunk(NamedTuple):
-    """A chunk of a file.
-
-    Attributes:
-        record: Its record in the file.
-        chunk: The same.
-        messages: All messages in it.
-        publish_times: Of these [ns], shape (n,).
-    """
+    """A chunk of a file: its record there, the same, and all messages in it."""
 
     record: bytes
     chunk: Chunk
     messages: Records
-    publish_times: Integers
 
     def can_stay(
         self, ids: Mapping[int, int], channels: Mapping[int, Channel], schemas: Mapping[int, Schema]
@@ -70,33 +60,14 @@ class RecordedChunk(NamedTuple):
             return False
         if (chunk.message_start_time, chunk.message_end_time) != (times.min(), times.max()):
             return False
-        for count, one in enumerate(self._descriptions()):
-            match one:
-                case Channel():
-                    known: McapRecord | None = channels.get(one.id)
-                case Schema():
-                    known = schemas.get(one.id)
-                case _:
-                    known = None
-            if one != known or count > _MAX_DESCRIPTIONS:
+        known = [*channels.values(), *schemas.values()]
+        for count, description in enumerate(self.messages.descriptions()):
+            try:
+                if count > _MAX_DESCRIPTIONS or parse_record(description) not in known:
+                    return False
+            except RecordError:
                 return False
         return True
-
-    def _descriptions(self) -> Iterator[McapRecord | None]:
-        """Yield the records between the messages, None for one that cannot be read."""
-        data, begins, ends = self.messages.data, self.messages.begins, self.messages.ends
-        gaps = np.flatnonzero(np.append(begins, len(data)) != np.append(0, ends))
-        for gap in gaps.tolist():
-            at = int(ends[gap - 1]) if gap else 0
-            end = int(begins[gap]) if gap < len(begins) else len(data)
-            while at < end:
-                _, length = RECORD.unpack_from(data.data, at)
-                record = data[at : at + RECORD.size + length].tobytes()
-                try:
-                    yield parse_record(record)
-                except RecordError:
-                    yield None
-                at += len(record)
 
     def pick(self, ids: Mapping[int, int]) -> Records:
         """Return the messages of the channels that are wanted, with the channels of another file.
@@ -104,52 +75,20 @@ class RecordedChunk(NamedTuple):
         Args:
             ids: The channel there of each of them.
         """
-        data, channels, log_times, begins, ends = self.messages
         new = np.full(2**16, _NO_CHANNEL)
         new[list(ids)] = list(ids.values())
-        chosen = np.flatnonzero(new[channels] != _NO_CHANNEL)
-        channels, begins, ends = new[channels[chosen]], begins[chosen], ends[chosen]
+        found, data = self.messages, np.frombuffer(self.messages.data, np.uint8)
+        chosen = np.flatnonzero(new[found.channels] != _NO_CHANNEL)
+        channels, log_times, publish_times, begins, sizes = (c[chosen] for c in found[1:])
+        channels = new[channels]
         edges = np.zeros(len(data) + 1, np.int8)
-        edges[begins] += 1
-        edges[ends] -= 1
+        edges[begins - MESSAGE.size] += 1
+        edges[begins + sizes] -= 1
         picked = data[np.cumsum(edges[:-1], dtype=np.int8).view(np.bool_)]
-        ends = np.cumsum(ends - begins)
-        begins = np.append(0, ends[:-1])[: len(ends)]
+        begins = np.cumsum(MESSAGE.size + sizes) - sizes
         for byte in range(2):
-            picked[begins + _CHANNEL_AT + byte] = channels >> 8 * byte & 255
-        return Records(picked, channels, log_times[chosen], begins, ends)
-
-
-def read_recorded(reader: BagReader, span: Span) -> RecordedChunk:
-    """Read a chunk of a bag.
-
-    Raises:
-        BagReadError: It is damaged, or has a message of an unknown channel.
-    """
-    path = reader.files[span.rank]
-    try:
-        with open_regular(path) as stream:
-            record, chunk = read_chunk(stream, span)
-        data = chunk_records(chunk)
-        found = split_fields(data)
-        if found is None:
-            raise RecordError("its content is not whole records")
-        if found.shape[1] > MAX_MESSAGES:
-            raise RecordError(TOO_MANY_MESSAGES)
-        channels, log_times, publish_times, begins, sizes = found
-        known = reader.summaries[span.rank].channels
-        if unknown := sorted(set(np.unique(channels).tolist()) - known.keys()):
-            text = f"a message is of channel {unknown[0]}, which is not described"
-            raise RecordError(text)
-        if len(log_times):
-            span.check(int(log_times.min()), int(log_times.max()))
-    except (OSError, RecordError) as error:
-        text = f"the file is damaged: at byte {span.offset}: {error}; {RECOVER_HINT}"
-        raise BagReadError(f"{path}: {text}") from error
-    each = Records(
-        np.frombuffer(data, np.uint8), channels, log_times, begins - MESSAGE.size, begins + sizes
-    )
-    return RecordedChunk(record, chunk, each, publish_times)
+            picked[begins - MESSAGE.size + RECORD.size + byte] = channels >> 8 * byte & 255
+        return Records(picked.tobytes(), channels, log_times, publish_times, begins, sizes)
 
 
 class ChunkCopy:
@@ -166,13 +105,12 @@ class ChunkCopy:
             {id_: one.topic for id_, one in summary.channels.items() if one.topic in topics}
             for summary in reader.summaries
         ]
-        spans = [
+        self.spans = spans = [
             span
             for summary, wanted in zip(reader.summaries, self._topics, strict=True)
             for span in sorted(summary.spans, key=lambda span: span.offset)
             if span.channels is None or span.channels & wanted.keys()
         ]
-        self.spans = spans
         # The smallest log time of a chunk and of those behind it.
         starts = np.array([span.start for span in spans], np.uint64)
         self._starts = np.minimum.accumulate(starts[::-1])[::-1].tolist()
@@ -197,7 +135,7 @@ class ChunkCopy:
                 return False
             if span.channels is None or not span.channels & known:
                 try:
-                    read_recorded(self._reader, span)
+                    self._read(span)
                 except BagReadError:
                     return False
         return True
@@ -216,4 +154,11 @@ class ChunkCopy:
         while self._next < len(self.spans) and self._starts[self._next] < horizon:
             span = self.spans[self._next]
             self._next += 1
-            writer.copy(read_recorded(self._reader, span), self._topics[span.rank])
+            writer.copy(self._read(span), self._topics[span.rank])
+
+    def _read(self, span: Span) -> RecordedChunk:
+        with self._reader.damage(span), open_regular(self._reader.files[span.rank]) as stream:
+            record, chunk = read_chunk(stream, span)
+            messages = split_records(chunk_records(chunk))
+            self._reader.check(span, messages)
+            return RecordedChunk(record, chunk, messages)

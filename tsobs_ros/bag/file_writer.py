@@ -5,12 +5,15 @@
 Unlike the library's, this writer takes messages as arrays, and whole chunks of another file.
 """
 
+import itertools
+import os
 import struct
 import zlib
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from typing import IO, Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.data_stream import RecordBuilder
@@ -31,65 +34,53 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.container import CHUNK_HEAD, INDEX_HEAD, MAGIC, MESSAGE, MESSAGE_OPCODE, RECORD
-
-Integers = NDArray[np.int64]
+from tsobs_ros.bag.container import CHUNK_HEAD, INDEX_HEAD, MAGIC, MESSAGE, RECORD, Records
+from tsobs_ros.bag.metadata import FileMetadata, TopicInfo, profiles_to_yaml
 
 COMPRESSIONS = "none", "lz4", "zstd"
 
-_MESSAGE_BODY_SIZE = MESSAGE.size - RECORD.size
+_OPCODE = int(Opcode.MESSAGE)
+_BODY_SIZE = MESSAGE.size - RECORD.size
 _SIZE = struct.Struct("<Q")
 _FOOTER_HEAD = struct.Struct("<BQQQ")
-_FOOTER_BODY_SIZE = 20
 _NO_TIME = 2**63
 
-
-class Records(NamedTuple):
-    """Messages in a run of records, n of them, one after the other and nothing between them.
-
-    Attributes:
-        data: The records.
-        channels: Channel of each message, shape (n,).
-        log_times: [ns], shape (n,).
-        begins: First byte of each record, shape (n,).
-        ends: The byte behind it, shape (n,).
-    """
-
-    data: NDArray[np.uint8]
-    channels: Integers
-    log_times: Integers
-    begins: Integers
-    ends: Integers
+_Entries = Mapping[int, NDArray[np.uint64]]
+"""Log time and place of the messages of a chunk, by channel."""
 
 
 class FileWriter:
     """Writes one file; every method may raise `OSError`.
 
     Args:
-        stream: Where to, at its begin.
+        path: The file, which must not exist.
         library: Name of the writing library.
         compression: Of the chunks: one of `COMPRESSIONS`.
         chunk_size: Size beyond which a chunk is complete, before compression [bytes].
 
     Attributes:
+        path: The same.
         message_count: Number of messages so far.
-        start: Smallest log time so far, ns since the epoch; 2⁶³ without messages.
-        end: Largest log time so far, ns since the epoch.
         schemas: Those added, by id.
         channels: Those added, by id.
+        ids: The topics' channels.
+        is_finished: Whether it has its summary.
 
     Raises:
         ModuleNotFoundError: The library of the compression is not installed.
     """
 
-    def __init__(self, stream: IO[bytes], library: str, compression: str, chunk_size: int) -> None:
-        self._stream, self._chunk_size = stream, chunk_size
+    def __init__(self, path: Path, library: str, compression: str, chunk_size: int) -> None:
+        self._chunk_size = chunk_size
         self._compression = "" if compression == "none" else compression
         self._compress = _compressor(compression)
+        self.path = path
         self.message_count = 0
-        self.start, self.end = _NO_TIME, 0
+        self.is_finished = False
+        self._start, self._end = _NO_TIME, 0
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
+        self.ids: dict[str, int] = {}
         # The chunk in progress: its content, whether that describes anything, and the log time and
         # place of its messages by channel.
         self._pieces: list[bytes | memoryview] = []
@@ -98,17 +89,46 @@ class FileWriter:
         self._counts: Counter[int] = Counter()
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
-        stream.write(MAGIC + _packed(Header("ros2", library)))
+        self._stream = path.open("xb")
+        self._stream.write(MAGIC + _packed(Header("ros2", library)))
 
-    def add_schema(self, schema: Schema) -> None:
-        """Describe a type, with an id that no other has."""
-        self.schemas[schema.id] = schema
-        self._describe(schema)
+    @property
+    def size(self) -> int:
+        """The bytes written so far, without the chunk in progress."""
+        return self._stream.tell()
 
-    def add_channel(self, channel: Channel) -> None:
-        """Describe a topic, with an id that no other has."""
-        self.channels[channel.id] = channel
-        self._describe(channel)
+    def info(self) -> FileMetadata:
+        """Return what metadata.yaml states of the file as of now."""
+        return FileMetadata.of(self.path.name, self._start, self._end, self.message_count)
+
+    def duration_with(self, log_time_ns: int) -> int:
+        """Return the file's duration, ns, if a message of this log time were in it too."""
+        return max(self._end, log_time_ns) - min(self._start, log_time_ns)
+
+    def add_topic(self, topic: TopicInfo, ids: tuple[int, int] = (0, 0)) -> None:
+        """Describe a topic and its type.
+
+        Args:
+            topic: The topic, with a definition.
+            ids: Channel and schema that it has, if they are free.
+        """
+        definition = topic.definition
+        assert definition is not None
+        data, encoding = definition.text.encode(), definition.encoding
+        for schema in self.schemas.values():
+            if (schema.name, schema.encoding, schema.data) == (topic.type, encoding, data):
+                break
+        else:
+            schema = Schema(_free(ids[1], self.schemas), data, encoding, topic.type)
+            self.schemas[schema.id] = schema
+            self._describe(schema)
+        metadata = {
+            "offered_qos_profiles": profiles_to_yaml(topic.qos_profiles),
+            "topic_type_hash": topic.type_hash,
+        }
+        id_ = self.ids[topic.name] = _free(ids[0], self.channels)
+        self.channels[id_] = Channel(id_, topic.name, "cdr", metadata, schema.id)
+        self._describe(self.channels[id_])
 
     def _describe(self, record: McapRecord) -> None:
         data = _packed(record)
@@ -117,65 +137,66 @@ class FileWriter:
         if self._size > self._chunk_size:
             self._finish_chunk()
 
-    def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int) -> None:
+    def add_message(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
         """Append a message; times are in ns since the epoch."""
+        channel = self.ids[topic]
         if (entries := self._entries.get(channel)) is None:
             entries = self._entries[channel] = array("Q")
         entries.extend((log_time, self._size))
-        length = _MESSAGE_BODY_SIZE + len(data)
-        head = MESSAGE.pack(MESSAGE_OPCODE, length, channel, 0, log_time, publish_time)
+        length = _BODY_SIZE + len(data)
+        head = MESSAGE.pack(_OPCODE, length, channel, 0, log_time, publish_time)
         self._pieces += head, data
         self._size += RECORD.size + length
-        if log_time < self.start:
-            self.start = log_time
-        if log_time > self.end:
-            self.end = log_time
+        if log_time < self._start:
+            self._start = log_time
+        if log_time > self._end:
+            self._end = log_time
         if self._size > self._chunk_size:
             self._finish_chunk()
         self.message_count += 1
 
     def add_records(self, records: Records) -> None:
-        """Append messages whose records are there already, each as `add_message` does."""
-        data = records.data.data
-        first, count = 0, len(records.begins)
+        """Append messages with nothing between their records, each as `add_message` does."""
+        data = memoryview(records.data)
+        all_begins, all_ends = records.begins - MESSAGE.size, records.begins + records.sizes
+        first, count = 0, len(all_begins)
         while first < count:
-            begin = int(records.begins[first])
+            begin = int(all_begins[first])
             # The message that goes beyond the size is the chunk's last.
             full = begin + self._chunk_size - self._size
-            last = min(int(np.searchsorted(records.ends, full, side="right")), count - 1)
+            last = min(int(np.searchsorted(all_ends, full, side="right")), count - 1)
             own = slice(first, last + 1)
-            places = records.begins[own] - begin + self._size
-            channels, log_times = records.channels[own], records.log_times[own]
-            for channel, entries in _entries(channels, log_times, places).items():
-                self._entries.setdefault(channel, array("Q")).frombytes(entries.tobytes())
-            end = int(records.ends[last])
+            places = all_begins[own] - begin + self._size
+            entries = _entries(records.channels[own], records.log_times[own], places)
+            for channel, each in entries.items():
+                self._entries.setdefault(channel, array("Q")).frombytes(each.tobytes())
+            end = int(all_ends[last])
             self._pieces.append(data[begin:end])
             self._size += end - begin
-            self._take_times(log_times)
             if self._size > self._chunk_size:
                 self._finish_chunk()
-            self.message_count += len(log_times)
             first = last + 1
+        self._count(records)
 
-    def add_chunk(self, record: bytes, chunk: Chunk, records: Records) -> None:
+    def add_chunk(self, content: Records, record: bytes = b"", chunk: Chunk | None = None) -> None:
         """Append a whole chunk, in front of the messages that are waiting for one to be full.
 
         Args:
-            record: Of the chunk, as it is to be in the file.
+            content: What is in it; schemas and channels, if any, are as they were added here.
+            record: Its record, as it is to be in the file; by default it is compressed here.
             chunk: The same.
-            records: What is in it; channels and schemas, if any, are as they were added here.
         """
-        self._place_descriptions()
-        self._write_chunk(record, chunk, _entries(*records[1:4]))
-        self._take_times(records.log_times)
-        self.message_count += len(records.begins)
-
-    def add_records_as_chunk(self, records: Records) -> None:
-        """Append messages as `add_chunk` does."""
-        self._place_descriptions()
-        self._compress_chunk(records.data.tobytes(), _entries(*records[1:4]))
-        self._take_times(records.log_times)
-        self.message_count += len(records.begins)
+        # What is described so far comes first.
+        if self._describes:
+            self._finish_chunk()
+            if self._pieces:
+                self._stream.write(b"".join(self._pieces))
+                self._begin_chunk()
+        entries = _entries(content.channels, content.log_times, content.begins - MESSAGE.size)
+        if chunk is None:
+            record, chunk = self._compressed(content.data, entries)
+        self._write_chunk(record, chunk, entries)
+        self._count(content)
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Append metadata, behind all messages so far."""
@@ -189,6 +210,10 @@ class FileWriter:
         self._finish_chunk()
         self._stream.flush()
 
+    def sync(self) -> None:
+        """Force what has been flushed to the disk; may run in another thread."""
+        os.fdatasync(self._stream.fileno())
+
     def finish(self) -> None:
         """Write what is waiting, and the summary; nothing can be added any more."""
         self._finish_chunk()
@@ -199,8 +224,8 @@ class FileWriter:
             channel_message_counts=dict(self._counts),
             chunk_count=len(self._chunks),
             message_count=self.message_count,
-            message_end_time=self.end,
-            message_start_time=self.start if self.message_count else 0,
+            message_end_time=self._end,
+            message_start_time=self._start if self.message_count else 0,
             metadata_count=len(self._metadata),
             schema_count=len(self.schemas),
         )
@@ -220,14 +245,25 @@ class FileWriter:
             summary.append(group)
             offsets_at += len(group)
         data = b"".join(summary + offsets)
-        head = _FOOTER_HEAD.pack(Opcode.FOOTER, _FOOTER_BODY_SIZE, start, offsets_at)
+        head = _FOOTER_HEAD.pack(Opcode.FOOTER, 20, start, offsets_at)
         footer = Footer(start, offsets_at, zlib.crc32(head, zlib.crc32(data)))
         self._stream.write(data + _packed(footer) + MAGIC)
+        self._stream.flush()
+        self.is_finished = True
 
-    def _take_times(self, log_times: Integers) -> None:
-        if len(log_times):
-            self.start = min(self.start, int(log_times.min()))
-            self.end = max(self.end, int(log_times.max()))
+    def close(self) -> None:
+        """Force everything to the disk; the descriptor is released even if that fails."""
+        with self._stream:
+            os.fsync(self._stream.fileno())
+
+    def _count(self, records: Records) -> None:
+        self.message_count += len(records.begins)
+        if len(records.log_times):
+            self._start = min(self._start, int(records.log_times.min()))
+            self._end = max(self._end, int(records.log_times.max()))
+
+    def _begin_chunk(self) -> None:
+        self._pieces, self._size, self._entries, self._describes = [], 0, {}, False
 
     def _finish_chunk(self) -> None:
         # Without messages descriptions wait: the summary has them too.
@@ -236,21 +272,10 @@ class FileWriter:
                 channel: np.array(each, "<u8").reshape(-1, 2)
                 for channel, each in self._entries.items()
             }
-            self._compress_chunk(b"".join(self._pieces), entries)
+            self._write_chunk(*self._compressed(b"".join(self._pieces), entries), entries)
             self._begin_chunk()
 
-    def _begin_chunk(self) -> None:
-        self._pieces, self._size, self._entries, self._describes = [], 0, {}, False
-
-    def _place_descriptions(self) -> None:
-        """Write what is described so far, if that has not been done."""
-        if self._describes:
-            self._finish_chunk()
-            if self._pieces:
-                self._stream.write(b"".join(self._pieces))
-                self._begin_chunk()
-
-    def _compress_chunk(self, content: bytes, entries: Mapping[int, NDArray[np.uint64]]) -> None:
+    def _compressed(self, content: bytes, entries: _Entries) -> tuple[bytes, Chunk]:
         data = self._compress(content)
         start = min(int(each[:, 0].min()) for each in entries.values())
         end = max(int(each[:, 0].max()) for each in entries.values())
@@ -258,12 +283,10 @@ class FileWriter:
         length = CHUNK_HEAD.size + len(name) + _SIZE.size + len(data) - RECORD.size
         head = CHUNK_HEAD.pack(Opcode.CHUNK, length, start, end, size, crc, len(name))
         chunk = Chunk(self._compression, data, end, start, crc, size)
-        self._write_chunk(head + name + _SIZE.pack(len(data)) + data, chunk, entries)
+        return head + name + _SIZE.pack(len(data)) + data, chunk
 
-    def _write_chunk(
-        self, record: bytes, chunk: Chunk, entries: Mapping[int, NDArray[np.uint64]]
-    ) -> None:
-        """Write a chunk and its message indexes, from log times and places by channel."""
+    def _write_chunk(self, record: bytes, chunk: Chunk, entries: _Entries) -> None:
+        """Write a chunk and its message indexes."""
         at = self._stream.tell()
         offsets, indexes = {}, []
         end = indexes_at = at + len(record)
@@ -290,6 +313,13 @@ class FileWriter:
         self._chunks.append(index)
 
 
+def _free(wanted: int, taken: Mapping[int, object]) -> int:
+    """Return an id that is not taken: the wanted one, if it is any, else the next one."""
+    if wanted and wanted not in taken:
+        return wanted
+    return next(id_ for id_ in itertools.count(len(taken) + 1) if id_ not in taken)
+
+
 def _packed(record: McapRecord) -> bytes:
     builder: Any = RecordBuilder()  # the library annotates its methods only in part
     record.write(builder)
@@ -297,7 +327,7 @@ def _packed(record: McapRecord) -> bytes:
 
 
 def _entries(
-    channels: Integers, log_times: Integers, places: Integers
+    channels: NDArray[np.int64], log_times: NDArray[np.int64], places: NDArray[np.int64]
 ) -> dict[int, NDArray[np.uint64]]:
     """Return log times and places by channel, the channel of the first message first."""
     each = np.stack([log_times, places], axis=1).astype("<u8")

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointStateDecoder, JointStates
-from tsobs_ros.bag.message_rows import Bytes, Rows, by_size, gather, read_rows
-from tsobs_ros.bag.reader import BagReader
+from tsobs_ros.bag.reader import BagReader, Rows, pieces
 from tsobs_ros.checks import Array, Flags
 from tsobs_ros.errors import BagReadError
 
@@ -90,12 +89,13 @@ class _Builder:
         self._decoder = JointStateDecoder()
         self._others: dict[str, None] = {}
 
-    def decode(self, rows: Rows, records: Mapping[int, Bytes]) -> JointSeries:
+    def decode(self, rows: Rows, records: Mapping[int, bytes]) -> JointSeries:
         """Return the messages in records that rows are of."""
         block = _empty(len(rows.sizes), self._wanted)
         block.log_times[:], block.publish_times[:] = rows.log_times, rows.publish_times
-        for size, places in by_size(rows):
-            data = gather(rows.take(places), records, size)
+        for size in np.unique(rows.sizes).tolist():
+            places = np.flatnonzero(rows.sizes == size)
+            data = _gather(rows.take(places), records, size)
             # What is malformed names nobody, and so is no sample of anybody.
             for group in self._decoder.decode_rows(places, data, {}):
                 self._place(group, block)
@@ -152,8 +152,8 @@ def read_blocks(
     for name in wanted:
         require_joint_states(reader, name)
     builders = [_Builder(each) for each in wanted.values()]
-    parts = until_damage(read_rows(reader, list(wanted)), on_damage)
-    waiting, records, whole = Rows.none(), dict[int, Bytes](), False
+    parts = until_damage(reader.rows(list(wanted)), on_damage)
+    waiting, records, whole = Rows.of([]), dict[int, bytes](), False
     while not whole:
         found = [waiting]
         while size is None or sum(len(one.sizes) for one in found) < size:
@@ -164,7 +164,7 @@ def read_blocks(
                 break
             found.append(rows)
             records |= own
-        waiting = Rows.none().followed_by(found)
+        waiting = Rows.of(found)
         block = waiting.take(slice(size))
         horizon = math.inf
         if not whole and size is not None:
@@ -216,3 +216,15 @@ def _empty(count: int, wanted: Wanted) -> JointSeries:
         given=np.zeros(shape, np.bool_),
         other_names=(),
     )
+
+
+def _gather(rows: Rows, records: Mapping[int, bytes], size: int) -> NDArray[np.uint8]:
+    """Return the bytes of messages of one size, shape (n, size)."""
+    gathered = np.empty((len(rows.sizes), size), np.uint8)
+    edges = np.flatnonzero(np.diff(rows.chunks)) + 1
+    for places in np.split(np.arange(len(gathered)), edges):
+        if len(places) and size:
+            own = slice(int(places[0]), int(places[-1]) + 1)
+            data = np.frombuffer(records[int(rows.chunks[own.start])], np.uint8)
+            gathered[own] = pieces(data, size)[rows.begins[own]].view(np.uint8).reshape(-1, size)
+    return gathered

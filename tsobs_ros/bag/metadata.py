@@ -4,10 +4,9 @@
 
 import os
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -25,20 +24,16 @@ ROOT_KEY = "rosbag2_bagfile_information"
 EMPTY_START_NS = 2**63 - 1
 TYPE_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
 
+_OF_PUBLISHER = ("unknown", "best_available")
 # In the order of the RMW's enumerations: bags from before Jazzy name a policy by its number.
-POLICIES: Mapping[str, tuple[str, ...]] = {
+_POLICIES: Mapping[str, tuple[str, ...]] = {
     "history": ("system_default", "keep_last", "keep_all", "unknown"),
-    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
-    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "reliability": ("system_default", "reliable", "best_effort", *_OF_PUBLISHER),
+    "durability": ("system_default", "transient_local", "volatile", *_OF_PUBLISHER),
     "liveliness": (
-        "system_default",
-        "automatic",
-        "manual_by_node",
-        "manual_by_topic",
-        "unknown",
-        "best_available",
+        "system_default", "automatic", "manual_by_node", "manual_by_topic", *_OF_PUBLISHER
     ),
-}
+}  # fmt: skip
 
 # libyaml's is ten times as fast, and metadata is written while messages arrive.
 _DUMPER = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
@@ -47,8 +42,7 @@ _Kind = TypeVar("_Kind")
 _Count = Annotated[int, msgspec.Meta(ge=0)]
 
 
-@dataclass(frozen=True)
-class QosTime:
+class QosTime(msgspec.Struct, frozen=True):
     """A span of time: `sec` seconds and `nsec` nanoseconds."""
 
     sec: _Count
@@ -58,18 +52,17 @@ class QosTime:
 INFINITE = QosTime(9223372036, 854775807)
 
 
-@dataclass(frozen=True)
-class QosProfile:
+class QosProfile(msgspec.Struct, frozen=True):
     """One publisher's offer; the defaults are those that Fast DDS reports of a default publisher.
 
     Attributes:
-        history: A name of `POLICIES["history"]`; `unknown` if discovery does not report it.
+        history: `keep_last`, `keep_all`; `unknown` if discovery does not report it.
         depth: The history's depth in messages; 0 if discovery does not report it.
-        reliability: A name of `POLICIES["reliability"]`.
-        durability: A name of `POLICIES["durability"]`.
+        reliability: `reliable`, `best_effort`, or another of rosbag2's names.
+        durability: `transient_local`, `volatile`, or another of rosbag2's names.
         deadline: The longest time promised between two messages.
         lifespan: The age at which a message is dropped.
-        liveliness: A name of `POLICIES["liveliness"]`.
+        liveliness: `automatic`, `manual_by_topic`, or another of rosbag2's names.
         liveliness_lease_duration: The longest time between two signs of life.
         avoid_ros_namespace_conventions: Whether the DDS topic is named without ROS prefixes.
 
@@ -92,7 +85,7 @@ class QosProfile:
 
     def __post_init__(self) -> None:
         """Refuse what a rosbag2 reader would refuse."""
-        for policy, names in POLICIES.items():
+        for policy, names in _POLICIES.items():
             if (name := getattr(self, policy)) not in names:
                 raise ValueError(f"{policy} is '{name}', but must be one of {', '.join(names)}")
         times = (self.deadline, self.lifespan, self.liveliness_lease_duration)
@@ -101,23 +94,20 @@ class QosProfile:
 
     def to_map(self) -> dict[str, Any]:
         """Return the profile as the map of metadata version 9."""
-        return asdict(self)
+        plain: dict[str, Any] = msgspec.to_builtins(self)
+        return plain
 
-    @classmethod
-    def from_map(cls, values: Mapping[str, Any]) -> "QosProfile":
-        """Return the profile that a map describes, with policies by name or by number.
 
-        Raises:
-            ValueError: A key is missing, or a value is not one.
-        """
-        known = dict(_checked(values, dict[str, Any], "a QoS profile"))
-        if missing := [each.name for each in fields(cls) if each.name not in known]:
+def _profiles(values: object) -> tuple[QosProfile, ...]:
+    """Return the profiles that maps describe, with policies by name or by number."""
+    maps = _checked(values, list[dict[str, Any]], "a list of QoS profiles")
+    for each in maps:
+        if missing := [name for name in QosProfile.__struct_fields__ if name not in each]:
             raise ValueError(f"not a QoS profile: it has no {', '.join(missing)}")
-        for policy, names in POLICIES.items():
-            number = known[policy]
-            if type(number) is int and 0 <= number < len(names):
-                known[policy] = names[number]
-        return _checked(known, cls, "a QoS profile")
+        for policy, names in _POLICIES.items():
+            if type(number := each[policy]) is int and 0 <= number < len(names):
+                each[policy] = names[number]
+    return _checked(maps, tuple[QosProfile, ...], "a list of QoS profiles")
 
 
 def profiles_to_yaml(profiles: Iterable[QosProfile]) -> str:
@@ -133,10 +123,9 @@ def profiles_from_yaml(text: str) -> tuple[QosProfile, ...]:
         ValueError: The text is not a YAML list of QoS profiles.
     """
     try:
-        content = load_yaml(text) or []
+        return _profiles(load_yaml(text) or [])
     except ValueError as error:
         raise ValueError(f"not a list of QoS profiles: {error}") from error
-    return tuple(map(QosProfile.from_map, _checked(content, list[Any], "a list of QoS profiles")))
 
 
 class OfferedQos:
@@ -185,21 +174,70 @@ class TopicInfo:
     definition: MessageDefinition | None = field(default=None, compare=False, repr=False)
 
 
-@dataclass(frozen=True)
-class FileMetadata:
-    """One file of a bag.
+class _Duration(msgspec.Struct, frozen=True):
+    nanoseconds: _Count = 0
 
-    Attributes:
-        path: Its name in the bag's folder.
-        starting_time_ns: The smallest log time in it, ns since the epoch.
-        duration_ns: From there to the largest log time, ns.
-        message_count: The number of its messages.
-    """
+
+class _Time(msgspec.Struct, frozen=True):
+    nanoseconds_since_epoch: _Count = EMPTY_START_NS
+
+
+class FileMetadata(msgspec.Struct, frozen=True):
+    """One file of a bag: its name in the folder, its first log time and what follows [ns]."""
 
     path: str
-    starting_time_ns: int = EMPTY_START_NS
-    duration_ns: int = 0
-    message_count: int = 0
+    starting_time: _Time = _Time()
+    duration: _Duration = _Duration()
+    message_count: _Count = 0
+
+    @classmethod
+    def of(cls, path: str, start: int, end: int, count: int) -> "FileMetadata":
+        """Return that of a file with messages from and to a log time [ns]."""
+        return cls(path, _Time(start), _Duration(end - start), count) if count else cls(path)
+
+    @property
+    def start_ns(self) -> int:
+        """The smallest log time in it, ns since the epoch; `EMPTY_START_NS` without messages."""
+        return self.starting_time.nanoseconds_since_epoch
+
+    @property
+    def duration_ns(self) -> int:
+        """The time from its smallest to its largest log time [ns]."""
+        return self.duration.nanoseconds
+
+
+class _TopicFields(msgspec.Struct):
+    name: str
+    type: str
+    serialization_format: str
+    offered_qos_profiles: list[dict[str, Any]]
+    type_description_hash: str
+
+
+class _TopicEntry(msgspec.Struct):
+    topic_metadata: _TopicFields
+    message_count: _Count
+
+
+class _Information(msgspec.Struct, kw_only=True):
+    """The content of the root key, in rosbag2's order; further keys are ignored.
+
+    Times and the number of messages, which repeat those of `files`, may be missing.
+    """
+
+    version: int
+    storage_identifier: str
+    duration: _Duration = _Duration()
+    starting_time: _Time = _Time()
+    message_count: _Count = 0
+    topics_with_message_count: list[_TopicEntry]
+    # Empty even with compressed chunks: those are MCAP's.
+    compression_format: str = ""
+    compression_mode: str
+    relative_file_paths: list[str]
+    files: list[FileMetadata]
+    custom_data: dict[Any, Any] | None
+    ros_distro: str
 
 
 @dataclass(frozen=True)
@@ -220,59 +258,34 @@ class BagMetadata:
     ros_distro: str = "jazzy"
     storage_identifier: str = "mcap"
 
-    @property
-    def message_count(self) -> int:
-        """The number of messages in all files."""
-        return sum(file.message_count for file in self.files)
-
-    @property
-    def starting_time_ns(self) -> int:
-        """The smallest log time, ns since the epoch; `EMPTY_START_NS` without messages."""
-        return min((f.starting_time_ns for f in self._filled()), default=EMPTY_START_NS)
-
-    @property
-    def duration_ns(self) -> int:
-        """The time from the smallest to the largest log time, ns."""
-        ends = [file.starting_time_ns + file.duration_ns for file in self._filled()]
-        return max(ends) - self.starting_time_ns if ends else 0
-
-    def _filled(self) -> list[FileMetadata]:
-        return [file for file in self.files if file.message_count]
-
     def to_map(self) -> dict[str, Any]:
         """Return the content of the root key, with every key in rosbag2's order."""
+        filled = [file for file in self.files if file.message_count]
+        start = min((file.start_ns for file in filled), default=EMPTY_START_NS)
+        end = max((file.start_ns + file.duration_ns for file in filled), default=start)
+        topics = [
+            _TopicEntry(
+                _TopicFields(
+                    topic.name,
+                    topic.type,
+                    "cdr",
+                    [qos.to_map() for qos in topic.qos_profiles],
+                    topic.type_hash,
+                ),
+                topic.count,
+            )
+            for topic in self.topics
+        ]
         information = _Information(
             version=VERSION,
             storage_identifier=self.storage_identifier,
-            duration=_Duration(self.duration_ns),
-            starting_time=_Time(self.starting_time_ns),
-            message_count=self.message_count,
-            topics_with_message_count=[
-                _TopicEntry(
-                    _TopicFields(
-                        topic.name,
-                        topic.type,
-                        "cdr",
-                        [qos.to_map() for qos in topic.qos_profiles],
-                        topic.type_hash,
-                    ),
-                    topic.count,
-                )
-                for topic in self.topics
-            ],
-            # Empty even with compressed chunks: those are MCAP's.
-            compression_format="",
+            duration=_Duration(end - start),
+            starting_time=_Time(start),
+            message_count=sum(file.message_count for file in filled),
+            topics_with_message_count=topics,
             compression_mode="",
             relative_file_paths=[file.path for file in self.files],
-            files=[
-                _FileEntry(
-                    file.path,
-                    _Time(file.starting_time_ns),
-                    _Duration(file.duration_ns),
-                    file.message_count,
-                )
-                for file in self.files
-            ],
+            files=list(self.files),
             custom_data=dict(self.custom_data) if self.custom_data else None,
             ros_distro=self.ros_distro,
         )
@@ -291,41 +304,24 @@ class BagMetadata:
             ValueError: It is of another version than 9, a key is missing, or a value makes no
                 sense.
         """
-        version = _checked(information, _Version, "the metadata of a bag").version
+        version = information.get("version") if isinstance(information, dict) else None
         if version != VERSION:
             raise ValueError(f"version is {version}, only {VERSION} is supported")
         stated = _checked(information, _Information, "the metadata of a bag")
         if stated.compression_mode not in ("", "NONE"):
             raise ValueError("bags compressed by file or by message are not supported")
-        files = tuple(
-            FileMetadata(
-                entry.path,
-                entry.starting_time.nanoseconds_since_epoch,
-                entry.duration.nanoseconds,
-                entry.message_count,
-            )
-            for entry in stated.files
-        )
-        if (listed := [file.path for file in files]) != stated.relative_file_paths:
+        listed = [file.path for file in stated.files]
+        if listed != stated.relative_file_paths:
             raise ValueError(
                 f"files are {listed}, but relative_file_paths {stated.relative_file_paths}"
             )
-        for name, times in Counter(listed).items():
-            if "\0" in name:
-                raise ValueError(f"{name!r} cannot be a file's name")
-            if times > 1:
-                raise ValueError(f"the file '{name}' is listed {times} times")
-        custom_data = stated.custom_data
-        return cls(
-            topics=tuple(map(_topic_info, stated.topics_with_message_count)),
-            files=files,
-            # rosbag2 writes texts without quotes, so that YAML may take them for numbers.
-            custom_data=None
-            if custom_data is None
-            else {str(key): str(value) for key, value in custom_data.items()},
-            ros_distro=stated.ros_distro,
-            storage_identifier=stated.storage_identifier,
-        )
+        if len(set(listed)) < len(listed) or "\0" in "".join(listed):
+            raise ValueError(f"files are {listed}: each needs a name that no other has")
+        # rosbag2 writes texts without quotes, so that YAML may take them for numbers.
+        notes = stated.custom_data and {str(k): str(v) for k, v in stated.custom_data.items()}
+        topics = tuple(map(_topic_info, stated.topics_with_message_count))
+        files = tuple(stated.files)
+        return cls(topics, files, notes, stated.ros_distro, stated.storage_identifier)
 
     @classmethod
     def from_yaml(cls, text: str) -> "BagMetadata":
@@ -337,12 +333,14 @@ class BagMetadata:
         return cls.from_map(load_yaml(text))
 
 
+def _topic_info(entry: _TopicEntry) -> TopicInfo:
+    topic, count = entry.topic_metadata, entry.message_count
+    qos = _profiles(topic.offered_qos_profiles)
+    return TopicInfo(topic.name, topic.type, count, qos, topic.type_description_hash)
+
+
 def write_metadata(folder: Path, metadata: BagMetadata) -> None:
     """Replace a bag folder's metadata.yaml in one step that a power cut cannot halve.
-
-    Args:
-        folder: The bag folder, which must exist.
-        metadata: Its new content.
 
     Raises:
         BagWriteError: The file cannot be written.
@@ -364,9 +362,6 @@ def write_metadata(folder: Path, metadata: BagMetadata) -> None:
 
 def read_metadata(folder: Path) -> BagMetadata:
     """Return the content of a bag folder's metadata.yaml.
-
-    Args:
-        folder: The bag folder.
 
     Raises:
         BagReadError: The file is missing or not metadata of version 9, or a key is missing or
@@ -401,75 +396,8 @@ def fsync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-class _Version(msgspec.Struct):
-    version: int
-
-
-class _Duration(msgspec.Struct, frozen=True):
-    nanoseconds: _Count
-
-
-class _Time(msgspec.Struct, frozen=True):
-    nanoseconds_since_epoch: _Count
-
-
-class _TopicFields(msgspec.Struct):
-    name: str
-    type: str
-    serialization_format: str
-    offered_qos_profiles: list[dict[str, Any]]
-    type_description_hash: str
-
-
-class _TopicEntry(msgspec.Struct):
-    topic_metadata: _TopicFields
-    message_count: _Count
-
-
-class _FileEntry(msgspec.Struct):
-    path: str
-    starting_time: _Time
-    duration: _Duration
-    message_count: _Count
-
-
-class _Information(msgspec.Struct, kw_only=True):
-    """The content of the root key, in rosbag2's order; further keys are ignored.
-
-    The keys with defaults repeat what `files` states.
-    """
-
-    version: int
-    storage_identifier: str
-    duration: _Duration = _Duration(0)
-    starting_time: _Time = _Time(EMPTY_START_NS)
-    message_count: _Count = 0
-    topics_with_message_count: list[_TopicEntry]
-    compression_format: str = ""
-    compression_mode: str
-    relative_file_paths: list[str]
-    files: list[_FileEntry]
-    custom_data: dict[Any, Any] | None
-    ros_distro: str
-
-
-def _topic_info(entry: _TopicEntry) -> TopicInfo:
-    topic = entry.topic_metadata
-    return TopicInfo(
-        name=topic.name,
-        type=topic.type,
-        count=entry.message_count,
-        qos_profiles=tuple(map(QosProfile.from_map, topic.offered_qos_profiles)),
-        type_hash=topic.type_description_hash,
-    )
-
-
 def _checked(values: object, kind: type[_Kind], what: str) -> _Kind:
-    """Return values as what they should be, every one of them checked.
-
-    Raises:
-        ValueError: One is not; the text has its path.
-    """
+    """Return values as what they should be; the text of a `ValueError` has the wrong one's path."""
     try:
         return msgspec.convert(values, kind)
     except msgspec.ValidationError as error:

@@ -8,14 +8,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
-from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, McapRecord, Metadata, Schema, Statistics
 
 from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
-from tsobs_ros.bag.container import RecordError, split_messages
-from tsobs_ros.bag.damaged_file import Content, Damage, DamagedFile, Lost, parse_record
+from tsobs_ros.bag.container import RecordError, Records, parse_record
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
@@ -26,24 +24,18 @@ from tsobs_ros.bag.metadata import (
     TopicInfo,
     read_metadata,
 )
+from tsobs_ros.bag.walker import Damage, FileWalker, Part, Progress, read_part
 from tsobs_ros.bag.writer import LIBRARY, BagWriter, whole_bag
 from tsobs_ros.errors import BagReadError, BagWriteError, printable
 from tsobs_ros.files import open_regular
 
-Progress = Callable[[int], object]
 Keep = Callable[[str, bytes, int, int], object]
 """Takes a message: topic, data, log time [ns] and publish time [ns]."""
 
 _SHOWN = 10
 _MAX_DESCRIPTIONS = 2**26
+_RUN_SIZE = 2**20
 _NUMBER = re.compile(r"_(\d+)$")
-
-
-class _Destinations(NamedTuple):
-    """Topics of a file's channels, and why the messages of other channels have none."""
-
-    topics: dict[int, str]
-    reasons: dict[int, str]
 
 
 @dataclass
@@ -89,8 +81,7 @@ class FileRecovery:
     @property
     def is_whole(self) -> bool:
         """Whether nothing is known to be lost, or to be too much."""
-        wrong = self.error or self.damage or self.dropped or self.missing or self.excess
-        return not wrong
+        return not (self.error or self.damage or self.dropped or self.missing or self.excess)
 
     @property
     def reason(self) -> str:
@@ -100,28 +91,6 @@ class FileRecovery:
         parts = [str(part) for part in self.damage[:1]]
         parts += [f"{count} messages {reason}" for reason, count in self.dropped.items()]
         return ", ".join(parts[:2]) or "it holds no messages"
-
-    def add(self, content: Content, destinations: _Destinations, keep: Keep) -> None:
-        """Keep the messages of a piece of the file, and count them."""
-        topics, counts = destinations.topics, Counter[str]()
-        for channel, log_time, publish_time, _, data in split_messages(content.records):
-            topic = topics.get(channel)
-            if topic is None:
-                lost = f"of channel {channel}, whose topic is lost"
-                self.dropped[destinations.reasons.get(channel, lost)] += 1
-            elif log_time >= EMPTY_START_NS or publish_time >= EMPTY_START_NS:
-                self.dropped[f"of {topic}, whose times do not fit 63 bits"] += 1
-            else:
-                keep(topic, data, log_time, publish_time)
-                counts[topic] += 1
-                if self.start_ns is None or self.end_ns is None:
-                    self.start_ns = self.end_ns = log_time
-                elif log_time < self.start_ns:
-                    self.start_ns = log_time
-                elif log_time > self.end_ns:
-                    self.end_ns = log_time
-        self.kept += counts
-        self.unchecked += 0 if content.is_checked else counts.total()
 
     def as_mapping(self) -> dict[str, Any]:
         """Return plain data."""
@@ -217,15 +186,24 @@ class Recovery:
         return "\n".join(map(printable, lines))
 
 
-class _File:
-    """The records of a file that describe its topics and itself, wherever they are."""
+class _Piece(NamedTuple):
+    """A part of a file with messages: see `Part`; `foreign` are channels it describes as others."""
 
-    def __init__(self, path: Path, *, keep_unchecked: bool, is_trusted: bool) -> None:
+    at: int
+    size: int
+    front: int | None
+    is_checked: bool
+    foreign: tuple[int, ...]
+
+
+class _File:
+    """One file: the records that describe its topics, wherever they are, and its pieces."""
+
+    def __init__(self, path: Path, progress: Progress, **options: bool) -> None:
         self.path = path
         self.size = 0
-        self._options = {"keep_unchecked": keep_unchecked, "is_trusted": is_trusted}
-        self._damage: list[Damage] = []
         self.error = ""
+        self.damage: list[Damage] = []
         self.profile: str | None = None
         self.library = ""
         self.schemas: dict[int, Schema] = {}
@@ -233,19 +211,24 @@ class _File:
         self.statistics: Statistics | None = None
         self.metadata: BagMetadata | None = None
         self.is_finished = False
-
-        self._lost: dict[int, Lost] = {}
+        # The channels' topics, and why messages of others have none.
+        self.topics: dict[int, str] = {}
+        self.reasons: dict[int, str] = {}
+        self._pieces: list[_Piece] = []
         self._metadata_texts: deque[str] = deque(maxlen=2)
         self._definitions: dict[int, MessageDefinition | None] = {}
         self._room = _MAX_DESCRIPTIONS
-
-    def read(self, progress: Progress) -> None:
-        """Read the file once, from its start to its end, for what it says of itself."""
         try:
-            with open_regular(self.path) as stream:
+            with open_regular(path) as stream:
                 self.size = stream.seek(0, 2)
-                for piece in self._pieces(stream, progress):
-                    self._add(piece)
+                walker = FileWalker(stream, self.size, **options)
+                if summary := walker.summary:
+                    for record in (*summary.schemas.values(), *summary.channels.values()):
+                        self._describe(record)
+                    self._describe(summary.statistics)
+                for part in walker.parts(progress):
+                    self._take(part)
+                self.damage = walker.damage
         except OSError as error:
             self.error = error.strerror or str(error)
         # The last one tells most.
@@ -254,59 +237,104 @@ class _File:
                 self.metadata = BagMetadata.from_yaml(text)
                 break
 
-    def contents(self, account: FileRecovery, progress: Progress) -> Iterator[Content]:
-        """Yield the messages in the file, and enter what is lost into its account."""
+    def read(self, keep: Keep, progress: Progress) -> FileRecovery:
+        """Read all messages, and return the account."""
+        name = self.path.name
+        account = FileRecovery(name, self.size, self.is_finished, error=self.error)
+        account.damage = self.damage
+        counts = self.statistics.channel_message_counts if self.statistics else {}
+        for id_, count in counts.items():
+            account.stated[self.topics.get(id_, f"channel {id_}")] += count
+        if self.error:
+            return account
+        at = 0
         with open_regular(self.path) as stream:
-            for piece in self._pieces(stream, progress):
-                if isinstance(piece, Content):
-                    yield piece
-        account.damage = self._damage
+            for piece in self._pieces:
+                for id_ in piece.foreign:
+                    self.topics.pop(id_, None)
+                    self.reasons[id_] = f"of channel {id_}, which is described as two topics"
+                try:
+                    content = read_part(stream, *piece[:3])
+                except RecordError as error:
+                    raise BagReadError(f"{self.path}: changed while it was read") from error
+                counted = account.kept.total()
+                self._keep(content, account, keep)
+                account.unchecked += 0 if piece.is_checked else account.kept.total() - counted
+                progress(piece.at + piece.size - at)
+                at = piece.at + piece.size
+        progress(self.size - at)
+        return account
 
-    def contradicted(self, content: Content) -> Iterator[int]:
+    def _keep(self, content: Records, account: FileRecovery, keep: Keep) -> None:
+        for channel, log_time, publish_time, begin, size in zip(
+            *(column.tolist() for column in content[1:]), strict=True
+        ):
+            if (topic := self.topics.get(channel)) is None:
+                lost = f"of channel {channel}, whose topic is lost"
+                account.dropped[self.reasons.get(channel, lost)] += 1
+            elif not (0 <= log_time < EMPTY_START_NS and 0 <= publish_time < EMPTY_START_NS):
+                account.dropped[f"of {topic}, whose times do not fit 63 bits"] += 1
+            else:
+                keep(topic, content.data[begin : begin + size], log_time, publish_time)
+                account.kept[topic] += 1
+                if account.start_ns is None or log_time < account.start_ns:
+                    account.start_ns = log_time
+                if account.end_ns is None or log_time > account.end_ns:
+                    account.end_ns = log_time
+
+    def _take(self, part: Part) -> None:
+        if part.content is None:
+            if part.record is not None:
+                self._describe(part.record)
+            return
+        foreign: list[int] = []
+        seen = set()
+        for description in part.content.descriptions():
+            if (key := description[:1] + description[9:11]) not in seen:
+                seen.add(key)
+                with suppress(RecordError):
+                    record = parse_record(description)
+                    foreign += self._contradicted(record)
+                    self._describe(record)
+        last = self._pieces[-1] if self._pieces else None
+        is_run = last and part.record is None and last.at + last.size == part.at
+        if last and is_run and last.size < _RUN_SIZE:
+            self._pieces[-1] = last._replace(size=last.size + part.size)
+        else:
+            piece = _Piece(part.at, part.size, part.front, part.is_checked, tuple(foreign))
+            self._pieces.append(piece)
+
+    def _contradicted(self, record: McapRecord) -> Iterator[int]:
         """Yield the channels that a chunk describes as others: it may be of another file."""
-        for description in content.descriptions:
-            with suppress(RecordError):
-                match parse_record(description):
-                    case Channel() as record if known := self.channels.get(record.id):
-                        mine, its = (
-                            (one.topic, one.schema_id, one.message_encoding)
-                            for one in (known, record)
-                        )
-                        if mine != its:
-                            yield record.id
-                    case Schema() as record if (schema := self.schemas.get(record.id)) and (
-                        schema.name != record.name
-                    ):
-                        yield from (i for i, c in self.channels.items() if c.schema_id == schema.id)
+        match record:
+            case Channel() if known := self.channels.get(record.id):
+                mine, its = (
+                    (one.topic, one.schema_id, one.message_encoding) for one in (known, record)
+                )
+                if mine != its:
+                    yield record.id
+            case Schema() if (schema := self.schemas.get(record.id)) and schema.name != record.name:
+                yield from (i for i, c in self.channels.items() if c.schema_id == schema.id)
 
-    def _pieces(self, stream: IO[bytes], progress: Progress) -> Iterator[Content | McapRecord]:
-        damaged = DamagedFile(stream, self.size, lost=self._lost, **self._options)
-        yield from damaged.pieces(progress)
-        self._lost, self._damage = damaged.lost, damaged.damage
-
-    def _add(self, piece: Content | McapRecord) -> None:
-        # The first of two records with one id is kept: chunks, which have checksums, come first.
-        match piece:
-            case Content():
-                for description in piece.descriptions:
-                    known = self.schemas if description[0] == Opcode.SCHEMA else self.channels
-                    if int.from_bytes(description[9:11], "little") not in known:
-                        with suppress(RecordError):
-                            self._add(parse_record(description))
+    def _describe(self, record: McapRecord) -> None:
+        # The first of two records with one id is kept.
+        match record:
             case Header() if self.profile is None:
-                self.profile, self.library = piece.profile, piece.library
-            case Schema() if piece.id not in self.schemas and self._has_room(len(piece.data)):
-                self.schemas[piece.id] = piece
-            case Channel() if piece.id not in self.channels and self._has_room(
-                sum(len(key) + len(value) for key, value in piece.metadata.items())
+                self.profile, self.library = record.profile, record.library
+            case Schema() if record.id not in self.schemas and self._has_room(len(record.data)):
+                self.schemas[record.id] = record
+            case Channel() if record.id not in self.channels and self._has_room(
+                sum(len(key) + len(value) for key, value in record.metadata.items())
             ):
-                self.channels[piece.id] = piece
-            case Statistics() if piece.message_count == sum(piece.channel_message_counts.values()):
-                self.statistics = piece
+                self.channels[record.id] = record
+            case Statistics() if record.message_count == sum(
+                record.channel_message_counts.values()
+            ):
+                self.statistics = record
             case Footer():
                 self.is_finished = True
             case Metadata(name="rosbag2"):
-                self._metadata_texts.append(piece.metadata.get("serialized_metadata", ""))
+                self._metadata_texts.append(record.metadata.get("serialized_metadata", ""))
 
     def _has_room(self, size: int) -> bool:
         self._room -= size
@@ -346,49 +374,33 @@ class DamagedBag:
     Args:
         bag: A bag folder, with or without metadata.yaml, or one MCAP file.
         progress: Called with the number of bytes that were read since the last call.
-        keep_unchecked: Whether to give what can be read of chunks whose checksum fails, too.
-        is_trusted: Whether to read chunks however much they decompress to.
+        options: Those of `FileWalker`.
 
     Attributes:
         topics: The topics found, by name.
         metadata: The metadata of the bag, of its folder or else of a file; None if it is lost.
-        profiles: The profile in the header of each file, by its name, if it has one.
+        profiles: The profiles in the headers of the files.
         remarks: What else a user should know.
 
     Raises:
         BagReadError: There is no bag.
     """
 
-    def __init__(
-        self,
-        bag: Path,
-        progress: Progress = lambda _: None,
-        *,
-        keep_unchecked: bool = False,
-        is_trusted: bool = False,
-    ) -> None:
-        found = _find_files(bag)
-        self._files = [
-            _File(path, keep_unchecked=keep_unchecked, is_trusted=is_trusted)
-            for path in found.paths
-        ]
-        for file in self._files:
-            file.read(progress)
-        stated = [found.metadata, *(file.metadata for file in self._files)]
+    def __init__(self, bag: Path, progress: Progress = lambda _: None, **options: bool) -> None:
+        paths, metadata, self.remarks = _find_files(bag)
+        self._files = [_File(path, progress, **options) for path in paths]
+        stated = [metadata, *(file.metadata for file in self._files)]
         self.metadata = next(filter(None, stated), None)
         self.custom_data = next((m.custom_data for m in stated if m and m.custom_data), None)
-        self.profiles = {f.path.name: f.profile for f in self._files if f.profile is not None}
-        self.remarks = [found.metadata_error] if found.metadata_error else []
-        if found.metadata:
-            self.remarks += [f"{path.name}: not named by metadata.yaml" for path in found.unlisted]
+        self.profiles = {file.profile for file in self._files} - {None}
         # The header may be what is damaged: what counts is whether messages are in CDR.
         self.remarks += [
-            f"{name}: its profile is '{profile}', expected 'ros2'"
-            for name, profile in self.profiles.items()
-            if profile != "ros2"
+            f"{file.path.name}: its profile is '{file.profile}', expected 'ros2'"
+            for file in self._files
+            if file.profile not in (None, "ros2")
         ]
         self._listed: tuple[TopicInfo, ...] = max(
-            (metadata.topics for metadata in stated if metadata), key=len, default=()
+            (each.topics for each in stated if each), key=len, default=()
         )
         self._definitions: dict[tuple[str, str], MessageDefinition] = {}
         for file in self._files:
@@ -397,7 +409,8 @@ class DamagedBag:
                     key = (definition.type, definition.type_hash)
                     self._definitions.setdefault(key, definition)
         self.topics: dict[str, TopicInfo] = {}
-        self._destinations = [self._destinations_of(file) for file in self._files]
+        for file in self._files:
+            self._find_topics(file)
 
     def read(
         self,
@@ -406,7 +419,7 @@ class DamagedBag:
         progress: Progress = lambda _: None,
         start_file: Callable[[], object] = lambda: None,
     ) -> tuple[FileRecovery, ...]:
-        """Read all messages, file by file, in the order of recording.
+        """Read all messages, once, file by file, in the order of recording.
 
         Args:
             keep: Called with each message.
@@ -417,60 +430,46 @@ class DamagedBag:
             The account of each file.
         """
         accounts = []
-        for file, destinations in zip(self._files, self._destinations, strict=True):
-            account = FileRecovery(file.path.name, file.size, file.is_finished, error=file.error)
-            if not file.error:
-                start_file()
-                for id_, count in (
-                    file.statistics.channel_message_counts if file.statistics else {}
-                ).items():
-                    account.stated[destinations.topics.get(id_, f"channel {id_}")] += count
-                own = _Destinations(dict(destinations.topics), dict(destinations.reasons))
-                for content in file.contents(account, progress):
-                    for id_ in file.contradicted(content):
-                        own.topics.pop(id_, None)
-                        own.reasons[id_] = f"of channel {id_}, which is described as two topics"
-                    account.add(content, own, keep)
-            accounts.append(account)
+        for file in self._files:
+            start_file()
+            accounts.append(file.read(keep, progress))
         return tuple(accounts)
 
-    def _destinations_of(self, file: _File) -> _Destinations:
-        found = _Destinations({}, {})
+    def _find_topics(self, file: _File) -> None:
         offered = OfferedQos()
         by_name = {listed.name: listed for listed in self._listed}
         for id_, channel in file.channels.items():
             topic = channel.topic
             if channel.message_encoding != "cdr":
-                found.reasons[id_] = f"of {topic}, which is encoded in '{channel.message_encoding}'"
+                file.reasons[id_] = f"of {topic}, which is encoded in '{channel.message_encoding}'"
                 continue
             definition = file.definition(channel) or self._listed_definition(by_name.get(topic))
             qos: tuple[QosProfile, ...] = ()
             with suppress(ValueError):
                 qos = offered[channel]
-            self._add(found, id_, topic, definition, qos)
+            self._add(file, id_, topic, definition, qos)
         if file.library.startswith(f"{LIBRARY} "):
             # Our files number the channels in the order in which the metadata lists the topics.
             for id_, listed in enumerate(self._listed, start=1):
                 if id_ not in file.channels and (definition := self._listed_definition(listed)):
-                    self._add(found, id_, listed.name, definition, listed.qos_profiles)
-        return found
+                    self._add(file, id_, listed.name, definition, listed.qos_profiles)
 
     def _add(
         self,
-        found: _Destinations,
+        file: _File,
         id_: int,
         name: str,
         definition: MessageDefinition | None,
         qos: tuple[QosProfile, ...],
     ) -> None:
         if definition is None:
-            found.reasons[id_] = f"of {name}, whose type is lost"
+            file.reasons[id_] = f"of {name}, whose type is lost"
             return
         topic = TopicInfo(name, definition.type, 0, qos, definition.type_hash, definition)
         if self.topics.setdefault(name, topic).type != definition.type:
-            found.reasons[id_] = f"of {name} as {definition.type}, which is two types"
+            file.reasons[id_] = f"of {name} as {definition.type}, which is two types"
         else:
-            found.topics[id_] = name
+            file.topics[id_] = name
 
     def _listed_definition(self, listed: TopicInfo | None) -> MessageDefinition | None:
         """Return a definition that is certainly the one the topic had: its hash is the same."""
@@ -537,9 +536,7 @@ def recover(
 
     with ExitStack() as stack:
         files = damaged.read(
-            keep,
-            progress=progress,
-            start_file=lambda: writer.split() if writer else None,
+            keep, progress=progress, start_file=lambda: writer.split() if writer else None
         )
     if writer is None:
         reasons = "; ".join(f"{file.name}: {file.reason}" for file in files)
@@ -547,20 +544,8 @@ def recover(
     return Recovery(source, target, files, tuple(damaged.remarks))
 
 
-class _BagFiles(NamedTuple):
-    """The files of a bag in order of recording, missing ones included, and what describes them.
-
-    `unlisted` are those that the metadata does not name, `metadata_error` is why there is none.
-    """
-
-    paths: tuple[Path, ...]
-    metadata: BagMetadata | None
-    metadata_error: str
-    unlisted: tuple[Path, ...]
-
-
-def _find_files(bag: Path) -> _BagFiles:
-    """Return the files of a bag folder, or of a single file.
+def _find_files(bag: Path) -> tuple[list[Path], BagMetadata | None, list[str]]:
+    """Return the files of a bag in order of recording, missing ones included, and what names them.
 
     Raises:
         BagReadError: There is no such folder or file, or no MCAP file in it.
@@ -568,12 +553,12 @@ def _find_files(bag: Path) -> _BagFiles:
     if not bag.is_dir():
         if not bag.exists():
             raise BagReadError(f"{bag}: there is no such bag")
-        return _BagFiles((bag,), None, "", ())
-    metadata, error = None, ""
+        return [bag], None, []
+    metadata, remarks = None, []
     try:
         metadata = read_metadata(bag)
     except BagReadError as reason:
-        error = str(reason)
+        remarks.append(str(reason))
     listed = [bag / Path(file.path).name for file in metadata.files] if metadata else []
     try:
         # Not glob, which takes a folder that cannot be read for an empty one.
@@ -583,7 +568,9 @@ def _find_files(bag: Path) -> _BagFiles:
     unlisted = [path for path in present if path not in listed]
     if not (listed or unlisted):
         raise BagReadError(f"{bag}: not a bag, there is no .mcap file in it")
-    return _BagFiles((*listed, *unlisted), metadata, error, tuple(unlisted))
+    if metadata:
+        remarks += [f"{path.name}: not named by metadata.yaml" for path in unlisted]
+    return [*listed, *unlisted], metadata, remarks
 
 
 def _by_number(path: Path) -> tuple[int, str]:

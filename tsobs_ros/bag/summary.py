@@ -4,6 +4,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain, groupby
@@ -15,15 +16,21 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from tsobs_ros.bag.container import MAX_SIZE, RECORD, Summary, has_checksum
+from tsobs_ros.bag.container import (
+    CHUNK_HEAD_SIZE,
+    INDEX_HEAD,
+    MAX_SIZE,
+    RECORD,
+    RecordError,
+    Span,
+    Summary,
+    chunk_head,
+)
 from tsobs_ros.bag.metadata import BagMetadata, QosProfile, TopicInfo
 from tsobs_ros.bag.reader import UNCHECKED, BagReader
 from tsobs_ros.bag.recovery import DamagedBag
 from tsobs_ros.errors import BagReadError, printable
 from tsobs_ros.files import open_regular
-
-_INDEX_HEAD_SIZE = 6
-"""Bytes of a message index before its entries: the channel and their size."""
 
 _FEW_TIMES = 2**16
 
@@ -177,7 +184,7 @@ def summarise(bag: str | Path) -> BagSummary:
         reader = BagReader(path)
     except BagReadError as error:
         return _of_damaged(path, error)
-    gaps, topic_spans, unchecked = _look_into_indexes(reader.summaries)
+    found, unchecked = _look_into_indexes(reader.summaries)
     return BagSummary(
         path=path,
         problem="",
@@ -189,15 +196,15 @@ def summarise(bag: str | Path) -> BagSummary:
         start_ns=reader.start_time,
         end_ns=reader.end_time,
         metadata=reader.metadata,
-        largest_gaps_ns=gaps,
-        spans_ns=topic_spans,
+        largest_gaps_ns={topic: each.gap for topic, each in found.items() if each.gap is not None},
+        spans_ns={topic: each.last - each.first for topic, each in found.items()},
         unchecked=unchecked,
     )
 
 
 def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
     damaged = DamagedBag(path)
-    if set(damaged.profiles.values()) - {"ros2"} or not damaged.topics:
+    if damaged.profiles - {"ros2"} or not damaged.topics:
         raise error
     files = damaged.read(lambda *_: None)
     counts = sum((file.kept for file in files), Counter[str]())
@@ -215,12 +222,13 @@ def _of_damaged(path: Path, error: BagReadError) -> BagSummary:
     )
 
 
-class _Gap:
-    """The largest gap so far; the times that later chunks may still fall between are kept."""
+class _Topic:
+    """The times of a topic: the first, the last, and the largest gap between two."""
 
     def __init__(self) -> None:
-        self.largest: int | None = None
         self.first, self.last = 2**64, 0
+        self.gap: int | None = None
+        # Times that those of later chunks may still fall between, and new ones.
         self._open: NDArray[np.uint64] = np.empty(0, np.uint64)
         self._added: list[NDArray[np.uint64]] = []
         self._room = _FEW_TIMES
@@ -230,18 +238,14 @@ class _Gap:
         self._added.append(times)
         self._room -= times.size
         if self._room < 0:
-            self._measure(start)
+            self.measure(start)
 
-    def finish(self) -> int | None:
-        """Return the largest gap of all; None without two messages."""
-        self._measure(2**64 - 1)
-        return self.largest
-
-    def _measure(self, start: int) -> None:
+    def measure(self, start: int = 2**64 - 1) -> None:
+        """Measure the gaps up to the start of a chunk."""
         self._open = np.sort(np.concatenate((self._open, *self._added)))
         end = max(1, int(np.searchsorted(self._open, np.uint64(start), side="right")))
         if end > 1:
-            self.largest = max(self.largest or 0, int(np.diff(self._open[:end]).max()))
+            self.gap = max(self.gap or 0, int(np.diff(self._open[:end]).max()))
         self.first = min(self.first, int(self._open[0]))
         self.last = max(self.last, int(self._open[-1]))
         self._open = self._open[end - 1 :]
@@ -249,20 +253,16 @@ class _Gap:
         self._added, self._room = [], max(_FEW_TIMES, self._open.size)
 
 
-def _look_into_indexes(
-    summaries: Sequence[Summary],
-) -> tuple[dict[str, int], dict[str, int], int]:
+def _look_into_indexes(summaries: Sequence[Summary]) -> tuple[dict[str, _Topic], int]:
     """Return what the indexes and the heads of the chunks tell, without reading any message.
 
-    Returns:
-        The longest time between two messages of each topic, ns, but for topics with fewer than two
-        messages, and of files without message indexes; the time from the first to the last of
-        them; and the number of unchecked messages.
+    Topics with fewer than two messages are left out, and those in files without message indexes.
+    The number is that of the unchecked messages.
 
     Raises:
         BagReadError: An index is damaged.
     """
-    gaps: dict[str, _Gap] = {}
+    found: dict[str, _Topic] = {}
     unknown: set[str] = set()
     checked: Counter[int] = Counter()
     unchecked: set[int] = set()
@@ -275,38 +275,47 @@ def _look_into_indexes(
         try:
             with open_regular(path) as stream:
                 for span in group:
-                    is_checked = has_checksum(stream, span)
-                    if not is_checked:
+                    if not (is_checked := _has_checksum(stream, span)):
                         unchecked.add(rank)
                     if not span.places:
                         unknown.update(topics.values())
                     for channel, offset in span.index_offsets.items():
                         times = _index_times(stream, offset)
-                        sizes[rank] -= RECORD.size + _INDEX_HEAD_SIZE + 2 * times.nbytes
+                        sizes[rank] -= INDEX_HEAD.size + 2 * times.nbytes
                         if sizes[rank] < 0:
                             raise ValueError("the message indexes overlap")
                         checked[rank] += times.size if is_checked else 0
                         if channel in topics and times.size:
-                            gaps.setdefault(topics[channel], _Gap()).add(times, span.start)
-        except (OSError, ValueError) as error:
+                            found.setdefault(topics[channel], _Topic()).add(times, span.start)
+        except (OSError, ValueError, OverflowError) as error:
             raise BagReadError(f"{path}: {error}") from error
-    found = {topic: gap.finish() for topic, gap in gaps.items() if topic not in unknown}
+    for each in found.values():
+        each.measure()
+    known = {t: each for t, each in found.items() if each.gap is not None and t not in unknown}
     counts = [summaries[rank].statistics.message_count - checked[rank] for rank in unchecked]
-    known = {topic: gap for topic, gap in found.items() if gap is not None}
-    return known, {topic: gaps[topic].last - gaps[topic].first for topic in known}, sum(counts)
+    return known, sum(counts)
+
+
+def _has_checksum(stream: IO[bytes], span: Span) -> bool:
+    if span.is_chunk:
+        stream.seek(span.offset)
+        with suppress(RecordError):
+            return chunk_head(stream.read(CHUNK_HEAD_SIZE))[0].uncompressed_crc != 0
+    return False
 
 
 def _index_times(stream: IO[bytes], offset: int) -> NDArray[np.uint64]:
     """Return the log times in the message index at an offset, in its order."""
     stream.seek(offset)
-    opcode, size = RECORD.unpack(stream.read(RECORD.size).ljust(RECORD.size, b"\0"))
-    is_index = opcode == Opcode.MESSAGE_INDEX and size <= MAX_SIZE
-    body = stream.read(size) if is_index else b""
-    entries = len(body) - _INDEX_HEAD_SIZE
-    if not is_index or len(body) != size or entries < 0 or entries % 16:
+    head = stream.read(INDEX_HEAD.size).ljust(INDEX_HEAD.size, b"\0")
+    opcode, length, _, size = INDEX_HEAD.unpack(head)
+    is_index = opcode == Opcode.MESSAGE_INDEX and size <= MAX_SIZE and size % 16 == 0
+    if not is_index or length != INDEX_HEAD.size - RECORD.size + size:
         raise ValueError(f"the index states a message index at byte {offset}, but there is none")
+    if len(entries := stream.read(size)) != size:
+        raise ValueError(f"the message index at byte {offset} is cut off")
     # A copy, as the other half of the entries is not needed.
-    return np.frombuffer(body, "<u8", offset=_INDEX_HEAD_SIZE)[::2].copy()
+    return np.frombuffer(entries, "<u8")[::2].copy()
 
 
 def _bytes(size: int) -> str:

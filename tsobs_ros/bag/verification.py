@@ -9,11 +9,8 @@ is what makes a reader fail or lose something; a remark is what could not be che
 
 import re
 import zlib
-from array import array
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import chain, islice
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -24,18 +21,14 @@ from mcap.records import Channel, Chunk, DataEnd, McapRecord, Schema
 from tsobs_ros.bag.cdr import MessageLayout, UnknownLayoutError
 from tsobs_ros.bag.container import (
     INDEX_HEAD,
-    MAGIC,
-    MAX_SIZE,
     MESSAGE,
-    RECORD,
     RECOVER_HINT,
-    ContentLimit,
-    RecordError,
+    Integers,
+    Records,
     Summary,
-    chunk_records,
+    parse_record,
     read_summary,
 )
-from tsobs_ros.bag.damaged_file import parse_record
 from tsobs_ros.bag.metadata import (
     EMPTY_START_NS,
     FILE_NAME,
@@ -45,6 +38,7 @@ from tsobs_ros.bag.metadata import (
     read_metadata,
 )
 from tsobs_ros.bag.reader import UNCHECKED
+from tsobs_ros.bag.walker import FileWalker, Part, Progress
 from tsobs_ros.errors import BagReadError, MessageError, printable
 from tsobs_ros.files import open_regular
 from tsobs_ros.yaml_files import read_yaml
@@ -54,9 +48,6 @@ _NUMBERED = re.compile(r".+_\d+\.[^.]+")
 _BLOCK_SIZE = 2**20
 _MAX_FINDINGS = 1_000
 _MAX_TEXT = 1_000
-_COUNTED = 10_000
-# In messages, which take a tenth as long.
-_DESCRIPTION_COST = 10
 _MAX_LAYOUTS = 2**23
 
 
@@ -128,7 +119,7 @@ class Verification:
 
 def verify(
     bag: str | Path,
-    progress: Callable[[int], object] = lambda _: None,
+    progress: Progress = lambda _: None,
     *,
     is_trusted: bool = False,
 ) -> Verification:
@@ -219,7 +210,7 @@ def _compare(metadata: BagMetadata, files: dict[str, "_File"], errors: _Findings
         if file.is_complete:
             times = (file.start, file.end - file.start) if file.counts else (EMPTY_START_NS, 0)
             what = f"the start, duration and message_count of {stated.path}"
-            numbers = stated.starting_time_ns, stated.duration_ns, stated.message_count
+            numbers = stated.start_ns, stated.duration_ns, stated.message_count
             errors.expect(FILE_NAME, what, numbers, (*times, file.counts.total()))
         for channel in file.channels.values():
             place = f"{file.path.name}: {channel.topic}"
@@ -245,17 +236,6 @@ def _compare(metadata: BagMetadata, files: dict[str, "_File"], errors: _Findings
             errors.expect(FILE_NAME, what, topic.count, counts[topic.name])
 
 
-class _ChunkFacts(NamedTuple):
-    """What the summary should state of a chunk, and the message indexes that are to follow it."""
-
-    size: int
-    start: int
-    end: int
-    index_offsets: dict[int, int]
-    entries: "dict[int, array[int]]"
-    is_damaged: bool
-
-
 class _File:
     """The check of one file: its content, and its summary against that."""
 
@@ -265,136 +245,100 @@ class _File:
         self.channels: dict[int, Channel] = {}
         self.qos: dict[int, object] = {}
         self.counts: Counter[int] = Counter()
-        self.start = EMPTY_START_NS
+        self.start = 2**64
         self.end = 0
         self.is_complete = False
+        self.unchecked = 0
         self._errors = errors
         self._remarks = remarks
+        self._is_trusted = is_trusted
         self._layouts: dict[int, MessageLayout] = {}
-        self._chunks: dict[int, _ChunkFacts] = {}
+        self._layout_room = _MAX_LAYOUTS
         self._topics: set[str] = set()
         self._offered = OfferedQos()
-        self._is_trusted = is_trusted
-        self._layout_room = _MAX_LAYOUTS
-        self.unchecked = 0
+        # What the summary should state of each chunk: its place, size, times and index offsets.
+        self._chunks: dict[int, tuple[int, int, int, dict[int, int]]] = {}
+        self._last = 0
+        # The entries that the message indexes behind the last chunk should have, by channel.
+        self._entries: dict[int, Integers] | None = {}
 
-    def check(self, progress: Callable[[int], object]) -> None:
+    def check(self, progress: Progress) -> None:
         """Read the file once, from its start to its end."""
         try:
             summary = read_summary(self.path)
             self._expect("its profile", summary.profile, "ros2")
             with open_regular(self.path) as stream:
-                self._check_data(stream, len(summary.spans), progress)
-            self._check_summary(summary)
-            self.is_complete = not any(chunk.is_damaged for chunk in self._chunks.values())
-        except (RecordError, OverflowError) as error:
-            self._error(f"the file is damaged: {error}; {RECOVER_HINT}")
+                walker = FileWalker(stream, stream.seek(0, 2), is_trusted=self._is_trusted)
+                damages = 0
+                for part in walker.parts(progress):
+                    if len(walker.damage) > damages:
+                        damages, self._entries = len(walker.damage), None
+                    if isinstance(part.record, DataEnd):
+                        self._check_data(stream, part.at, part.record.data_section_crc)
+                        break
+                    self._check_part(stream, part)
         except OSError as error:
             self._error(str(error).removeprefix(f"{self.path}: "))
-
-    def _check_data(
-        self, stream: IO[bytes], chunks: int, progress: Callable[[int], object]
-    ) -> None:
-        size, at, record = stream.seek(0, 2), len(MAGIC), None
-        self._content = ContentLimit(size, self._is_trusted)
-        while not isinstance(record, DataEnd):
-            stream.seek(at)
-            head = stream.read(RECORD.size)
-            opcode, length = RECORD.unpack(head.ljust(RECORD.size, b"\0"))
-            if opcode == 0 or length > size - stream.tell():
-                raise RecordError(f"at byte {at} there is no record, or one that is cut off")
-            if opcode != Opcode.ATTACHMENT and opcode <= max(Opcode):
-                if length > MAX_SIZE:
-                    raise RecordError(f"the record at byte {at} has {length} bytes, too many")
-                if opcode == Opcode.CHUNK and len(self._chunks) > chunks:
-                    raise RecordError(f"there are more chunks than the {chunks} in its index")
-                record = self._check_record(at, opcode, head + stream.read(length))
-            progress(RECORD.size + length)
-            at += RECORD.size + length
-        if stated := record.data_section_crc:
-            if stated != _crc(stream, at - RECORD.size - length):
-                self._error("the checksum of the data section is wrong")
-            self.unchecked = 0
+            return
+        for each in walker.damage:
+            self._error(f"at byte {each.offset}: {each.reason}; {RECOVER_HINT}")
+        self.is_complete = not walker.damage
+        self._check_summary(summary)
         if self.unchecked:
             self._remark(f"{self.unchecked} {UNCHECKED}")
 
-    def _check_record(self, at: int, opcode: int, record: bytes) -> McapRecord | None:
-        if opcode == Opcode.MESSAGE_INDEX:
-            self._check_index(at, record)
-            return None
-        if opcode == Opcode.MESSAGE:
-            self.unchecked += 1
-            self._check_records(record)
-            return None
-        try:
-            found = parse_record(record)
-        except RecordError as error:
-            raise RecordError(f"at byte {at}: {error}") from error
-        if isinstance(found, Chunk):
-            self._check_chunk(at, len(record), found)
+    def _check_data(self, stream: IO[bytes], end: int, stated: int) -> None:
+        """Check the checksum of a file up to a place."""
+        if stated:
+            crc = at = stream.seek(0)
+            while at < end and (block := stream.read(min(_BLOCK_SIZE, end - at))):
+                crc, at = zlib.crc32(block, crc), at + len(block)
+            if crc != stated:
+                self._error("the checksum of the data section is wrong")
+            self.unchecked = 0
+
+    def _check_part(self, stream: IO[bytes], part: Part) -> None:
+        if part.content is not None:
+            for description in part.content.descriptions():
+                self._describe(parse_record(description))
+            self._check_messages(part.content)
+            self.unchecked += 0 if part.is_checked else len(part.content.sizes)
+            if isinstance(part.record, Chunk):
+                self._check_chunk(part, part.record, part.content)
+        elif part.record is not None:
+            self._describe(part.record)
         else:
-            self._describe(found)
-        return found
+            stream.seek(part.at)
+            if (data := stream.read(INDEX_HEAD.size))[0] == Opcode.MESSAGE_INDEX:
+                self._check_index(part.at, data, stream.read(part.size - len(data)))
 
-    def _check_chunk(self, at: int, size: int, chunk: Chunk) -> None:
-        counted = self.counts.total()
-        for entries in chain.from_iterable(c.entries.values() for c in self._last_chunk()):
-            del entries[:]  # only whether there are some is needed from now on
-        times = chunk.message_start_time, chunk.message_end_time
-        facts = _ChunkFacts(size, *times, {}, {}, is_damaged=False)
-        self._content.count_chunk(chunk)
-        try:
-            facts = facts._replace(entries=self._check_records(chunk_records(chunk)))
-            bounds = [bound for e in facts.entries.values() for bound in (min(e[::2]), max(e[::2]))]
-            actual = min(bounds, default=0), max(bounds, default=0)
-            self._expect(f"the log times of the chunk at byte {at}", times, actual)
-        except RecordError as error:
-            facts = facts._replace(is_damaged=True)
-            self._error(f"at byte {at}: {error}; {RECOVER_HINT}")
-        if not chunk.uncompressed_crc:
-            self.unchecked += self.counts.total() - counted
-        self._chunks[at] = facts
+    def _check_chunk(self, part: Part, chunk: Chunk, content: Records) -> None:
+        times = content.log_times.view("u8")
+        stated = chunk.message_start_time, chunk.message_end_time
+        actual = (int(times.min()), int(times.max())) if len(times) else (0, 0)
+        self._expect(f"the log times of the chunk at byte {part.at}", stated, actual)
+        self._check_indexed()
+        self._chunks[part.at], self._last = (part.size, *stated, {}), part.at
+        entries = np.stack((content.log_times, content.begins - MESSAGE.size), axis=1)
+        channels = np.unique(content.channels).tolist()
+        self._entries = {id_: entries[content.channels == id_] for id_ in channels}
 
-    def _last_chunk(self) -> list[_ChunkFacts]:
-        return list(islice(reversed(self._chunks.values()), 1))
+    def _check_indexed(self) -> None:
+        for id_ in self._entries or ():
+            self._error(f"the chunk at byte {self._last} has no message index of channel {id_}")
 
-    def _check_records(self, records: bytes) -> "dict[int, array[int]]":
-        """Check a run of records; return log time and place of each message, by channel."""
-        entries: dict[int, array[int]] = {}
-        at, size, count = 0, len(records), 0
-        while at < size:
-            count += 1
-            if count >= _COUNTED:
-                self._content.count_records(count)
-                count = 0
-            opcode, length = RECORD.unpack_from(records, at) if at + RECORD.size <= size else (0, 0)
-            end = at + RECORD.size + length
-            if end > size or (opcode == Opcode.MESSAGE and end < at + MESSAGE.size):
-                raise RecordError(f"the record at byte {at} of {size} is cut off")
-            if opcode == Opcode.MESSAGE:
-                _, _, channel, _, log_time, publish_time = MESSAGE.unpack_from(records, at)
-                data = records[at + MESSAGE.size : end]
-                self._check_message(channel, log_time, publish_time, data)
-                entries.setdefault(channel, array("Q")).extend((log_time, at))
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._describe(parse_record(records[at:end]))
-                count += _DESCRIPTION_COST
-            else:
-                raise RecordError(f"a record of kind {opcode:#04x} is inside of a chunk")
-            at = end
-        self._content.count_records(count)
-        return entries
-
-    def _check_index(self, at: int, record: bytes) -> None:
-        chunk = next(iter(self._last_chunk()), None)
-        entries = record[INDEX_HEAD.size :]
-        _, _, channel, size = INDEX_HEAD.unpack_from(record.ljust(INDEX_HEAD.size))
-        if chunk is None or size != len(entries) or size % 16:
-            raise RecordError(f"the message index at byte {at} is malformed, or follows no chunk")
+    def _check_index(self, at: int, head: bytes, entries: bytes) -> None:
+        _, _, channel, size = INDEX_HEAD.unpack(head)
+        if self._entries is None:
+            return  # its chunk is damaged
+        if not self._chunks or size != len(entries) or size % 16:
+            self._error(f"the message index at byte {at} is malformed, or follows no chunk")
+            return
         if entries:
-            chunk.index_offsets[channel] = at
-        actual = chunk.entries.pop(channel, array("Q")).tobytes()
-        if not chunk.is_damaged and not np.array_equal(_in_order(entries), _in_order(actual)):
+            self._chunks[self._last][3][channel] = at
+        stated = np.frombuffer(entries, "<i8").reshape(-1, 2)
+        actual = self._entries.pop(channel, stated[:0])
+        if not np.array_equal(_in_order(stated), _in_order(actual)):
             self._error(f"the index of channel {channel} at byte {at} is not that of its chunk")
 
     def _describe(self, record: McapRecord) -> None:
@@ -440,24 +384,27 @@ class _File:
         except ValueError as error:
             self._error(str(error), topic)
 
-    def _check_message(self, id_: int, log_time: int, publish_time: int, data: bytes) -> None:
-        self.counts[id_] += 1
-        if log_time < self.start:
-            self.start = log_time
-        if log_time > self.end:
-            self.end = log_time
-        if (channel := self.channels.get(id_)) is None:
-            self._error(f"a message is of channel {id_}, which is not there before it")
-            return
-        if log_time >= EMPTY_START_NS or publish_time >= EMPTY_START_NS:
-            text = f"a time does not fit 63 bits: log {log_time} ns, publish {publish_time} ns"
-            self._error(text, channel.topic, "time")
-        if layout := self._layouts.get(channel.schema_id):
-            try:
-                layout.check(data)
-            except MessageError as error:
-                text = f"the message at {log_time} ns is not whole: {error}"
-                self._error(text, channel.topic, "data")
+    def _check_messages(self, content: Records) -> None:
+        times = content.log_times.view("u8")
+        if len(times):
+            self.start = min(self.start, int(times.min()))
+            self.end = max(self.end, int(times.max()))
+        for id_, count in zip(*np.unique(content.channels, return_counts=True), strict=True):
+            self.counts[int(id_)] += int(count)
+            if (channel := self.channels.get(int(id_))) is None:
+                self._error(f"a message is of channel {id_}, which is not there before it")
+                continue
+            own = content.channels == id_
+            if min(content.log_times[own].min(), content.publish_times[own].min()) < 0:
+                self._error("a time does not fit 63 bits", channel.topic)
+            if layout := self._layouts.get(channel.schema_id):
+                columns = (each[own].tolist() for each in (content.begins, content.sizes, times))
+                for begin, size, time in zip(*columns, strict=True):
+                    try:
+                        layout.check(content.data[begin : begin + size])
+                    except MessageError as error:
+                        text = f"the message at {time} ns is not whole: {error}"
+                        self._error(text, channel.topic, "data")
 
     def _check_summary(self, summary: Summary) -> None:
         for schema in self.schemas.values():
@@ -469,30 +416,30 @@ class _File:
         # Topics without messages are only here.
         for description in (*summary.schemas.values(), *summary.channels.values()):
             self._describe(description)
+        self._check_indexed()
+        if not self.is_complete:
+            return
         spans = {span.offset: span for span in summary.spans if span.is_chunk}
         for at, chunk in self._chunks.items():
-            for channel_id in chunk.entries:
-                self._error(f"the chunk at byte {at} has no message index of channel {channel_id}")
             if (span := spans.pop(at, None)) is None:
                 self._error(f"the summary has no index of the chunk at byte {at}")
                 continue
             # Some writers also list channels of which a chunk has no messages.
-            offsets = {id_: span.index_offsets.get(id_) for id_ in chunk.index_offsets}
+            offsets = {id_: span.index_offsets.get(id_) for id_ in chunk[3]}
             stated = span.size, span.start, span.end, offsets
             what = f"size, first and last log time, and index offsets of the chunk at byte {at}"
-            self._expect(what, stated, chunk[:4])
+            self._expect(what, stated, chunk)
         for at in spans:
             self._error(f"the summary has an index of a chunk at byte {at}, where none is")
-        if not any(chunk.is_damaged for chunk in self._chunks.values()):
-            found = summary.statistics
-            by_channel = {id_: n for id_, n in found.channel_message_counts.items() if n}
-            self._expect("the messages by channel", by_channel, dict(self.counts))
-            self._expect("the number of messages", found.message_count, self.counts.total())
-            self._expect("the number of schemas", found.schema_count, len(self.schemas))
-            self._expect("the number of channels", found.channel_count, len(self.channels))
-            times = (self.start, self.end) if self.counts else (0, 0)
-            stated_times = found.message_start_time, found.message_end_time
-            self._expect("the smallest and largest log time", stated_times, times)
+        found = summary.statistics
+        by_channel = {id_: n for id_, n in found.channel_message_counts.items() if n}
+        self._expect("the messages by channel", by_channel, dict(self.counts))
+        self._expect("the number of messages", found.message_count, self.counts.total())
+        self._expect("the number of schemas", found.schema_count, len(self.schemas))
+        self._expect("the number of channels", found.channel_count, len(self.channels))
+        times = (self.start, self.end) if self.counts else (0, 0)
+        stated_times = found.message_start_time, found.message_end_time
+        self._expect("the smallest and largest log time", stated_times, times)
 
     def _expect(self, what: str, stated: object, actual: object) -> None:
         self._errors.expect(self.path.name, what, stated, actual)
@@ -504,18 +451,9 @@ class _File:
         self._remarks.add(self.path.name, text)
 
 
-def _in_order(entries: bytes) -> np.ndarray[Any, np.dtype[np.uint64]]:
+def _in_order(entries: np.ndarray[Any, np.dtype[np.int64]]) -> np.ndarray[Any, np.dtype[np.int64]]:
     """Return the entries of a message index by log time and place: each writer has its order."""
-    pairs = np.frombuffer(entries, "<u8").reshape(-1, 2)
-    return pairs[np.lexsort(pairs.T[::-1])]
-
-
-def _crc(stream: IO[bytes], end: int) -> int:
-    """Return the checksum of a file up to a place."""
-    crc = at = stream.seek(0)
-    while at < end and (block := stream.read(min(_BLOCK_SIZE, end - at))):
-        crc, at = zlib.crc32(block, crc), at + len(block)
-    return crc
+    return entries[np.lexsort(entries.T[::-1])]
 
 
 def _number(count: int, what: str) -> str:
