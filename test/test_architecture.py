@@ -41,7 +41,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "replay": {*CORE, "bag", "design", "methods"},
     "report": {*CORE, "bag", "design", "methods", "replay"},
     "plants": {"design", "simulation"},
-    "nodes": {*CORE, "bag", "design", "methods", "plants", "simulation"},
+    "nodes": {*CORE, "bag", "design", "methods", "plants", "replay", "simulation"},
     "executables": {"cli", "nodes"},
     "cli": {
         *CORE,

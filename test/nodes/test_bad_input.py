@@ -24,7 +24,7 @@ from staging.stage import BEGIN, SIGMAS, TOPIC, Event, Stage, Watcher, good
 from std_msgs.msg import Float64MultiArray
 
 from tsobs_ros.estimation.records import RejectReason
-from tsobs_ros.nodes.observer.io import MEASUREMENT_QOS
+from tsobs_ros.nodes.observer.node import MEASUREMENT_QOS
 from tsobs_ros.series import NANOSECONDS
 
 RATE = 25.0

@@ -20,7 +20,7 @@ from staging.arm import Arm
 
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.nodes.messages import to_nanoseconds
-from tsobs_ros.nodes.observer.rejections import NAMES as REASONS
+from tsobs_ros.nodes.observer.joints import NAMES as REASONS
 from tsobs_ros.series import NANOSECONDS
 
 TIMEOUT = 120.0

@@ -116,7 +116,7 @@ def recording(ros: Any, tmp_path: Path) -> Recording:
 
     ros.spin_until(all_there, TIMEOUT, "everything in the bag")
     recording.close()
-    tracker = estimating.tracker
+    tracker = estimating.joints[0].tracker
     used, rejected = tracker.used, sum(tracker.rejected.values())
     for finished in (estimating, recording, plant):
         ros.remove(finished)

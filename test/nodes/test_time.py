@@ -24,7 +24,7 @@ from std_srvs.srv import Trigger
 
 from tsobs_ros.estimation.history import GATED
 from tsobs_ros.estimation.records import RejectReason
-from tsobs_ros.nodes.observer.rejections import NAMES, OF_INPUT
+from tsobs_ros.nodes.observer.joints import NAMES, OF_INPUT
 from tsobs_ros.series import NANOSECONDS
 
 
@@ -105,7 +105,7 @@ def test_after_a_gap_of_any_length_it_goes_on(stage: Stage, gap: float) -> None:
 
     assert stage.watcher.broken == []
     assert stage.counts().used == stage.counts().received == len(events)
-    assert observer.tracker.restarts == (gap > stale_after)
+    assert observer.joints[0].tracker.restarts == (gap > stale_after)
     newest = BEGIN + 995 * MS
     coasting = [stamp for stamp in stage.watcher.stamps if newest < stamp < again]
     assert all(stamp <= newest + stale_after * NANOSECONDS for stamp in coasting)
@@ -132,7 +132,7 @@ def test_whatever_the_order_of_arrival_the_estimate_is_that_of_the_order_of_stam
     stage.step(BEGIN - 20 * MS)
     stage.play(events, period=20 * MS)
 
-    tracker = observer.tracker
+    tracker = observer.joints[0].tracker
     assert tracker.used + tracker.rejected[RejectReason.GATED] == len(samples)
     assert tracker.rejected[RejectReason.GATED] > 0
     assert tracker.rewinds > 10
@@ -159,7 +159,7 @@ def test_a_clock_that_goes_back_may_be_waited_for_instead(stage: Stage) -> None:
     stage.play(good(arm, stage.now + PERIOD, 0.1), stage.now + 105 * MS)
     assert stage.watcher.stamps == sorted(set(stage.watcher.stamps))
     assert stage.watcher.stamps[-1] == stage.now > last
-    assert observer.tracker.used == observer.received == 60
+    assert observer.joints[0].tracker.used == observer.received == 60
 
 
 @pytest.mark.parametrize("back", [0.05, 30.0], ids=lambda back: f"{back:g} s")
@@ -196,7 +196,7 @@ def test_a_leap_of_the_clock_is_a_gap_and_no_missed_tick(stage: Stage) -> None:
         wanted += len(events)
         assert stage.counts().used == stage.counts().received == wanted
         assert stage.watcher.stamps[-1] == stage.now
-    assert observer.tracker.restarts == 3
+    assert observer.joints[0].tracker.restarts == 3
     assert stage.watcher.broken == []
     timing = values(stage.statuses()["observer: timing"])
     assert int(timing["clock jumps ahead"]) >= 3
@@ -217,9 +217,12 @@ def test_what_a_tick_finds_is_used_in_the_order_of_stamps(stage: Stage) -> None:
     backwards.insert(9, events[3])
     stage.step(last, backwards)
 
-    assert observer.tracker.used == len(stamps)
-    assert observer.tracker.rejected == {RejectReason.WRONG_JOINT: 1, RejectReason.DUPLICATE: 1}
-    assert observer.tracker.rewinds <= 1  # of those that came after the tick
+    assert observer.joints[0].tracker.used == len(stamps)
+    assert observer.joints[0].tracker.rejected == {
+        RejectReason.WRONG_JOINT: 1,
+        RejectReason.DUPLICATE: 1,
+    }
+    assert observer.joints[0].tracker.rewinds <= 1  # of those that came after the tick
     assert replayed(stage.watcher, observer, events)
 
 

@@ -20,10 +20,7 @@ from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.model.prediction import Record
 
 REASONS = (None, *RejectReason)
-"""Reasons of rejection by their codes; 0 is a measurement that was used.
-
-The core has no codes of the last two.
-"""
+"""Reasons of rejection by their codes; 0 is a measurement that was used."""
 
 USED = 0
 NON_FINITE, GATED, IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT = (

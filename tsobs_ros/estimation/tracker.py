@@ -161,7 +161,7 @@ class Tracker:
     def rejected(self) -> Counter[RejectReason]:
         """Number of measurements not used, by reason."""
         refused = self.memory["refused"][0].tolist()
-        counts = {r: n for r, n in zip(REASONS, refused, strict=False) if r is not None and n}
+        counts = {r: n for r, n in zip(REASONS, refused, strict=True) if r is not None and n}
         return Counter(counts | {reason: n for reason, n in self._judged.items() if n})
 
     @property

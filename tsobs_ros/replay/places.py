@@ -12,6 +12,7 @@ from tsobs_ros.bag import estimate_topics as topics
 from tsobs_ros.bag.joint_states import JointStateEncoder
 from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Field, Place, Signals, positions
+from tsobs_ros.estimation.records import HEALTH
 
 Places: TypeAlias = Mapping[str, Sequence[Place]]
 """The places of a joint's numbers by topic."""
@@ -48,7 +49,21 @@ def places_of(
     }
 
 
-_FIELDS: tuple[Field, ...] = ("position", "velocity", "effort")
+ESTIMATES: Mapping[str, tuple[str, ...]] = {
+    topics.STATES: ("state",),
+    topics.STATE_BOUNDS: ("state_bound",),
+    topics.DISTURBANCE: ("disturbance", "disturbance_rate"),
+    topics.DISTURBANCE_BOUND: ("disturbance_bound",),
+    topics.TORQUE_DISTURBANCE: ("torque_disturbance",),
+    topics.TORQUE_DISTURBANCE_BOUND: ("torque_disturbance_bound",),
+    topics.PARAMETERS: ("parameters",),
+    topics.PARAMETER_BOUNDS: ("parameter_bound",),
+    topics.HEALTH: HEALTH,
+}
+"""Fields of an `Estimate` by the topic that has them, in the order of `places_of`."""
+
+FIELDS: tuple[Field, ...] = ("position", "velocity", "effort")
+"""Fields of a JointState."""
 
 
 class Layout:
@@ -63,7 +78,7 @@ class Layout:
 
     def __init__(self, joints: Sequence[Sequence[Place]]) -> None:
         self._names: list[str] = []
-        self._columns: dict[Field, list[tuple[int, int] | None]] = {one: [] for one in _FIELDS}
+        self._columns: dict[Field, list[tuple[int, int] | None]] = {one: [] for one in FIELDS}
         first: list[int] = []
         for joint, places in enumerate(joints):
             begin = len(self._names)
@@ -85,7 +100,7 @@ class Layout:
         """
         every = range(len(self._names))
         there = np.zeros((len(values), len(self._names)), np.bool_)
-        for field in _FIELDS:
+        for field in FIELDS:
             numbers = self._numbers(field, every, values)
             there |= np.isfinite(numbers) if numbers.shape[1] else False
         return there
@@ -103,7 +118,7 @@ class Layout:
         chosen = tuple(range(len(self._names)) if entries is None else entries)
         if chosen not in self._encoders:
             self._encoders[chosen] = JointStateEncoder([self._names[entry] for entry in chosen])
-        numbers = (self._numbers(field, chosen, values) for field in _FIELDS)
+        numbers = (self._numbers(field, chosen, values) for field in FIELDS)
         return self._encoders[chosen].encode_rows(stamps, *numbers)
 
     def _numbers(self, field: Field, entries: Sequence[int], values: Array) -> Array:

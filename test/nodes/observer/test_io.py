@@ -27,8 +27,8 @@ from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.messages import to_stamp
-from tsobs_ros.nodes.observer.io import Batch, EstimatePublisher, MeasurementReader
-from tsobs_ros.nodes.observer.rejections import MISSING, WRONG
+from tsobs_ros.nodes.observer.input import MISSING, NOT_NAMED, WRONG, Batch, MeasurementReader
+from tsobs_ros.nodes.observer.output import EstimatePublisher
 from tsobs_ros.resources import config_path
 
 JOINTS = {joint: signals(ArmRequest(), joint, alone=False) for joint in ("hip", "knee")}
@@ -46,10 +46,8 @@ def shown(batch: Batch) -> list[Any]:
     """Return of each joint its sample in the only message, the code of its rejection, or None."""
     (stamp,) = batch.stamps.tolist()
     y, u = [each.item() for each in batch.y], [each.item() for each in batch.u]
-    if batch.given is None or batch.wrong is None:
-        return [(stamp, *each) for each in zip(y, u, strict=True)]
-    flags = zip(y, u, batch.given[:, 0], batch.wrong[:, 0], strict=True)
-    return [(stamp, y, u) if given else int(code) or None for y, u, given, code in flags]
+    rows = zip(y, u, batch.codes[:, 0].tolist(), strict=True)
+    return [{0: (stamp, y, u), NOT_NAMED: None}.get(code, code) for y, u, code in rows]
 
 
 @pytest.mark.parametrize(
@@ -125,13 +123,13 @@ def test_what_a_message_lacks_of_several_outputs_is_nan(
     for count in (1, 3):
         batch = reader.read([data] * count)
         if isinstance(expected, int):
-            assert batch.wrong.tolist() == [[expected] * count]
+            assert batch.codes.tolist() == [[expected] * count]
             assert "missing" in reader.describe(data, "hip")
         else:
             y, u = expected
             np.testing.assert_array_equal(batch.y[0], [y] * count)
             np.testing.assert_array_equal(batch.u[0], [u] * count)
-            assert batch.given is None
+            assert not batch.codes.any()
             assert batch.y[0].flags.c_contiguous
 
 
@@ -166,9 +164,7 @@ def test_messages_that_wait_together_come_in_the_order_of_their_stamps() -> None
     hip, knee = batch.y
     assert np.hstack([hip, knee])[1:].tolist() == [[k, 10.0 * k] for k in (1.0, 2.0, 3.0, 4.0)]
     assert np.hstack(batch.u)[1:].tolist() == [[0.0, 1.0]] * 4
-    assert batch.given.tolist() == [[False, *[True] * 4]] * 2
-    assert batch.wrong.tolist() == [[WRONG, 0, 0, 0, 0]] * 2
-    assert reader.read(data).given is None
+    assert batch.codes.tolist() == [[WRONG, 0, 0, 0, 0]] * 2
 
 
 GOOD, OURS = (STAMP, 1.0, 3.0), ["hip"]
@@ -302,6 +298,7 @@ def test_what_is_published_is_what_rclpy_would_send(ros: Any) -> None:
     tank = arm._replace(
         state=two, state_bound=0.1 * two, disturbance=two, disturbance_rate=two,
         disturbance_bound=0.1 * two, torque_disturbance=np.zeros(0),
+        torque_disturbance_bound=np.zeros(0),
     )  # fmt: skip
     publisher.publish(STAMP, [None, None, arm, tank])
     innovations = np.array([[NAN, NAN, 1.0, NAN, 2.0]])

@@ -104,8 +104,8 @@ def test_a_contact_is_estimated_and_an_encoder_that_stops_is_reported(
     narrow = watcher.of("error_bound")[-1].message.position[1]
     after = events(run, 250, 250, 0)
     stage.play(after, period=PERIOD)
-    assert observer.tracker.used == 500
-    assert observer.tracker.output_counts[1]["missing"] == 250
+    assert observer.joints[0].tracker.used == 500
+    assert observer.joints[0].tracker.output_counts[1]["missing"] == 250
     assert {tuple(each.message.name) for each in watcher.of("innovation")[250:]} == {
         ("elbow/link_angle",)
     }

@@ -113,7 +113,7 @@ def test_a_wrong_design_is_refused_by_name(
     for text in [str(path), *named]:
         assert text in str(caught.value)
     # It has left nothing behind: the next one starts.
-    assert make().tracker.used == 0
+    assert make().joints[0].tracker.used == 0
 
 
 def test_a_method_that_cannot_run_a_design_is_refused_with_its_name(

@@ -14,11 +14,10 @@ from staging.stage import BEGIN, MS, PERIOD
 
 from tsobs_ros.estimation.health import DisturbanceLimits, Level, Status, judged
 from tsobs_ros.estimation.records import Basis, Hypothesis
-from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.input import WRONG
+from tsobs_ros.nodes.observer.joints import ObservedJoint, TorqueWatch, observed_joints
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
-from tsobs_ros.nodes.observer.rejections import WRONG
 from tsobs_ros.nodes.observer.statuses import TickMeter, of_node
-from tsobs_ros.nodes.observer.torques import TorqueWatch
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 
@@ -41,7 +40,12 @@ def feed(joints: Iterable[ObservedJoint], count: int, bias: float = 0.0, first: 
 
 def offer(joint: ObservedJoint, stamp: int, bias: float = 0.0) -> None:
     _, y, u = ARM.measurement(stamp)
-    joint.offer(np.array([stamp]), np.array([y + bias]), np.array([u]), stamp)
+    joint.offer(np.array([stamp]), np.array([y + bias]), np.array([u]), np.zeros(1, int), stamp)
+
+
+def reject(joint: ObservedJoint, count: int) -> None:
+    nothing = np.full((count, 1), np.nan)
+    joint.offer(np.zeros(count, int), nothing, nothing, np.full(count, WRONG), BEGIN)
 
 
 def statuses(
@@ -69,7 +73,7 @@ def test_a_joint_waits_tracks_coasts_and_is_stale(hold: bool) -> None:
     assert waiting["state"][1:3] == (Level.WARN, "WAITING")
     assert waiting["premise domain"].message == "no estimate yet"
     assert not any("nan" in value for each in waiting.values() for value in each.values.values())
-    assert joint.estimate(BEGIN, hold=hold) is None
+    assert joint.estimate(BEGIN, hold=hold)[0] is None
     last = feed(joints, 40)
     for age, phase, level in (
         (100 * MS, "TRACKING", Level.OK),
@@ -80,8 +84,8 @@ def test_a_joint_waits_tracks_coasts_and_is_stale(hold: bool) -> None:
         state = statuses(joints, last + age)[0]["state"]
         assert (state.level, state.message) == (level, phase)
         assert state.values["measurement age [s]"] == f"{age * 1e-9:.4f}"
-    before = joint.estimate(last + NANOSECONDS, hold=hold)
-    stale = joint.estimate(last + NANOSECONDS + 1, hold=hold)
+    before, _ = joint.estimate(last + NANOSECONDS, hold=hold)
+    stale, _ = joint.estimate(last + NANOSECONDS + 1, hold=hold)
     if not hold:
         assert stale is None
     else:
@@ -118,7 +122,7 @@ def test_each_concern_of_one_joint_has_a_status() -> None:
 def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -> None:
     joints = joints_of(joints=("hip", "knee"), joint_designs=(FIXED, ""))
     feed(joints, 20)
-    joints[1].reject([WRONG])
+    reject(joints[1], 1)
     offer(joints[1], BEGIN + 19 * PERIOD)
     now = feed(joints[:1], 1200, first=20)
     found, parts = statuses(joints, now)
@@ -129,7 +133,7 @@ def test_the_node_is_as_bad_as_its_worst_joint_and_counts_the_samples_of_all() -
         Level.ERROR, f"knee: state: {stale}", {"hip": "OK", "knee": "ERROR"}
     )  # fmt: skip
     counts = [
-        {key: int(value) for key, value in own["measurements"].values.items()}
+        {key: int(each) for key, each in own["measurements"].values.items() if key != "remedy"}
         for own in (*parts.values(), found)
     ]
     assert counts[2] == {key: counts[0][key] + counts[1][key] for key in counts[0]}
@@ -157,7 +161,7 @@ def test_rejections_warn_for_a_minute_and_name_the_main_reason() -> None:
     joint.received += 36_000 * 200  # ten good hours, which would take too long here
     assert statuses(joints, now)[0]["measurements"].level == Level.OK
     joint.received += 100
-    joint.reject([WRONG] * 4)
+    reject(joint, 4)
     for _ in range(8):
         offer(joint, now)
     for after, level, message in (
@@ -178,7 +182,9 @@ def test_a_drive_that_is_beyond_the_limit_for_a_fifth_of_the_time_is_told() -> N
         for sample in range(400):
             stamp = BEGIN + sample * PERIOD
             u = 3.0 if sample % every == 0 else 0.0
-            joints[0].offer(np.array([stamp]), np.zeros((1, 1)), np.array([[u]]), stamp)
+            joints[0].offer(
+                np.array([stamp]), np.zeros((1, 1)), np.array([[u]]), np.zeros(1, int), stamp
+            )
         status = statuses(joints, stamp)[0]["measurements"]
         assert (wrong in status.message) == expected
         assert status.values["rejected: implausible torque"] == str(400 // every)

@@ -64,7 +64,7 @@ def test_a_system_alone_has_the_names_of_its_file(
     events[40].message.position = [0.1]
     stage.play(events)
 
-    assert observer.tracker.used == 59
+    assert observer.joints[0].tracker.used == 59
     states, outputs = ["angle", "rate"], ["encoder", "gyroscope"]
     for topic, names in {
         "joint_states": states,
@@ -133,7 +133,7 @@ def test_the_published_observer_runs_on_its_example(stage: Stage) -> None:
         events.append(Event(stamp, message))
     stage.play(events)
 
-    assert observer.tracker.used == 60
+    assert observer.joints[0].tracker.used == 60
     assert list(stage.watcher.of("joint_states")[-1].message.name) == ["x1", "x2", "x3"]
     assert stage.watcher.of("error_bound") == []
     assert replayed(stage.watcher, observer, events) >= 60

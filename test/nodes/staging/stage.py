@@ -313,7 +313,7 @@ def values(status: DiagnosticStatus) -> dict[str, str]:
 
 def tracker_of(observer: Observer) -> Tracker:
     """Return a new tracker like the observer's."""
-    return Tracker(observer.tracker.estimator, observer.tracker.options)
+    return Tracker(observer.joints[0].tracker.estimator, observer.joints[0].tracker.options)
 
 
 def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int:
@@ -349,7 +349,7 @@ def replayed(watcher: Watcher, observer: Observer, sent: Iterable[Event]) -> int
         expected = {
             "joint_states": estimate.state[order],
             "error_bound": estimate.state_bound[
-                order if observer.tracker.estimator.bounded else []
+                order if observer.joints[0].tracker.estimator.bounded else []
             ],
             "disturbance": np.concatenate([estimate.disturbance, estimate.disturbance_rate]),
             "disturbance_bound": estimate.disturbance_bound,

@@ -21,26 +21,37 @@ from tsobs_ros.estimation.faults import (
     add_samples,
     new_watches,
 )
-from tsobs_ros.estimation.health import Debounce, LastMinute, Level, Phase, Status, phase_of
-from tsobs_ros.estimation.history import CORRECTING, GATED, REASONS, USED
-from tsobs_ros.estimation.records import (
-    Estimate,
+from tsobs_ros.estimation.health import (
+    Debounce,
+    LastMinute,
+    Level,
+    Phase,
+    Status,
+    meaning,
+    phase_of,
 )
+from tsobs_ros.estimation.history import (
+    CORRECTING,
+    GATED,
+    IMPLAUSIBLE_TORQUE,
+    REASONS,
+    UNKNOWN_INPUT,
+    USED,
+)
+from tsobs_ros.estimation.records import Estimate, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_estimator, make_tracker
-from tsobs_ros.nodes.observer.io import Stamps
+from tsobs_ros.nodes.observer.input import NOT_NAMED, Stamps
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
-from tsobs_ros.nodes.observer.rejections import (
-    ADVICE,
-    NAMES,
-    main_of,
-)
-from tsobs_ros.nodes.observer.torques import TorqueWatch
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.schema import naming
 from tsobs_ros.series import NANOSECONDS
 
-_NOTHING = np.zeros(0)
+NAMES = tuple(reason.value if reason else "" for reason in REASONS)
+"""Names of the reasons of rejection by their codes."""
+OF_INPUT = (IMPLAUSIBLE_TORQUE, UNKNOWN_INPUT)
+"""Of such a sample the outputs are used all the same."""
+
 _ACCEPTED = (*CORRECTING, GATED)
 # Distances of measurements in periods of the design that are worth a word, and for how many seconds
 # they must last. Beyond the one the estimate may never settle below the certified bound; below the
@@ -49,6 +60,76 @@ _FAR, _NEAR = 1.02, 0.7
 _LASTING = 3.0
 # Stamps that make a median period.
 _ENOUGH = 8
+# Bounds beyond which a torque is no chance.
+_SIGNIFICANT = 3.0
+
+
+def main_of(counts: Counter[str]) -> str:
+    """Return the reason of rejection with the most counts, "" if there are none."""
+    most = max(NAMES[1:], key=counts.__getitem__)
+    return most if counts[most] > 0 else ""
+
+
+class TorqueWatch:
+    """Watches the torque disturbance of one joint: how large it is, and if it is a contact.
+
+    The link's is compared with the level, or the motor's if the design has no other. Statuses come
+    once a second and a contact may be shorter, so the largest torque in between is kept.
+
+    Args:
+        sides: The sides whose torque is estimated, some of motor and link.
+
+    Attributes:
+        level: Size from which on it is a warning [N m]; 0: never. May be changed at any time.
+        hold: How long it must be smaller before that is over [s]. May be changed at any time.
+    """
+
+    def __init__(self, sides: Sequence[str], level: float, hold: float) -> None:
+        self.level, self.hold = level, hold
+        self._sides = tuple(sides)
+        # Values and 1σ bounds of each side [N m].
+        self._latest: list[tuple[float, float]] = []
+        self._largest: list[tuple[float, float]] = []
+        self._beyond = Debounce(False)
+
+    def update(self, estimate: Estimate) -> Status | None:
+        """Take in an estimate; return what has changed, None if nothing has."""
+        values, bounds = estimate.torque_disturbance, estimate.torque_disturbance_bound
+        if not values.size:
+            return None
+        known = bounds.tolist() or [math.inf] * len(values)
+        self._latest = list(zip(values.tolist(), known, strict=True))
+        pairs = zip(self._largest or self._latest, self._latest, strict=True)
+        self._largest = [max(pair, key=lambda torque: abs(torque[0])) for pair in pairs]
+        was, beyond = self._beyond.value, self._is_beyond(self._latest[-1])
+        if self._beyond.update(estimate.stamp, beyond, 0.0 if beyond else self.hold) == was:
+            return None
+        return self._judged(self._latest[-1], beyond=beyond)
+
+    def statuses(self) -> list[Status]:
+        """Return the torques, and the largest since the last time; nothing without sides."""
+        if not self._sides:
+            return []
+        if not self._latest:
+            return [Status("torque disturbance", Level.OK, "no estimate yet", {})]
+        values = {"warn level [N m]": f"{self.level:g}"} if self.level else {}
+        for side, latest, largest in zip(self._sides, self._latest, self._largest, strict=True):
+            values[f"{side} [N m]"] = f"{latest[0]:.4g}"
+            values[f"{side} bound [N m]"] = f"{latest[1]:.4g}"
+            values[f"{side}, largest since the last status [N m]"] = f"{largest[0]:.4g}"
+        torque, self._largest = self._largest[-1], self._latest
+        beyond = self._beyond.value or self._is_beyond(torque)
+        return [self._judged(torque, beyond=beyond)._replace(values=values)]
+
+    def _is_beyond(self, torque: tuple[float, float]) -> bool:
+        size, bound = abs(torque[0]), torque[1]
+        return 0.0 < self.level <= size and size >= _SIGNIFICANT * bound
+
+    def _judged(self, torque: tuple[float, float], *, beyond: bool) -> Status:
+        text = f"{torque[0]:.3g} N m (1 sigma {torque[1]:.2g}) at the {self._sides[-1]}"
+        if beyond:
+            text += f", beyond {self.level:g} N m: a contact, a payload?"
+        return Status("torque disturbance", Level.WARN if beyond else Level.OK, text, values={})
 
 
 class ObservedJoint:
@@ -72,7 +153,6 @@ class ObservedJoint:
         faults: Recognise the faults of its outputs, one each.
         events: Finds changes of what its estimates are worth.
         torques: Watches its torque disturbance.
-        torque_news: What changed of that with the latest estimate, None if nothing did.
         recent: Counts over the last minute: `received`, the reasons of rejection and the
             estimator's events, by name.
         newly: The same since the counts before, a second or so.
@@ -91,13 +171,13 @@ class ObservedJoint:
     ) -> None:
         self.name = name
         self.loaded = loaded
-        settings = parameters.settings
-        self.signals = signals(loaded.design.request, name, alone=len(parameters.joints) == 1)
+        request, settings = loaded.design.request, parameters.settings
+        self.signals = signals(request, name, alone=len(parameters.joints) == 1)
         self.learnt = settings.learnt(loaded.design)
         self.tracker: Tracker = make_tracker(loaded.design, settings, estimator)
-        self._limits, self._torque_warn = parameters.fault, parameters.torque_warn_of[name]
-        self._coast_after, self._stale_after = parameters.coast_after, parameters.stale_after
-        self.events = EventLog(source, self._coast_after, self._stale_after)
+        self._sides = request.torque_sides if isinstance(request, ArmRequest) else ()
+        self._parameters = parameters
+        self.events = EventLog(source, parameters.coast_after, parameters.stale_after)
         self.reset()
 
     def reset(self) -> None:
@@ -113,28 +193,26 @@ class ObservedJoint:
         self._pace = Debounce(0)
         self._newest = 0
         self.latest: Estimate | None = None
-        request = self.loaded.design.request
-        stds = np.sqrt(np.diag(request.measurement_covariance)).tolist()
+        limits = self._parameters.fault
+        stds = np.sqrt(np.diag(self.loaded.design.request.measurement_covariance)).tolist()
         self.watches, self._open = new_watches(stds), np.full(len(stds), math.inf)
         self.faults = tuple(
-            FaultMonitor(std, self._limits, self.watches[place : place + 1], unit)
+            FaultMonitor(std, limits, self.watches[place : place + 1], unit)
             for place, (std, unit) in enumerate(zip(stds, self.signals.units, strict=True))
         )
         self.torques = TorqueWatch(
-            request.torque_sides if isinstance(request, ArmRequest) else (),
-            self._torque_warn,
-            self._limits.hold,
+            self._sides, self._parameters.torque_warn_of[self.name], limits.hold
         )
-        self.torque_news: Status | None = None
         self._known_missing: set[str] = set()
 
     def retune(self, parameters: ObserverParameters) -> None:
         """Take over parameters that were changed while the node runs."""
-        self._coast_after = self.events.coast_after = parameters.coast_after
-        self._limits, self._torque_warn = parameters.fault, parameters.torque_warn_of[self.name]
-        self.torques.level, self.torques.hold = self._torque_warn, self._limits.hold
+        self._parameters = parameters
+        self.events.coast_after = parameters.coast_after
+        self.torques.level = parameters.torque_warn_of[self.name]
+        self.torques.hold = parameters.fault.hold
         for monitor in self.faults:
-            monitor.limits = self._limits
+            monitor.limits = parameters.fault
         if self.tracker.estimator.supervised:
             self.tracker.estimator.supervise(parameters.supervision)
 
@@ -144,22 +222,44 @@ class ObservedJoint:
 
     def phase(self, now: int) -> Phase:
         """Return how fresh its measurements are."""
-        return phase_of(self.age(now), self._coast_after, self._stale_after)
+        return phase_of(self.age(now), self._parameters.coast_after, self._parameters.stale_after)
 
-    def offer(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[list[int], Array]:
-        """Use samples, N of them.
+    def offer(self, stamps: Stamps, y: Array, u: Array, codes: Stamps, now: int) -> Array:
+        """Use the samples of N messages, and count those that cannot be used.
 
         Args:
             stamps: In ascending order [ns], shape (N,).
             y: Measured outputs, NaN of those that are missing, shape (N, p).
             u: Inputs, shape (N, m).
+            codes: Those of `Batch`, shape (N,); of samples the outcomes are written, by `NAMES`.
             now: Time on the node's clock [ns].
 
         Returns:
-            Outcomes by the codes of `rejections.NAMES`, and the innovations y − ŷ, NaN of an output
-            that was not used, shape (N, p).
+            The innovations y − ŷ, NaN of an output that was not used, shape (N, p).
         """
-        self.received += len(stamps)
+        if codes.any():
+            given = codes == USED
+            innovations = np.full(y.shape, math.nan)
+            codes[given], innovations[given] = self._use(stamps[given], y[given], u[given], now)
+            for code, count in Counter(codes[~given].tolist()).items():
+                if code != NOT_NAMED:
+                    self.tracker.reject(RejectReason(NAMES[code]), count)
+        else:
+            codes[:], innovations = self._use(stamps, y, u, now)
+        self.received += len(codes) - int(np.count_nonzero(codes == NOT_NAMED))
+        outcomes = codes.tolist()
+        accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
+        if accepted:
+            self._newest = max(self._newest, int(stamps[accepted[-1]]))
+            self.in_vain.clear()
+            self._stamps += stamps[accepted].tolist()
+        refused = outcomes[accepted[-1] + 1 :] if accepted else outcomes
+        if refused:
+            self.in_vain.update(NAMES[code] for code in refused if code != NOT_NAMED)
+        return innovations
+
+    def _use(self, stamps: Stamps, y: Array, u: Array, now: int) -> tuple[Stamps, Array]:
+        """Return the outcomes of samples and their innovations."""
         codes = np.zeros(len(stamps), np.int64)
         output_codes = np.zeros(y.shape, np.int64)
         innovations, expected_std = np.empty((2, *y.shape))
@@ -171,17 +271,10 @@ class ObservedJoint:
             np.ascontiguousarray(each.T) for each in (y, output_codes, innovations, expected_std)
         ]
         add_samples(self.watches, stamps, *by_output)
-        outcomes: list[int] = codes.tolist()
-        accepted = [k for k, code in enumerate(outcomes) if code in _ACCEPTED]
-        if accepted:
-            self._newest = max(self._newest, int(stamps[accepted[-1]]))
-            self.in_vain.clear()
-            self._stamps += [int(stamps[k]) for k in accepted]
-        self._note_in_vain(outcomes[accepted[-1] + 1 :] if accepted else outcomes)
         # Of several outputs one may be missing from a sample that is used.
-        if any(outcomes) or y.shape[1] > 1:
+        if codes.any() or y.shape[1] > 1:
             innovations[output_codes != USED] = math.nan
-        return outcomes, innovations
+        return codes, innovations
 
     def missing(self, since: int) -> list[tuple[str, Place]]:
         """Return the outputs missing since a stamp [ns] or before, each only once, and places."""
@@ -222,7 +315,8 @@ class ObservedJoint:
         now = self._pace.update(steady, int(periods > _FAR) - int(periods < _NEAR), _LASTING)
         if now == before:
             return None
-        text = f"measurements come at {_digits(self.measured_rate)} Hz, the design"
+        digits = ".3g" if self.measured_rate < 1000.0 else ".0f"
+        text = f"measurements come at {self.measured_rate:{digits}} Hz, the design"
         if not now:
             return Level.OK, f"{text} is for that"
         what = "the bound may never be certified" if now > 0 else "no narrower bound comes of it"
@@ -236,15 +330,6 @@ class ObservedJoint:
         """Number of samples not used, by reason."""
         return Counter({reason.value: n for reason, n in self.tracker.rejected.items()})
 
-    def reject(self, codes: Sequence[int]) -> None:
-        """Count samples that cannot be read, by the codes of the reasons."""
-        self.received += len(codes)
-        for code, count in Counter(codes).items():
-            reason = REASONS[code]
-            assert reason is not None
-            self.tracker.reject(reason, count)
-        self._note_in_vain(codes)
-
     def explained(self, event: Event) -> str:
         """Return an event's text, with the reason if nothing but refused samples came before it."""
         main = main_of(self.in_vain)
@@ -253,15 +338,11 @@ class ObservedJoint:
         text = event.text.replace("no measurement", "no usable measurement")
         return (
             f"{text}; {self.in_vain.total()} came and all were rejected, most: {main}; "
-            f"{ADVICE[main]}"
+            f"{meaning(RejectReason(main)).remedy}"
         )
 
-    def _note_in_vain(self, codes: Sequence[int]) -> None:
-        if codes:
-            self.in_vain.update(NAMES[code] for code in codes)
-
-    def estimate(self, now: int, *, hold: bool) -> Estimate | None:
-        """Return the estimate to publish, None if there is none.
+    def estimate(self, now: int, *, hold: bool) -> tuple[Estimate | None, Status | None]:
+        """Return the estimate to publish, and a change of the torque that it shows, if any.
 
         Args:
             now: Time on the node's clock [ns].
@@ -269,34 +350,28 @@ class ObservedJoint:
         """
         if self.phase(now) in (Phase.WAITING, Phase.STALE):
             # To predict through a long silence would take long, and tell nothing.
-            return self._held() if hold else None
+            return self._held() if hold else None, None
         estimate = self.tracker.estimate(now)
-        if estimate is not None:
-            self.latest = estimate
-            self.torque_news = self.torques.update(estimate)
-            disturbance = estimate.disturbance
-            if disturbance.size:
-                bound = estimate.disturbance_bound
-                if not bound.size:
-                    bound = self._open
-                if add_estimates(self.watches, now, disturbance, bound):
-                    for monitor, *each in zip(
-                        self.faults, disturbance.tolist(), bound.tolist(), strict=True
-                    ):
-                        monitor.judge(*each)
-        return estimate
+        if estimate is None:
+            return None, None
+        self.latest = estimate
+        disturbance = estimate.disturbance
+        if disturbance.size:
+            bound = estimate.disturbance_bound if estimate.disturbance_bound.size else self._open
+            if add_estimates(self.watches, now, disturbance, bound):
+                pairs = zip(disturbance.tolist(), bound.tolist(), strict=True)
+                for monitor, each in zip(self.faults, pairs, strict=True):
+                    monitor.judge(*each)
+        return estimate, self.torques.update(estimate)
 
     def _held(self) -> Estimate | None:
+        nothing = np.zeros(0)
         return self.latest and self.latest._replace(
-            state_bound=_NOTHING,
-            disturbance_bound=_NOTHING,
-            torque_disturbance_bound=_NOTHING,
+            state_bound=nothing,
+            disturbance_bound=nothing,
+            torque_disturbance_bound=nothing,
             parameters_valid=False,
         )
-
-
-def _digits(rate: float) -> str:
-    return f"{rate:.3g}" if rate < 1000.0 else f"{rate:.0f}"
 
 
 def observed_joints(

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The `observer` node: its entities, its tick, its lifecycle."""
 
-import math
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -10,34 +9,31 @@ from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import estimate_topics as topics
-from tsobs_ros.checks import Array
 from tsobs_ros.design.published import record_text
 from tsobs_ros.errors import printable
 from tsobs_ros.estimation.events import Event
-from tsobs_ros.estimation.health import Level, Status
+from tsobs_ros.estimation.health import Level, Status, meaning
+from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.records import Estimate
-from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import warning
 from tsobs_ros.nodes.draining import DrainedSubscription
 from tsobs_ros.nodes.managed import ManagedNode
 from tsobs_ros.nodes.messages import LATCHED, DiagnosticsPublisher
 from tsobs_ros.nodes.observer import statuses
-from tsobs_ros.nodes.observer.io import (
-    MEASUREMENT_QOS,
-    Batch,
-    EstimatePublisher,
-    MeasurementReader,
-)
-from tsobs_ros.nodes.observer.joints import ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.input import MeasurementReader
+from tsobs_ros.nodes.observer.joints import OF_INPUT, ObservedJoint, observed_joints
+from tsobs_ros.nodes.observer.output import EstimatePublisher, TickLog
 from tsobs_ros.nodes.observer.parameters import ObserverParameters
-from tsobs_ros.nodes.observer.rejections import ADVICE, NAMES, OF_INPUT
-from tsobs_ros.nodes.observer.ticks import TickLog
 from tsobs_ros.nodes.ticker import Ticker
+
+MEASUREMENT_QOS = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Sensor data, with room for a second of samples: the queue is only emptied once a tick."""
 
 _DIAGNOSTICS_PERIOD = 1.0
 _WARNING_PERIOD = 5.0
@@ -47,8 +43,8 @@ _MAX_SHARE = 0.4
 _MAX_BACKLOG = 0.05
 # What one node can do [Hz]; a design may be for more.
 _FASTEST = 2000.0
+# Time for which an output is missing before that is logged [ns].
 _PATIENCE = 3_000_000_000
-"""Time for which an output is missing before that is logged [ns]."""
 
 
 class Observer(ManagedNode[ObserverParameters]):
@@ -81,7 +77,6 @@ class Observer(ManagedNode[ObserverParameters]):
         self._is_new = True
         self._last_now = 0
         self._last_output = 0
-        self._health_due = 0
         self._newest = b""
         self._unanswered: deque[int] = deque(maxlen=MEASUREMENT_QOS.depth)
         self._next_warning: dict[object, float] = {}
@@ -109,7 +104,7 @@ class Observer(ManagedNode[ObserverParameters]):
         self.create_service(SetBool, "~/enable", self._on_enable)
         self._ticker = Ticker(self, 1.0 / self._rate, self._on_tick)
         # Only an executor notices arrivals.
-        self.ticker = self._ticker if self._measurements.in_bulk and not at_once else None
+        self.ticker = None if at_once else self._ticker
         # Not the node's clock: a paused simulation is still worth a diagnosis.
         self.create_timer(_DIAGNOSTICS_PERIOD, self._diagnose, clock=self._steady)
         self._log_designs()
@@ -142,11 +137,6 @@ class Observer(ManagedNode[ObserverParameters]):
         return tuple(self._joints)
 
     @property
-    def tracker(self) -> Tracker:
-        """The tracker of the first joint, with its counts."""
-        return self._joints[0].tracker
-
-    @property
     def received(self) -> int:
         """Number of samples of all joints since the start: used + rejected, while enabled."""
         return sum(joint.received for joint in self._joints)
@@ -176,15 +166,15 @@ class Observer(ManagedNode[ObserverParameters]):
         if now < self._last_now:
             self._meter.restart()
             if self.parameters.reset_on_backward_jump:
-                self._last_output = self._health_due = 0
-                self._publisher.restart()
+                self._last_output = 0
                 self._restart(f"the clock went back by {(self._last_now - now) * 1e-9:.3f} s")
         self._last_now = now
         return now
 
     def _take_all(self, now: int) -> bool:
         """Take what has arrived, as much as there is time for; return whether any was used."""
-        taken = self._measurements.drain(until=self._until())
+        until = time.monotonic() + min(_MAX_SHARE / self._rate, _MAX_BACKLOG)
+        taken = self._measurements.drain(until=until)
         if not taken or not self._enabled:
             return False
         self._is_new = False
@@ -192,48 +182,29 @@ class Observer(ManagedNode[ObserverParameters]):
         self._tick_log.take(messages)
         self._newest = messages[-1]
         batch = self._reader.read(messages)
-        innovations = np.concatenate(
-            [self._offer(k, batch, messages, now) for k in range(len(self._joints))], axis=1
-        )
-        used = np.flatnonzero((innovations == innovations).any(axis=1))
-        self._publisher.publish_innovations(batch.stamps[used], innovations[used])
+        innovations = []
+        for joint, y, u, codes in zip(self._joints, batch.y, batch.u, batch.codes, strict=True):
+            innovations.append(joint.offer(batch.stamps, y, u, codes, now))
+            for place in np.flatnonzero(codes > 0).tolist() if codes.any() else ():
+                if self._may_warn(code := int(codes[place])):
+                    self._warn(joint, code, messages[batch.order[place]], now)
+        of_all = np.concatenate(innovations, axis=1)
+        used = np.flatnonzero((of_all == of_all).any(axis=1))
+        self._publisher.publish_innovations(batch.stamps[used], of_all[used])
         self._unanswered += [
             taken[batch.order[place]][1]["received_timestamp"] for place in used.tolist()
         ]
         return len(used) > 0
 
-    def _offer(self, index: int, batch: Batch, messages: list[bytes], now: int) -> Array:
-        """Let a joint use its samples; return the innovations, NaN if there is none."""
-        joint, y, u = self._joints[index], batch.y[index], batch.u[index]
-        if batch.given is None or batch.wrong is None:
-            outcomes, innovations = joint.offer(batch.stamps, y, u, now)
-            places: Sequence[int] = range(len(outcomes))
-        else:
-            given, wrong = np.flatnonzero(batch.given[index]), np.flatnonzero(batch.wrong[index])
-            innovations = np.full(y.shape, math.nan)
-            outcomes, innovations[given] = joint.offer(batch.stamps[given], y[given], u[given], now)
-            codes = batch.wrong[index][wrong].tolist()
-            joint.reject(codes)
-            outcomes += codes
-            places = [*given.tolist(), *wrong.tolist()]
-        if any(outcomes):
-            for code, place in zip(outcomes, places, strict=True):
-                if code and self._may_warn(code):
-                    self._warn(joint, code, messages[batch.order[place]], now)
-        return innovations
-
     def _forget_waiting(self) -> None:
         self._measurements.drain(MEASUREMENT_QOS.depth)
 
-    def _until(self) -> float:
-        """Return when a tick that begins now has to stop working on what waits."""
-        return time.monotonic() + min(_MAX_SHARE / self._rate, _MAX_BACKLOG)
-
     def _warn(self, joint: ObservedJoint, code: int, data: bytes, now: int) -> None:
-        what, name = "torque" if code in OF_INPUT else "measurement", NAMES[code]
+        what, reason = "torque" if code in OF_INPUT else "measurement", REASONS[code]
+        assert reason is not None
+        found = f"{self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f}"
         text = (
-            f"{what} of {joint.name} rejected: {name} "
-            f"({self._reader.describe(data, joint.name)}, clock {now * 1e-9:.3f}): {ADVICE[name]}"
+            f"{what} of {joint.name} rejected: {reason.value} ({found}): {meaning(reason).remedy}"
         )
         self.get_logger().warning(printable(text))
 
@@ -244,8 +215,12 @@ class Observer(ManagedNode[ObserverParameters]):
         if now <= self._last_output:
             self._tick_log.publish(now, estimated=False)
             return False
-        hold = self.parameters.when_stale == "hold"
-        estimates = [joint.estimate(now, hold=hold) for joint in self._joints]
+        hold, estimates = self.parameters.when_stale == "hold", list[Estimate | None]()
+        for joint in self._joints:
+            estimate, contact = joint.estimate(now, hold=hold)
+            estimates.append(estimate)
+            if contact is not None:
+                self._log(joint, contact.level, contact.message)
         # One that is held is of an earlier time.
         fresh = [each if each is not None and each.stamp == now else None for each in estimates]
         self._tick_log.publish(now, estimated=any(fresh))
@@ -261,10 +236,7 @@ class Observer(ManagedNode[ObserverParameters]):
 
     def _report_health(self, now: int, fresh: Sequence[Estimate | None]) -> None:
         """Publish what the estimates are worth, if that is due, and log what has changed."""
-        due = now >= self._health_due and any(fresh)
-        if due:
-            self._health_due = now + topics.SLOW_PERIOD
-            self._publisher.publish_health(now, fresh)
+        due = self._publisher.publish_health(now, fresh)
         for joint, estimate in zip(self._joints, fresh, strict=True):
             events: Sequence[Event] = ()
             if estimate is None:
@@ -273,9 +245,6 @@ class Observer(ManagedNode[ObserverParameters]):
                 events = joint.events.update(estimate)
             for event in events:
                 self._log(joint, event.level, joint.explained(event))
-            if joint.torque_news is not None:
-                self._log(joint, joint.torque_news.level, joint.torque_news.message)
-                joint.torque_news = None
 
     def _log(self, joint: ObservedJoint, level: Level, message: str) -> None:
         text = printable(f"{joint.name}: {message}")

@@ -20,14 +20,17 @@ from tsobs_ros.estimation.health import (
     words,
 )
 from tsobs_ros.estimation.history import IMPLAUSIBLE_TORQUE
-from tsobs_ros.estimation.records import Estimate, Learning
-from tsobs_ros.nodes.observer.joints import ObservedJoint
-from tsobs_ros.nodes.observer.rejections import BEYOND_LIMIT, MANY_TORQUES, NAMES, main_of
+from tsobs_ros.estimation.records import Estimate, Learning, RejectReason
+from tsobs_ros.nodes.observer.joints import NAMES, ObservedJoint, main_of
 
 _FROM_BEST_TO_WORST = (Phase.TRACKING, Phase.COASTING, Phase.WAITING, Phase.STALE)
 _MANY_REJECTED = 0.01
 _MANY_MISSED = 0.05
-_ENOUGH = 100
+_MANY_TORQUES, _ENOUGH = 0.2, 100
+_BEYOND_LIMIT = (
+    "the drive is beyond the torque limit for a fifth of the time: the design's torque_limit is "
+    "wrong"
+)
 # The clock has jumped if it went on by more than this [ns], so much faster than time passes.
 _JUMP = 1_000_000_000
 _FASTEST = 100
@@ -109,8 +112,7 @@ def _tracking_values(joint: ObservedJoint, now: int) -> dict[str, str]:
         "numerical failures": str(joint.tracker.failures),
         **{name: str(count) for name, count in joint.tracker.events.items()},
     }
-    age = joint.age(now)
-    if age is not None:
+    if (age := joint.age(now)) is not None:
         values["measurement age [s]"] = f"{age:.4f}"
     return values
 
@@ -139,30 +141,36 @@ def _measurement_status(joints: Sequence[ObservedJoint]) -> Status:
     many = share > _MANY_REJECTED
     amount = f"{100.0 * share:.0f} % of" if many else f"{causes.total()} in"
     now = main_of(sum((joint.newly for joint in joints), Counter()))
-    most = f"most: {now}" if now else f"most: {main_of(causes)}, none now"
-    message = f"{amount} the last minute rejected, {most}"
-    if recent[NAMES[IMPLAUSIBLE_TORQUE]] > MANY_TORQUES * max(recent["received"], _ENOUGH):
-        message += f"; {BEYOND_LIMIT}"
+    most = now or main_of(causes)
+    values["remedy"] = meaning(RejectReason(most)).remedy
+    message = f"{amount} the last minute rejected, most: {most}{'' if now else ', none now'}"
+    if recent[NAMES[IMPLAUSIBLE_TORQUE]] > _MANY_TORQUES * max(recent["received"], _ENOUGH):
+        message += f"; {_BEYOND_LIMIT}"
     return Status("measurements", Level.WARN if many else Level.OK, message, values)
 
 
 def _estimate_statuses(joint: ObservedJoint, method: str, now: int) -> list[Status]:
-    estimate = joint.latest
-    request = joint.loaded.design.request
+    estimate, request = joint.latest, joint.loaded.design.request
+    names = request.output_names
+    faults = [monitor.status(now) for monitor in joint.faults]
+    if len(names) > 1:
+        faults = [
+            status._replace(name=f"{status.name} of {output}")
+            for output, status in zip(names, faults, strict=True)
+        ]
     statuses = [
         _domain_status(request, estimate),
         _innovation_status(joint),
-        *_fault_statuses(joint, now),
+        *faults,
         *joint.torques.statuses(),
         _certificate_status(joint, method, now),
     ]
     if estimate is None:
         return statuses
     if isinstance(request, ArmRequest):
-        level, message = judged(estimate.hypothesis)
         values = {"hypothesis": words(estimate.hypothesis)}
         values |= _since(joint, EventKind.HYPOTHESIS, now)
-        statuses.append(Status("hypothesis", level, message, values))
+        statuses.append(Status("hypothesis", *judged(estimate.hypothesis), values))
     if joint.learnt:
         learnt = zip(joint.learnt, estimate.parameters, estimate.parameter_bound, strict=True)
         values = {name: f"{theta:.4f} +- {bound:.4f}" for name, theta, bound in learnt}
@@ -208,18 +216,6 @@ def _innovation_status(joint: ObservedJoint) -> Status:
     return Status(name, level, message, values)
 
 
-def _fault_statuses(joint: ObservedJoint, now: int) -> list[Status]:
-    """Return the fault of each output, whose name is the status's if there are several."""
-    names = joint.loaded.design.request.output_names
-    statuses = [monitor.status(now) for monitor in joint.faults]
-    if len(names) == 1:
-        return statuses
-    return [
-        status._replace(name=f"{status.name} of {output}")
-        for output, status in zip(names, statuses, strict=True)
-    ]
-
-
 def _domain_status(request: ArmRequest | TSRequest, estimate: Estimate | None) -> Status:
     """Return whether the certificate covers the premise; that of a T–S system is no angle."""
     if isinstance(request, TSRequest):
@@ -252,11 +248,10 @@ def _certificate_status(joint: ObservedJoint, method: str, now: int) -> Status:
         values["measured rate [Hz]"] = f"{joint.measured_rate:.4g}"
     if estimate is None:
         return Status("certificate", Level.OK, "no estimate yet", values)
-    level, message = judged(estimate.basis)
     values["claimed"] = "yes" if estimate.claimed else "no"
     values["basis"] = words(estimate.basis)
     values |= _since(joint, EventKind.BOUND, now)
-    return Status("certificate", level, message, values)
+    return Status("certificate", *judged(estimate.basis), values)
 
 
 def _summary_status(statuses: Mapping[str, Sequence[Status]]) -> Status:
@@ -279,19 +274,13 @@ class TickMeter:
     """
 
     def __init__(self, rate: float) -> None:
-        self._period_ns = 1e9 / rate
         self._rate = rate
-        self.missed = 0
-        self.jumps = 0
-        self._ticks = 0
-        self._latest: int | None = None
-        self._latest_was_tick = True
+        self.missed = self.jumps = self._ticks = 0
+        # Of the latest work: the time, the steady time, and whether a tick started it.
+        self._latest: tuple[int, int, bool] | None = None
         self._late = 0.0
-        self._began = 0
-        self._work_began: int | None = None
         self._periods: list[int] = []
-        self._durations: list[int] = []
-        self._latencies: list[int] = []
+        self._times: dict[str, list[int]] = {"tick time": [], "latency": []}
         self._recent = LastMinute()
 
     def begin(self, now: int, *, tick: bool = True) -> None:
@@ -303,32 +292,28 @@ class TickMeter:
         """
         steady = time.monotonic_ns()
         if self._latest is not None:
-            period = now - self._latest
-            if period > _JUMP and period > _FASTEST * (steady - self._began):
+            before, began, was_tick = self._latest
+            period = now - before
+            if period > _JUMP and period > _FASTEST * (steady - began):
                 self.jumps += 1
             else:
                 self._periods.append(period)
-                if tick and self._latest_was_tick:
-                    self._note_lateness(period)
-        self._latest, self._latest_was_tick = now, tick
-        self._began = self._work_began = steady
-
-    def _note_lateness(self, period: int) -> None:
-        """Count whole periods that fell out; what a late tick lacks, the next one may make good."""
-        self._late = max(0.0, self._late + period / self._period_ns - 1.0)
-        missed = int(self._late + _ROUNDING)
-        self.missed += missed
-        self._late -= missed
+                if tick and was_tick:
+                    # What a late tick lacks, the next one may make good.
+                    self._late = max(0.0, self._late + period * 1e-9 * self._rate - 1.0)
+                    missed = int(self._late + _ROUNDING)
+                    self.missed += missed
+                    self._late -= missed
+        self._latest = now, steady, tick
 
     def end(self) -> None:
         """Note the end of work."""
-        if self._work_began is not None:
-            self._durations.append(time.monotonic_ns() - self._work_began)
-            self._work_began = None
+        if self._latest is not None:
+            self._times["tick time"].append(time.monotonic_ns() - self._latest[1])
 
     def answered(self, latency: int) -> None:
         """Note the time from an input's arrival to the first output that uses it [ns]."""
-        self._latencies.append(latency)
+        self._times["latency"].append(latency)
 
     def restart(self) -> None:
         """Forget the last tick: the clock jumped, or there was a pause."""
@@ -341,23 +326,23 @@ class TickMeter:
         Args:
             steady: Time that neither stands still nor goes back [ns].
         """
-        durations, self._durations = sorted(self._durations), []
         periods, self._periods = self._periods, []
-        latencies, self._latencies = sorted(self._latencies), []
-        self._ticks += len(durations)
+        times, self._times = self._times, {name: [] for name in self._times}
+        self._ticks += len(times["tick time"])
         self._recent.update(steady, {"missed": self.missed, "ticks": self._ticks})
         missed, made = self._recent.growth["missed"], self._recent.growth["ticks"]
         values = {"wanted rate [Hz]": f"{self._rate:g}", "missed ticks": str(self.missed)}
         if self.jumps:
             values["clock jumps ahead"] = str(self.jumps)
-        if not durations:
+        if not times["tick time"]:
             return Status("timing", Level.STALE, "no ticks", values)
         if sum(periods) > 0:
             values["achieved rate [Hz]"] = f"{len(periods) * 1e9 / sum(periods):.1f}"
-        for name, times in (("tick time", durations), ("latency", latencies)):
-            if times:
-                values[f"{name} p50 [ms]"] = f"{_percentile(times, 0.50) * 1e-6:.3f}"
-                values[f"{name} p99 [ms]"] = f"{_percentile(times, 0.99) * 1e-6:.3f}"
+        for name, ordered in times.items():
+            ordered.sort()
+            for percent in (50, 99) if ordered else ():
+                place = math.ceil(percent / 100.0 * len(ordered)) - 1
+                values[f"{name} p{percent} [ms]"] = f"{ordered[place] * 1e-6:.3f}"
         late = missed > _MANY_MISSED * (made + missed)
         level = Level.WARN if late else Level.OK
         message = f"missed {_times(missed, 'tick', 'ticks')} in the last minute"
@@ -366,7 +351,3 @@ class TickMeter:
 
 def _times(count: int, one: str, several: str) -> str:
     return f"{count} {one if count == 1 else several}"
-
-
-def _percentile(ordered: list[int], fraction: float) -> int:
-    return ordered[min(len(ordered) - 1, math.ceil(fraction * len(ordered)) - 1)]
