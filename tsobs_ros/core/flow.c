@@ -2,6 +2,10 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * One step of a prediction model: an arm, a T-S system or an observer that is integrated.
+ *
+ * Arms and systems move by the exact flow of their linear part, Phi' = A Phi, Gamma' = A Gamma + B,
+ * Q' = A Q + Q A' + W, from Taylor series with precomputed coefficients: a step of any length costs
+ * one evaluation of polynomials, which matters because real stamps jitter.
  */
 #include "flow.h"
 
@@ -15,16 +19,9 @@
 
 flow_sizes flow_sizes_of(const double *memory)
 {
-    const int64_t *counts = (const int64_t *)(const void *)memory;
-    flow_sizes s;
-    s.n = (long)counts[1];
-    s.m = (long)counts[2];
-    s.inputs = (long)counts[3];
-    s.p = (long)counts[4];
-    s.k = (long)counts[5];
-    s.plant = (long)counts[6];
-    s.rules = (long)counts[7];
-    s.premises = (long)counts[8];
+    const int64_t *c = (const int64_t *)(const void *)memory;
+    const flow_sizes s = {(long)c[1], (long)c[2], (long)c[3], (long)c[4],
+                          (long)c[5], (long)c[6], (long)c[7], (long)c[8]};
     return s;
 }
 
@@ -78,6 +75,68 @@ int flow_is_valid(const double *memory, size_t length)
     }
     return *f.period >= SHORTEST && isfinite(*f.period) && *f.reach >= 0.0 && *f.terms >= 0
            && *f.terms <= SERIES_TERMS;
+}
+
+/* --- the linear flow --- */
+
+/* Evaluate polynomials by Horner's rule; rows of `series` begin `width` coefficients apart. */
+static void evaluate(
+    const double *series, long width, long terms, double step, double *restrict values, long count)
+{
+    for (long place = 0; place < count; place++) {
+        values[place] = 0.0;
+    }
+    for (long row = terms - 1; row >= 0; row--) {
+        const double *restrict coefficients = series + row * width;
+        for (long place = 0; place < count; place++) {
+            values[place] = values[place] * step + coefficients[place];
+        }
+    }
+}
+
+void flow_over(
+    const double *series, long terms, double reach, double duration, double *phi, double *gamma,
+    double *noise, double *scratch, long n, long m)
+{
+    const long squares = n * n, gammas = n * m, width = 2 * squares + gammas;
+    double *values = scratch, *turned = values + width, *forced = turned + squares;
+    double step = duration;
+    long doublings = 0;
+    while (step > reach) {
+        doublings += 1;
+        step *= 0.5;
+    }
+    evaluate(series, width, terms, step, values, noise != NULL ? width : squares + gammas);
+    memcpy(phi, values, (size_t)squares * sizeof *phi);
+    memcpy(gamma, values + squares, (size_t)gammas * sizeof *gamma);
+    if (noise != NULL) {
+        memcpy(noise, values + squares + gammas, (size_t)squares * sizeof *noise);
+    }
+    for (; doublings > 0; doublings--) {
+        multiply(phi, gamma, forced, n, n, m);
+        add_scaled(gamma, 1.0, forced, gammas);
+        if (noise != NULL) {
+            transpose(phi, turned, n);
+            congruence(phi, turned, noise, noise, values, n);
+        }
+        multiply(phi, phi, turned, n, n, n);
+        memcpy(phi, turned, (size_t)squares * sizeof *phi);
+    }
+}
+
+int64_t cut_into_steps(double duration, double period, double *rest)
+{
+    int64_t whole = (int64_t)floor(duration / period);
+    *rest = duration - (double)whole * period;
+    if (*rest < 0.0) {
+        whole -= 1;
+        *rest += period;
+    }
+    if (whole > 0 && 0.0 < *rest && *rest <= (STRETCH - 1.0) * period) {
+        whole -= 1;
+        *rest += period;
+    }
+    return whole;
 }
 
 /* --- arms --- */
@@ -190,19 +249,6 @@ static void kick_arm(
     }
 }
 
-/* Write Phi S Phi' + Q into S. */
-static void carry(long n, const linear_step *step, flow_scratch *work)
-{
-    double *half = work->squares, *whole = half + n * n, *S = work->covariance;
-    multiply(step->phi, S, half, n, n, n);
-    multiply(half, step->turned, whole, n, n, n);
-    for (long i = 0; i < n; i++) {
-        for (long j = i; j < n; j++) {
-            S[i * n + j] = S[j * n + i] = whole[i * n + j] + step->noise[i * n + j];
-        }
-    }
-}
-
 /* Kick both velocities by gravity and by theta, take the linear flow, and kick again. */
 static void step_arm(
     const flow *f, const linear_step *step, const double *theta, double torque, double duration,
@@ -214,7 +260,8 @@ static void step_arm(
     sum_effects(f, theta, half, total);
     kick_arm(f, total, torque, half, with_covariance, along, work);
     if (with_covariance) {
-        carry(n, step, work);
+        congruence(
+            step->phi, step->turned, work->covariance, step->noise, work->squares, n);
     }
     multiply(work->stack, step->turned, work->moved, rows, n, n);
     memcpy(work->stack, work->moved, (size_t)(rows * n) * sizeof *work->stack);
@@ -275,38 +322,38 @@ static void turn_weights(
     }
 }
 
-/* Write what enters x (`rate`) and Y (`entering`) besides the linear flow, and its Jacobian. */
+/* Write what enters x and Y, `rows` rows, besides the linear flow, and its Jacobian. */
 static void enter(
-    const flow *f, const double *x, const double *upsilon, long rows, const double *theta,
-    const double *u, double *rate, double *entering, double *jacobian, flow_scratch *work)
+    const flow *f, const double *stack, long rows, const double *theta, const double *u,
+    double *entering, double *jacobian, flow_scratch *work)
 {
     const long n = *f->n, k = *f->k, rules = *f->rules, premises = *f->premises;
     const long plant = *f->plant, inputs = *f->inputs, signals = plant + inputs;
     const long scheduled = *f->m - inputs;
     double *signal = work->signals;
-    memcpy(signal, x, (size_t)plant * sizeof *signal);
+    memcpy(signal, stack, (size_t)plant * sizeof *signal);
     memcpy(signal + plant, u, (size_t)inputs * sizeof *signal);
     for (long j = 0; j < premises; j++) {
-        work->premises[j] = dot(f->premise + j * plant, x, plant)
+        work->premises[j] = dot(f->premise + j * plant, stack, plant)
                             + dot(f->schedule + j * scheduled, u + inputs, scheduled);
     }
-    rule_weights_and_slopes(
+    rule_weights(
         f->shapes, f->parameters, work->premises, work->weights, work->slopes, rules, premises);
-    memset(rate, 0, (size_t)n * sizeof *rate);
+    memset(entering, 0, (size_t)n * sizeof *entering);
     memset(jacobian, 0, (size_t)(n * n) * sizeof *jacobian);
     for (long rule = 0; rule < rules; rule++) {
         enter_rule(
-            f, rule, theta, signal, work->weights[rule], work->rates + rule * plant, rate,
+            f, rule, theta, signal, work->weights[rule], work->rates + rule * plant, entering,
             jacobian);
     }
-    turn_weights(f, work->slopes, work->rates, work->vectors + 5 * n, jacobian);
-    for (long p = 0; p < rows; p++) {
-        apply(jacobian, upsilon + p * n, entering + p * n, n, n);
-        for (long rule = 0; p < k && rule < rules; rule++) {
-            const double *direction = f->directions + (p * rules + rule) * plant * signals;
+    turn_weights(f, work->slopes, work->rates, work->vectors + n, jacobian);
+    for (long row = 1; row < rows; row++) {
+        double *into = entering + row * n;
+        multiply(jacobian, stack + row * n, into, n, n, 1);
+        for (long rule = 0; row <= k && rule < rules; rule++) {
+            const double *direction = f->directions + ((row - 1) * rules + rule) * plant * signals;
             for (long i = 0; i < plant; i++) {
-                entering[p * n + i]
-                    += work->weights[rule] * dot(direction + i * signals, signal, signals);
+                into[i] += work->weights[rule] * dot(direction + i * signals, signal, signals);
             }
         }
     }
@@ -317,26 +364,30 @@ static void enter(
 static void carry_system(
     long n, const linear_step *step, double duration, double *N1, double *N2, flow_scratch *work)
 {
-    double *inner = work->squares + 2 * n * n, *outer = inner + n * n;
+    const long squares = n * n;
+    double *inner = work->squares + 2 * squares, *outer = inner + squares;
+    double *turned = outer + squares, *noise = turned + squares;
+    for (long i = 0; i < squares; i++) {
+        N1[i] *= 0.5 * duration;
+        N2[i] *= duration;
+    }
     for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            N1[i * n + j] *= 0.5 * duration;
-            N2[i * n + j] *= duration;
-        }
         N1[i * n + i] += 1.0;
     }
     multiply(step->phi, N1, inner, n, n, n);
     multiply(N2, inner, outer, n, n, n);
+    add_scaled(outer, 1.0, step->phi, squares);
     for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            outer[i * n + j] += step->phi[i * n + j];
-        }
         N2[i * n + i] += 1.0;
     }
     multiply(step->phi, outer, inner, n, n, n);
     multiply(step->phi, N2, outer, n, n, n);
-    congruence(outer, n, step->noise, n, step->noise, N1, N2, n, n, n);
-    congruence(inner, n, work->covariance, n, N2, N1, work->covariance, n, n, n);
+    /* N1 and N2 are scratch from here on. */
+    memcpy(noise, step->noise, (size_t)squares * sizeof *noise);
+    transpose(outer, turned, n);
+    congruence(outer, turned, noise, step->noise, N1, n);
+    transpose(inner, turned, n);
+    congruence(inner, turned, work->covariance, noise, N1, n);
 }
 
 /* Take the exponential midpoint step: what enters is evaluated in the middle, which half a step
@@ -345,47 +396,24 @@ static void step_system(
     const flow *f, const linear_step *step, const double *theta, const double *u, double duration,
     int with_covariance, long tangent_count, flow_scratch *work)
 {
-    const long n = *f->n, k = *f->k + tangent_count;
-    double *x = work->stack, *upsilon = work->stack + n;
-    double *forced = work->vectors, *coasted = forced + n, *rate = coasted + n;
-    double *middle = rate + n, *turned = middle + n;
-    double *carried = work->rows, *half_way = carried + k * n, *entering = half_way + k * n;
+    const long n = *f->n, rows = *f->k + 1 + tangent_count, count = rows * n;
+    double *forced = work->vectors, *moved = work->moved;
+    double *entering = work->rows, *middle = entering + count;
     double *first = work->squares, *second = first + n * n;
-    apply(step->gamma, u, forced, n, *f->inputs);
-    apply(step->phi, x, coasted, n, n);
-    for (long p = 0; p < k; p++) {
-        apply(step->phi, upsilon + p * n, carried + p * n, n, n);
-    }
-    for (long j = 0; j < n; j++) {
-        coasted[j] += forced[j];
-    }
+    multiply(step->gamma, u, forced, n, *f->inputs, 1);
+    multiply(work->stack, step->turned, moved, rows, n, n);
+    add_scaled(moved, 1.0, forced, n);
     /* First at the start, for half a step. */
-    enter(f, x, upsilon, k, theta, u, rate, entering, first, work);
-    apply(step->phi, rate, turned, n, n);
-    for (long j = 0; j < n; j++) {
-        middle[j] = coasted[j] + 0.5 * duration * turned[j];
-    }
-    for (long p = 0; p < k; p++) {
-        apply(step->phi, entering + p * n, turned, n, n);
-        for (long j = 0; j < n; j++) {
-            half_way[p * n + j] = carried[p * n + j] + 0.5 * duration * turned[j];
-        }
+    enter(f, work->stack, rows, theta, u, entering, first, work);
+    multiply(entering, step->turned, middle, rows, n, n);
+    for (long i = 0; i < count; i++) {
+        middle[i] = moved[i] + 0.5 * duration * middle[i];
     }
     /* Then in the middle, for the whole. */
-    enter(f, middle, half_way, k, theta, u, rate, entering, second, work);
-    for (long j = 0; j < n; j++) {
-        middle[j] = coasted[j] + duration * rate[j];
-    }
-    apply(step->phi, middle, x, n, n);
-    for (long p = 0; p < k; p++) {
-        for (long j = 0; j < n; j++) {
-            carried[p * n + j] += duration * entering[p * n + j];
-        }
-        apply(step->phi, carried + p * n, upsilon + p * n, n, n);
-    }
-    for (long j = 0; j < n; j++) {
-        x[j] += forced[j];
-    }
+    enter(f, middle, rows, theta, u, entering, second, work);
+    add_scaled(moved, duration, entering, count);
+    multiply(moved, step->turned, work->stack, rows, n, n);
+    add_scaled(work->stack, 1.0, forced, n);
     if (with_covariance) {
         carry_system(n, step, duration, first, second, work);
     }
@@ -406,7 +434,7 @@ static void step_integrated(
     for (int stage = 0; stage < 4; stage++) {
         const double share = stage < 2 ? 0.5 * h : h;
         const double weight = stage == 1 || stage == 2 ? 2.0 : 1.0;
-        apply(matrix, at, slope, n, n);
+        multiply(matrix, at, slope, n, n, 1);
         if (gravity_gain != 0.0) {
             slope[1] -= gravity_gain * sine(at[0]);
         }
@@ -429,7 +457,7 @@ static void integrate(
     const long n = *f->n, p = *f->p, m = *f->m, rules = *f->rules;
     double *matrix = work->squares, *constant = work->vectors;
     double steps = ceil(duration / *f->max_step - 1e-9);
-    rule_weights(f->shapes, f->parameters, y, work->weights, rules, *f->premises);
+    rule_weights(f->shapes, f->parameters, y, work->weights, NULL, rules, *f->premises);
     memset(constant, 0, (size_t)n * sizeof *constant);
     memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);
     for (long rule = 0; rule < rules; rule++) {
@@ -437,9 +465,7 @@ static void integrate(
         for (long i = 0; i < n; i++) {
             const long row = rule * n + i;
             constant[i] += weight * (dot(f->Y + row * p, y, p) + dot(f->U + row * m, u, m));
-            for (long j = 0; j < n; j++) {
-                matrix[i * n + j] += weight * f->F[row * n + j];
-            }
+            add_scaled(matrix + i * n, weight, f->F + row * n, n);
         }
     }
     steps = steps > 1.0 ? steps : 1.0;
@@ -451,50 +477,31 @@ static void integrate(
 
 /* --- all kinds --- */
 
-/* Write the linear flow over a step that is not nominal; a step of a T-S system has two equal
- * halves. */
-static linear_step fill_step(
-    const flow *f, double duration, int with_covariance, flow_scratch *work)
-{
-    const linear_step step = {work->phi, work->turned, work->gamma, work->noise};
-    const long n = *f->n;
-    flow_over(
-        f->series, (long)*f->terms, *f->reach, *f->kind == KIND_SYSTEM ? 0.5 * duration : duration,
-        work->phi, work->gamma, with_covariance ? work->noise : NULL, work->over, n, *f->inputs);
-    for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            work->turned[j * n + i] = work->phi[i * n + j];
-        }
-    }
-    return step;
-}
-
-/* Move what is in the scratch by one step. */
-static void take_step(
-    const flow *f, const linear_step *step, const double *theta, const double *u, double duration,
-    int with_covariance, const tangents *along, flow_scratch *work)
-{
-    if (*f->kind == KIND_ARM) {
-        step_arm(f, step, theta, u[0], duration, with_covariance, along, work);
-    } else {
-        step_system(f, step, theta, u, duration, with_covariance, along->count, work);
-    }
-}
-
 /* Move what is in the scratch over a time, in nominal steps and a last one. */
 static void move(
     const flow *f, const double *theta, const double *u, double duration, int with_covariance,
     const tangents *along, flow_scratch *work)
 {
     const linear_step nominal = {f->phi, f->turned, f->gamma, f->noise};
+    const linear_step other = {work->phi, work->turned, work->gamma, work->noise};
+    const int is_arm = *f->kind == KIND_ARM;
     double rest;
     const int64_t whole = cut_into_steps(duration, *f->period, &rest);
-    for (int64_t step = 0; step < whole; step++) {
-        take_step(f, &nominal, theta, u, *f->period, with_covariance, along, work);
-    }
     if (rest > 0.0) {
-        const linear_step last = fill_step(f, rest, with_covariance, work);
-        take_step(f, &last, theta, u, rest, with_covariance, along, work);
+        /* A step of a T-S system has two equal halves. */
+        flow_over(
+            f->series, (long)*f->terms, *f->reach, is_arm ? rest : 0.5 * rest, work->phi,
+            work->gamma, with_covariance ? work->noise : NULL, work->over, *f->n, *f->inputs);
+        transpose(work->phi, work->turned, *f->n);
+    }
+    for (int64_t taken = 0; taken < whole + (rest > 0.0); taken++) {
+        const linear_step *step = taken < whole ? &nominal : &other;
+        const double time = taken < whole ? *f->period : rest;
+        if (is_arm) {
+            step_arm(f, step, theta, u[0], time, with_covariance, along, work);
+        } else {
+            step_system(f, step, theta, u, time, with_covariance, along->count, work);
+        }
     }
 }
 

@@ -34,13 +34,9 @@ enum {
  * but for SHAPE_ALWAYS. `parameters` has four. */
 double grade_and_slope(int64_t shape, double z, const double *parameters, double *slope);
 
-/* Write the normalised weights h(z) of r rules with q premises; all are NaN if no rule fires. */
+/* Write the normalised weights h(z) of r rules with q premises, and the slopes dh_i/dz_j (r, q)
+ * unless NULL; all are NaN if no rule fires. */
 void rule_weights(
-    const int64_t *shapes, const double *parameters, const double *z, double *weights, long r,
-    long q);
-
-/* Write the same weights, and the slopes dh_i/dz_j (r, q). */
-void rule_weights_and_slopes(
     const int64_t *shapes, const double *parameters, const double *z, double *weights,
     double *slopes, long r, long q);
 
@@ -153,11 +149,11 @@ static inline long flow_tangents(const flow_sizes *s)
     FIELD(MATRIX, gamma, s->n, s->inputs)                                          \
     FIELD(MATRIX, noise, s->n, s->n)                                               \
     FIELD(VECTOR, over, flow_over_scratch_size(s->n, s->inputs), 1)                \
-    FIELD(MATRIX, squares, 4 * s->n, s->n)                                         \
-    FIELD(MATRIX, vectors, 6, s->n)                                                \
+    FIELD(MATRIX, squares, 6 * s->n, s->n)                                         \
+    FIELD(MATRIX, vectors, 5, s->n)                                                \
     FIELD(MATRIX, kicks, 2, s->n)                                                  \
     FIELD(MATRIX, changes, 2, s->n)                                                \
-    FIELD(MATRIX, rows, 3 * (s->k + flow_tangents(s)), s->n)                       \
+    FIELD(MATRIX, rows, 2 * (s->k + 1 + flow_tangents(s)), s->n)                       \
     FIELD(MATRIX, rates, s->rules, s->plant)                                       \
     FIELD(VECTOR, weights, s->rules, 1)                                            \
     FIELD(MATRIX, slopes, s->rules, s->premises)                                   \

@@ -14,26 +14,18 @@ double quadratic(const double *s, long s_width, const double *a, long n)
     return total;
 }
 
-void apply(const double *a, const double *x, double *result, long rows, long columns)
+void multiply(
+    const double *a, const double *b, double *restrict result, long rows, long inner, long columns)
 {
-    for (long i = 0; i < rows; i++) {
-        result[i] = dot(a + i * columns, x, columns);
-    }
-}
-
-/* Write a b; whole rows of b are added up, which makes vector instructions of the inner loop. */
-static void multiply_wide(
-    const double *a, long a_width, const double *b, long b_width, double *restrict result,
-    long rows, long inner, long columns)
-{
+    /* Whole rows of b are added up, which makes vector instructions of the inner loop. */
     for (long i = 0; i < rows; i++) {
         double *restrict row = result + i * columns;
         for (long j = 0; j < columns; j++) {
             row[j] = 0.0;
         }
         for (long k = 0; k < inner; k++) {
-            const double factor = a[i * a_width + k];
-            const double *restrict other = b + k * b_width;
+            const double factor = a[i * inner + k];
+            const double *restrict other = b + k * columns;
             for (long j = 0; j < columns; j++) {
                 row[j] += factor * other[j];
             }
@@ -41,43 +33,17 @@ static void multiply_wide(
     }
 }
 
-void multiply(
-    const double *a, const double *b, double *result, long rows, long inner, long columns)
-{
-    multiply_wide(a, inner, b, columns, result, rows, inner, columns);
-}
-
 void congruence(
-    const double *a, long a_width, const double *s, long s_width, const double *added,
-    double *scratch, double *result, long result_width, long rows, long inner)
+    const double *a, const double *turned, double *s, const double *added, double *scratch, long n)
 {
-    multiply_wide(a, a_width, s, s_width, scratch, rows, inner, inner);
-    for (long i = 0; i < rows; i++) {
-        for (long j = i; j < rows; j++) {
-            double total = dot(scratch + i * inner, a + j * a_width, inner);
-            if (added != NULL) {
-                total += added[i * rows + j];
-            }
-            result[i * result_width + j] = total;
-            result[j * result_width + i] = total;
-        }
-    }
-}
-
-void joseph_form(
-    const double *C, long C_width, const double *R, const double *S, long S_width,
-    const double *gain, double *scratch, double *result, long result_width, long n, long p)
-{
-    const long most = n > p ? n : p;
-    double *closed = scratch, *noise = closed + n * most, *rest = noise + n * most;
-    congruence(gain, p, R, p, NULL, rest, noise, n, n, p);
-    multiply_wide(gain, p, C, C_width, closed, n, p, n);
+    double *half = scratch, *whole = half + n * n;
+    multiply(a, s, half, n, n, n);
+    multiply(half, turned, whole, n, n, n);
     for (long i = 0; i < n; i++) {
-        for (long j = 0; j < n; j++) {
-            closed[i * n + j] = (i == j ? 1.0 : 0.0) - closed[i * n + j];
+        for (long j = i; j < n; j++) {
+            s[i * n + j] = s[j * n + i] = whole[i * n + j] + added[i * n + j];
         }
     }
-    congruence(closed, n, S, S_width, noise, rest, result, result_width, n, n);
 }
 
 int is_below(

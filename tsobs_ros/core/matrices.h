@@ -40,27 +40,35 @@ static inline double larger(double value, double least)
     return value < least ? least : value;
 }
 
+/* Add c x to y. */
+static inline void add_scaled(double *y, double c, const double *x, long n)
+{
+    for (long i = 0; i < n; i++) {
+        y[i] += c * x[i];
+    }
+}
+
+/* Write a' for a (n, n). */
+static inline void transpose(const double *a, double *result, long n)
+{
+    for (long i = 0; i < n; i++) {
+        for (long j = 0; j < n; j++) {
+            result[j * n + i] = a[i * n + j];
+        }
+    }
+}
+
 /* Return a' s a for s (n, n). */
 double quadratic(const double *s, long s_width, const double *a, long n);
-
-/* Write a x for a (rows, columns). */
-void apply(const double *a, const double *x, double *result, long rows, long columns);
 
 /* Write a b for a (rows, inner) and b (inner, columns). */
 void multiply(
     const double *a, const double *b, double *result, long rows, long inner, long columns);
 
-/* Write a s a' + added, symmetric, for a (rows, inner), s (inner, inner) and added (rows, rows), or
- * none if NULL; s and added symmetric. `result` may be s, `scratch` is (rows, inner). */
+/* Replace s by a s a' + added, symmetric, for a and turned = a' (n, n), s and added (n, n) symmetric.
+ * `scratch` has 2 n^2 numbers; added may be s. */
 void congruence(
-    const double *a, long a_width, const double *s, long s_width, const double *added,
-    double *scratch, double *result, long result_width, long rows, long inner);
-
-/* Write (I - K C) S (I - K C)' + K R K', symmetric and positive for any gain K (n, p), for
- * C (p, n), R (p, p) and S (n, n). `scratch` has 3 n max(n, p) numbers, `result` may be S. */
-void joseph_form(
-    const double *C, long C_width, const double *R, const double *S, long S_width,
-    const double *gain, double *scratch, double *result, long result_width, long n, long p);
+    const double *a, const double *turned, double *s, const double *added, double *scratch, long n);
 
 /* Return whether s <= bound as symmetric matrices (n, n), by the pivots of their difference, which
  * `scratch` (n, n) takes up. */

@@ -113,41 +113,27 @@ double grade_and_slope(int64_t shape, double z, const double *parameters, double
 }
 
 void rule_weights(
-    const int64_t *shapes, const double *parameters, const double *z, double *weights, long r,
-    long q)
-{
-    for (long i = 0; i < r; i++) {
-        weights[i] = 1.0;
-        for (long j = 0; j < q; j++) {
-            const long place = i * q + j;
-            double slope;
-            weights[i] *= grade_and_slope(shapes[place], z[j], parameters + 4 * place, &slope);
-        }
-    }
-    normalise(weights, r);
-}
-
-void rule_weights_and_slopes(
     const int64_t *shapes, const double *parameters, const double *z, double *weights,
     double *slopes, long r, long q)
 {
     double total;
     for (long i = 0; i < r; i++) {
-        double *row = slopes + i * q;
         weights[i] = 1.0;
         for (long j = 0; j < q; j++) {
             const long place = i * q + j;
             double slope, grade;
             grade = grade_and_slope(shapes[place], z[j], parameters + 4 * place, &slope);
-            for (long before = 0; before < j; before++) {
-                row[before] *= grade;
+            for (long before = 0; slopes != NULL && before < j; before++) {
+                slopes[i * q + before] *= grade;
             }
-            row[j] = slope * weights[i];
+            if (slopes != NULL) {
+                slopes[place] = slope * weights[i];
+            }
             weights[i] *= grade;
         }
     }
     total = normalise(weights, r);
-    for (long j = 0; j < q; j++) {
+    for (long j = 0; slopes != NULL && j < q; j++) {
         double sum_of_slopes = 0.0;
         for (long i = 0; i < r; i++) {
             slopes[i * q + j] /= total;

@@ -118,7 +118,7 @@ BIND(weights_and_slopes_of_each, "dddDDii", "shapes parameters z weights slopes 
         return NULL;
     }
     for (int64_t k = 0; k < samples; k++) {
-        rule_weights_and_slopes(
+        rule_weights(
             t[0].is.integers, t[1].is.doubles, t[2].is.doubles + k * q, t[3].is.doubles + k * r,
             t[4].is.doubles + k * r * q, (long)r, (long)q);
     }

@@ -133,7 +133,8 @@ static void weigh(
         system->z[row] = value;
     }
     rule_weights(
-        system->shapes, system->parameters, system->z, system->weights, s->rules, s->premises);
+        system->shapes, system->parameters, system->z, system->weights, NULL, s->rules,
+        s->premises);
 }
 
 /* Write sum h_i M_i [x; u] for matrices M_i (rows, n + m), with weights h. */

@@ -3,20 +3,45 @@
  */
 #include "trigonometry.h"
 
+#include <math.h>
+
 #define PI 3.14159265358979323846
 
-double sine(double angle)
+/* Return the largest whole number up to x, for |x| < 2^51, without a call. */
+static double round_down(double x)
 {
-    double sin, cos;
-    sine_and_cosine(angle, &sin, &cos);
-    return sin;
+    const double whole = (x + 6755399441055744.0) - 6755399441055744.0; /* 1.5 * 2^52 */
+    return whole > x ? whole - 1.0 : whole;
 }
 
-double cosine(double angle)
+/* Return an angle less `whole` quarters of a turn: pi/2 in three parts, the first two of 33 bits,
+ * so that small multiples of them are exact. */
+static double less_quarters(double angle, double whole)
 {
-    double sin, cos;
-    sine_and_cosine(angle, &sin, &cos);
-    return cos;
+    const double first = angle - whole * 1.57079632673412561417e00;
+    const double second = first - whole * 6.07710050630396597660e-11;
+    return second - whole * 2.02226624879595063154e-21;
+}
+
+/* Return the sine up to pi/4. */
+static double first_sine(double angle)
+{
+    const double z = angle * angle;
+    double r = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10;
+    r = -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * r);
+    r = -1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * r);
+    return angle + angle * z * r;
+}
+
+/* Return the cosine up to pi/4. */
+static double first_cosine(double angle)
+{
+    const double z = angle * angle;
+    const double half = 0.5 * z, value = 1.0 - half;
+    double r = 2.08757232129817482790e-09 + z * -1.13596475577881948265e-11;
+    r = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * r);
+    r = 4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * r);
+    return value + (((1.0 - value) - half) + z * (z * r));
 }
 
 /* Return an angle beyond 10^6 rad within one turn. What is lost is less than the rounding of so
@@ -45,24 +70,25 @@ void sine_and_cosine(double angle, double *sin, double *cos)
     }
     at_sine = first_sine(angle);
     at_cosine = first_cosine(angle);
-    switch (quarters & 3) {
-    case 0:
-        *sin = at_sine;
-        *cos = at_cosine;
-        break;
-    case 1:
-        *sin = at_cosine;
-        *cos = -at_sine;
-        break;
-    case 2:
-        *sin = -at_sine;
-        *cos = -at_cosine;
-        break;
-    default:
-        *sin = -at_cosine;
-        *cos = at_sine;
-        break;
-    }
+    /* A quarter of a turn takes (sin, cos) to (cos, -sin). */
+    *sin = quarters & 1 ? at_cosine : at_sine;
+    *cos = quarters & 1 ? at_sine : at_cosine;
+    *sin = quarters & 2 ? -*sin : *sin;
+    *cos = (quarters + 1) & 2 ? -*cos : *cos;
+}
+
+double sine(double angle)
+{
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return sin;
+}
+
+double cosine(double angle)
+{
+    double sin, cos;
+    sine_and_cosine(angle, &sin, &cos);
+    return cos;
 }
 
 double exponential(double x)
