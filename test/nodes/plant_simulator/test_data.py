@@ -5,8 +5,6 @@
 import math
 from typing import Any
 
-from rclpy.parameter import Parameter
-
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 
 PERIOD = 5_000_000
@@ -103,25 +101,3 @@ def test_reset_starts_as_fresh_while_stamps_go_on(listener: Any) -> None:
         (item.stamp - listener.measurements[0].stamp) % PERIOD for item in listener.measurements
     }
     assert steps == {0}
-
-
-def test_a_new_seed_takes_effect_at_the_reset(listener: Any) -> None:
-    node = listener.start()
-    node.set_parameters([Parameter("seed", value=9)])
-    listener.wait_for(listener.measurements, 20)
-    listener.places(listener.measurements, listener.core(5000))
-    listener.reset()
-    ninth = {sample.measurement.item() for sample in listener.core(5000, seed=9)}
-    listener.wait_until(
-        lambda: listener.measurements[-1].message.position[0] in ninth, "data of seed 9"
-    )
-
-
-def test_lost_samples_are_not_published_but_their_truth_is(listener: Any) -> None:
-    listener.start(dropouts__interval=0.25, dropouts__duration=0.1)
-    listener.wait_for(listener.states, 200)
-    listener.wait_for(listener.measurements, 1)
-    samples = listener.core(5000)
-    found = listener.places(listener.measurements, samples)
-    assert not any(k >= 50 and k % 50 < 20 for k in found)
-    assert len(listener.states) > len(listener.measurements) + 50

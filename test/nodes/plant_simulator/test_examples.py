@@ -32,6 +32,7 @@ def published_states(example: Any, times: Any) -> Any:
     return np.array(states)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "example"), [(1, example_1()), (2, example_2())])
 def test_the_published_plant_is_played_and_the_published_observer_follows_it(
     listener: Any, number: int, example: Any

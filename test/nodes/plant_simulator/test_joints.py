@@ -49,15 +49,6 @@ def entry(message: Any, name: str, field: str = "position") -> float:
     return float(getattr(message, field)[message.name.index(name)])
 
 
-def test_samples_come_as_often_as_the_design_expects(joints: dict[str, Any]) -> None:
-    """Of several designs as often as the fastest does; without one at 200 Hz."""
-    own = {name: tuple(v) if isinstance(v, list) else v for name, v in joints.items()}
-    scenarios = PlantSimulatorParameters(**own | {"rate": 0.0}).scenarios()
-    assert {scenario.rate for scenario in scenarios.values()} == {500.0}
-    assert PlantSimulatorParameters().scenario().rate == 200.0
-    assert PlantSimulatorParameters(**own).scenario().rate == 200.0
-
-
 def test_joints_of_design_files_are_in_the_same_messages(
     listener: Any, joints: dict[str, Any]
 ) -> None:

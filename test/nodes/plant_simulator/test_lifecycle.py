@@ -63,35 +63,3 @@ def test_a_clean_up_ends_the_arm_and_configuring_makes_a_new_one(
     # Truth needs no listener to begin: the first samples may be before its match.
     assert found == list(range(found[0], found[0] + len(found)))
     assert found[0] < 50
-
-
-def test_an_external_clock_that_stood_still_or_went_back_during_a_pause(
-    listener: Any, manage: Callable[[Any], Any]
-) -> None:
-    manager = manage(listener.start_simulated())
-    for step in range(2):
-        listener.show_and_sample(10 * SECOND + step * PERIOD)
-    assert manager.change("deactivate", "activate")
-    listener.show_and_sample(10 * SECOND + 2 * PERIOD)
-    assert manager.change("deactivate")
-    listener.show(4 * SECOND)
-    assert manager.change("activate")
-    listener.wait_until(lambda: listener.states[-1].stamp == 4 * SECOND, "the new arm")
-    stamps = [item.stamp for item in listener.states]
-    assert stamps == [10 * SECOND + k * PERIOD for k in range(3)] + [4 * SECOND]
-    assert listener.indices(listener.states, listener.core(10)) == [0, 1, 2, 0]
-
-
-def test_a_reset_while_it_is_inactive_restarts_with_the_next_activation(
-    ros: Any, listener: Any, manage: Callable[[Any], Any]
-) -> None:
-    manager = manage(listener.start())
-    listener.wait_for(listener.states, 20)
-    assert manager.change("deactivate")
-    assert listener.reset().success
-    ros.hear_out(listener.states)
-    listener.states.clear()
-    assert manager.change("activate")
-    listener.wait_for(listener.states, 10)
-    found = listener.indices(listener.states, listener.core(5000))
-    assert found[:10] == list(range(10))

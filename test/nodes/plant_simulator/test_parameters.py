@@ -137,13 +137,3 @@ def test_parameters_describe_arms_sensors_and_torques_that_no_design_foresees(ro
     assert scenario.excitation == Constant(4.5)
     assert scenario.torque_error == (Pulses(50.0, 2.0, 0.01, 4.0),)
     assert PlantSimulatorParameters().scenario().torque_error == ()
-
-
-def test_the_executable_ends_by_itself_after_its_duration(ros_process: Any) -> None:
-    process = ros_process(
-        "plant_simulator", params_file=CONFIG, parameters={"duration": 0.2, "noise_std": 0}
-    )
-    ended = process.finish(60.0)
-    assert ended.exit_code == 0
-    assert "unknown" not in ended.stderr
-    assert "Traceback" not in ended.stderr

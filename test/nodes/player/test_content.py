@@ -11,7 +11,6 @@ from player.bags import LATCHED, MS, START, STRING, Entry, data_of, regular, tex
 from rclpy.parameter import Parameter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from std_srvs.srv import Trigger
 
 from tsobs_ros.bag import BagReader, BagWriter, QosProfile
 from tsobs_ros.bag.definitions import MessageDefinition, find_definition
@@ -153,26 +152,3 @@ def test_messages_without_a_checksum_are_played_with_a_warning(
     warnings = [line for line in capfd.readouterr().err.splitlines() if "[WARN]" in line]
     assert len(warnings) == 1
     assert "messages have no checksum: damage in them is not noticed" in warnings[0]
-
-
-def test_services_events_are_played(ros: Any, play: Play, tmp_path: Path) -> None:
-    definition = MessageDefinition("std_srvs/srv/Trigger_Event", "", "")
-    event = b"\0\1\0\0" + bytes(44)
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic("/s/_service_event", definition.type, definition=definition)
-        writer.write("/s/_service_event", event, START, START)
-    heard: list[bytes] = []
-    ros.node("listener").create_subscription(
-        Trigger.Event, "/s/_service_event", heard.append, 10, raw=True
-    )
-    player = play(tmp_path / "bag")
-    ros.spin_until(lambda: player.finished and bool(heard), what="the event")
-
-    assert heard == [event]
-
-
-def test_an_empty_bag_ends_at_once(ros: Any, play: Play, tmp_path: Path) -> None:
-    BagWriter(tmp_path / "bag").close()
-    player = play(tmp_path / "bag", loop=False)
-
-    ros.spin_until(lambda: player.finished, timeout=2.0, what="the end")

@@ -9,10 +9,9 @@ from typing import Any
 
 import pytest
 from player.bags import LATCHED, Entry, regular, texts, write_bag
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from tsobs_ros.bag.metadata import INFINITE, QosProfile, QosTime
+from tsobs_ros.bag.metadata import QosProfile
 from tsobs_ros.nodes.player.topics import offered_qos
 
 Play = Callable[..., Any]
@@ -50,27 +49,6 @@ def test_what_all_publishers_offered_is_offered(
     assert (qos.reliability.name.lower(), qos.durability.name.lower(), qos.depth) == expected
 
 
-def test_times_of_a_profile_are_kept(ros: Any, play: Play, tmp_path: Path) -> None:
-    profile = QosProfile(
-        deadline=QosTime(3, 500_000_000), lifespan=QosTime(60, 0), liveliness="manual_by_topic",
-        liveliness_lease_duration=QosTime(7, 0), reliability="best_effort",
-    )  # fmt: skip
-    endless = QosProfile(deadline=INFINITE, lifespan=QosTime(2**62, 0))
-    offers = {"/a": [profile], "/b": [endless]}
-    bag = write_bag(tmp_path / "bag", [Entry("/a", 0, ""), Entry("/b", 0, "")], offers)
-    node = ros.node("other")
-    play(bag, start_paused=True)
-    ros.spin_until(lambda: node.count_publishers("/b") > 0, what="discovery")
-
-    (found,) = [info.qos_profile for info in node.get_publishers_info_by_topic("/a")]
-    assert found.deadline.nanoseconds == 3_500_000_000
-    assert found.lifespan.nanoseconds == 60 * 10**9
-    assert found.liveliness_lease_duration.nanoseconds == 7 * 10**9
-    assert (found.liveliness.name, found.reliability.name) == ("MANUAL_BY_TOPIC", "BEST_EFFORT")
-    (other,) = [info.qos_profile for info in node.get_publishers_info_by_topic("/b")]
-    assert other.deadline.nanoseconds == other.lifespan.nanoseconds == 2**63 - 1
-
-
 @pytest.fixture
 def latched_bag(tmp_path: Path) -> Path:
     """Give a bag with 3 messages latched at 0, 20 and 60 ms, and a0 … a9, one every 10 ms."""
@@ -94,22 +72,6 @@ def test_what_was_latched_before_the_start_is_published_first_even_in_a_pause(
     listener.hear_out(player)
     assert listener.texts("/latched") == ["l20", "l60"]
     assert listener.texts("/a") == texts(5, 10)
-
-
-def test_what_was_latched_before_a_seek_is_published_at_once_even_in_a_pause(
-    ros: Any, play: Play, listener: Any, latched_bag: Path
-) -> None:
-    listener.listen("/latched", "/a")
-    player = play(latched_bag, start_paused=True, start_offset=0.065)
-    ros.spin_until(lambda: listener.texts("/latched") == ["l60"], what="the latest")
-
-    (result,) = player.set_parameters([Parameter("position", value=0.03)])
-    # Before the start offset: playing stays within what it was asked for.
-    assert result.successful
-    assert player.position == pytest.approx(0.065)
-    assert player.step() == (True, "/a at 0.070 s")  # first what is latched, then the step
-    ros.spin_until(lambda: listener.texts("/a") == ["a7"], what="the step")
-    ros.spin_until(lambda: listener.texts("/latched") == ["l60"] * 2, what="the latest again")
 
 
 @pytest.mark.parametrize("reliability", ["reliable", "best_effort"])

@@ -133,17 +133,6 @@ def test_nohup_ignores_a_closed_terminal_and_what_was_flushed_survives_a_kill(
         BagReader(tmp_path / "bag")
 
 
-def test_a_closed_terminal_closes_the_bag(started, recording, tmp_path: Path) -> None:
-    process, say = started()
-    say(*TEXTS)
-    process.signal(signal.SIGHUP)  # SIGINT and SIGTERM: test_processes
-    finished = process.finish()
-
-    assert finished.exit_code == 0
-    assert "Traceback" not in finished.stderr
-    assert recording.texts(tmp_path / "bag") == TEXTS
-
-
 @pytest.mark.parametrize("trap", ["", "trap '' HUP;"], ids=["", "SIGHUP ignored"])
 def test_a_terminal_that_goes_costs_no_message(
     ros, recording, domain_id: int, tmp_path: Path, trap: str

@@ -7,28 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
-from tsobs_ros.bag.estimate_topics import PARAMETER_TOPICS, TOPICS, TORQUE_TOPICS
 from tsobs_ros.errors import ParameterError
 from tsobs_ros.nodes.recorder.parameters import RecorderParameters
 
 CONFIG = Path(__file__).parents[3] / "config" / "recorder.yaml"
-
-
-def test_the_shipped_file_selects_the_topics_of_the_readme() -> None:
-    values = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
-    shipped = RecorderParameters(topics=tuple(values["topics"]), regex=values["regex"])
-    selection = shipped.resolved(full, full)
-    estimates = [f"/arm/observer/{n}" for n in (*TOPICS, *PARAMETER_TOPICS, *TORQUE_TOPICS)]
-    others = ("joint_measurements", "joint_torque_command", "ground_truth/joint_states",
-              "ground_truth/disturbance", "ground_truth/torque_disturbance",
-              "/diagnostics")  # fmt: skip
-    topics = [*estimates, *map(full, others)]
-    assert [topic for topic in topics if not selection.wants(topic, [])] == []
-    assert not selection.wants("/arm/camera", [])
-    # It awaits only those that always come.
-    assert not {*topics[-5:-1], estimates[1], *estimates[-4:]} & set(selection.listed())
 
 
 @pytest.mark.parametrize(
@@ -107,12 +90,3 @@ def selected(**parameters: Any) -> set[str]:
 )  # fmt: skip
 def test_what_is_selected_is_recorded(parameters: dict[str, Any], expected: set[str]) -> None:
     assert selected(**parameters) == expected
-
-
-def test_what_is_listed_is_awaited_unless_it_is_excluded_or_all_is_recorded() -> None:
-    listed: dict[str, Any] = {"topics": ("joints", "torque"), "services": ("reset", "/go")}
-    awaited = ["/arm/joints", "/arm/reset/_service_event", "/arm/torque", "/go/_service_event"]
-    assert RecorderParameters(**listed).resolved(full, full).listed() == awaited
-    excluding = RecorderParameters(**listed, exclude_regex="t$", exclude_topics=("torque",))
-    assert excluding.resolved(full, full).listed() == ["/arm/joints", "/go/_service_event"]
-    assert RecorderParameters(**listed, all=True).resolved(full, full).listed() == []

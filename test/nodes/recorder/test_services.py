@@ -101,10 +101,3 @@ def test_a_snapshot_holds_the_last_messages_and_what_is_latched(recording, call)
     recorder.close()
     written = ["the map", large[3], large[4], "the map", "between"]
     assert recording.texts(recorder.path) == written
-
-
-def test_there_are_no_snapshots_where_everything_is_written(recording) -> None:
-    recorder = recording.start(topics=["a"])
-    names = {name for name, _ in recorder.get_service_names_and_types_by_node("recorder", "/")}
-    assert "/recorder/split_bagfile" in names
-    assert "/recorder/snapshot" not in names

@@ -70,54 +70,6 @@ def test_the_worst_comes_first(changes: dict[str, Any], level: Level, message: s
     assert (recording.name, recording.level, recording.message) == ("recording", level, message)
 
 
-def test_all_counts_are_given() -> None:
-    recording, _ = statuses(state(snapshot=buffer(), waiting_for=("/b", "/c")))
-    assert recording.values == {
-        "messages": "100",
-        "messages a second": "12.3",
-        "MiB": "1.0",
-        "lost": "0",
-        "published before the first": "480",
-        "losses unknown of": "",
-        "discarded while paused": "4",
-        "topics": "1",
-        "waiting for": "/b, /c",
-        "paused": "false",
-        "files": "2",
-        "free disk space (MiB)": "10000",
-        "last sync (s ago)": "1.0",
-        "snapshot buffer": "2 messages, 1.5 s, 3.0 MiB",
-        "too large for the snapshot buffer": "0",
-    }
-
-
-@pytest.mark.parametrize(
-    ("topics", "level", "message", "unknown"),
-    [
-        ({}, Level.OK, "nothing lost since the first of each", ""),
-        ({"/n": TopicStatistics(0, 0, True)}, Level.OK, "nothing lost since the first of each", ""),
-        ({"/a": GOOD, "/u": UNKNOWN._replace(lost=0)}, Level.OK, "losses unknown of /u", "/u"),
-        ({"/u": UNKNOWN, "/l": LOSSY, "/v": UNKNOWN._replace(lost=0)}, Level.WARN,
-         "messages lost of /l, /u", "/u, /v"),
-    ],
-)  # fmt: skip
-def test_topics_are_reported_one_by_one(
-    topics: dict[str, TopicStatistics], level: Level, message: str, unknown: str
-) -> None:
-    recording, status = statuses(state(topics=topics))
-    assert (status.name, status.level, status.message) == ("topics", level, message)
-    assert recording.values["losses unknown of"] == unknown
-    texts = {
-        "/n": "0 messages, nothing has arrived",
-        "/a": "100 messages, 0 lost since 2023-11-14T22:13:20.123+00:00, 480 published before",
-        "/l": "90 messages, 3 lost since 2023-11-14T22:13:20.123+00:00, 0 published before",
-        "/u": "5 messages, at least 1 lost" if topics.get("/u") == UNKNOWN
-        else "5 messages, losses unknown",
-        "/v": "5 messages, losses unknown",
-    }  # fmt: skip
-    assert status.values == {name: texts[name] for name in topics}
-
-
 A, B = b"a", b"b"
 AB = A + B
 

@@ -45,29 +45,6 @@ def test_latched_messages_from_before_and_late_publishers_are_recorded(ros, reco
     assert publisher.get_subscription_count() == 1
 
 
-@pytest.mark.parametrize(
-    ("parameters", "expected"),
-    [
-        ({}, {"/visible", "/diagnostics"}),
-        ({"all": True, "include_hidden": True, "exclude_topics": ["/diagnostics"]},
-         {"/visible", "/_hidden"}),
-        ({"topics": ["_hidden"]}, {"/_hidden"}),
-    ],
-)  # fmt: skip
-def test_the_topics_that_are_asked_for_are_recorded(
-    ros, recording, parameters: dict[str, Any], expected: set[str]
-) -> None:
-    recorder = recording.start(**parameters)
-    node = ros.node("source")
-    publishers = {f"/{n}": node.create_publisher(String, n, 10) for n in ("visible", "_hidden")}
-    for name in expected & set(publishers):
-        recording.publish(recorder, publishers[name], [String()])
-    ros.spin_until(
-        lambda: all(recording.count(recorder, name) for name in expected), what="all messages"
-    )
-    assert expected == set(recorder.statistics.topics) & {*publishers, "/diagnostics"}
-
-
 def test_an_unknown_type_does_not_stop_the_others(ros, recording, monkeypatch, capfd) -> None:
     node = ros.node("source")
     node.create_publisher(DisparityImage, "strange", 10)
@@ -116,24 +93,6 @@ def test_types_that_differ_are_reported_until_they_agree(ros, recording, strange
     ros.spin_until(lambda: warnings(other) > 0, what="the second warning")
     recording.publish(recorder, publisher, [String(data="heard")] * 2)
     assert (warnings(disagree), warnings(other)) == (1, 1)
-
-
-def test_of_two_publishers_losses_are_unknown(ros, recording, capfd) -> None:
-    recorder = recording.start(topics=["joints"], queue_depth=10)
-    publishers = [
-        ros.node(name).create_publisher(JointState, "joints", 100) for name in ("arm", "hand")
-    ]
-    for publisher in publishers:
-        ros.spin_until(lambda p=publisher: p.get_subscription_count() == 1, what="the matches")
-    for message in recording.joint_states(60):
-        for publisher in publishers:
-            publisher.publish(message)
-    ros.spin_until(lambda: recording.count(recorder, "/joints") == 10, what="the last ten")
-    assert recorder.statistics.topics["/joints"][:3] == (10, 0, False)
-    recorder.close()
-    closing = f"closing {recorder.path}: 10 messages of 1 topics, 0 lost since the first of each"
-    printed = capfd.readouterr().err
-    assert f"{closing}, 0 published before, losses of 1 topics unknown" in printed
 
 
 def test_losses_are_counted_since_the_first_that_arrived_and_what_was_before_is_told(
@@ -272,16 +231,3 @@ def test_the_events_of_services_are_recorded(ros, recording) -> None:
         ((schema, channel, _), _) = make_reader(stream, validate_crcs=True).iter_messages()
     assert schema.data.decode() == find_definition("std_srvs/srv/SetBool_Event").text
     assert channel.metadata["topic_type_hash"] == find_definition(schema.name).type_hash
-
-
-def test_a_topic_without_publishers_is_recorded_where_asked_for(ros, recording) -> None:
-    recorder = recording.start(regex="^/command$", include_unpublished=True)
-    node = ros.node("listener")
-    node.create_subscription(String, "command", lambda message: None, 10)
-    ros.spin_until(lambda: "/command" in recorder.statistics.topics, what="the topic")
-    publisher = node.create_publisher(String, "command", 10)
-    ros.spin_until(lambda: publisher.get_subscription_count() == 2, what="the recorder's match")
-    recording.publish(recorder, publisher, [String(data="go")])
-    recorder.close()
-    reader = BagReader(recorder.path)
-    assert (reader.message_count, reader.topics["/command"].qos_profiles) == (1, ())
