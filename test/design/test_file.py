@@ -202,17 +202,6 @@ def test_a_file_that_cannot_be_written_is_named(shipped: Design, tmp_path: Path)
         save_design(shipped, tmp_path / "no" / "a.yaml")
 
 
-def test_a_membership_without_a_name_cannot_be_written(
-    pendulum_request: TSRequest, tmp_path: Path
-) -> None:
-    rules = pendulum_request.model.rule_base
-    model = replace(pendulum_request.model, rule_base=replace(rules, rules=((np.ones_like,),) * 2))
-    request = replace(pendulum_request, model=model)
-    design = Design(request, np.eye(3), np.zeros((3, 2)), SolverReport())
-    with pytest.raises(DesignFileError, match=r"a\.yaml: membership: expected a named one"):
-        save_design(design, tmp_path / "a.yaml")
-
-
 def yaml_of(name: str) -> dict[str, Any]:
     data: dict[str, Any] = yaml.safe_load((DATA / name).read_text(encoding="utf-8"))
     return data

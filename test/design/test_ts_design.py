@@ -100,7 +100,8 @@ def deviation_jacobian(flow: TSFlow, x: Array, u: Array) -> Array:
     """Return the Jacobian of what the rules differ by from their mean, shape (n, n)."""
     n, model = flow.model.state_count, flow.model
     jacobian = np.zeros((flow.state_count, flow.state_count))
-    jacobian[:n, :n] = model.blended_jacobian(flow.deviations, x[:n], u)
+    A, B = flow.deviations[..., :n], flow.deviations[..., n:]
+    jacobian[:n, :n] = replace(model, A=A, B=B).jacobian(x[:n], u)
     return jacobian
 
 

@@ -25,7 +25,7 @@ from tsobs_ros.model.prediction import flow_record, scratch_size
 from tsobs_ros.model.uncertainty import ARM_DIRECTIONS, arm_uncertainty
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=40)
+PROPERTY = settings(max_examples=15)
 
 ARMS = st.builds(
     ElasticJointArm, st.floats(0.2, 5.0), st.floats(0.2, 5.0), st.floats(1.0, 50.0),
@@ -233,7 +233,7 @@ def test_a_batch_is_its_members_side_by_side(
             assert member.tobytes() == alone.tobytes()
 
 
-@settings(PROPERTY, max_examples=80)
+@settings(PROPERTY, max_examples=25)
 @given(st.data(), FLOWS, st.floats(0.05, math.pi), st.floats(-5.0, 5.0))
 def test_the_error_after_a_step_is_one_of_the_certified_error_systems(
     data: st.DataObject, flow: ArmFlow, x_max: float, torque: float

@@ -3,10 +3,6 @@
 """Membership functions by name, and weights that are a convex combination."""
 
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,16 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from tsobs_ros.core import native
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import SHAPES, Membership, RuleBase, membership, weights_and_slopes
+from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 
 Array = NDArray[np.float64]
 NUMBERS = st.floats(-5.0, 5.0)
-# Two rules of one premise variable in [0, 1] that meet at its ends.
-RAMPS = RuleBase(((lambda z: 1.0 - z,), (lambda z: z,)))
 EXAMPLES = [
-    membership("always", {}),
+    membership("always"),
     membership("linear", {"zero": -1.0, "one": 2.0}),
     membership("linear", {"zero": 1.5, "one": 0.25}),
     membership("triangle", {"left": -1.0, "peak": 0.3, "right": 2.0}),
@@ -58,15 +51,10 @@ def test_weights_are_a_convex_combination(data: st.DataObject, rule_base: RuleBa
 
 
 def test_grades_of_several_premise_variables_are_multiplied() -> None:
-    rule_base = RuleBase(((lambda z: 1.0 - z, lambda z: 1.0 - z), (lambda z: z, lambda z: 1.0 - z)))
+    up, down = (membership("linear", {"zero": a, "one": 1.0 - a}) for a in (0.0, 1.0))
     grades = np.array([0.75 * 0.6, 0.25 * 0.6])
-    np.testing.assert_allclose(rule_base.weights([0.25, 0.4]), grades / grades.sum(), rtol=1e-15)
-
-
-@pytest.mark.parametrize("grade", [1e308, 1e-308])
-def test_extreme_grades_still_sum_to_one(grade: float) -> None:
-    rules = RuleBase(((lambda z: np.full_like(z, grade),), (lambda z: np.full_like(z, grade),)))
-    assert rules.weights([0.0]) == pytest.approx([0.5, 0.5])
+    weights = RuleBase(((down, down), (up, down))).weights([0.25, 0.4])
+    np.testing.assert_allclose(weights, grades / grades.sum(), rtol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +62,7 @@ def test_extreme_grades_still_sum_to_one(grade: float) -> None:
     [
         ((), "at least one rule"),
         (((),), "at least one rule with one premise variable"),
-        (((np.ones_like,), (np.ones_like, np.ones_like)), r"one membership function.*\[1, 2\]"),
+        ((EXAMPLES[:1], EXAMPLES[:2]), r"one membership function.*\[1, 2\]"),
     ],
 )
 def test_an_incomplete_rule_base_is_refused(rules: Any, message: str) -> None:
@@ -85,39 +73,16 @@ def test_an_incomplete_rule_base_is_refused(rules: Any, message: str) -> None:
 @pytest.mark.parametrize(
     ("z", "message"),
     [
-        ([2.0], "membership of rule 1: expected finite grades of at least 0, got -1.0"),
-        ([[np.nan], [0.1]], "membership of rule 1: expected finite grades of at least 0, got nan"),
-        ([-2.0], "membership of rule 2: expected finite grades of at least 0, got -2.0"),
-        ([np.nan], "membership of rule 1: expected finite grades of at least 0, got nan"),
+        ([3.0], r"no rule fires at z = \[3.0\]"),
+        ([[0.5], [np.nan]], r"no rule fires at z = \[nan\]"),
+        ([[[0.5], [0.1]], [[0.2], [5.0]]], r"no rule fires at z = \[5.0\]"),
         ([0.5, 0.5], r"z: expected a last axis of 1 premise variables, got shape \(2,\)"),
         (0.5, r"z: expected a last axis of 1 premise variables, got shape \(\)"),
     ],
 )
 def test_weights_name_what_is_wrong_with_a_premise(z: Any, message: str) -> None:
     with pytest.raises(ModelError, match=message):
-        RAMPS.weights(z)
-
-
-def test_a_membership_may_be_a_constant_but_not_of_another_shape() -> None:
-    constant = RuleBase(((lambda z: np.float64(2.0),), (np.ones_like,)))
-    np.testing.assert_allclose(constant.weights(np.zeros((3, 1))), [[2 / 3, 1 / 3]] * 3)
-    wrong = RuleBase(((lambda z: np.ones(7),),))
-    with pytest.raises(ModelError, match=r"rule 1: expected one grade an entry, shape \(3,\)"):
-        wrong.weights(np.zeros((3, 1)))
-
-
-@pytest.mark.parametrize(
-    ("z", "place"),
-    [
-        ([3.0], r"\[3.0\]"),
-        ([[0.5], [4.0]], r"\[4.0\]"),
-        ([[[0.5], [0.1]], [[0.2], [5.0]]], r"\[5.0\]"),
-    ],
-)
-@pytest.mark.parametrize("weigh", [RuleBase.weights, weights_and_slopes])
-def test_a_premise_at_which_no_rule_fires_is_named(weigh: Any, z: Any, place: str) -> None:
-    with pytest.raises(ModelError, match=f"no rule fires at z = {place}"):
-        weigh(RuleBase(((EXAMPLES[3],),)), z)
+        RuleBase(((EXAMPLES[3],),)).weights(z)
 
 
 @pytest.mark.parametrize(
@@ -158,10 +123,6 @@ def test_the_sine_sector_is_the_sine(width: float) -> None:
     np.testing.assert_allclose(upper + lower, 1.0, rtol=1e-15)
 
 
-def test_every_shape_has_an_example_here() -> None:
-    assert {example.shape for example in EXAMPLES} == set(SHAPES)
-
-
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda each: each.shape)
 def test_slopes_are_the_derivative_of_the_grade(example: Membership) -> None:
     """Compare with central differences at points away from the corners."""
@@ -174,20 +135,13 @@ def test_slopes_are_the_derivative_of_the_grade(example: Membership) -> None:
 def test_slopes_of_the_weights_of_two_premises() -> None:
     rules = RuleBase(((EXAMPLES[5], EXAMPLES[1]), (EXAMPLES[5], EXAMPLES[2]), (EXAMPLES[0],) * 2))
     z = np.random.default_rng(3).uniform(-0.9, 1.4, (20, 2))
-    weights, slopes = weights_and_slopes(rules, z)
+    weights, slopes = rules.weights_and_slopes(z)
     np.testing.assert_allclose(weights, rules.weights(z), rtol=1e-14)
     assert slopes.shape == (20, 3, 2)
     for place in range(2):
         step = 1e-6 * np.eye(2)[place]
         expected = (rules.weights(z + step) - rules.weights(z - step)) / 2e-6
         np.testing.assert_allclose(slopes[..., place], expected, atol=1e-8)
-
-
-def test_only_functions_that_know_their_slope_have_one() -> None:
-    rules = RuleBase(((EXAMPLES[0], lambda z: np.ones_like(z)),))
-    for ask in (lambda: weights_and_slopes(rules, [0.0, 0.0]), lambda: rules.coded):
-        with pytest.raises(ModelError, match="know their slopes, got function"):
-            ask()
 
 
 # Every shape, alone and with another premise; the last rule fires everywhere but at NaN.
@@ -199,51 +153,14 @@ MIXED = RuleBase(
 )
 
 
-def bits() -> bytes:
-    """Return weights and slopes of `MIXED` at many premises, far ones and corners among them."""
-    random = np.random.default_rng(11)
-    corners = [*[x for each in EXAMPLES for x in each.parameters().values()], 0.0, 1e-300, -7.9]
-    z = np.concatenate([random.normal(0.0, 1.5, (2000, 2)), random.choice(corners, (500, 2))])
-    weights, slopes = weights_and_slopes(MIXED, z)
-    return weights.tobytes() + slopes.tobytes()
-
-
-def test_the_same_bits_on_another_cpu() -> None:
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "import sys, test_fuzzy; sys.stdout.buffer.write(test_fuzzy.bits())",
-        ],
-        env={
-            **os.environ,
-            "PYTHONPATH": str(Path(__file__).parent),
-            "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2",
-        },
-        stdout=subprocess.PIPE,
-        check=True,
-    )
-    assert done.stdout == bits()
-
-
 def test_single_premises_have_the_bits_of_a_batch() -> None:
     z = np.random.default_rng(5).normal(0.0, 1.0, (50, 2))
-    batch, all_slopes = weights_and_slopes(MIXED, z)
+    batch, all_slopes = MIXED.weights_and_slopes(z)
     for place, one in enumerate(z):
-        weights, slopes = weights_and_slopes(MIXED, one)
+        weights, slopes = MIXED.weights_and_slopes(one)
         assert weights.tobytes() == batch[place].tobytes()
         assert slopes.tobytes() == all_slopes[place].tobytes()
     assert (batch == MIXED.weights(z)).all()
-
-
-@pytest.mark.parametrize(
-    ("rule", "z"), [(EXAMPLES[3], 3.0), (EXAMPLES[3], np.nan), (EXAMPLES[6], -np.inf)]
-)
-def test_where_no_rule_fires_compiled_weights_are_not_numbers(rule: Membership, z: float) -> None:
-    weights, slopes = np.zeros(1), np.zeros((1, 1))
-    coded = RuleBase(((rule,),)).coded
-    native.weights_and_slopes_of_each(*coded, np.array([z]), weights, slopes, 1, 1)
-    assert np.isnan([weights, slopes[0]]).all()
 
 
 def test_the_sine_sector_is_level_outside_of_its_domain() -> None:
@@ -268,10 +185,10 @@ def test_the_sine_sector_is_level_outside_of_its_domain() -> None:
             {"left": 0, "top_left": 2, "top_right": 1, "right": 3},
             "trapezoid: expected left < top_left < top_right < right, got",
         ),
-        ("gaussian", {"centre": 0.0, "width": 0.0}, "membership gaussian: width"),
+        ("gaussian", {"centre": 0.0, "width": 0.0}, "gaussian: expected width above 0"),
         ("gaussian", {"centre": math.nan, "width": 1.0}, "membership gaussian: centre"),
-        ("sine_upper", {"half_width": 3.2}, "sine_upper: expected 1e-4 ≤ half_width < π, got 3.2"),
-        ("square_rest", {"half_width": 0.0}, "square_rest: half_width: expected a finite number"),
+        ("sine_upper", {"half_width": 3.2}, "sine_upper: expected 1e-4 ≤ half_width < π, got .3.2"),
+        ("square_rest", {"half_width": 0.0}, "square_rest: expected half_width above 0"),
         ("sine_lower", {"half_width": 0.0}, "sine_lower: expected 1e-4 ≤ half_width < π"),
     ],
 )

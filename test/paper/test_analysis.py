@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.paper.analysis import (
     augmented_modes,
     check_autonomous_innovation,
@@ -22,7 +22,8 @@ from tsobs_ros.paper.systems import TSSystem, arm_system
 
 def some_system(seed: int, n: int = 4, p: int = 2, r: int = 3) -> TSSystem:
     random = np.random.default_rng(seed)
-    rules = RuleBase(tuple((lambda z, c=c: np.exp(-((z - c) ** 2)),) for c in range(r)))
+    bells = [membership("gaussian", {"centre": c, "width": 0.7}) for c in range(r)]
+    rules = RuleBase(tuple((bell,) for bell in bells))
     return TSSystem(
         random.normal(size=(r, n, n)),
         random.normal(size=(r, n, 1)),

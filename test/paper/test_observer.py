@@ -16,7 +16,7 @@ from tsobs_ros.design.file import load_request
 from tsobs_ros.design.request import TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.paper.augmentation import Augmentation
 from tsobs_ros.paper.examples import PaperExample, example_1, example_2
 from tsobs_ros.paper.observer import (
@@ -120,7 +120,7 @@ def test_estimate_is_the_same_from_noise() -> None:
 
 
 def test_innovation_decays_by_its_own_equation() -> None:
-    rules = RuleBase(((lambda z: np.ones_like(z),),))
+    rules = RuleBase(((membership("always"),),))
     system = TSSystem(
         EXAMPLE.system.A[:1],
         EXAMPLE.system.B[:1],

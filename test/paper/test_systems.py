@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase
+from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.paper.systems import TSSystem, arm_system, blend
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ ARMS = st.builds(
     st.floats(0.1, 50.0), st.floats(0.0, 5.0), st.floats(0.0, 5.0),
 )  # fmt: skip
 # Two rules of one premise variable in [0, 1] that meet at its ends.
-RAMPS = RuleBase(((lambda z: 1.0 - z,), (lambda z: z,)))
+RAMPS = RuleBase(tuple((membership("linear", {"zero": 1.0 - at, "one": at}),) for at in (0.0, 1.0)))
 
 
 def arrays(*shape: int) -> st.SearchStrategy[Array]:
@@ -47,7 +47,7 @@ def systems(draw: st.DrawFn) -> TSSystem:
     q, r = draw(st.integers(1, 3)), draw(st.integers(1, 4))
     n, m, p = draw(st.integers(q, 4)), draw(st.integers(1, 2)), draw(st.integers(1, 2))
     centres = draw(arrays(r, q))
-    rules = [[lambda z, c=c: np.exp(-0.1 * (z - c) ** 2) for c in row] for row in centres]
+    rules = [[membership("gaussian", {"centre": c, "width": 2.0}) for c in row] for row in centres]
     matrices = [draw(arrays(r, *shape)) for shape in ((n, n), (n, m), (p, n))]
     return TSSystem(*matrices, RuleBase(tuple(map(tuple, rules))))
 

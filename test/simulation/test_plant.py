@@ -15,7 +15,7 @@ from tsobs_ros.checks import Array
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.model.fuzzy import Always, Gaussian, RuleBase, SineUpper
+from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import (
@@ -93,7 +93,15 @@ SYSTEM = SystemScenario(
         A=np.array([[[0.0, 1.0], [-9.81, -0.2]], [[0.0, 1.0], [-4.0, -0.2]]]),
         B=np.array([[0.0], [1.0]]),
         C=np.eye(2),
-        rule_base=RuleBase(((Gaussian(0.0, 0.5), SineUpper(1.2)), (Gaussian(1.0, 0.7), Always()))),
+        rule_base=RuleBase(
+            (
+                (
+                    membership("gaussian", {"centre": 0.0, "width": 0.5}),
+                    membership("sine_upper", {"half_width": 1.2}),
+                ),
+                (membership("gaussian", {"centre": 1.0, "width": 0.7}), membership("always")),
+            )
+        ),
         premise=np.array([[1.0, 0.0], [0.5, 0.0]]),
         schedule=np.array([[0.3], [0.0]]),
     ),

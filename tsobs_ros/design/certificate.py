@@ -23,8 +23,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from tsobs_ros.checks import Array
-from tsobs_ros.design.request import ErrorVertex, Request
+from tsobs_ros.design.request import Request
 from tsobs_ros.errors import CertificateError
+from tsobs_ros.model.vertices import VertexSystem
 
 _ROUNDING = 100.0 * float(np.finfo(np.float64).eps)
 """Relative error of a sum of n products of matrices, for each row, with a reserve of about 30."""
@@ -140,7 +141,7 @@ def check_certificate(problem: Request, P: Array, K: Array) -> CertificateReport
 
 
 def _check_vertex(
-    problem: Request, root: Array, K: Array, vertex: ErrorVertex
+    problem: Request, root: Array, K: Array, vertex: VertexSystem
 ) -> tuple[str, float, float]:
     """Return the vertex's name, its decrease over a step with X = I and its error's growth."""
     closed = vertex.transition @ (np.eye(K.shape[0]) - K @ problem.flow.output_matrix)

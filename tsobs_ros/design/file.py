@@ -21,7 +21,7 @@ from tsobs_ros.design.names import NO_LABELS, Labels
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm, TSRequest
 from tsobs_ros.errors import DesignFileError
-from tsobs_ros.model.fuzzy import Always, Membership, RuleBase, membership
+from tsobs_ros.model.fuzzy import Membership, RuleBase, membership
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import system_uncertainty
 from tsobs_ros.schema import decode, encode, located, naming, within
@@ -321,7 +321,7 @@ class RuleEntry(msgspec.Struct, kw_only=True):
         chosen: list[Membership] = []
         for name in premises:
             with within(f"if.{name}"):
-                parameters: dict[str, Any] = dict(self.if_.get(name, {"shape": Always.shape}))
+                parameters: dict[str, Any] = dict(self.if_.get(name, {"shape": "always"}))
                 chosen.append(membership(parameters.pop("shape", None), parameters))
         return tuple(chosen)
 
@@ -348,7 +348,12 @@ class SystemEntry(msgspec.Struct):
                 for name, state, scheduled in premises
             },
             rules=[
-                RuleEntry(if_=dict(zip(names, map(_shaped, each), strict=True)), A=A, B=B, C=C)
+                RuleEntry(
+                    if_={name: one.as_mapping() for name, one in zip(names, each, strict=True)},
+                    A=A,
+                    B=B,
+                    C=C,
+                )
                 for each, A, B, C in rules
             ],
             C=model.C,
@@ -458,9 +463,3 @@ class SystemFile(msgspec.Struct, kw_only=True):
             names=NO_LABELS if isinstance(self.names, UnsetType) else self.names,
             units=NO_LABELS if isinstance(self.units, UnsetType) else self.units,
         )
-
-
-def _shaped(function: object) -> dict[str, str | float]:
-    if not isinstance(function, Membership):
-        raise ValueError(f"membership: expected a named one, got {type(function).__name__}")
-    return function.as_mapping()

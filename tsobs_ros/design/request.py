@@ -31,12 +31,11 @@ from tsobs_ros.model.arm import LINK_ANGLE, QUANTITIES, SIDES, ElasticJointArm
 from tsobs_ros.model.disturbance import DisturbanceModel, per_channel
 from tsobs_ros.model.flow import ArmFlow, ProcessNoise, slope_range
 from tsobs_ros.model.prediction import Flow
-from tsobs_ros.model.ts_flow import PairVertex, TSFlow
+from tsobs_ros.model.ts_flow import TSFlow
 from tsobs_ros.model.ts_model import TSModel
 from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
 from tsobs_ros.model.vertices import VertexSystem, linear_directions
 
-ErrorVertex: TypeAlias = VertexSystem | PairVertex
 """The error system e⁺ = transition·e + noise at one vertex, and the vertex in words."""
 
 DISTURBANCE_KINDS: Mapping[str, Callable[..., DisturbanceModel]] = {
@@ -217,7 +216,7 @@ class Request(ABC):
         """The domain in words, after "for", e.g. "gravity slopes [0.7317, 1]"."""
 
     @abstractmethod
-    def vertices(self, share: float = 1.0) -> Sequence[ErrorVertex]:
+    def vertices(self, share: float = 1.0) -> Sequence[VertexSystem]:
         """Return the error systems the certificate is about.
 
         Args:
@@ -226,7 +225,7 @@ class Request(ABC):
         """
 
     @abstractmethod
-    def starts(self) -> Sequence[ErrorVertex]:
+    def starts(self) -> Sequence[VertexSystem]:
         """Return systems whose Kalman filters are first guesses, the best first."""
 
     @abstractmethod
@@ -914,11 +913,11 @@ class TSRequest(Request):
             labels += [f"{name} ({at})" for name in names]
         return np.concatenate(corners), labels
 
-    def vertices(self, share: float = 1.0) -> list[PairVertex]:
+    def vertices(self, share: float = 1.0) -> list[VertexSystem]:
         """Return the error systems at all pairs of vertex matrices."""
         return self.flow.vertices(*self.vertex_matrices(share))
 
-    def starts(self) -> list[PairVertex]:
+    def starts(self) -> list[VertexSystem]:
         """Return the mean system, and each vertex by itself."""
         matrices, names = self.vertex_matrices()
         singles = [("the mean of the vertices", matrices.mean(axis=0))]

@@ -36,8 +36,9 @@ from tsobs_ros.design.feasibility import is_detectable, require_detectable
 from tsobs_ros.design.lyapunov import solver_version
 from tsobs_ros.design.record import Design, SolverReport
 from tsobs_ros.design.remedies import helpful, remedies_of_gain
-from tsobs_ros.design.request import ArmRequest, ErrorVertex, Request, TSRequest
+from tsobs_ros.design.request import ArmRequest, Request, TSRequest
 from tsobs_ros.errors import DesignError
+from tsobs_ros.model.vertices import VertexSystem
 
 MARGINS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Extra noise density, as a fraction of the bound per second, that makes the claim strict."""
@@ -202,7 +203,7 @@ def _settle(problem: Request, solution: _Solution, margin: float, passes: int) -
 
 
 def _solve(
-    problem: Request, vertices: Sequence[ErrorVertex], scaling: Array, margin: float
+    problem: Request, vertices: Sequence[VertexSystem], scaling: Array, margin: float
 ) -> _Solution | None:
     """Minimise trace(Z⁻¹X) over the vertices with Z = `scaling`; None if the solver gives up."""
     n, period = problem.flow.state_count, problem.period
@@ -252,7 +253,7 @@ def _solve(
     )
 
 
-def _kalman_covariance(problem: Request, vertex: ErrorVertex) -> Array | None:
+def _kalman_covariance(problem: Request, vertex: VertexSystem) -> Array | None:
     """Return the stationary prior covariance of the Kalman filter of one system, or None."""
     try:
         covariance = solve_discrete_are(

@@ -38,7 +38,7 @@ from tsobs_ros.estimation.options import AdaptationOptions, TorqueLimits
 from tsobs_ros.estimation.state import Shape, enter_adaptation, enter_torque_limits, new_model
 from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.model.fuzzy import Always, RuleBase
+from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.model.matrices import product
 from tsobs_ros.model.prediction import Flow, FlowSizes, fill_matrix, flow_type
 from tsobs_ros.model.uncertainty import Uncertainty
@@ -177,7 +177,7 @@ def integrated_estimator(
     """
     rules, n, p = Y.shape
     shape = Shape(n, len(scale), p, U.shape[2])
-    base = rule_base or RuleBase(((Always(),),))
+    base = rule_base or RuleBase(((membership("always"),),))
     sizes = FlowSizes(n, shape.m, shape.m, p, 0, shape.plant, rules, base.premise_count)
     flow = np.zeros(1, flow_type(sizes))
     for name, number in {

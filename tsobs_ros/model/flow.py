@@ -16,10 +16,9 @@ the estimate that serves as premise.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,7 +37,7 @@ from tsobs_ros.model.arm import (
 )
 from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.linear_flow import LinearFlow
-from tsobs_ros.model.prediction import Flow, fill_common, fill_matrix, require_directions
+from tsobs_ros.model.prediction import Flow, Transition
 from tsobs_ros.model.uncertainty import EXTERNAL, SINE, TORQUE, Uncertainty
 from tsobs_ros.model.vertices import (
     KickCorner,
@@ -47,24 +46,6 @@ from tsobs_ros.model.vertices import (
     kick_corners,
     linear_directions,
 )
-
-
-class Transition(NamedTuple):
-    """The linear flow over one step.
-
-    Attributes:
-        duration: T [s].
-        phi: State transition Φ(T), shape (n, n).
-        gamma: Effect of a held torque Γ(T), shape (n, 1).
-        noise: Covariance the process noise adds, shape (n, n).
-        half_kick: (T/2) mgl/J₁ [1/s].
-    """
-
-    duration: float
-    phi: Array
-    gamma: Array
-    noise: Array
-    half_kick: float
 
 
 @dataclass(frozen=True)
@@ -90,18 +71,23 @@ class ArmFlow(Flow):
 
     Attributes:
         arm: The physical model.
-        disturbance: The exosystem of the outputs' disturbances, one channel an output.
+        disturbance: The exosystem of the outputs' disturbances, one channel per output.
         process_noise: Densities of the arm's acceleration noise.
         period: Nominal step [s]; longer steps are taken in nominal ones and a last one.
         outputs: What is measured, names of `QUANTITIES`.
         torque_disturbance: The exosystem of torques at motor and link [N m], two channels; None if
             the arm has the known torque only.
         linear: The flow without gravity.
+        motor_torque: Augmented state to the unknown torque at the motor [N m], shape (n,).
+        link_torque: Augmented state to the unknown torque at the link [N m], shape (n,).
 
     Raises:
         ModelError: An output is unknown or listed twice, or a disturbance has another number of
             channels.
     """
+
+    kind, plant_count, input_count = native.KIND_ARM, 4, 1
+    directions = (1, 4, EXTERNAL + 1)
 
     def __init__(
         self,
@@ -112,100 +98,58 @@ class ArmFlow(Flow):
         outputs: Sequence[str] = (QUANTITIES[LINK_ANGLE],),
         torque_disturbance: DisturbanceModel | None = None,
     ) -> None:
-        self.arm = arm
-        self.disturbance = disturbance
-        self.process_noise = process_noise
-        self.period = positive("period", period)
-        self.outputs = tuple(outputs)
+        self.arm, self.disturbance, self.process_noise = arm, disturbance, process_noise
+        self.period, self.outputs = positive("period", period), tuple(outputs)
         self.torque_disturbance = torque_disturbance
-        self._measured = arm.measured(self.outputs)
+        measured = self._placed(arm.measured(self.outputs), 0)
         _require_channels("disturbance", disturbance, self.outputs)
+        torques = np.zeros((2, 0))
         if torque_disturbance is not None:
             _require_channels("torque_disturbance", torque_disturbance, SIDES)
-        torque = np.zeros((self.state_count, 1))
-        torque[:4] = arm.input_matrix
-        self.linear = LinearFlow(self.drift, torque, self._noise_density(), self.period)
-        self.nominal = self.transition(self.period)
-
-    @property
-    def plant_count(self) -> int:
-        """Number of the arm's own states."""
-        return 4
-
-    @property
-    def state_count(self) -> int:
-        """Length n of the augmented state."""
-        torque = self.torque_disturbance
-        return 4 + self.disturbance.state_count + (torque.state_count if torque else 0)
-
-    @cached_property
-    def output_matrix(self) -> Array:
-        """Augmented state to measurement C̄ = [C H 0], shape (p, n)."""
-        measured = self._placed(self._measured, 0) + self.disturbance_map
-        return as_matrix("C̄", measured, measured.shape)
-
-    @cached_property
-    def motor_torque(self) -> Array:
-        """Augmented state to the unknown torque at the motor [N m], shape (n,)."""
-        return self._torque_of(SIDES.index("motor"))
-
-    @cached_property
-    def link_torque(self) -> Array:
-        """Augmented state to the unknown torque at the link [N m], shape (n,)."""
-        return self._torque_of(SIDES.index("link"))
-
-    def _torque_of(self, side: int) -> Array:
-        if self.torque_disturbance is None:
-            return np.zeros(self.state_count)
-        row = self.torque_disturbance.H[side : side + 1]
-        return np.ravel(self._placed(row, 4 + self.disturbance.state_count))
-
-    @cached_property
-    def drift(self) -> Array:
-        """Continuous augmented matrix without gravity, what the linear flow integrates, (n, n)."""
-        own = block_diag(self.arm.spring_matrix, self.disturbance.S)
-        torque = self.torque_disturbance
-        if torque is None:
-            return np.asarray(own)
-        drift = np.asarray(block_diag(own, torque.S))
-        motor, link = torque.H
-        drift[MOTOR_VELOCITY, len(own) :] = self.arm.input_matrix[MOTOR_VELOCITY] * motor
-        drift[LINK_VELOCITY, len(own) :] = link / self.arm.link_inertia
-        return drift
+            torques = torque_disturbance.H
+        self.output_matrix = as_matrix("C̄", measured + self.disturbance_map, measured.shape)
+        own = 4 + disturbance.state_count
+        self.motor_torque, self.link_torque = self._placed(torques, own)
+        models = [disturbance] if torque_disturbance is None else [disturbance, torque_disturbance]
+        drift = np.asarray(block_diag(arm.spring_matrix, *(model.S for model in models)))
+        drift[MOTOR_VELOCITY, own:] = arm.input_matrix[MOTOR_VELOCITY] * torques[0]
+        drift[LINK_VELOCITY, own:] = torques[1] / arm.link_inertia
+        known = np.zeros((self.state_count, 1))
+        known[:4] = arm.input_matrix
+        scale = arm.stiffness / arm.link_inertia
+        white = np.diag([0.0, process_noise.link, 0.0, process_noise.motor * (scale * scale)])
+        density = block_diag(white, *(model.noise_density for model in models))
+        self._drift = drift
+        self.linear = LinearFlow(drift, known, np.asarray(density), self.period)
 
     def slope_matrix(self, slope: float) -> Array:
         """Return the continuous augmented matrix with gravity slope c, shape (n, n)."""
-        matrix = self.drift.copy()
+        matrix = self._drift.copy()
         matrix[:4, :4] = self.arm.slope_matrix(slope)
         return matrix
 
-    @property
-    def input_count(self) -> int:
-        """The torque alone."""
-        return 1
+    def to_physical(self, x: ArrayLike) -> Array:
+        """Return [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) of augmented states of shape (..., n)."""
+        return self.arm.to_physical(super().to_physical(x))
 
     def transition(self, duration: float) -> Transition:
         """Return the linear flow over `duration` [s]."""
         half_kick = 0.5 * duration * self.arm.gravity_gain
         return Transition(duration, *self.linear.over(duration), half_kick)
 
-    def fill(self, record: Any, uncertainty: Uncertainty | None = None) -> None:
-        """Enter the model's numbers into one record; see `Flow`."""
-        fill_common(record, self, self.linear, self.period, uncertainty)
-        record["kind"], record["plant"] = native.KIND_ARM, 4
-        record["gravity_gain"] = self.arm.gravity_gain
-        for name, torque in (
-            ("motor_torque", self.motor_torque),
-            ("link_torque", self.link_torque),
-        ):
-            fill_matrix(record[name], torque)
-            record["has_unknown"] |= int(torque.any())
+    def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
+        """Return what only arms have in their record; see `Flow.numbers`."""
+        numbers: dict[str, Any] = {
+            "gravity_gain": self.arm.gravity_gain,
+            "motor_torque": self.motor_torque,
+            "link_torque": self.link_torque,
+            "has_unknown": int(self.motor_torque.any() or self.link_torque.any()),
+        }
         if uncertainty is not None and uncertainty.count:
-            require_directions(uncertainty, (1, 4, EXTERNAL + 1), type(self).__name__)
             rows = uncertainty.directions[:, 0, [LINK_VELOCITY, MOTOR_VELOCITY]]
             columns = (rows[..., place] for place in (SINE, TORQUE, EXTERNAL))
-            parts = (rows[..., :4].reshape(-1, 8), *columns)
-            fill_matrix(record["effects"], np.hstack(parts))
+            numbers["effects"] = np.hstack([rows[..., :4].reshape(-1, 8), *columns])
+        return numbers
 
     def vertices(
         self,
@@ -233,14 +177,9 @@ class ArmFlow(Flow):
         for first, before in zip(corners, kicks, strict=True):
             for second, after in zip(corners, kicks, strict=True):
                 noise = after @ step.noise @ after.T
-                systems.append(
-                    VertexSystem(
-                        (first.slope, second.slope),
-                        after @ step.phi @ before,
-                        (noise + noise.T) / 2,
-                        describe(first, second, uncertainty, has_gravity),
-                    )
-                )
+                where = describe(first, second, uncertainty, has_gravity)
+                transition, slopes = after @ step.phi @ before, (first.slope, second.slope)
+                systems.append(VertexSystem(transition, (noise + noise.T) / 2, where, slopes))
         return systems
 
     def _kick_matrix(self, corner: KickCorner[float], uncertainty: Uncertainty | None) -> Array:
@@ -255,21 +194,6 @@ class ArmFlow(Flow):
                 matrix[:4] += np.outer(sum_of_changes[:, column], torque)
         matrix[LINK_VELOCITY, LINK_ANGLE] -= self.nominal.half_kick * corner.slope
         return matrix
-
-    def _noise_density(self) -> Array:
-        """Return the white noise density of the augmented state in design coordinates, (n, n)."""
-        arm = np.zeros((4, 4))
-        arm[LINK_VELOCITY, LINK_VELOCITY] = self.process_noise.link
-        scale = self.arm.stiffness / self.arm.link_inertia
-        arm[MOTOR_VELOCITY, MOTOR_VELOCITY] = self.process_noise.motor * (scale * scale)
-        densities = [self.disturbance.noise_density]
-        if self.torque_disturbance is not None:
-            densities.append(self.torque_disturbance.noise_density)
-        return np.asarray(block_diag(arm, *densities))
-
-    def to_physical(self, x: ArrayLike) -> Array:
-        """Return [q₁, q̇₁, q₂, q̇₂] (rad, rad/s) of augmented states of shape (..., n)."""
-        return self.arm.to_physical(np.asarray(x, dtype=np.float64)[..., :4])
 
 
 def _require_channels(name: str, model: DisturbanceModel, channels: Sequence[str]) -> None:

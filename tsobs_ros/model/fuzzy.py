@@ -3,198 +3,112 @@
 """The rules of Takagi–Sugeno fuzzy systems: membership functions and normalised rule weights.
 
 A covariance that follows the estimate needs the slopes of the rule weights, since the premise is
-an estimate as well; so the named membership functions know theirs. At a corner it is that of one
-side.
+an estimate as well. Membership functions have a slope; at a corner it is that of one side.
 """
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tsobs_ros.checks import Array, Integers, finite, positive
+from tsobs_ros.checks import Array, Integers, finite, shown
 from tsobs_ros.core import native
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.errors import ModelError
 
-ALWAYS, LINEAR, TRAPEZOID, GAUSSIAN, SINE_UPPER, SINE_LOWER, SQUARE, SQUARE_REST = range(8)
-"""Codes of the shapes. Their parameters, in this order; the rest of the four is not read:
-
-LINEAR: zero, one. TRAPEZOID: left, top_left, top_right, right. GAUSSIAN: centre, width.
-SINE_UPPER, SINE_LOWER: half_width, sin(half_width)/half_width. SQUARE, SQUARE_REST: half_width.
-"""
-
-MembershipFunction = Callable[[Array], Array]
-"""Grade in [0, ∞) of one premise variable, evaluated elementwise on an array."""
+_ALWAYS, _LINEAR, _TRAPEZOID, _GAUSSIAN, _SINE_UPPER, _SINE_LOWER, _SQUARE, _REST = range(8)
 
 
-class CodedRules(NamedTuple):
-    """A rule base as the compiled core has it.
+class Shape(NamedTuple):
+    """A kind of membership function of a premise variable z.
 
     Attributes:
-        shapes: Codes, shape (r, q).
-        parameters: Shape (r, q, 4).
+        code: What the compiled core calls it.
+        parameters: Names of its parameters.
+        requirement: What these must obey, in words; "" for nothing.
+        obeys: Whether they do.
+        encode: The core's parameters, at most four, from these.
     """
 
-    shapes: Integers
-    parameters: Array
+    code: int
+    parameters: tuple[str, ...] = ()
+    requirement: str = ""
+    obeys: Callable[..., bool] = lambda *_: True
+    encode: Callable[..., tuple[float, ...]] = lambda *each: each
 
 
-@dataclass(frozen=True)
-class RuleBase:
-    """The premises of a T–S system: for each rule one membership function a premise variable.
+def _sector(half_width: float) -> tuple[float, float]:
+    return half_width, evaluate("sine", half_width).item() / half_width
 
-    The weight of rule i is hᵢ(z) = μᵢ(z) / Σ μ(z) with μᵢ(z) = Πⱼ μⱼᵢ(zⱼ), so that the weights
-    are non-negative and sum to one.
-    """
 
-    rules: tuple[tuple[MembershipFunction, ...], ...]
+# Below 1e-4, sin(half_width)/half_width is 1 to so many digits that the sectors are lost.
+_OF_SINE: Any = (
+    ("half_width",), "1e-4 ≤ half_width < π", lambda width: 1e-4 <= width < math.pi, _sector,
+)  # fmt: skip
+_OF_SQUARE: Any = (("half_width",), "half_width above 0", lambda width: width > 0.0)
 
-    def __post_init__(self) -> None:
-        if not self.rules or not self.rules[0]:
-            raise ModelError("rules: expected at least one rule with one premise variable")
-        lengths = {len(rule) for rule in self.rules}
-        if len(lengths) != 1:
-            raise ModelError(
-                f"rules: every rule needs one membership function a premise variable, "
-                f"got {[len(rule) for rule in self.rules]}"
-            )
-
-    @property
-    def rule_count(self) -> int:
-        """Number of rules r."""
-        return len(self.rules)
-
-    @property
-    def premise_count(self) -> int:
-        """Number of premise variables."""
-        return len(self.rules[0])
-
-    @property
-    def coded(self) -> CodedRules:
-        """The rules as arrays.
-
-        Raises:
-            ModelError: A membership function is none of this module, so that no code, and no
-                slope of it, is known.
-        """
-        if self._coded is None:
-            other = next(
-                each for rule in self.rules for each in rule if not isinstance(each, Membership)
-            )
-            raise ModelError(
-                f"memberships: expected functions of tsobs_ros.model.fuzzy, which know their "
-                f"slopes, got {type(other).__name__}"
-            )
-        return self._coded
-
-    @cached_property
-    def _coded(self) -> CodedRules | None:
-        named = [[each for each in rule if isinstance(each, Membership)] for rule in self.rules]
-        if sum(map(len, named)) < self.rule_count * self.premise_count:
-            return None
-        shapes = np.array([[each.code for each in rule] for rule in named], dtype=np.int64)
-        return CodedRules(shapes, np.array([[each.coded for each in rule] for rule in named]))
-
-    def weights(self, z: ArrayLike) -> Array:
-        """Return the normalised rule weights h(z).
-
-        Args:
-            z: Premise variables, shape (..., premise_count).
-
-        Returns:
-            Weights, shape (..., r), each ≥ 0, summing to one.
-
-        Raises:
-            ModelError: z has the wrong last axis, a grade is negative or not finite, or no rule
-                fires at some z.
-        """
-        if self._coded is not None:
-            return weights_and_slopes(self, z)[0]
-        premise = self._checked(z)
-        weights = self._grades(premise)
-        native.normalise_each(weights, self.rule_count)
-        self._check(premise, weights)
-        return weights
-
-    def _checked(self, z: ArrayLike) -> Array:
-        """Return the premise variables as a contiguous array."""
-        premise = np.asarray(z, dtype=np.float64)
-        if premise.ndim == 0 or premise.shape[-1] != self.premise_count:
-            raise ModelError(
-                f"z: expected a last axis of {self.premise_count} premise variables, "
-                f"got shape {premise.shape}"
-            )
-        return np.ascontiguousarray(premise)
-
-    def _check(self, premise: Array, weights: Array) -> None:
-        """Refuse weights that are not numbers, with the reason."""
-        if not np.isnan(weights).any():
-            return
-        grades = self._grades(premise)
-        wrong = ~((grades >= 0.0) & np.isfinite(grades))
-        if wrong.any():
-            place = tuple(np.argwhere(wrong)[0])
-            raise ModelError(
-                f"membership of rule {place[-1] + 1}: expected finite grades of at least 0, "
-                f"got {float(grades[place])!r}"
-            )
-        where = premise[tuple(np.argwhere(np.isnan(weights[..., 0]))[0])].tolist()
-        raise ModelError(f"memberships: no rule fires at z = {where}")
-
-    def _grades(self, premise: Array) -> Array:
-        """Return μ(z), shape (..., r); the product of huge grades may be beyond all numbers."""
-        grades = np.ones((*premise.shape[:-1], self.rule_count))
-        for rule, memberships in enumerate(self.rules):
-            for place, membership in enumerate(memberships):
-                one = np.asarray(membership(premise[..., place]), dtype=np.float64)
-                if one.shape not in ((), premise.shape[:-1]):
-                    raise ModelError(
-                        f"membership of rule {rule + 1}: expected one grade an entry, "
-                        f"shape {premise.shape[:-1]}, got shape {one.shape}"
-                    )
-                grades[..., rule] *= one
-        return grades
+SHAPES: Mapping[str, Shape] = {
+    # 1 everywhere: a rule that does not look at this premise.
+    "always": Shape(_ALWAYS),
+    # From 0 at z = zero to 1 at z = one, in a straight line, and level outside.
+    "linear": Shape(_LINEAR, ("zero", "one"), "zero and one apart", lambda a, b: a != b),
+    # 1 at the peak, falling in straight lines to 0 at left and right.
+    "triangle": Shape(
+        _TRAPEZOID,
+        ("left", "peak", "right"),
+        "left < peak < right",
+        lambda a, b, c: a < b < c,
+        lambda a, b, c: (a, b, b, c),
+    ),
+    # 1 between top_left and top_right, falling in straight lines to 0 at left and right.
+    "trapezoid": Shape(
+        _TRAPEZOID,
+        ("left", "top_left", "top_right", "right"),
+        "left < top_left < top_right < right",
+        lambda a, b, c, d: a < b < c < d,
+    ),
+    # exp(−((z − centre)/width)²/2).
+    "gaussian": Shape(
+        _GAUSSIAN, ("centre", "width"), "width above 0", lambda _, width: width > 0.0
+    ),
+    # Share h of the upper sector of the sine: sin z = (h + (1 − h) b) z on |z| ≤ half_width, with
+    # the lower sector b = sin(half_width)/half_width. Outside of the domain h is 0.
+    "sine_upper": Shape(_SINE_UPPER, *_OF_SINE),
+    # 1 − sine_upper.
+    "sine_lower": Shape(_SINE_LOWER, *_OF_SINE),
+    # (z/half_width)² on |z| ≤ half_width and 1 outside.
+    "square": Shape(_SQUARE, *_OF_SQUARE),
+    # 1 − square.
+    "square_rest": Shape(_REST, *_OF_SQUARE),
+}
+"""Every kind of membership function by its name."""
 
 
 @dataclass(frozen=True)
 class Membership:
-    """A grade in [0, 1] of one premise variable z, elementwise; its parameters are its fields.
+    """A grade in [0, 1] of one premise variable z, elementwise; see `membership`.
 
-    Raises:
-        ModelError: A parameter is not a finite number, or they are in the wrong order.
+    Attributes:
+        shape: A name of `SHAPES`.
+        values: Its parameters.
     """
 
-    shape: ClassVar[str]
-    code: ClassVar[int]
-    increasing: ClassVar[tuple[str, ...]] = ()
-
-    def __post_init__(self) -> None:
-        for name, value in self.parameters().items():
-            object.__setattr__(self, name, finite(f"membership {self.shape}: {name}", value))
-        values = [getattr(self, name) for name in self.increasing]
-        if any(one >= other for one, other in pairwise(values)):
-            raise ModelError(
-                f"membership {self.shape}: expected {' < '.join(self.increasing)}, got {values}"
-            )
-
-    def parameters(self) -> dict[str, float]:
-        """Return the parameters by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+    shape: str
+    values: tuple[float, ...]
 
     @property
-    def coded(self) -> tuple[float, float, float, float]:
-        """The parameters for the compiled core, filled up with zeros."""
-        a, b, c, d = (*self.parameters().values(), 0.0, 0.0, 0.0, 0.0)[:4]
-        return a, b, c, d
+    def coded(self) -> tuple[float, ...]:
+        """The parameters for the compiled core, filled up to four."""
+        return (*SHAPES[self.shape].encode(*self.values), 0.0, 0.0, 0.0, 0.0)[:4]
 
     def as_mapping(self) -> dict[str, Any]:
         """Return shape and parameters as a file has them."""
-        return {"shape": self.shape, **self.parameters()}
+        names = SHAPES[self.shape].parameters
+        return {"shape": self.shape, **dict(zip(names, self.values, strict=True))}
 
     def __call__(self, z: ArrayLike) -> Array:
         """Return the grade."""
@@ -207,173 +121,100 @@ class Membership:
     def _evaluated(self, z: ArrayLike) -> tuple[Array, Array]:
         premise = np.ascontiguousarray(z, dtype=np.float64)
         grades, slopes = np.empty((2, premise.size))
-        native.grades_and_slopes(self.code, np.array(self.coded), premise, grades, slopes)
-        shape = np.shape(z)
-        return grades.reshape(shape), slopes.reshape(shape)
+        code = SHAPES[self.shape].code
+        native.grades_and_slopes(code, np.array(self.coded), premise, grades, slopes)
+        return grades.reshape(np.shape(z)), slopes.reshape(np.shape(z))
 
 
-@dataclass(frozen=True)
-class Always(Membership):
-    """1 everywhere: a rule that does not look at this premise."""
-
-    shape: ClassVar[str] = "always"
-    code: ClassVar[int] = ALWAYS
-
-
-@dataclass(frozen=True)
-class Linear(Membership):
-    """From 0 at z = zero to 1 at z = one, in a straight line, and level outside."""
-
-    zero: float
-    one: float
-    shape: ClassVar[str] = "linear"
-    code: ClassVar[int] = LINEAR
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.zero == self.one:
-            raise ModelError(f"membership linear: expected zero and one apart, got {self.zero}")
-
-
-@dataclass(frozen=True)
-class Triangle(Membership):
-    """1 at the peak, falling in straight lines to 0 at left and right."""
-
-    left: float
-    peak: float
-    right: float
-    shape: ClassVar[str] = "triangle"
-    code: ClassVar[int] = TRAPEZOID
-    increasing: ClassVar[tuple[str, ...]] = ("left", "peak", "right")
-
-    @property
-    def coded(self) -> tuple[float, float, float, float]:
-        """The parameters of a trapezoid whose top is a point."""
-        return self.left, self.peak, self.peak, self.right
-
-
-@dataclass(frozen=True)
-class Trapezoid(Membership):
-    """1 between top_left and top_right, falling in straight lines to 0 at left and right."""
-
-    left: float
-    top_left: float
-    top_right: float
-    right: float
-    shape: ClassVar[str] = "trapezoid"
-    code: ClassVar[int] = TRAPEZOID
-    increasing: ClassVar[tuple[str, ...]] = ("left", "top_left", "top_right", "right")
-
-
-@dataclass(frozen=True)
-class Gaussian(Membership):
-    """exp(−((z − centre)/width)²/2)."""
-
-    centre: float
-    width: float
-    shape: ClassVar[str] = "gaussian"
-    code: ClassVar[int] = GAUSSIAN
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive("membership gaussian: width", self.width)
-
-
-@dataclass(frozen=True)
-class SineUpper(Membership):
-    """Share of the upper sector of the sine: sin z = (h·1 + (1 − h)·b) z on |z| ≤ half_width.
-
-    b = sin(half_width)/half_width is the lower sector, whose share is `SineLower`. Outside of the
-    domain h is 0.
-    """
-
-    half_width: float
-    shape: ClassVar[str] = "sine_upper"
-    code: ClassVar[int] = SINE_UPPER
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        # Below, sin(half_width)/half_width is 1 to so many digits that the sectors are lost.
-        if not 1e-4 <= self.half_width < np.pi:
-            raise ModelError(
-                f"membership {self.shape}: expected 1e-4 ≤ half_width < π, got {self.half_width!r}"
-            )
-
-    @property
-    def coded(self) -> tuple[float, float, float, float]:
-        """The half width and the lower sector b."""
-        return self.half_width, evaluate("sine", self.half_width).item() / self.half_width, 0.0, 0.0
-
-
-@dataclass(frozen=True)
-class SineLower(SineUpper):
-    """Share of the lower sector of the sine, 1 − `SineUpper`."""
-
-    shape: ClassVar[str] = "sine_lower"
-    code: ClassVar[int] = SINE_LOWER
-
-
-@dataclass(frozen=True)
-class Square(Membership):
-    """(z/half_width)² on |z| ≤ half_width and 1 outside."""
-
-    half_width: float
-    shape: ClassVar[str] = "square"
-    code: ClassVar[int] = SQUARE
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        positive(f"membership {self.shape}: half_width", self.half_width)
-
-
-@dataclass(frozen=True)
-class SquareRest(Square):
-    """1 − `Square`."""
-
-    shape: ClassVar[str] = "square_rest"
-    code: ClassVar[int] = SQUARE_REST
-
-
-SHAPES: Mapping[str, type[Membership]] = {
-    cls.shape: cls
-    for cls in (
-        Always, Linear, Triangle, Trapezoid, Gaussian, SineUpper, SineLower, Square, SquareRest,
-    )
-}  # fmt: skip
-"""Every membership function by its name."""
-
-
-def membership(shape: str, parameters: Mapping[str, float]) -> Membership:
+def membership(shape: str, parameters: Mapping[str, float] | None = None) -> Membership:
     """Return a membership function by its name and parameters.
 
     Raises:
         ModelError: The name is unknown, a parameter is missing, unknown or out of range.
+
+    >>> float(membership("linear", {"zero": 1.0, "one": 3.0})(1.5))
+    0.25
     """
     if shape not in SHAPES:
-        raise ModelError(f"membership shape: expected one of {', '.join(SHAPES)}, got {shape!r}")
-    wanted = [field.name for field in fields(SHAPES[shape])]
-    if sorted(parameters) != sorted(wanted):
         raise ModelError(
-            f"membership {shape}: expected the parameters {', '.join(wanted) or 'none'}, "
-            f"got {', '.join(parameters) or 'none'}"
+            f"membership shape: expected one of {', '.join(SHAPES)}, got {shown(shape)}"
         )
-    return SHAPES[shape](**parameters)
+    kind, given = SHAPES[shape], parameters or {}
+    if sorted(given) != sorted(kind.parameters):
+        raise ModelError(
+            f"membership {shape}: expected the parameters {', '.join(kind.parameters) or 'none'}, "
+            f"got {', '.join(given) or 'none'}"
+        )
+    values = [finite(f"membership {shape}: {name}", given[name]) for name in kind.parameters]
+    if not kind.obeys(*values):
+        raise ModelError(f"membership {shape}: expected {kind.requirement}, got {values}")
+    return Membership(shape, tuple(values))
 
 
-def weights_and_slopes(rule_base: RuleBase, z: ArrayLike) -> tuple[Array, Array]:
-    """Return the normalised rule weights h, shape (..., r), and ∂hᵢ/∂zⱼ, shape (..., r, q).
+@dataclass(frozen=True)
+class RuleBase:
+    """The premises of a T–S system: for each rule one membership function per premise variable.
 
-    Args:
-        rule_base: Rules of membership functions of this module.
-        z: Premise variables, shape (..., q).
+    The weight of rule i is hᵢ(z) = μᵢ(z) / Σ μ(z) with μᵢ(z) = Πⱼ μⱼᵢ(zⱼ), so that the weights
+    are non-negative and sum to one.
 
     Raises:
-        ModelError: A membership function does not know its slope, or no rule fires.
+        ModelError: There is no rule, or rules have different numbers of membership functions.
     """
-    premise, coded = rule_base._checked(z), rule_base.coded
-    r, q = coded.shapes.shape
-    weights = np.empty((*premise.shape[:-1], r))
-    slopes = np.empty((*premise.shape[:-1], r, q))
-    native.weights_and_slopes_of_each(*coded, premise, weights, slopes, r, q)
-    rule_base._check(premise, weights)
-    return weights, slopes
+
+    rules: tuple[tuple[Membership, ...], ...]
+
+    def __post_init__(self) -> None:
+        lengths = [len(rule) for rule in self.rules]
+        if not self.rules or not lengths[0]:
+            raise ModelError("rules: expected at least one rule with one premise variable")
+        if len(set(lengths)) != 1:
+            raise ModelError(
+                f"rules: every rule needs one membership function a premise variable, got {lengths}"
+            )
+
+    @property
+    def rule_count(self) -> int:
+        """Number of rules r."""
+        return len(self.rules)
+
+    @property
+    def premise_count(self) -> int:
+        """Number of premise variables q."""
+        return len(self.rules[0])
+
+    @cached_property
+    def coded(self) -> tuple[Integers, Array]:
+        """The rules as the compiled core has them: codes (r, q) and parameters (r, q, 4)."""
+        codes = [[SHAPES[each.shape].code for each in rule] for rule in self.rules]
+        return np.array(codes, np.int64), np.array([[f.coded for f in rule] for rule in self.rules])
+
+    def weights(self, z: ArrayLike) -> Array:
+        """Return the normalised rule weights h(z); see `weights_and_slopes`."""
+        return self.weights_and_slopes(z)[0]
+
+    def weights_and_slopes(self, z: ArrayLike) -> tuple[Array, Array]:
+        """Return the normalised rule weights and their slopes.
+
+        Args:
+            z: Premise variables, shape (..., q).
+
+        Returns:
+            h, shape (..., r), each ≥ 0, summing to one; and ∂hᵢ/∂zⱼ, shape (..., r, q).
+
+        Raises:
+            ModelError: z has the wrong last axis, or no rule fires at some z.
+        """
+        premise, (r, q) = np.asarray(z, dtype=np.float64), self.coded[0].shape
+        if premise.ndim == 0 or premise.shape[-1] != q:
+            raise ModelError(
+                f"z: expected a last axis of {q} premise variables, got shape {premise.shape}"
+            )
+        premise = np.ascontiguousarray(premise)
+        weights = np.empty((*premise.shape[:-1], r))
+        slopes = np.empty((*premise.shape[:-1], r, q))
+        native.weights_and_slopes_of_each(*self.coded, premise, weights, slopes, r, q)
+        if np.isnan(weights).any():
+            where = premise[tuple(np.argwhere(np.isnan(weights[..., 0]))[0])].tolist()
+            raise ModelError(f"memberships: no rule fires at z = {where}")
+        return weights, slopes

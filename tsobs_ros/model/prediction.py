@@ -2,13 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prediction models as observers and designs use them: a step of the augmented state x̄.
 
-It is [x; w]: the plant's states, then those of the disturbances.
+It is [x; w; w_d]: the plant's states, those of the outputs' disturbances, those of torques.
 """
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cache, cached_property
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,17 +50,22 @@ class FlowSizes(NamedTuple):
     premises: int = 0
 
 
-@cache
-def flow_type(sizes: FlowSizes) -> "np.dtype[Any]":
-    """Return the type of a model's numbers, those of the compiled core's `flow`."""
-    kind: np.dtype[Any] = record_type("flow", sizes)
-    return kind
+class Transition(NamedTuple):
+    """The linear flow over a step of an arm, or over half a step of a T–S system.
 
+    Attributes:
+        duration: Of the whole step [s].
+        phi: State transition Φ, shape (n, n).
+        gamma: Effect of held inputs Γ, shape (n, inputs).
+        noise: Covariance the process noise adds, shape (n, n).
+        half_kick: Half the duration times mgl/J₁ of an arm [1/s].
+    """
 
-@cache
-def scratch_size(sizes: FlowSizes) -> int:
-    """Return the numbers of scratch that a step of a model needs."""
-    return int(record_type("flow_scratch", sizes).itemsize // 8)
+    duration: float
+    phi: Array
+    gamma: Array
+    noise: Array
+    half_kick: float = 0.0
 
 
 class Flow(ABC):
@@ -70,31 +76,38 @@ class Flow(ABC):
         torque_disturbance: The exosystem of torques at an arm's motor and link, two channels, whose
             states follow those; None if there is none.
         period: Nominal step [s]; longer ones are taken in nominal steps and a last one.
+        plant_count: Number of the plant's own states, the first ones of x̄.
+        output_matrix: Augmented state to measurement C̄ = [C H], shape (p, n).
+        input_count: Number m of inputs and scheduled signals.
+        scheduled_count: Number of scheduled signals, the last of them.
+        rule_counts: Numbers of rules and of premise variables.
+        directions: Shape of each of the uncertain directions that a step can take in.
+        linear: The linear flow.
     """
 
+    kind: ClassVar[int]
     disturbance: DisturbanceModel
     torque_disturbance: DisturbanceModel | None = None
     period: float
+    plant_count: int
+    output_matrix: Array
+    input_count: int
+    scheduled_count: int = 0
+    rule_counts: tuple[int, int] = (0, 0)
+    directions: tuple[int, ...]
+    linear: LinearFlow
 
     @property
-    @abstractmethod
-    def plant_count(self) -> int:
-        """Number of the plant's own states, the first ones of x̄."""
-
-    @property
-    @abstractmethod
     def state_count(self) -> int:
         """Length n of the augmented state."""
+        torque = self.torque_disturbance
+        own = self.plant_count + self.disturbance.state_count
+        return own + (torque.state_count if torque else 0)
 
-    @property
-    @abstractmethod
-    def output_matrix(self) -> Array:
-        """Augmented state to measurement C̄ = [C H], shape (p, n)."""
-
-    @property
-    @abstractmethod
-    def input_count(self) -> int:
-        """Number m of inputs and scheduled signals."""
+    @cached_property
+    def nominal(self) -> Transition:
+        """The linear flow of a nominal step."""
+        return self.transition(self.period)
 
     @cached_property
     def disturbance_map(self) -> Array:
@@ -110,11 +123,9 @@ class Flow(ABC):
     def torque_map(self) -> Array:
         """Augmented state to torque disturbances [N m], shape (t, n); sides with a model, motor's
         first."""
-        if self.torque_disturbance is None:
-            return np.zeros((0, self.state_count))
-        H = self.torque_disturbance.H
-        sides = [side for side, row in enumerate(H) if row.any()]
-        return self._placed(H[sides], self.plant_count + self.disturbance.state_count)
+        torque = self.torque_disturbance
+        rows = np.zeros((0, 0)) if torque is None else torque.H[torque.H.any(axis=1)]
+        return self._placed(rows, self.plant_count + self.disturbance.state_count)
 
     def _placed(self, rows: Array, place: int) -> Array:
         """Return rows of a matrix within those of all states, shape (rows, n)."""
@@ -122,50 +133,26 @@ class Flow(ABC):
         placed[:, place : place + rows.shape[1]] = rows
         return placed
 
-    @abstractmethod
     def to_physical(self, x: ArrayLike) -> Array:
         """Return the plant's states in physical units for augmented states, shape (..., n)."""
+        return np.asarray(x, dtype=np.float64)[..., : self.plant_count]
 
-    @property
-    def rule_counts(self) -> tuple[int, int]:
-        """Numbers of rules and of premise variables."""
-        return 0, 0
+    @abstractmethod
+    def transition(self, duration: float) -> Transition:
+        """Return the linear flow of a step of a duration [s]."""
 
-    @property
-    def scheduled_count(self) -> int:
-        """Number of scheduled signals, the last of the m signals."""
-        return 0
+    @abstractmethod
+    def numbers(self, uncertainty: Uncertainty | None) -> Mapping[str, Any]:
+        """Return what only this kind of model has in its record, by name; see `flow_record`."""
 
     def sizes(self, parameters: int = 0) -> FlowSizes:
         """Return the sizes of the model's record, with so many parameters θ."""
-        m, p = self.input_count, self.output_matrix.shape[0]
+        n, m, p = self.state_count, self.input_count, len(self.output_matrix)
         inputs = m - self.scheduled_count
-        plant = self.plant_count
-        return FlowSizes(self.state_count, m, inputs, p, parameters, plant, *self.rule_counts)
-
-    @abstractmethod
-    def fill(self, record: Any, uncertainty: Uncertainty | None = None) -> None:
-        """Enter the model's numbers into one record of `flow_type`, zero before.
-
-        Args:
-            record: Of the model's sizes.
-            uncertainty: Parameters θ that the step takes in.
-
-        Raises:
-            ModelError: The uncertainty is of another model.
-        """
+        return FlowSizes(n, m, inputs, p, parameters, self.plant_count, *self.rule_counts)
 
     def predict(self, x: Array, u: Array, duration: float) -> Array:
-        """Return the augmented state a time `duration` later.
-
-        Args:
-            x: Augmented state, shape (..., n).
-            u: Inputs held over the step, shape (..., m).
-            duration: [s], at least 0.
-
-        Raises:
-            ModelError: The duration is negative or not finite.
-        """
+        """Return the augmented state a time `duration` later; see `predict_with_covariance`."""
         return self._advanced(x, None, u, duration)[0]
 
     def predict_with_covariance(
@@ -197,16 +184,29 @@ class Flow(ABC):
             raise ModelError(
                 f"duration: expected a finite number of at least 0, got {duration!r} s"
             )
-        n, m, sizes = self.state_count, self.input_count, self.sizes()
+        n, m = self.state_count, self.input_count
         batch = np.broadcast_shapes(np.shape(x)[:-1], np.shape(u)[:-1])
         states, inputs = as_rows("x", x, batch, (n,)), as_rows("u", u, batch, (m,))
         sigma = np.zeros((n, n)) if covariance is None else covariance
         spread = as_rows("covariance", sigma, batch, (n, n))
         moved = np.empty(0) if covariance is None else spread
-        none, scratch = np.empty(0), np.empty(scratch_size(sizes))
+        none, scratch = np.empty(0), np.empty(scratch_size(self.sizes()))
         record = flow_record(self).view(np.float64)
         native.advance_all(record, states, none, moved, none, none, inputs, duration, scratch)
         return states.reshape(*batch, n), spread.reshape(*batch, n, n)
+
+
+@cache
+def flow_type(sizes: FlowSizes) -> "np.dtype[Any]":
+    """Return the type of a model's numbers, those of the compiled core's `flow`."""
+    kind: np.dtype[Any] = record_type("flow", sizes)
+    return kind
+
+
+@cache
+def scratch_size(sizes: FlowSizes) -> int:
+    """Return the numbers of scratch that a step of a model needs."""
+    return int(record_type("flow_scratch", sizes).itemsize // 8)
 
 
 def flow_record(flow: Flow, uncertainty: Uncertainty | None = None) -> Record:
@@ -219,9 +219,28 @@ def flow_record(flow: Flow, uncertainty: Uncertainty | None = None) -> Record:
     Raises:
         ModelError: The uncertainty is of another model.
     """
-    count = 0 if uncertainty is None else uncertainty.count
-    record = np.zeros(1, flow_type(flow.sizes(count)))
-    flow.fill(record[0], uncertainty)
+    if uncertainty is not None and uncertainty.directions.shape[1:] != flow.directions:
+        raise ModelError(
+            f"uncertainty: expected directions of shape {flow.directions} for "
+            f"{type(flow).__name__}, got {uncertainty.directions.shape[1:]}"
+        )
+    sizes, linear = flow.sizes(0 if uncertainty is None else uncertainty.count), flow.linear
+    phi, gamma, noise = flow.nominal[1:4]
+    record = np.zeros(1, flow_type(sizes))
+    for name, values in {
+        **sizes._asdict(),
+        "kind": flow.kind,
+        "period": flow.period,
+        "terms": linear.terms,
+        "reach": linear.reach,
+        "series": linear.series,
+        "phi": phi,
+        "turned": phi.T,
+        "gamma": gamma,
+        "noise": noise,
+        **flow.numbers(uncertainty),
+    }.items():
+        fill_matrix(record[name] if np.ndim(values) == 0 else record[name][0], values)
     return record
 
 
@@ -245,29 +264,6 @@ def as_rows(name: str, values: ArrayLike, batch: tuple[int, ...], shape: tuple[i
     return np.array(whole, order="C").reshape(math.prod(batch), *shape)
 
 
-def fill_common(
-    record: Any, model: Flow, linear: LinearFlow, nominal: float, uncertainty: Uncertainty | None
-) -> None:
-    """Enter sizes and the linear flow into a model's record.
-
-    Args:
-        record: One record of `flow_type`.
-        model: The model.
-        linear: Its linear flow.
-        nominal: Time of the linear flow within a nominal step [s].
-        uncertainty: Parameters θ that the step takes in.
-    """
-    record["n"], record["p"] = model.state_count, model.output_matrix.shape[0]
-    record["m"], record["k"] = model.input_count, 0 if uncertainty is None else uncertainty.count
-    record["rules"], record["premises"] = model.rule_counts
-    record["period"], record["terms"], record["reach"] = model.period, linear.terms, linear.reach
-    record["series"] = linear.series
-    phi, gamma, noise = linear.over(nominal)
-    record["inputs"] = gamma.shape[1]
-    for name, matrix in (("phi", phi), ("turned", phi.T), ("gamma", gamma), ("noise", noise)):
-        fill_matrix(record[name], matrix)
-
-
 def fill_matrix(target: Array, matrix: ArrayLike) -> None:
     """Enter a matrix into the first rows and columns of a larger array, or as rows of numbers."""
     values = np.asarray(matrix)
@@ -275,12 +271,3 @@ def fill_matrix(target: Array, matrix: ArrayLike) -> None:
         target[...] = values.reshape(target.shape)
         return
     target[tuple(slice(length) for length in values.shape)] = values
-
-
-def require_directions(uncertainty: Uncertainty, shape: tuple[int, ...], model: str) -> None:
-    """Raise `ModelError` unless the uncertainty is of a model with directions of a shape."""
-    if uncertainty.directions.shape[1:] != shape:
-        raise ModelError(
-            f"uncertainty: expected directions of shape {shape} for {model}, "
-            f"got {uncertainty.directions.shape[1:]}"
-        )

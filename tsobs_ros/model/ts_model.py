@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
-from tsobs_ros.model.fuzzy import RuleBase, weights_and_slopes
+from tsobs_ros.model.fuzzy import RuleBase
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,74 +88,39 @@ class TSModel:
         """Whether the premise is made of scheduled signals only, so that no estimate enters."""
         return not self.premise.any()
 
-    def weights(self, x: Array, held: Array) -> Array:
-        """Return h(z), shape (..., r), for states (..., n) and held signals [u; s] (..., m + s)."""
-        return self.rule_base.weights(self._premises(x, held))
-
-    def weights_and_turning(self, x: Array, held: Array) -> tuple[Array, Array]:
-        """Return h, shape (..., r), and ∂h/∂x, shape (..., r, n)."""
-        weights, slopes = weights_and_slopes(self.rule_base, self._premises(x, held))
-        return weights, slopes @ self.premise
-
-    def blended(
-        self, matrices: Array, x: Array, held: Array, weights: Array | None = None
-    ) -> Array:
-        """Return Σ hᵢ Mᵢ [x; u], shape (..., a).
-
-        Args:
-            matrices: One of shape (a, n + m) a rule, shape (r, a, n + m).
-            x: State, shape (..., n).
-            held: Inputs and scheduled signals [u; s], shape (..., m + s).
-            weights: h, for callers that have it already, shape (..., r).
-        """
-        h = self.weights(x, held) if weights is None else weights
-        return np.asarray((h[..., np.newaxis] * self._each(matrices, x, held)).sum(axis=-2))
-
-    def blended_jacobian(
-        self,
-        matrices: Array,
-        x: Array,
-        held: Array,
-        local: tuple[Array, Array] | None = None,
-    ) -> Array:
-        """Return d(Σ hᵢ Mᵢ [x; u])/dx, shape (..., a, n); the premise moves with the state.
-
-        Args:
-            matrices: As for `blended`.
-            x: As for `blended`.
-            held: As for `blended`.
-            local: From `weights_and_turning`, for callers that have it already.
-        """
-        n = self.state_count
-        if self.premise_known:
-            return np.tensordot(self.weights(x, held), matrices[..., :n], 1)
-        weights, turning = self.weights_and_turning(x, held) if local is None else local
-        each = self._each(matrices, x, held)
-        frozen = np.tensordot(weights, matrices[..., :n], 1)
-        return np.asarray(frozen + np.swapaxes(each, -1, -2) @ turning)
-
     @cached_property
     def rates(self) -> Array:
         """[Aᵢ Bᵢ] of every rule, shape (r, n, n + m)."""
         return np.concatenate([self.A, self.B], axis=-1)
 
+    def weights(self, x: Array, held: Array) -> Array:
+        """Return h(z), shape (..., r), for states (..., n) and held signals [u; s] (..., m + s)."""
+        return self.rule_base.weights(self._premises(x, held))
+
     def derivative(self, x: Array, held: Array) -> Array:
-        """Return ẋ, shape (..., n); see `blended` for the arguments."""
-        return self.blended(self.rates, x, held)
+        """Return ẋ, shape (..., n).
+
+        Args:
+            x: State, shape (..., n).
+            held: Inputs and scheduled signals [u; s], shape (..., m + s).
+        """
+        weights = self.weights(x, held)
+        return np.asarray((weights[..., np.newaxis] * self._rates(x, held)).sum(axis=-2))
 
     def jacobian(self, x: Array, held: Array) -> Array:
-        """Return dẋ/dx, shape (..., n, n)."""
-        return self.blended_jacobian(self.rates, x, held)
+        """Return dẋ/dx, shape (..., n, n); the premise moves with the state. See `derivative`."""
+        weights, slopes = self.rule_base.weights_and_slopes(self._premises(x, held))
+        turning = np.swapaxes(self._rates(x, held), -1, -2) @ (slopes @ self.premise)
+        return np.asarray(np.tensordot(weights, self.A, 1) + turning)
 
     def _premises(self, x: Array, held: Array) -> Array:
         return np.asarray(x @ self.premise.T + held[..., self.input_count :] @ self.schedule.T)
 
-    def _each(self, matrices: Array, x: Array, held: Array) -> Array:
-        """Return Mᵢ [x; u] of every rule, shape (..., r, a)."""
-        n, rows = self.state_count, matrices.shape[1]
-        flat = matrices.reshape(-1, matrices.shape[-1])
-        flat = x @ flat[:, :n].T + held[..., : self.input_count] @ flat[:, n:].T
-        return np.asarray(flat.reshape(*flat.shape[:-1], -1, rows))
+    def _rates(self, x: Array, held: Array) -> Array:
+        """Return Aᵢx + Bᵢu of every rule, shape (..., r, n)."""
+        n, m = self.state_count, self.input_count
+        flat = x @ self.A.reshape(-1, n).T + held[..., :m] @ self.B.reshape(-1, m).T
+        return np.asarray(flat.reshape(*flat.shape[:-1], -1, n))
 
 
 def _length(name: str, matrix: ArrayLike, axis: int, axes: int) -> int:

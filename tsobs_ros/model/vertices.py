@@ -38,16 +38,16 @@ class VertexSystem(NamedTuple):
     """The error system e⁺ = transition·e + noise at one vertex.
 
     Attributes:
-        slopes: Gravity slopes of the first and the second half kick.
         transition: Shape (n, n).
         noise: Covariance of the noise, shape (n, n).
         where: The vertex in words, for reports.
+        slopes: Gravity slopes of an arm's first and second half kick.
     """
 
-    slopes: tuple[float, float]
     transition: Array
     noise: Array
     where: str
+    slopes: tuple[float, float] = (0.0, 0.0)
 
 
 def linear_directions(uncertainty: Uncertainty) -> list[int]:

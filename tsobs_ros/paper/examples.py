@@ -31,7 +31,7 @@ import numpy as np
 from tsobs_ros.checks import Array, as_matrix
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase, Square, SquareRest
+from tsobs_ros.model.fuzzy import RuleBase, membership
 from tsobs_ros.paper.systems import TSSystem, arm_system
 
 Signal = Callable[[Array], Array]
@@ -89,7 +89,8 @@ class PaperExample:
 
 def _system(A1: list[list[float]], A2: list[list[float]]) -> TSSystem:
     # h₂ = y₁² as printed, and 1 for |y₁| > 1, which the paper's y₁ never reaches.
-    rules = RuleBase(((SquareRest(1.0),), (Square(1.0),)))
+    unit = {"half_width": 1.0}
+    rules = RuleBase(((membership("square_rest", unit),), (membership("square", unit),)))
     return TSSystem.from_rules([A1, A2], list(_B), list(_C), rules)
 
 

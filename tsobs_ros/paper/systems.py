@@ -16,7 +16,7 @@ from tsobs_ros.checks import Array, as_matrix, shown
 from tsobs_ros.core.functions import evaluate
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.fuzzy import RuleBase, SineLower, SineUpper
+from tsobs_ros.model.fuzzy import RuleBase, membership
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,11 @@ def arm_system(arm: ElasticJointArm, x_max: float = math.pi / 2) -> TSSystem:
         A=[arm.slope_matrix(1.0), arm.slope_matrix(evaluate("sine", x_max).item() / x_max)],
         B=[arm.input_matrix],
         C=[arm.output_matrix],
-        rule_base=RuleBase(((SineUpper(x_max),), (SineLower(x_max),))),
+        rule_base=RuleBase(
+            tuple(
+                (membership(name, {"half_width": x_max}),) for name in ("sine_upper", "sine_lower")
+            )
+        ),
     )
 
 

@@ -83,7 +83,6 @@ class SystemScenario(PlantScenario):
         shape = model.rates.shape
         change = np.zeros(shape) if self.change is None else self.change
         object.__setattr__(self, "true_rates", model.rates + as_matrix("change", change, shape))
-        _ = model.rule_base.coded
         names = [output.measures for output in self.outputs]
         check_names("fed_back", filter(None, self.fed_back), names)
         for name in filter(None, self.fed_back):
