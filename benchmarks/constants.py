@@ -49,7 +49,7 @@ _OFF = 1e9
 """More than any price or sign."""
 
 ABLATIONS: dict[str, dict[str, float]] = {
-    "no FORCE, torque forks": {"FORCE_SHARE": 0.0},
+    "no FORCE": {"FORCE_SHARE": 0.0},
     "no IMPERFECT": {"IMPERFECTION": 1.0},
     "no LOUD": {"NOISE_FACTOR": 1.0},
     "no COLOURED_NOISE": {"COLOUR_SIZE": 0.0},
@@ -57,16 +57,12 @@ ABLATIONS: dict[str, dict[str, float]] = {
     "no TONE": {"TONE_SIGN": _OFF},
     "no forks of jumps and hits": {"FORK_PRICE": _OFF},
     "no forks of moved arms": {"LOST_PRICE": _OFF},
-    "no torque forks": {"TORQUE_PRICE": _OFF},
-    "no forks": {"FORK_PRICE": _OFF, "LOST_PRICE": _OFF, "TORQUE_PRICE": _OFF},
+    "no forks": {"FORK_PRICE": _OFF, "LOST_PRICE": _OFF},
     "the design alone": {
         "FORCE_SHARE": 0.0, "IMPERFECTION": 1.0, "NOISE_FACTOR": 1.0, "COLOUR_SIZE": 0.0,
         "DRIFT_SIZE": 0.0, "TONE_SIGN": _OFF, "FORK_PRICE": _OFF, "LOST_PRICE": _OFF,
-        "TORQUE_PRICE": _OFF,
     },
     "jumps at outliers only": {"SUDDEN": _OFF},
-    "no OCCAM": {"OCCAM": 0.0},
-    "no FADE": {"FADE": _OFF},
     "no significance": {"significance": 0.0},
     "no passes": {"pass_time": _OFF},
     "no widening": {"QUIET": _OFF},

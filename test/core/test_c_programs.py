@@ -145,7 +145,7 @@ def test_every_bit_is_that_of_python(
     bound = [names.index(f"state_bound_{i}") - 1 for i in range(1, 5)]
     np.testing.assert_array_equal(found[:, state], estimates.state)
     np.testing.assert_array_equal(found[:, bound], estimates.state_bound)
-    assert len(set(found[:, names.index("hypothesis_1") - 1])) > 2  # the bank was awake
+    assert len(set(found[:, names.index("hypothesis_1") - 1])) > 1  # the bank was awake
 
 
 def test_the_build_instruction_is_the_one_in_the_program_and_on_its_page(tmp_path: Path) -> None:

@@ -38,8 +38,8 @@ LEARNING = AdaptationOptions(
     pass_time=0.2,
 )  # fmt: skip
 BANK = {name: value for name, value, _ in native.bank_constants()}
-BANK |= {"MOVING": 0.3, "REJECTING": 0.0}
-"""Constants, but arms need not move as much, and no filter starts again."""
+BANK |= {"MOVING": 0.3}
+"""Constants, but arms need not move as much."""
 GATE = 5.0
 SENSOR = (Hypothesis.COLOURED_NOISE, Hypothesis.DRIFT)
 
@@ -264,11 +264,12 @@ class Filter:
         if not used.any():
             return float(said.sum())
         if self.certified and used.all():
-            omega, inflation = self.C @ self.upsilon, self.inflation()
-            self._follow(e, variances, dict(enumerate(now.elapsed)))
+            omega = self.C @ self.upsilon
             self.x = self.x + self.plan.K @ e
             self.upsilon = self.upsilon - self.plan.K @ omega
             for i in range(len(y)):
+                inflation = self.inflation()
+                self._follow([e[i]], [variances[i]], {i: now.elapsed[i]})
                 self._learn(omega[i], e[i], known[i, i], inflation, adapt)
         else:
             self._leave()
@@ -294,11 +295,11 @@ class Filter:
         known = c @ self.P @ c + loud * self.plan.R[i, i] * now.sizes[i] ** 2
         e, K = y - c @ self.x, self.P @ c / known
         variance = known + omega @ self.gamma @ omega
-        self._follow([e], [variance], {i: now.elapsed[i]})
-        before = self.x[self.n :].copy()
+        inflation, before = self.inflation(), self.x[self.n :].copy()
         self.x, self.P = self.x + K * e, self.P - known * np.outer(K, K)
         self.upsilon = self.upsilon - np.outer(K, omega)
-        self._learn(omega, e, known, self.inflation(), adapt)
+        self._follow([e], [variance], {i: now.elapsed[i]})
+        self._learn(omega, e, known, inflation, adapt)
         if self.kind is Hypothesis.TONE:
             spread = self.P[self.n, self.n] + self.P[self.n + 1, self.n + 1]
             if before @ before > 9.0 * spread:
@@ -310,7 +311,8 @@ class Filter:
 
     def _follow(self, e: Any, variances: Any, elapsed: dict[int, float]) -> None:
         """Average squares, products of neighbours and slow parts of the innovations in sigmas."""
-        p, sigmas = len(self.plan.C), np.clip(e / np.sqrt(variances), -5.0, 5.0)
+        p, gate = len(self.plan.C), GATE if self.plan.supervised else math.inf
+        sigmas = np.clip(e / np.sqrt(variances), -gate, gate)
         for r, (i, T) in zip(sigmas, elapsed.items(), strict=True):
             share = min(T / BANK["SLOW_TIME"], 1.0)
             self.nis += T / p * (r * r - self.nis)
@@ -325,7 +327,7 @@ class Filter:
         if not self.certified:
             P = self.P[: self.n, : self.n]
             wide = max(1.0, float(np.trace(np.linalg.solve(self.plan.X, P))) / self.n)
-        alike = min(max(self.colour / max(self.nis, 1.0) - 0.15, 0.0), 0.9)
+        alike = max(self.colour / max(self.nis, 1.0) - 3.0 * math.sqrt(0.5 * self.plan.T), 0.0)
         noisy = max(self.nis, 1.0) * (1.0 + alike) / (1.0 - alike)
         return wide * (noisy if self.plan.supervised else 1.0)
 
@@ -454,9 +456,9 @@ class Sensors:
 
     def listen(self, e: Array) -> None:
         for i in np.flatnonzero(np.isfinite(e)):
-            std, T = math.sqrt(self.plan.S[i, i]), self.since[i]
+            std, T = math.sqrt(self.plan.S[i, i]), min(self.since[i], 1.1 * self.plan.T)
             kind = 2 if abs(e[i]) > self.sizes[i] * GATE * std else 1
-            if self.paired[i] == kind and T <= 10.0 * self.plan.T:
+            if self.paired[i] == kind:
                 rate = max(20.0 / (1.0 + 20.0 * self.age[i]), 1.0)
                 step = 1.0 + 0.5 * rate * T
                 larger = abs(e[i] - self.previous[i]) > self.scale[i] * math.sqrt(2) * std * 0.6745
@@ -570,9 +572,8 @@ def mixed(
     filters: list[Filter], value: Callable[[Filter], float], bound: Callable[[Filter], float]
 ) -> tuple[float, float]:
     """Return mean and 1σ of what the filters say, by their weights."""
-    occam = np.array([BANK["OCCAM"] * (each.kind > 0) for each in filters])
-    weights = np.exp(np.array([each.score for each in filters]) - occam)
-    weights[weights < 1e-4 * weights.sum()] = 0.0
+    scores = np.array([each.score for each in filters])
+    weights = np.where(scores < -0.8 * BANK["FLOOR"], 0.0, np.exp(scores))
     weights /= weights.sum()
     values, bounds = (np.array([say(each) for each in filters]) for say in (value, bound))
     mean = float(weights @ values)
@@ -590,10 +591,9 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
     for each in filters:
         each.score = -2.0 * (each.kind % 3)
     state, rest, sensors = begin(observer, filters), Rest(plan), Sensors(plan)
-    led, elapsed = set(), 0.0
+    led = set()
     for step in range(70):
-        occam = [each.score - BANK["OCCAM"] * (each.kind > 0) for each in filters]
-        best = filters[int(np.argmax(occam))]
+        best = max(filters, key=lambda each: each.score)
         led.add(best.kind)
         # As it expects, and then louder.
         y = np.clip(0.9 * rng.standard_normal(p), -2.0, 2.0)
@@ -609,8 +609,7 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
             each.score += each.correct(y, moving, sensors, BANK["OUTLIER_PRICE"])
         most = max(each.score for each in filters)
         for each in filters:
-            each.score = (each.score - most) * (1.0 - elapsed / BANK["FADE"])
-            each.score = max(each.score, -BANK["FLOOR"])
+            each.score = max(each.score - most, -BANK["FLOOR"])
         state, _ = observer.correct(state, y)
         for each in filters:
             core = state.records["hypotheses"][0, each.kind]
@@ -631,7 +630,6 @@ def test_the_bank_is_bayes_rule_over_filters(name: str) -> None:
             each.predict(u, T)
         state = observer.predict(state, u, T)
         sensors.waited(y, T)
-        elapsed = T
     check(state.noise_scale, sensors.scale.max(), "scale")
     assert not state.records["hypotheses"]["live"][0, native.HYPOTHESES - 6 :].any()
     assert len(led) > 1 or name not in ("arm", "many")

@@ -68,7 +68,7 @@ def test_health_that_version_0_7_recorded_is_read(short, messages_of, write_bag,
     assert found == [
         (Basis.CERTIFIED, True, Learning.ACTIVE, Hypothesis.AS_DESIGNED),
         (Basis.STARTING, True, Learning.STARTING, Hypothesis.AS_DESIGNED),
-        (Basis.TORQUE, True, Learning.ACTIVE, Hypothesis.FORCE),
+        (Basis.COVARIANCE, True, Learning.ACTIVE, Hypothesis.FORCE),
         (Basis.CONTRADICTED, False, Learning.ACTIVE, Hypothesis.FORCE),
         (Basis.HYPOTHESIS, True, Learning.ACTIVE, Hypothesis.COLOURED_NOISE),
         (Basis.OUTSIDE, False, Learning.ACTIVE, Hypothesis.DRIFT),

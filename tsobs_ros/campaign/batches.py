@@ -30,7 +30,6 @@ CLAIMS: Mapping[str, tuple[Basis, ...]] = {
         Basis.STARTING,
         Basis.GAP,
         Basis.JUMP,
-        Basis.TORQUE,
         Basis.HYPOTHESIS,
     ),
     "none": (Basis.CONTRADICTED, Basis.OUTSIDE),

@@ -27,7 +27,6 @@ _COUNTS = (
     "outliers_left_out",
     "sensor_jumps",
     "hits",
-    "torque_steps_not_made",
     "losses_of_track",
 )
 

@@ -6,8 +6,7 @@
  * Each sample is weighed by every hypothesis, and adds the logarithm of its likelihood to their
  * scores. A sample that the best one takes for an outlier may be that, or the first of something
  * new: then forks of the best one suppose that the sensor jumped, that the arm was hit, or that it
- * was put elsewhere, and so does one whenever the torque steps that the arm did not get the step.
- * The samples that follow decide; a fork that stays the best takes its parent's place.
+ * was put elsewhere. The samples that follow decide; a fork that stays the best takes its parent's place.
  *
  * While nothing contradicts the design, it is alone, and the others sleep.
  */
@@ -17,27 +16,11 @@
 
 #include "repeats.h"
 
-/* The noise's scale is kept above it, so that it grows in seconds if a quiet sensor gets noisy. */
-#define LEAST_SCALE 0.5
-
-/* Innovations are neighbours if at most so many periods lie between them. */
-#define NEIGHBOURS 10.0
-
 /* Median of a normal variable's size. */
 #define MEDIAN 0.6745
 
 /* Kinds of an innovation for the noise's scale, 0 for none. */
 enum { REGULAR = 1, OUTLIER = 2 };
-
-/* Frequencies that innovations are listened to at [rad/s]: the first, and the ratio of two. */
-#define FIRST_TONE 0.8
-#define TONE_RATIO 1.25
-
-/* Time for which they are listened to [s], which is a trial's of a tone, too. */
-#define TONE_MEMORY 5.0
-
-/* A filter that is alone starts its covariance again by what it left out for so long [s]. */
-#define PATIENCE 0.5
 
 /* --- views --- */
 
@@ -120,21 +103,13 @@ void copy_state(const model *m, const double *from, double *to)
 void take_torque(const model *m, state *at, const double *u)
 {
     if (*m->torque_limit > 0.0) {
-        const double step = u[0] - at->held[0];
         /* A first torque has none before it: its age is infinite. Late samples and those of two
          * sensors may be as close as can be. */
         const double elapsed = larger(*at->torque_age, *m->period);
-        const double sudden = fabs(step - *at->torque_change);
         if (!isfinite(u[0]) || !(fabs(u[0]) <= *m->torque_limit)
-            || fabs(step) > *m->torque_rate_limit * elapsed) {
+            || fabs(u[0] - at->held[0]) > *m->torque_rate_limit * elapsed) {
             *at->torque_unknown = 1;
             return;
-        }
-        if (isfinite(*at->torque_age)) {
-            *at->torque_change = step;
-            if (*m->torque_doubt > 0.0 && minimum(fabs(step), sudden) > *m->torque_doubt) {
-                *at->torque_step = step;
-            }
         }
     }
     for (long i = 0; i < m->s.m; i++) {
@@ -271,18 +246,18 @@ static void wake(const model *m, state *at)
  * certified gain. */
 static void scale_noise(const model *m, sensor *of, double innovation, double variance)
 {
-    const double elapsed = *of->since;
+    const double elapsed = minimum(*of->since, *m->longest);
     const double limit = larger(*of->noise_scale, 1.0) * *m->gate;
     const int64_t kind = fabs(innovation) > limit * sqrt(variance) ? OUTLIER : REGULAR;
     /* An outlier and its neighbour show nothing; if most are outliers, the noise is larger. */
-    if (*of->paired == kind && elapsed <= NEIGHBOURS * *m->period) {
+    if (*of->paired == kind) {
         const double expected = sqrt(2.0 * variance) * MEDIAN;
         const double rate = larger(20.0 / (1.0 + 20.0 * *of->scale_age), 1.0);
         const double step = 1.0 + 0.5 * rate * elapsed;
         if (fabs(innovation - *of->previous) > *of->noise_scale * expected) {
             *of->noise_scale *= step;
         } else {
-            *of->noise_scale = larger(*of->noise_scale / step, LEAST_SCALE);
+            *of->noise_scale = larger(*of->noise_scale / step, m->constants[LEAST_SCALE]);
         }
         *of->scale_age += elapsed;
     }
@@ -299,22 +274,20 @@ static int is_stuck(const model *m, const sensor *of)
  * follow the noise. */
 static void examine(const model *m, state *at, correction *effect)
 {
-    const hypothesis best = hypothesis_of(m, at, (long)*at->best);
     double scale = -INFINITY;
-    weigh(m, at, &best, effect);
     for (long i = 0; i < m->s.p; i++) {
         sensor of = sensor_of(m, at, i);
         const double innovation = effect->innovations[i];
         if (effect->weight[i] > 0.0) {
-            const double designed = m->innovation_covariance[i * m->s.p + i];
             count_repeats(
                 REPETITION_OF(&of), at->y[i], innovation, effect->variances[i],
                 m->R[i * m->s.p + i], 0.0);
             *of.pull = *of.repeats > 0 ? *of.pull + innovation : 0.0;
             if (is_stuck(m, &of)) {
                 effect->weight[i] = 0.0;
+                effect->used[i] = 0;
             } else if (isfinite(innovation)) {
-                scale_noise(m, &of, innovation, designed);
+                scale_noise(m, &of, innovation, m->innovation_covariance[i * m->s.p + i]);
             }
             scale = maximum(scale, *of.noise_scale);
         }
@@ -325,7 +298,8 @@ static void examine(const model *m, state *at, correction *effect)
 }
 
 /* Add to the covariance what the samples of a sensor have done since it is stuck. */
-static void distrust_stuck(const model *m, const state *at, hypothesis *h, correction *effect)
+static void distrust_stuck(
+    const model *m, const state *at, const hypothesis *h, correction *effect)
 {
     const long width = (long)m->s.width, p = (long)m->s.p;
     for (long i = 0; i < p; i++) {
@@ -348,16 +322,16 @@ static void distrust_stuck(const model *m, const state *at, hypothesis *h, corre
 }
 
 /* Turn what an output's innovations have of each frequency over a sample, and add the newest. */
-static void listen_to(const sensor *of, double r, double elapsed, double share)
+static void listen_to(const model *m, const sensor *of, double r, double elapsed, double share)
 {
-    double rate = FIRST_TONE;
+    double rate = m->constants[FIRST_TONE];
     for (long j = 0; j < TONES; j++) {
         double *z = of->tones + 2 * j, sin, cos;
         const double first = z[0];
         sine_and_cosine(rate * elapsed, &sin, &cos);
         z[0] = (1.0 - share) * (cos * first - sin * z[1]) + r;
         z[1] = (1.0 - share) * (cos * z[1] + sin * first);
-        rate *= TONE_RATIO;
+        rate *= m->constants[TONE_RATIO];
     }
 }
 
@@ -372,7 +346,7 @@ static double loudness(const sensor *of, long place)
 static int is_own(const model *m, const state *at, double frequency)
 {
     const double own = m->s.plant > 1 ? m->domain[1] / m->domain[0] : 0.0;
-    return *m->design_flow.kind == KIND_ARM && *at->age < 2.0 * TONE_MEMORY
+    return *m->design_flow.kind == KIND_ARM && *at->age < 2.0 * m->constants[AWAKE]
            && fabs(frequency - own) < 0.25 * own;
 }
 
@@ -386,31 +360,32 @@ static void listen(const model *m, state *at, const correction *effect)
     for (long i = 0; i < m->s.p; i++) {
         const sensor of = sensor_of(m, at, i);
         const double elapsed = larger(*of.since, *m->period);
-        const double share = share_of(minimum(elapsed, *m->longest), TONE_MEMORY);
+        const double share = share_of(minimum(elapsed, *m->longest), m->constants[AWAKE]);
         const double r = effect->innovations[i] / sqrt(effect->variances[i]);
-        double rate = FIRST_TONE;
+        const double step = m->constants[TONE_RATIO];
+        double rate = m->constants[FIRST_TONE];
         if (!(effect->weight[i] > 0.0)) {
             continue;
         }
-        listen_to(&of, minimum(maximum(r, -3.0), 3.0), elapsed, share);
+        listen_to(m, &of, minimum(maximum(r, -3.0), 3.0), elapsed, share);
         for (long j = 0; j < TONES; j++) {
             const double here = loudness(&of, j), power = here * here * (2.0 - share) * share;
             if (power > most && !is_own(m, at, rate)) {
                 const double below = loudness(&of, j - 1), above = loudness(&of, j + 1);
                 const double other = maximum(below, above);
-                const double ratio = above > below ? TONE_RATIO : 1.0 / TONE_RATIO;
+                const double ratio = above > below ? step : 1.0 / step;
                 most = power;
                 frequency = rate * (here + ratio * other) / (here + other);
                 output = i;
                 /* The filter follows a slow tone in part. */
                 size = 6.0 * share * here * sqrt(effect->variances[i]);
             }
-            rate *= TONE_RATIO;
+            rate *= step;
         }
     }
     if (frequency > 0.0 && *at->best != TONE
         && (*tone.live == 0
-            || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > TONE_MEMORY))) {
+            || (*tone.score < -0.5 * m->constants[FLOOR] && *tone.age > m->constants[AWAKE]))) {
         *tone.frequency = frequency;
         *tone.size = size;
         *tone.output = output;
@@ -516,36 +491,10 @@ static void suppose(
     }
 }
 
-/* Suppose that the arm did not get the newest step of the torque. */
-static void suppose_no_step(const model *m, state *at)
-{
-    const long n = (long)m->s.n, width = (long)m->s.width;
-    const hypothesis best = hypothesis_of(m, at, (long)*at->best);
-    const double score = *best.score - m->constants[TORQUE_PRICE];
-    const long place = *m->force > 0.0 ? place_for(m, at, score) : -1;
-    hypothesis h;
-    if (place >= 0) {
-        copy_hypothesis(m, at, (long)*at->best, place);
-        h = hypothesis_of(m, at, place);
-        leave_certified(m, at, &h, BASIS_TORQUE);
-        if (*h.kind != FORCE) {
-            clear_auxiliary(m, &h, n);
-        }
-        *h.kind = FORCE;
-        *h.fork = TORQUE_LOST;
-        *h.cause = BASIS_TORQUE;
-        *h.age = 0.0;
-        *h.score = score;
-        h.x[n] -= *at->torque_step;
-        h.covariance[n * width + n] += *m->torque_doubt * *m->torque_doubt;
-    }
-    *at->torque_step = 0.0;
-}
-
 /* Count what a fork that takes its parent's place has found. */
 static void count_event(const state *at, int64_t fork)
 {
-    int64_t *const counts[] = {NULL, at->jumps, at->hits, at->wrong_torques, at->losses};
+    int64_t *const counts[] = {NULL, at->jumps, at->hits, at->losses};
     if (fork != NO_FORK) {
         *counts[fork] += 1;
     }
@@ -570,8 +519,7 @@ static void select_forks(const model *m, state *at)
                 drop(m, at, i);
                 *at->best = kind;
             }
-        } else if (!(*h.score >= -m->constants[FLOOR])
-                   || (*h.age > m->constants[LIFE] && *h.score < -m->constants[OCCAM])) {
+        } else if (!(*h.score >= -m->constants[FLOOR])) {
             drop(m, at, i);
         }
     }
@@ -582,35 +530,23 @@ static void select_forks(const model *m, state *at)
 /* Make the scores relative to the best one, and find that. */
 static void compare(const model *m, state *at)
 {
-    double most = -INFINITY, best = -INFINITY;
+    double most = -INFINITY;
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
         if (*h.live != 0 && *h.score > most) {
             most = *h.score;
+            *at->best = i;
         }
     }
     for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
-        double score;
-        if (*h.live == 0) {
-            continue;
-        }
-        *h.score = (*h.score - most) * (1.0 - share_of(*at->since, m->constants[FADE]));
-        if (i < STANDING && *h.score < -m->constants[FLOOR]) {
-            *h.score = -m->constants[FLOOR];
-        }
-        score = *h.score - (*h.kind == AS_DESIGNED ? 0.0 : m->constants[OCCAM]);
-        if (score > best) {
-            best = score;
-            *at->best = i;
+        if (*h.live != 0) {
+            *h.score -= most;
+            if (i < STANDING && *h.score < -m->constants[FLOOR]) {
+                *h.score = -m->constants[FLOOR];
+            }
         }
     }
-}
-
-/* Return whether the innovations of a hypothesis contradict it. */
-static int shows_signs(const model *m, const hypothesis *h)
-{
-    return *h->slow_power > m->constants[SIGN_SLOW] || *h->colour > m->constants[SIGN_COLOUR];
 }
 
 /* Let the others sleep if the design has been the best without a sign for a while. */
@@ -678,10 +614,9 @@ static void report(const model *m, const hypothesis *best, correction *effect)
 }
 
 /* Fork the best hypothesis where it takes a sample for an outlier; a sensor may have jumped where a
- * sample is only unlikely. Return whether there are outliers. */
-static int fork_best(const model *m, state *at, long best, correction *effect)
+ * sample is only unlikely. */
+static void fork_best(const model *m, state *at, long best, correction *effect)
 {
-    int outliers = 0;
     for (long i = 0; i < m->s.p; i++) {
         const double square = effect->innovation[i] * effect->innovation[i];
         const double sudden = m->constants[SUDDEN] * m->constants[SUDDEN];
@@ -689,7 +624,6 @@ static int fork_best(const model *m, state *at, long best, correction *effect)
             continue;
         }
         if (!effect->used[i]) {
-            outliers = 1;
             if (*m->design_flow.kind == KIND_ARM) {
                 suppose(m, at, best, HIT, i, effect);
             }
@@ -701,15 +635,12 @@ static int fork_best(const model *m, state *at, long best, correction *effect)
             suppose(m, at, best, JUMPED, i, effect);
         }
     }
-    return outliers;
 }
 
-/* Correct one hypothesis by a sample. */
-static void correct_one(const model *m, state *at, long place, correction *effect)
+/* Correct one hypothesis by a sample that it has weighed. */
+static void use_sample(const model *m, state *at, long place, correction *effect)
 {
     hypothesis h = hypothesis_of(m, at, place);
-    distrust_stuck(m, at, &h, effect);
-    weigh(m, at, &h, effect);
     if (place == AS_DESIGNED && *at->awake > 0.0) {
         listen(m, at, effect);
     }
@@ -719,39 +650,39 @@ static void correct_one(const model *m, state *at, long place, correction *effec
 /* Correct all hypotheses, and fork the best one where it does not expect a sample. */
 static void correct_bank(const model *m, state *at, correction *effect)
 {
-    const long p = (long)m->s.p, best = (long)*at->best;
-    int outliers, signs;
+    const long best = (long)*at->best;
     hypothesis h = hypothesis_of(m, at, best);
-    examine(m, at, effect);
+    int outliers = 0;
     weigh(m, at, &h, effect);
+    examine(m, at, effect);
     report(m, &h, effect);
     *at->moving = moves(m, at, &h);
-    if (*at->torque_step != 0.0) {
-        suppose_no_step(m, at);
+    for (long i = 0; i < m->s.p; i++) {
+        outliers = outliers || (effect->weight[i] > 0.0 && !effect->used[i]);
     }
-    signs = shows_signs(m, &h);
-    for (long i = 0; i < p; i++) {
-        signs = signs || (effect->weight[i] > 0.0 && !effect->used[i]);
-    }
-    if (signs && *at->age > 0.0) {
+    if (*at->age > 0.0 && (outliers || *h.slow_power > m->constants[SIGN_SLOW])) {
         wake(m, at);
     }
+    *at->outliers += outliers;
     for (long i = m->s.hypotheses - 1; i >= 0; i--) {
-        if (i != best && *hypothesis_of(m, at, i).live != 0) {
-            correct_one(m, at, i, effect);
+        const hypothesis other = hypothesis_of(m, at, i);
+        if (*other.live != 0) {
+            distrust_stuck(m, at, &other, effect);
+        }
+        if (i != best && *other.live != 0) {
+            weigh(m, at, &other, effect);
+            use_sample(m, at, i, effect);
         }
     }
-    weigh(m, at, &h, effect);
-    outliers = fork_best(m, at, best, effect);
-    memset(effect->gain, 0, (size_t)(m->s.width * p) * sizeof(double));
-    correct_one(m, at, best, effect);
-    *at->outliers += outliers;
+    weigh(m, at, &h, effect); /* others have written over it, and the noise may have grown */
+    fork_best(m, at, best, effect);
+    memset(effect->gain, 0, (size_t)(m->s.width * m->s.p) * sizeof(double));
+    use_sample(m, at, best, effect);
     compare(m, at);
     select_forks(m, at);
     for (long kind = 0; kind < STANDING; kind++) {
         h = hypothesis_of(m, at, kind);
-        if (*h.live != 0 && kind != *at->best
-            && (*h.inlier < m->constants[REJECTING] || !isfinite(*h.score) || !isfinite(h.x[0]))) {
+        if (*h.live != 0 && kind != *at->best && (!isfinite(*h.score) || !isfinite(h.x[0]))) {
             renew(m, at, kind);
         }
     }
@@ -786,8 +717,8 @@ static void correct_alone(const model *m, state *at, correction *effect)
         there = there || effect->weight[i] > 0.0;
         used = used || effect->used[i];
     }
-    *h.inlier += there ? share_of(elapsed, PATIENCE) * ((double)used - *h.inlier) : 0.0;
-    if (*h.inlier < m->constants[REJECTING] && *h.age >= PATIENCE) {
+    *h.inlier += there ? share_of(elapsed, m->constants[PATIENCE]) * ((double)used - *h.inlier) : 0.0;
+    if (*h.inlier < m->constants[REJECTING] && *h.age >= m->constants[PATIENCE]) {
         start_covariance(m, &h);
     }
 }
@@ -848,8 +779,8 @@ void predict(
         hypothesis h = hypothesis_of(m, at, i);
         int simple;
         if (*h.live == 0
-            || (between_samples && *h.kind != AS_DESIGNED && *h.score < -0.8 * m->constants[FLOOR])) {
-            continue; /* it does not count in what is read */
+            || (between_samples && !counts(m, &h))) {
+            continue;
         }
         simple = *m->gain_mode == GAIN_OPEN
                  || (*h.certified != 0 && *h.corrected != 0 && (regular || is_late));

@@ -41,6 +41,12 @@ static inline double scale_of(const model *m, const state *at)
     return *m->supervised != 0 ? larger(*at->noise_scale, 1.0) : 1.0;
 }
 
+/* Return whether a hypothesis counts in what is read. */
+static inline int counts(const model *m, const hypothesis *h)
+{
+    return *h->live != 0 && *h->score >= -0.8 * m->constants[FLOOR];
+}
+
 /* --- filter.c: one hypothesis --- */
 
 /* Return the states in use: the design's, and of the auxiliary ones those that can differ from 0. */
@@ -50,7 +56,7 @@ long states_in_use(const model *m, const hypothesis *h);
 long part_of(const model *m, const hypothesis *h, long output);
 
 /* Take the certificate's bound for the covariance, from where Riccati gains go on. */
-void leave_certified(const model *m, const state *at, hypothesis *h, int64_t cause);
+void leave_certified(const model *m, const state *at, const hypothesis *h, int64_t cause);
 
 /* Write the innovation, its variance and the logarithm of its likelihood for each output, in sigmas
  * clipped where the sample is an outlier, and which are used. */

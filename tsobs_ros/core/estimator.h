@@ -30,7 +30,6 @@ enum {
     BASIS_STARTING,
     BASIS_GAP,
     BASIS_JUMP,
-    BASIS_TORQUE,
     BASIS_CONTRADICTED,
     BASIS_HYPOTHESIS,
     BASIS_OUTSIDE
@@ -54,21 +53,17 @@ enum {
 };
 
 /* What a fork supposes to have happened at its first sample. */
-enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
+enum { NO_FORK, JUMPED, HIT, MOVED };
 
 /* The constants of the bank: name, value, and what it is. All others are the design's, or options.
  * docs/estimator.md gives the reason for each, and what half and twice of it do. */
 #define BANK_CONSTANTS(C)                                                                      \
     C(FLOOR, 12.0, "how far a standing hypothesis may fall behind the best [nat]")             \
-    C(OCCAM, 2.5, "by how much another one has to be better than the design [nat]")            \
     C(OUTLIER_PRICE, 7.0, "how unlikely an outlier is, by the likeliest sample [nat]")          \
     C(FORK_PRICE, 10.0, "prior of a jump or a hit at an outlier [nat]")                        \
     C(LOST_PRICE, 14.0, "prior of an arm that is elsewhere at an outlier [nat]")               \
-    C(TORQUE_PRICE, 2.2, "prior of a torque step that the arm did not get [nat]")              \
     C(SUDDEN, 3.5, "innovation at which a sensor may have jumped [sigma]")                     \
-    C(FADE, 30.0, "time in which scores are forgotten [s]")                                    \
     C(TRIAL, 1.0, "age at which the best fork takes its parent's place [s]")                   \
-    C(LIFE, 3.0, "age to which other forks live [s]")                                          \
     C(NOISE_FACTOR, 16.0, "variance of loud noise, by the design's")                           \
     C(IMPERFECTION, 100.0, "process noise of an imperfect model, by the design's")             \
     C(FORCE_SHARE, 0.03, "1 sigma of the unknown torque, by the reference torque")             \
@@ -79,10 +74,13 @@ enum { NO_FORK, JUMPED, HIT, TORQUE_LOST, MOVED };
     C(DRIFT_TIME, 10.0, "its correlation time [s]")                                            \
     C(TONE_TIME, 20.0, "time for which a tone keeps its phase [s]")                            \
     C(TONE_SIGN, 50.0, "power of an innovation's tone, by white noise's, that proposes one")   \
-    C(REJECTING, 0.3, "share of samples below which a filter starts again from the best")      \
+    C(FIRST_TONE, 0.8, "lowest frequency at which tones are looked for [rad/s]")               \
+    C(TONE_RATIO, 1.25, "ratio of neighbouring ones")                                          \
+    C(LEAST_SCALE, 0.5, "least measured noise, by the design's; 1 is used then")               \
+    C(REJECTING, 0.3, "share of used samples below which a lone filter opens its covariance")  \
+    C(PATIENCE, 0.5, "time over which that share is averaged [s]")                             \
     C(SIGN_SLOW, 0.7, "power of slow innovations, by white noise's, that wakes the bank")      \
-    C(SIGN_COLOUR, 0.3, "product of neighbouring innovations that does")                       \
-    C(AWAKE, 5.0, "time from the last sign to sleep [s]")                                      \
+    C(AWAKE, 5.0, "time from the last sign to sleep, and memory of tones [s]")                  \
     C(SLOW_TIME, 0.4, "time constant of slow innovations [s]")                                 \
     C(POWER_TIME, 2.5, "time constant of their power [s]")                                     \
     C(MOVING, 6.0, "motion, by bounds, from which on parameters are learnt")                   \
@@ -200,8 +198,7 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
  *
  * stamp, y, u: of the newest sample [ns], a missing output is NaN. sample: the newest of each
  * output. held: inputs in use, those of the newest sample with plausible ones; torque_age: time
- * since that [s]; torque_unknown: whether it is not the newest; torque_change, torque_step: the
- * newest change of it, and one that the arm may not have got. late: whether it is read after the
+ * since that [s]; torque_unknown: whether it is not the newest. late: whether it is read after the
  * stamp at which the next sample was due.
  *
  * hypotheses: the filters, zeros where there is none. best: place of the likeliest. awake: time for which all are considered
@@ -216,8 +213,6 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(VECTOR, held, s->m, 1)                              \
     F(NUMBER, torque_age, 1, 1)                           \
     F(COUNT, torque_unknown, 1, 1)                        \
-    F(NUMBER, torque_change, 1, 1)                        \
-    F(NUMBER, torque_step, 1, 1)                          \
     F(COUNT, late, 1, 1)                                  \
     F(COUNT, in_gap, 1, 1)                                \
     F(COUNT, best, 1, 1)                                  \
@@ -232,7 +227,6 @@ LAYOUT_DECLARE(hypothesis, HYPOTHESIS_FIELDS, estimator_sizes)
     F(COUNT, outliers, 1, 1)                              \
     F(COUNT, jumps, 1, 1)                                 \
     F(COUNT, hits, 1, 1)                                  \
-    F(COUNT, wrong_torques, 1, 1)                         \
     F(COUNT, losses, 1, 1)                                \
     F(COUNT, gated, 1, 1)                                 \
     F(COUNT, implausible, 1, 1)                           \
@@ -306,7 +300,7 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
  * period to longest: of samples [s]. late_factor: of the certificate's bound for a period after the
  * next sample was due. torque_rate: 1 sigma of the rate of a torque that is unknown [N m/s], 0 if
  * it is held. torque_limit, torque_rate_limit: of plausible torques; torque_spread: 1 sigma of a
- * torque of which nothing is known; torque_doubt: a step that matters. force: 1 sigma of an unknown
+ * torque of which nothing is known. force: 1 sigma of an unknown
  * force, 0 without a hypothesis of one. C to innovation_covariance: outputs and gains, in physical
  * units from `scale` on. domain: 1 sigma of the plant's states where nothing is known of them.
  * limits, theta_deviation: of the parameters; joint: whether they are as states. stuck_samples: repetitions of a stuck sensor. */
@@ -332,7 +326,6 @@ LAYOUT_DECLARE(work, WORK_FIELDS, estimator_sizes)
     F(NUMBER, torque_limit, 1, 1)                  \
     F(NUMBER, torque_rate_limit, 1, 1)             \
     F(NUMBER, torque_spread, 1, 1)                 \
-    F(NUMBER, torque_doubt, 1, 1)                  \
     F(NUMBER, force, 1, 1)                         \
     F(COUNT, gain_mode, 1, 1)                      \
     F(MATRIX, C, s->p, s->width)                   \

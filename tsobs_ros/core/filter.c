@@ -18,13 +18,6 @@
 
 #include <string.h>
 
-/* Innovations count up to so many sigmas in averages, so that outliers do not make them. */
-#define CLIP 5.0
-
-/* Correlation of neighbours that white noise has by chance, and the largest that is used. */
-#define WHITE 0.15
-#define ALIKE 0.9
-
 long states_in_use(const model *m, const hypothesis *h)
 {
     const long n = (long)m->s.n;
@@ -68,7 +61,7 @@ void clear_auxiliary(const model *m, hypothesis *h, long first)
     }
 }
 
-void leave_certified(const model *m, const state *at, hypothesis *h, int64_t cause)
+void leave_certified(const model *m, const state *at, const hypothesis *h, int64_t cause)
 {
     const long n = (long)m->s.n, width = (long)m->s.width;
     const double *bound = *h->corrected != 0 ? m->posterior : m->X;
@@ -181,7 +174,7 @@ static void follow(
     const double elapsed = minimum(larger(*sensor_of(m, at, output).since, *m->period), *m->longest);
     const double share = share_of(elapsed, 1.0) / (double)m->s.p;
     const double slow_share = share_of(elapsed, m->constants[SLOW_TIME]);
-    const double r = minimum(maximum(innovation / sqrt(variance), -CLIP), CLIP);
+    const double r = minimum(maximum(innovation / sqrt(variance), -*m->gate), *m->gate);
     double *slow = h->slow + output, power;
     *h->nis += share * (r * r - *h->nis);
     *h->colour += share * (r * h->previous[output] - *h->colour);
@@ -194,12 +187,13 @@ static void follow(
 
 /* Return by how much less than one of the design an innovation says about parameters: by the mean
  * of the covariance relative to the certified bound, as regressors are wrong where x^ is; by what
- * was measured of the innovations; and as neighbours that are alike repeat each other. */
+ * was measured of the innovations; and as neighbours that are alike, by more than the three sigmas of
+ * white noise, repeat each other. */
 static double inflation_of(const model *m, const hypothesis *h)
 {
     const long n = (long)m->s.n, width = (long)m->s.width;
     const double alike
-        = minimum(maximum(*h->colour / larger(*h->nis, 1.0) - WHITE, 0.0), ALIKE);
+        = maximum(*h->colour / larger(*h->nis, 1.0) - 3.0 * sqrt(0.5 * *m->period), 0.0);
     double inflation = 1.0;
     if (*h->certified == 0) {
         double total = 0.0;
@@ -308,56 +302,41 @@ double correct_by(
     const model *m, const state *at, hypothesis *h, long output, int adapt, correction *effect)
 {
     const long k = (long)m->s.k, p = (long)m->s.p, used = states_in_use(m, h);
-    double *omega = effect->omega + output * k, known, said;
-    const double innovation = expect(m, at, h, output, effect, &known);
     const double *tone = h->x + m->s.n + 1;
     const double before[2] = {*h->kind == TONE ? tone[0] : 0.0, *h->kind == TONE ? tone[1] : 0.0};
+    const double inflation = k > 0 && adapt ? inflation_of(m, h) : 1.0;
+    double *omega = effect->omega + output * k, *gain = effect->gain + output;
+    double innovation = effect->innovations[output], variance = effect->variances[output], known;
+    double said = effect->likelihoods[output];
     int regular;
-    double variance = known;
-    regress(m, h, output, omega);
-    if (k > 0) {
-        variance += larger(quadratic(h->gamma, k, omega, k), 0.0);
+    if (*h->certified != 0) { /* of all outputs at once */
+        const double scale = noise_of(m, at, output);
+        known = scale * scale * m->innovation_covariance[output * p + output];
+        for (long j = 0; j < used; j++) {
+            gain[j * p] = m->K[j * p + output];
+            h->x[j] += gain[j * p] * innovation;
+        }
+    } else {
+        innovation = expect(m, at, h, output, effect, &known);
+        regress(m, h, output, omega);
+        variance = known + (k > 0 ? larger(quadratic(h->gamma, k, omega, k), 0.0) : 0.0);
+        said = likelihood(m, at, output, innovation, variance, &regular);
+        for (long j = 0; j < used; j++) {
+            gain[j * p] = effect->crossed[j] / known;
+        }
+        correct_covariance(m, h, effect->crossed, innovation, known, used);
     }
-    said = likelihood(m, at, output, innovation, variance, &regular);
     follow(m, at, h, output, innovation, variance);
-    correct_covariance(m, h, effect->crossed, innovation, known, used);
-    for (long j = 0; j < used; j++) {
-        effect->gain[j * p + output] = effect->crossed[j] / known;
-    }
     if (k > 0) {
-        correct_regressors(m, h, omega, effect->gain + output, p, known, used);
+        correct_regressors(m, h, omega, gain, p, known, used);
         if (adapt) {
-            adapt_by(m, h, omega, innovation, known, inflation_of(m, h), effect->cross);
+            adapt_by(m, h, omega, innovation, known, inflation, effect->cross);
         }
     }
     if (*h->kind == TONE) {
         turn_frequency(m, h, before, larger(*sensor_of(m, at, output).since, *m->period));
     }
     return said;
-}
-
-/* Correct with the certified gain, by all outputs at once. */
-static void correct_certified(
-    const model *m, const state *at, hypothesis *h, int adapt, correction *effect)
-{
-    const long n = (long)m->s.n, p = (long)m->s.p, k = (long)m->s.k;
-    const double inflation = k > 0 ? inflation_of(m, h) : 1.0;
-    for (long i = 0; i < p; i++) {
-        const double scale = noise_of(m, at, i);
-        const double known = scale * scale * m->innovation_covariance[i * p + i];
-        const double *omega = effect->omega + i * k;
-        follow(m, at, h, i, effect->innovations[i], effect->variances[i]);
-        for (long j = 0; j < n; j++) {
-            h->x[j] += m->K[j * p + i] * effect->innovations[i];
-            effect->gain[j * p + i] = m->K[j * p + i];
-        }
-        if (k > 0) {
-            correct_regressors(m, h, omega, m->K + i, p, known, n);
-            if (adapt) {
-                adapt_by(m, h, omega, effect->innovations[i], known, inflation, effect->cross);
-            }
-        }
-    }
 }
 
 /* Begin another pass of learning: what the last one moved is wrong by a share of it, as its
@@ -407,29 +386,18 @@ double correct_hypothesis(
     long used = 0;
     adapt = adapt && *h->learning >= *m->adaptation_start;
     for (long i = 0; i < p; i++) {
-        const int there = effect->weight[i] > 0.0;
         used += effect->used[i];
-        if (there && *m->supervised != 0) {
-            const double share = share_of(larger(*at->since, *m->period), 0.5) / (double)p;
-            *h->inlier += share * ((double)effect->used[i] - *h->inlier);
-        }
         said += effect->likelihoods[i];
     }
     if (*m->gain_mode == GAIN_OPEN || used == 0) {
         return said;
     }
-    if (*h->certified != 0 && used == p) {
-        correct_certified(m, at, h, adapt, effect);
-    } else {
-        /* The certified gain is for all outputs together. */
+    if (used < p) { /* the certified gain is for all outputs together */
         leave_certified(m, at, h, BASIS_GAP);
-        said = 0.0;
-        for (long i = 0; i < p; i++) {
-            if (effect->used[i]) {
-                said += correct_by(m, at, h, i, adapt, effect);
-            } else {
-                said += effect->likelihoods[i];
-            }
+    }
+    for (long i = 0; i < p; i++) {
+        if (effect->used[i]) {
+            said += correct_by(m, at, h, i, adapt, effect) - effect->likelihoods[i];
         }
     }
     *h->corrected = 1;

@@ -12,9 +12,6 @@
 
 #include <string.h>
 
-/* Weights below it do not count. */
-#define NEGLIGIBLE 1e-4
-
 static double root(double variance)
 {
     return variance >= 0.0 ? sqrt(variance) : (double)NAN;
@@ -90,27 +87,17 @@ static double mixed_bound(const moments *of)
     return root(of->own + (apart > 0.0 ? apart : 0.0));
 }
 
-/* Write the weights of the hypotheses, those that count. */
+/* Write the weights of the hypotheses, 0 of those that do not count. */
 static void weigh_all(const model *m, const state *at, double *weights)
 {
-    const long count = (long)m->s.hypotheses;
-    double total = 0.0, kept = 0.0, best = -INFINITY;
-    for (long i = 0; i < count; i++) {
+    double total = 0.0;
+    for (long i = 0; i < m->s.hypotheses; i++) {
         const hypothesis h = hypothesis_of(m, at, i);
-        weights[i] = *h.score - (*h.kind == AS_DESIGNED ? 0.0 : m->constants[OCCAM]);
-        best = *h.live != 0 && weights[i] > best ? weights[i] : best;
-    }
-    for (long i = 0; i < count; i++) {
-        const int live = *hypothesis_of(m, at, i).live != 0;
-        weights[i] = live ? exponential(minimum(weights[i] - best, 0.0)) : 0.0;
+        weights[i] = counts(m, &h) ? exponential(minimum(*h.score, 0.0)) : 0.0;
         total += weights[i];
     }
-    for (long i = 0; i < count; i++) {
-        weights[i] = weights[i] >= NEGLIGIBLE * total ? weights[i] : 0.0;
-        kept += weights[i];
-    }
-    for (long i = 0; i < count; i++) {
-        weights[i] /= kept;
+    for (long i = 0; i < m->s.hypotheses; i++) {
+        weights[i] /= total;
     }
 }
 

@@ -329,7 +329,6 @@ class Estimator:
             "outliers left out": int(state.outliers),
             "sensor jumps": int(state.jumps),
             "hits": int(state.hits),
-            "torque steps not made": int(state.wrong_torques),
             "losses of track": int(state.losses),
         }
 

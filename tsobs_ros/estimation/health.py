@@ -85,9 +85,6 @@ STATUSES: Mapping[type[enum.Enum], Mapping[Any, Meaning]] = {
             Level.OK, "the bound is not certified: measurements or torques are missing or rejected"
         ),
         Basis.JUMP: Meaning(Level.OK, "the bound is not certified: the sensor has jumped"),
-        Basis.TORQUE: Meaning(
-            Level.OK, "the bound is not certified: the torque made a doubtful step"
-        ),
         Basis.CONTRADICTED: Meaning(
             Level.WARN,
             "the bound is void: the measurements contradict the design",

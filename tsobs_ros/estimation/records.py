@@ -55,7 +55,6 @@ class Basis(enum.IntEnum):
         STARTING: The same, after a start.
         GAP: The same, after a gap in measurements or torque.
         JUMP: The same, after a jump of the sensor.
-        TORQUE: The same, after a step of the torque that the arm may not have got.
         CONTRADICTED: Nothing: the innovations contradict what the bounds assume.
         HYPOTHESIS: The covariance of another hypothesis about the arm or its sensor.
         OUTSIDE: Nothing: the link angle is outside of the certificate's domain.
@@ -67,10 +66,9 @@ class Basis(enum.IntEnum):
     STARTING = 3
     GAP = 4
     JUMP = 5
-    TORQUE = 6
-    CONTRADICTED = 7
-    HYPOTHESIS = 8
-    OUTSIDE = 9
+    CONTRADICTED = 6
+    HYPOTHESIS = 7
+    OUTSIDE = 8
 
 
 class Learning(enum.IntEnum):

@@ -212,11 +212,6 @@ def enter_supervision(model: Any, options: SupervisionOptions) -> None:
         if not (is_arm and (row[LINK_ANGLE] or row[MOTOR_ANGLE])):
             # The limit is for angles; another output has a unit of its own.
             model["disturbance_limit"][i] = math.inf
-    if is_arm:
-        # The step of the torque whose effect over a sample is a third of the certified bound.
-        n = int(model["n"])
-        effect = congruent(flow["gamma"][:n, :1].T, model["P"][:n, :n]).item()
-        model["torque_doubt"] = 1.0 / (3.0 * math.sqrt(effect)) if effect > 0.0 else 0.0
 
 
 def _flow_of(model: Any) -> Any:

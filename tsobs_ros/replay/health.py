@@ -32,7 +32,7 @@ BASIS, CLAIMED, LEARNING, HYPOTHESIS = map(
 """Places of conditions' numbers."""
 
 # Codes of version 0.7, which did not say what is claimed: those of now, in their order.
-_FORMER_BASES = (0, 1, 3, 4, 5, 6, 7, 8, 9)
+_FORMER_BASES = (0, 1, 3, 4, 5, 2, 6, 7, 8)
 _FORMER_LEARNING = (0, 1, 2, 2, 2)
 _FORMER_HYPOTHESES = (0, 1, 1, 4, 5)
 

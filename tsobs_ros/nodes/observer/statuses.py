@@ -211,7 +211,7 @@ def _innovation_status(joint: ObservedJoint) -> Status:
         if scale >= NOISY:
             level, message = Level.WARN, f"the noise is {scale:.2g} times the design's"
     recent = joint.recent.growth
-    for event in ("outliers left out", "sensor jumps", "hits", "torque steps not made"):
+    for event in ("outliers left out", "sensor jumps", "hits"):
         values[f"last minute: {event}"] = str(recent[event])
     return Status(name, level, message, values)
 
