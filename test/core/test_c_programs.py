@@ -28,41 +28,43 @@ from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 ROOT = Path(__file__).resolve().parents[2]
 CORE = ROOT / "tsobs_ros" / "core"
 PROGRAM = ROOT / "examples" / "c" / "step_log.c"
-LIBRARY = sorted(p for p in CORE.glob("*.c") if not p.name.startswith(("python_", "module")))
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Werror")
-# The compiler of the library, and that of the program.
-COMPILERS = [
-    pytest.param(*pair, id=pair[1], marks=() if found else pytest.mark.skip("not installed"))
-    for pair in (("gcc", "gcc"), ("clang", "clang"), ("gcc", "g++"))
-    for found in [all(map(shutil.which, pair))]
-]
 FIRST = 10**9
 
 
 def run(*command: Any, **options: Any) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run([*map(str, command)], capture_output=True, text=True, **options)
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, **options)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done
 
 
 @pytest.fixture(scope="module")
-def build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """Build the program once by each pair of compilers."""
-    built: dict[tuple[str, str], Path] = {}
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program, built by the instruction in it and on its page."""
 
-    def build(library: str, program: str) -> Path:
-        if (library, program) not in built:
-            folder = tmp_path_factory.mktemp(program)
-            strict = ("-O2", "-ffp-contract=off", "-fno-math-errno", f"-I{CORE}")
-            done = run(library, "-std=c99", *strict, "-c", *LIBRARY, cwd=folder)
-            assert done.returncode == 0, done.stderr
-            language = ("-x", "c++") if "++" in program else ("-std=c99", "-pedantic")
-            done = run(program, *language, *strict, *WARNINGS, "-c", PROGRAM, cwd=folder)
-            assert (done.returncode, done.stderr) == (0, "")
-            done = run(program, *folder.glob("*.o"), "-lm", "-o", folder / "step_log")
-            assert done.returncode == 0, done.stderr
-            built[library, program] = folder / "step_log"
-        return built[library, program]
+    def lines(text: str) -> str:
+        found = re.search(r"cc -std=c99 .*?-o step_log", text.replace(" * ", " "), re.DOTALL)
+        assert found is not None
+        return re.sub(r"\s*\\\n\s*", " ", found[0])
 
-    return build
+    command, built = lines(PROGRAM.read_text("utf-8")), tmp_path_factory.mktemp("c") / "step_log"
+    assert lines((ROOT / "docs" / "c_programs.md").read_text("utf-8")) == command
+    if shutil.which("cc") is None:
+        pytest.skip("no compiler")
+    command = command.replace("-o step_log", f"-o {built}")
+    run("sh", "-c", command, cwd=ROOT, env={**os.environ, "CORE": str(CORE)})
+    return built
+
+
+@pytest.mark.parametrize(
+    "compiler", [("gcc", "-std=c99", "-pedantic"), ("g++", "-x", "c++"), ("clang", "-std=c99")]
+)
+def test_the_program_is_c_and_cplusplus_without_a_warning(
+    compiler: tuple[str, ...], tmp_path: Path
+) -> None:
+    if shutil.which(compiler[0]) is None:
+        pytest.skip("not installed")
+    run(*compiler, *WARNINGS, f"-I{CORE}", "-c", PROGRAM, "-o", tmp_path / "program.o")
 
 
 def two_outputs() -> Design:
@@ -116,10 +118,7 @@ def of_python(design: Design, time: Array, angle: Array, torque: Array) -> Array
     return rows
 
 
-@pytest.mark.parametrize(("library", "program"), COMPILERS)
-def test_every_bit_is_that_of_python(
-    library: str, program: str, design: Design, build: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_every_bit_is_that_of_python(design: Design, program: Path, tmp_path: Path) -> None:
     time, angle, torque = log_of(design)
     table = np.column_stack([time, angle, torque])
     lines = [",".join("" if np.isnan(x) else repr(float(x)) for x in row) for row in table]
@@ -127,9 +126,8 @@ def test_every_bit_is_that_of_python(
     log.write_text("\n".join(["time,outputs,torque", *lines, ""]), "ascii")
     ts.export_c(design, file)
 
-    done = run(build(library, program), file, log)
+    done = run(program, file, log)
 
-    assert done.returncode == 0, done.stderr
     names, *printed = [line.split(",") for line in done.stdout.splitlines()]
     expected = of_python(design, time, angle, torque)
     assert len(names) == 1 + expected.shape[1]
@@ -146,23 +144,6 @@ def test_every_bit_is_that_of_python(
     np.testing.assert_array_equal(found[:, state], estimates.state)
     np.testing.assert_array_equal(found[:, bound], estimates.state_bound)
     assert len(set(found[:, names.index("hypothesis_1") - 1])) > 1  # the bank was awake
-
-
-def test_the_build_instruction_is_the_one_in_the_program_and_on_its_page(tmp_path: Path) -> None:
-    def lines(text: str) -> str:
-        found = re.search(r"cc -std=c99 .*?-o step_log", text.replace(" * ", " "), re.DOTALL)
-        assert found is not None
-        return re.sub(r"\s*\\\n\s*", " ", found[0])
-
-    command = lines(PROGRAM.read_text("utf-8"))
-    assert lines((ROOT / "docs" / "c_programs.md").read_text("utf-8")) == command
-    if shutil.which("cc") is None:
-        pytest.skip("no compiler")
-    done = run(
-        "sh", "-c", command.replace("-o step_log", f"-o {tmp_path / 'step_log'}"), cwd=ROOT,
-        env={**os.environ, "CORE": str(CORE)},
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, "")
 
 
 # --- the file ---

@@ -460,26 +460,6 @@ def test_output_and_slopes_of_the_augmented_state() -> None:
         assert slope_range(x_max) == (pytest.approx(lowest, abs=1e-15), 1.0)
 
 
-def test_records_that_are_none_and_arrays_that_are_too_short_are_refused() -> None:
-    flow = shipped()
-    record, n = flow_record(flow).view(np.float64), flow.state_count
-    scratch, none = np.empty(scratch_size(flow.sizes())), np.empty(0)
-    x, u = np.zeros(n), np.zeros(1)
-
-    def advance(model: Array = record, held: Array = u, duration: float = 0.01) -> None:
-        native.advance_all(model, x, none, none, none, none, held, duration, scratch)
-
-    advance()
-    for wrong in (none, record[:-1], np.zeros_like(record)):
-        with pytest.raises(ValueError, match="advance_all: flow: expected the record of a model"):
-            advance(wrong)
-    with pytest.raises(ValueError, match="advance_all: u: expected at least 1 numbers, got 0"):
-        advance(held=none)
-    for duration in (-0.01, math.nan, math.inf, 1e300):
-        with pytest.raises(ValueError, match="advance_all: duration"):
-            advance(duration=duration)
-
-
 @PROPERTY
 @given(FLOWS, st.data())
 def test_the_regressor_is_the_slope_of_the_estimate_in_the_parameters(
