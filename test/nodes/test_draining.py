@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
@@ -25,20 +25,18 @@ def joint_state(index: int) -> JointState:
     return JointState(name=[f"joint_{index}"], position=[float(index)])
 
 
-def publish(ros: Any, node: Node, qos: QoSProfile, *subscriptions: DrainedSubscription) -> None:
-    """Publish once all are matched; in one process the messages are in their queues at once."""
+def publish(ros: Any, node: Node, qos: QoSProfile, subscription: DrainedSubscription) -> None:
+    """Publish once they are matched; in one process the messages are in the queue at once."""
     publisher = node.create_publisher(JointState, "joints", qos)
-    ros.spin_until(lambda: all(s.publisher_count == 1 for s in subscriptions), what="the match")
+    ros.spin_until(lambda: subscription.publisher_count == 1, what="the match")
     for index in range(COUNT):
         publisher.publish(joint_state(index))
 
 
-@pytest.mark.parametrize("raw", [False, True])
-@pytest.mark.parametrize("way", ["in bulk", "by callbacks", "on arrival"])
+@pytest.mark.parametrize(("raw", "at_once"), [(False, False), (True, False), (True, True)])
 def test_messages_arrive_once_in_order_with_their_infos(
-    ros: Any, node: Node, raw: bool, way: str
+    ros: Any, node: Node, raw: bool, at_once: bool
 ) -> None:
-    """In bulk; by callbacks if an rclpy has no other way; and as soon as they have come."""
     qos = QoSProfile(depth=COUNT)
     drained: list[Any] = []
 
@@ -49,14 +47,13 @@ def test_messages_arrive_once_in_order_with_their_infos(
 
     subscription = DrainedSubscription(
         node, JointState, "joints", qos, raw=raw,
-        on_arrival=drain if way == "on arrival" else None, in_bulk=way == "in bulk",
+        on_arrival=drain if at_once else None,
     )  # fmt: skip
-    assert subscription.in_bulk == (way == "in bulk")
     before = node.get_clock().now().nanoseconds
     publish(ros, node, qos, subscription)
 
     def complete() -> bool:
-        if way != "on arrival":
+        if not at_once:
             drain()
         return len(drained) >= COUNT
 
@@ -71,24 +68,6 @@ def test_messages_arrive_once_in_order_with_their_infos(
     for info in infos:
         assert before <= info["source_timestamp"] <= info["received_timestamp"] <= after
     assert subscription.drain() == []
-
-
-def test_a_full_queue_drops_its_oldest_messages(ros: Any, node: Node) -> None:
-    qos = QoSProfile(depth=COUNT)
-    witness = DrainedSubscription(node, JointState, "joints", qos)
-    shallow = DrainedSubscription(node, JointState, "joints", qos_profile_sensor_data)
-    publish(ros, node, qos, witness, shallow)
-    arrived: list[Any] = []
-
-    def complete() -> bool:
-        arrived.extend(witness.drain())
-        return len(arrived) == COUNT
-
-    ros.spin_until(complete, what="the messages")
-    kept = qos_profile_sensor_data.depth
-    assert [message for message, _ in shallow.drain()] == [
-        joint_state(i) for i in range(COUNT - kept, COUNT)
-    ]
 
 
 class CountingExecutor(SingleThreadedExecutor):

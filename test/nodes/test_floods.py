@@ -17,9 +17,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from staging.arm import Arm
+from staging.stamps import to_nanoseconds
 
 from tsobs_ros.estimation.records import RejectReason
-from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.nodes.observer.joints import NAMES as REASONS
 from tsobs_ros.series import NANOSECONDS
 

@@ -19,6 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
+from staging.stamps import to_nanoseconds
 from std_srvs.srv import SetBool
 
 from tsobs_ros.bag import BagReader
@@ -27,7 +28,6 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.methods import ObserverSettings
 from tsobs_ros.nodes import observer, plant_simulator, player, recorder
 from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.replay.estimate import Observer, Run, make_runs, run_all
 from tsobs_ros.replay.source import BagSource
 

@@ -5,11 +5,10 @@
 An rclpy executor rebuilds its wait set and makes a task for every callback, which costs five to
 ten times as much as the message itself. A node that needs its messages only by the next tick
 therefore keeps the subscription out of the wait set, and empties the queue from its tick. Stamps
-are unaffected: the middleware sets them when a message arrives, not when it is taken.
+are unaffected: the middleware sets them when a message arrives.
 
 rclpy has no other call for this than `take_message` of the subscription's public `handle`, which
-its own `wait_for_message` uses; no other file calls it. If a release lacks it, an ordinary callback
-fills a queue of the same depth: everything works as before, at an executor's cost.
+its own `wait_for_message` uses; no other file calls it.
 """
 
 import math
@@ -24,26 +23,21 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+Taken = list[tuple[Any, Mapping[str, Any]]]
+"""Messages, each with its info."""
+
 _FEW = 32
 
 
-class DrainedGroup(CallbackGroup):
-    """A callback group that keeps its entities out of every executor's wait set.
+class _DrainedGroup(CallbackGroup):
+    """A callback group that keeps its entities out of every executor's wait set, unless open."""
 
-    Attributes:
-        is_open: Whether executors may wait for the entities after all.
-    """
-
-    def __init__(self, is_open: bool = False) -> None:
-        super().__init__()
-        self.is_open = is_open
+    is_open = False
 
     def can_execute(self, entity: object) -> bool:
-        """Return whether an executor may wait for the entity."""
         return self.is_open
 
     def beginning_execution(self, entity: object) -> bool:
-        """Return whether the entity's callback may run now."""
         return self.is_open
 
     def ending_execution(self, entity: object) -> None:
@@ -63,10 +57,6 @@ class DrainedSubscription:
         qos: The requested QoS profile, whose depth covers the longest time between drains.
         raw: Take CDR bytes as they came off the wire, instead of messages.
         on_arrival: Called by an executor as soon as messages have come, to drain them.
-        in_bulk: Whether to empty the queue in bulk where rclpy can.
-
-    Attributes:
-        in_bulk: Whether `drain` works without an executor that spins the node.
     """
 
     def __init__(
@@ -78,12 +68,13 @@ class DrainedSubscription:
         *,
         raw: bool = False,
         on_arrival: Callable[[], None] | None = None,
-        in_bulk: bool = True,
     ) -> None:
         self._node = node
         self._on_arrival = on_arrival
-        self._taken: deque[tuple[Any, Mapping[str, Any]]] = deque(maxlen=qos.depth or None)
-        group = DrainedGroup()
+        # What an executor has taken already, of an observer that may be inactive.
+        self._first: deque[tuple[Any, Mapping[str, Any]]] = deque(maxlen=qos.depth or None)
+        group = _DrainedGroup()
+        group.is_open = on_arrival is not None
         # No QoS events either: Fast DDS waits for them on the reader's one status condition, which
         # unread data keeps raised, so that the executor would spin until the next drain.
         self._subscription = node.create_subscription(
@@ -95,8 +86,6 @@ class DrainedSubscription:
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             raw=raw,
         )
-        self.in_bulk = in_bulk and hasattr(self._subscription.handle, "take_message")
-        group.is_open = on_arrival is not None or not self.in_bulk
 
     @property
     def topic(self) -> str:
@@ -108,9 +97,7 @@ class DrainedSubscription:
         """The number of publishers matched with this subscription at the moment."""
         return int(self._subscription.get_publisher_count())
 
-    def drain(
-        self, limit: int | None = None, until: float = math.inf
-    ) -> list[tuple[Any, Mapping[str, Any]]]:
+    def drain(self, limit: int | None = None, until: float = math.inf) -> Taken:
         """Take what is in the queue, oldest first.
 
         Args:
@@ -127,11 +114,12 @@ class DrainedSubscription:
             InvalidHandle: The subscription or its node has been destroyed.
         """
         count = sys.maxsize if limit is None else limit
-        taken = [self._taken.popleft() for _ in range(min(count, len(self._taken)))]
+        taken = list(self._first)
+        self._first.clear()
         subscription = self._subscription
         handle, msg_type, raw = subscription.handle, subscription.msg_type, subscription.raw
         with handle:
-            while self.in_bulk and len(taken) < count:
+            while len(taken) < count:
                 message = handle.take_message(msg_type, raw)
                 if message is None:
                     break
@@ -145,6 +133,7 @@ class DrainedSubscription:
         self._node.destroy_subscription(self._subscription)
 
     def _arrived(self, message: Any, info: Any) -> None:
-        self._taken.append((message, info))
-        if self._on_arrival is not None:
-            self._on_arrival()
+        """Take the one message that an executor has taken already."""
+        assert self._on_arrival is not None
+        self._first.append((message, info))
+        self._on_arrival()

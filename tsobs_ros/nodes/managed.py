@@ -4,10 +4,6 @@
 
 A node states what it acquires, and nothing of how that is released::
 
-    @dataclass(frozen=True)
-    class EchoParameters(ManagedParameters):
-        depth: int = setting(10, "Queue of the echo", minimum=1)
-
     class Echo(ManagedNode[EchoParameters]):
         def __init__(self, **node_kwargs):
             super().__init__("echo", EchoParameters, **node_kwargs)
@@ -23,17 +19,15 @@ A node states what it acquires, and nothing of how that is released::
             if self.active:
                 self._publisher.publish(message)
 
-The clean-up destroys all publishers, subscriptions, services, clients and timers made since
-`configure` began, also those of a `configure` that failed half-way. rclpy's lifecycle stops only
-lifecycle publishers, so callbacks check `active` before they work.
+The clean-up destroys all entities made since `configure` began, also those of a `configure` that
+failed half-way. rclpy's lifecycle stops only lifecycle publishers, so callbacks check `active`.
+
+A transition that fails with an expected error logs one line and leaves the node in its state; only
+a clean-up ends unconfigured all the same. Any other exception is a bug: it is logged with its
+traceback, and the node is cleaned up.
 
 Some requests and times make rclpy's own callbacks raise, which would end the process. The node
-stands before them: it refuses or drops what they cannot take, and says so.
-
-A transition that fails with an expected error logs one line and leaves the node in the state it
-came from; only a clean-up, after which nothing is left to go back to, ends unconfigured all the
-same. Any other exception is a bug: it is logged with its traceback, and the node is cleaned up and
-unconfigured.
+refuses or drops what they cannot take.
 """
 
 import math
@@ -68,6 +62,7 @@ from tsobs_ros.settings import setting
 _FAREWELL = 0.5
 # Between two lines on what is dropped, of each kind [s].
 _QUIET = 5.0
+_SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 Answer = Callable[[], tuple[bool, str]]
 """The work of a Trigger service; returns its success and a message."""
@@ -164,15 +159,13 @@ class ManagedNode(LifecycleNode, Generic[P]):
 
     def offer_triggers(self, answers: Mapping[str, Answer]) -> None:
         """Offer std_srvs/Trigger services below the node's name, each with its work."""
+
+        def serve(answer: Answer, _: Trigger.Request, response: Trigger.Response) -> Any:
+            response.success, response.message = answer()
+            return response
+
         for name, answer in answers.items():
-
-            def callback(
-                _: Trigger.Request, response: Trigger.Response, answer: Answer = answer
-            ) -> Trigger.Response:
-                response.success, response.message = answer()
-                return response
-
-            self.create_service(Trigger, f"~/{name}", callback)
+            self.create_service(Trigger, f"~/{name}", partial(serve, answer))
 
     def start(self) -> None:
         """Configure and activate if `autostart` is true; last in a subclass's constructor.
@@ -186,7 +179,7 @@ class ManagedNode(LifecycleNode, Generic[P]):
         self._starting = True
         try:
             for trigger in (self.trigger_configure, self.trigger_activate):
-                if trigger() != TransitionCallbackReturn.SUCCESS:
+                if trigger() is not _SUCCESS:
                     assert self._failure is not None
                     raise self._failure
         except BaseException:
@@ -240,36 +233,34 @@ class ManagedNode(LifecycleNode, Generic[P]):
         return super().create_subscription(msg_type, topic, callback, *args, **kwargs)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Answer rclpy's lifecycle."""
+        """Configure, for rclpy's lifecycle."""
         return self._attempt("configure", self._configure)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Answer rclpy's lifecycle."""
+        """Activate, for rclpy's lifecycle."""
         return self._attempt("activate", self._activate)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Answer rclpy's lifecycle; a failure means that the node stays active."""
+        """Deactivate, for rclpy's lifecycle; a failure means that the node stays active."""
         result = self._attempt("deactivate", self._deactivate)
-        self._active = result == TransitionCallbackReturn.FAILURE
+        self._active = result is _FAILURE
         return result
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Answer rclpy's lifecycle; a failure would mean inactive, and there is no way back."""
-        result = self._attempt("clean up", self._clean_up)
-        failed = result != TransitionCallbackReturn.SUCCESS
-        return TransitionCallbackReturn.ERROR if failed else result
+        """Clean up, for rclpy's lifecycle; a failure would mean inactive, with no way back."""
+        succeeded = self._attempt("clean up", self._clean_up) is _SUCCESS
+        return _SUCCESS if succeeded else TransitionCallbackReturn.ERROR
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Answer rclpy's lifecycle; the node is finalized whatever fails."""
+        """Shut down, for rclpy's lifecycle; the node is finalized whatever fails."""
         self._finalized_at = time.monotonic()
-        result = self._attempt("shut down", self.close)
-        failed = result != TransitionCallbackReturn.SUCCESS
-        return TransitionCallbackReturn.FAILURE if failed else result
+        succeeded = self._attempt("shut down", self.close) is _SUCCESS
+        return _SUCCESS if succeeded else _FAILURE
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Answer rclpy's lifecycle: clean up, so that the node can be configured again."""
+        """Clean up after an error, for rclpy's lifecycle, to be configured again."""
         self._attempt("clean up after an error", self.close)
-        return TransitionCallbackReturn.SUCCESS
+        return _SUCCESS
 
     def _configure(self) -> None:
         lasting = set(self._entities())
@@ -334,8 +325,8 @@ class ManagedNode(LifecycleNode, Generic[P]):
                 reason = str(error) if expected else traceback.format_exc()
                 newline = " " if expected else "\n"
                 self.get_logger().error(printable(f"cannot {what}: {reason}", newline))
-            return TransitionCallbackReturn.FAILURE if expected else TransitionCallbackReturn.ERROR
-        return TransitionCallbackReturn.SUCCESS
+            return _FAILURE if expected else TransitionCallbackReturn.ERROR
+        return _SUCCESS
 
     def _stand_before_services(self) -> None:
         """Answer the requests that would end the process in rclpy's own callbacks."""

@@ -8,7 +8,6 @@ from functools import reduce
 from importlib import import_module
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -33,20 +32,9 @@ _NESTED = {
 }
 
 
-def to_nanoseconds(stamp: Any) -> int:
-    """Return a builtin_interfaces Time (or Duration) as nanoseconds."""
-    return int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
-
-
 def set_stamp(stamp: Any, nanoseconds: int) -> None:
     """Write nanoseconds since the epoch into a builtin_interfaces Time in place."""
     stamp.sec, stamp.nanosec = divmod(nanoseconds, NANOSECONDS)
-
-
-def to_stamp(nanoseconds: int) -> Any:
-    """Return nanoseconds since the epoch as a new builtin_interfaces Time."""
-    seconds, rest = divmod(nanoseconds, NANOSECONDS)
-    return Time(sec=seconds, nanosec=rest)
 
 
 class DiagnosticsPublisher:

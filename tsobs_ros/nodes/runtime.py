@@ -7,15 +7,14 @@ tears everything down in order. Nodes are ordinary rclpy nodes with three option
 
 * ``finished`` (bool property): the loop ends once any node is;
 * ``ticker`` (Ticking or None): its ticks are made here, without the executor;
-* ``close()``: called before any node is destroyed. Bags and whatever must not be lost are closed
-  here, because destroying a participant is the one step that may hang (see `limit_time_left`).
+* ``close()``: called before any node is destroyed, which is the one step that may hang (see
+  `limit_time_left`). Bags and whatever must not be lost are closed here.
 
 Exit codes: 0 after a signal or a finished node, 1 after an expected error or malformed ROS
-arguments, with one line ``error: …`` on stderr. Anything else is a bug and keeps its traceback,
-after the same teardown.
+arguments, with one line ``error: …`` on stderr. Anything else is a bug and keeps its traceback.
 
 rclpy's own signal handlers are not used: they shut the context down under a running callback,
-which loses early SIGTERMs and sometimes raises inside take. A flag that the loop reads is clean.
+which loses early SIGTERMs and sometimes raises inside take. The loop reads a flag instead.
 """
 
 import gc
@@ -27,7 +26,6 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Protocol
 
 import rclpy
 from rclpy.exceptions import NameValidationException
@@ -37,6 +35,7 @@ from rclpy.executors import (
     SingleThreadedExecutor,
     TimeoutException,
 )
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from tsobs_ros.errors import TsobsError, printable
@@ -55,15 +54,8 @@ _SERVE_PERIOD = 0.1
 _TEARDOWN_TIMEOUT = 5.0
 
 
-class RunnableNode(Protocol):
-    """What `run` needs of a node; rclpy.node.Node has it."""
-
-    def destroy_node(self) -> None:
-        """Release the node's ROS entities."""
-
-
 def run(
-    create: Callable[[], RunnableNode | Sequence[RunnableNode]],
+    create: Callable[[], Node | Sequence[Node]],
     args: Sequence[str] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> int:
@@ -86,11 +78,12 @@ def run(
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # rcl could not parse the arguments or the parameter file
         return _report(_without_source_lines(str(error)))
-    nodes: list[RunnableNode] = []
+    nodes: list[Node] = []
     exit_code = 0
     try:
         if not stop():
-            nodes += _as_sequence(create())
+            created = create()
+            nodes += created if isinstance(created, Sequence) else [created]
             _spin(nodes, stop)
     except (ExternalShutdownException, ShutdownException):
         pass  # the context was shut down from outside: a clean end
@@ -111,14 +104,16 @@ def limit_time_left(seconds: float) -> None:
     thousand processes when two nodes stop together) and holds the GIL, so that no Python code runs.
     The default action of a signal needs none; the process then ends by signal 14.
     """
-    _flush()  # a forced end runs no exit handlers
+    for stream in (sys.stdout, sys.stderr):  # a forced end runs no exit handlers
+        with suppress(OSError):  # the terminal has gone
+            stream.flush()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGALRM])
     signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def _spin(nodes: Sequence[RunnableNode], stop: Callable[[], bool]) -> None:
+def _spin(nodes: Sequence[Node], stop: Callable[[], bool]) -> None:
     executor = SingleThreadedExecutor()
     for node in nodes:
         executor.add_node(node)
@@ -168,36 +163,22 @@ def _tick_for_a_while(tickers: Sequence[Ticking], stop: Callable[[], bool]) -> N
         time.sleep(min(wait, left))
 
 
-def _as_sequence(created: RunnableNode | Sequence[RunnableNode]) -> Sequence[RunnableNode]:
-    return created if isinstance(created, Sequence) else [created]
-
-
-def _tear_down(nodes: Sequence[RunnableNode], exit_code: int) -> int:
+def _tear_down(nodes: Sequence[Node], exit_code: int) -> int:
     """Close all nodes, then destroy them, whatever fails on the way."""
-    exit_code = _call_all(nodes, "close", exit_code)
-    limit_time_left(_TEARDOWN_TIMEOUT)
-    exit_code = _call_all(nodes, "destroy_node", exit_code)
+    for name in ("close", "destroy_node"):
+        for node in nodes:
+            try:
+                getattr(node, name, lambda: None)()
+            except EXPECTED as error:
+                exit_code = _report(str(error))
+            except Exception:  # a bug
+                with suppress(OSError):
+                    traceback.print_exc()
+                exit_code = 1
+        limit_time_left(_TEARDOWN_TIMEOUT)
     rclpy.try_shutdown()
     limit_time_left(0.0)
     return exit_code
-
-
-def _call_all(nodes: Sequence[RunnableNode], name: str, exit_code: int) -> int:
-    """Take a step of the teardown on all nodes; a failure only changes the exit code."""
-    for node in nodes:
-        try:
-            getattr(node, name, _nothing)()
-        except EXPECTED as error:
-            exit_code = _report(str(error))
-        except Exception:  # a bug
-            with suppress(OSError):
-                traceback.print_exc()
-            exit_code = 1
-    return exit_code
-
-
-def _nothing() -> None:
-    """Stand in for what a node lacks."""
 
 
 def _without_source_lines(message: str) -> str:
@@ -212,10 +193,3 @@ def _report(message: str) -> int:
     with suppress(OSError):
         print(f"error: {printable(' '.join(message.split()))}", file=sys.stderr, flush=True)
     return 1
-
-
-def _flush() -> None:
-    """Flush what was printed; a terminal that has gone must not stop the end of the nodes."""
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError):
-            stream.flush()

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+from staging.stamps import to_stamp
 from std_msgs.msg import Header
 
 from tsobs_ros.design.file import load_request
@@ -26,7 +27,6 @@ from tsobs_ros.design.request import (
 from tsobs_ros.design.signals import signals
 from tsobs_ros.estimation.records import Basis, Estimate, Hypothesis, Learning
 from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.nodes.observer.input import MISSING, NOT_NAMED, WRONG, Batch, MeasurementReader
 from tsobs_ros.nodes.observer.output import EstimatePublisher
 from tsobs_ros.resources import config_path

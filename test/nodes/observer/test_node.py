@@ -25,10 +25,10 @@ from staging.stage import (
     tracker_of,
     values,
 )
+from staging.stamps import to_stamp
 from std_srvs.srv import SetBool, Trigger
 
 from tsobs_ros.estimation.records import Innovation, RejectReason
-from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 

@@ -10,8 +10,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import Log
 from sensor_msgs.msg import JointState
 from staging.stage import BEGIN, Event, Stage, replayed, values
+from staging.stamps import to_stamp
 
-from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.simulation.plant import (
     Scenario,
     SimulatedOutput,

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
+from staging.stamps import to_nanoseconds, to_stamp
 
 import tsobs_ros as ts
-from tsobs_ros.nodes.messages import to_nanoseconds, to_stamp
 from tsobs_ros.series import NANOSECONDS
 
 README = (Path(__file__).resolve().parents[3] / "README.md").read_text(encoding="utf-8")

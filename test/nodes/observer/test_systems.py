@@ -11,10 +11,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from staging.arm import Arm
 from staging.stage import BEGIN, PERIOD, Event, Stage, replayed, values
+from staging.stamps import to_stamp
 
 from tsobs_ros.design.file import load_design, load_request, save_design
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.nodes.messages import to_stamp
 from tsobs_ros.resources import config_path
 
 EXAMPLE = config_path("paper_example_1.design.yaml")

@@ -10,10 +10,10 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from staging.stamps import to_nanoseconds, to_stamp
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from tsobs_ros.nodes.messages import to_nanoseconds, to_stamp
 from tsobs_ros.nodes.plant_simulator import PlantSimulatorNode, create
 from tsobs_ros.nodes.plant_simulator.parameters import PlantSimulatorParameters
 from tsobs_ros.simulation.plant import Plant, Sample

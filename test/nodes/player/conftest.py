@@ -11,9 +11,9 @@ from player.bags import START
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
+from staging.stamps import to_nanoseconds
 from std_msgs.msg import String
 
-from tsobs_ros.nodes.messages import to_nanoseconds
 from tsobs_ros.nodes.player import Player, create
 
 

@@ -24,12 +24,12 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from staging.arm import Arm
+from staging.stamps import to_nanoseconds, to_stamp
 from tsobs_ros.bag.estimate_topics import TORQUE_TOPICS
 from tsobs_ros.design.signals import Place
 from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.nodes.draining import DrainedSubscription
-from tsobs_ros.nodes.messages import to_nanoseconds, to_stamp
 from tsobs_ros.nodes.observer import Observer, create
 from tsobs_ros.series import NANOSECONDS
 
