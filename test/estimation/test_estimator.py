@@ -42,7 +42,7 @@ def supervised_arm() -> Estimator:
     learning = AdaptationOptions(
         initial_std=0.3, start=0.0, significance=1e-3, pass_time=0.02, memory=0.3
     )
-    estimator = design.adaptive(settle_time=0.0, options=learning)
+    estimator = design.observer(settle_time=0.0, adapt=True, adaptation=learning)
     estimator.supervise(SupervisionOptions(stuck_samples=10))
     return estimator
 

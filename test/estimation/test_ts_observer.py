@@ -109,7 +109,10 @@ def test_adaptation_finds_the_true_parameter(
     pendulum: Design, runge_kutta: Callable[..., Array]
 ) -> None:
     """Gravity differs by θ; the truth is the equation, both sensors are noisy, one has a bias."""
-    theta, observer = -0.15, pendulum.adaptive(1.0, options=AdaptationOptions(start=1.0))
+    theta, observer = (
+        -0.15,
+        pendulum.observer(1.0, adapt=True, adaptation=AdaptationOptions(start=1.0)),
+    )
     assert pendulum.request.period == 0.01
     truth, y, u = swung(theta, 2500, runge_kutta)
     readout = observer.observe(y[np.newaxis], u[np.newaxis])
@@ -150,7 +153,7 @@ def test_what_happens_to_one_sensor_is_seen_and_survived(
 
 def test_known_parameters_are_those_of_the_changed_model(pendulum: Design) -> None:
     """Predicting with θ is predicting with Aᵢ + θEᵢ; and θ = 0 is the plain prediction."""
-    request, flow, observer = pendulum.request, pendulum.request.flow, pendulum.adaptive()
+    request, flow, observer = pendulum.request, pendulum.request.flow, pendulum.observer(adapt=True)
     x, u, covariance = np.array([0.7, -0.4, 0.1]), np.array([1.5]), np.diag([0.1, 0.2, 0.3])
     state = observer.initial()
     one = state.records["hypotheses"][0, 0]

@@ -100,10 +100,9 @@ class CertificateReport:
 def check_certificate(problem: Request, P: Array, K: Array) -> CertificateReport:
     """Check the certificate of gain K and matrix P from the problem's model alone.
 
-    Margins are judged against rounding, step by step: P is scaled to unit diagonal, so that units
-    do not matter; its factor is then exact to n ε κ, κ the condition number of what was scaled,
-    and so is the decrease over a step, whose terms are at most of the size of X = I. Dividing by
-    the period gives what is required per second. `exact.verify_exactly` needs no such allowance.
+    P is scaled to unit diagonal, so that units do not matter. Its factor is then exact to n ε κ, κ
+    the condition number of the scaled matrix, and so is the decrease over a step; divided by the
+    period that is what a margin must exceed. `exact.verify_exactly` needs no such allowance.
 
     Args:
         problem: The model, noise and domain the certificate is for.

@@ -23,7 +23,6 @@ vertices is covered.
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -38,8 +37,9 @@ from tsobs_ros.design.record import Design
 from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import LINK_ANGLE, LINK_VELOCITY, MOTOR_VELOCITY, QUANTITIES
+from tsobs_ros.model.disturbance import DisturbanceModel
 from tsobs_ros.model.uncertainty import EXTERNAL, TORQUE
-from tsobs_ros.model.vertices import KickCorner, kick_corners, linear_directions
+from tsobs_ros.model.vertices import kick_corners, linear_directions
 
 Rational = NDArray[Any]
 """An array of `Fraction`; NumPy's products and sums of such arrays are exact."""
@@ -134,8 +134,7 @@ def _inequalities(design: Design) -> Iterator[ExactInequality]:
     yield positive
     if not positive.holds:
         return
-    is_arm = isinstance(request, ArmRequest)
-    problem = _ArmProblem(design) if is_arm else _SystemProblem(design)
+    problem = _Problem(design)
     for where, decrease in problem.decreases():
         yield judged("covariance decrease", where, decrease, problem.period * problem.X)
 
@@ -149,7 +148,27 @@ def _margin(matrix: Rational, unit: Rational, guess: float) -> float:
     return 0.0
 
 
-class _Problem(ABC):
+class _Parts(NamedTuple):
+    """A request's step in fractions.
+
+    Attributes:
+        drift: Matrix of the linear flow [1/s].
+        density: White noise density of the augmented state.
+        output: C̄, shape (p, n).
+        std: 1σ of a sample of each output, shape (p,).
+        share: Share of the period that the linear flow takes at once.
+        corners: A half kick of an arm, or the deviation of a system from its mean, each.
+    """
+
+    drift: Rational
+    density: Rational
+    output: Rational
+    std: Rational
+    share: Fraction
+    corners: list[Rational]
+
+
+class _Problem:
     """A request and its answer in fractions, in coordinates scaled by powers of two.
 
     Attributes:
@@ -157,133 +176,135 @@ class _Problem(ABC):
         X: P⁻¹.
     """
 
-    def __init__(
-        self,
-        design: Design,
-        drift: Rational,
-        density: Rational,
-        share: Fraction,
-        output: Rational,
-        noise_std: Rational,
-    ) -> None:
-        """Enclose the linear flow and its noise over a share of the period.
-
-        Args:
-            design: The design.
-            drift: Matrix of the linear flow [1/s].
-            density: White noise density of the augmented state.
-            share: Of the period.
-            output: C̄, shape (p, n).
-            noise_std: 1σ of a sample of each output, shape (p,).
-        """
+    def __init__(self, design: Design) -> None:
         request = design.request
+        self.period, self._places = (
+            1 / Fraction(request.rate),
+            [v.where for v in request.vertices()],
+        )
+        if is_arm := isinstance(request, ArmRequest):
+            parts = _arm_parts(request)
+        else:
+            parts = _system_parts(request)
+        self._step = self._step_of_arm if is_arm else self._step_of_system
         # Any scale is as good for the claim; this one keeps the flow's norm small.
-        rounded = np.asarray(drift, dtype=np.float64)
+        rounded = np.asarray(parts.drift, dtype=np.float64)
         _, (scale, _) = matrix_balance(rounded, permute=False, separate=True)
-        self._D = np.diag(rational(scale))
-        self._D_inverse = np.diag(1 / rational(scale))
-        self.period = 1 / Fraction(request.rate)
-        duration = share * self.period
-        flow = self._scaled(duration * drift)
+        D, inverted = np.diag(rational(scale)), np.diag(1 / rational(scale))
+        duration = parts.share * self.period
+        flow = inverted @ (duration * parts.drift) @ D
         self._phi = exponential(flow)
-        self._noise = noise_integral(flow, self._D_inverse @ (duration * density) @ self._D_inverse)
+        self._noise = noise_integral(flow, inverted @ (duration * parts.density) @ inverted)
         self._kept = decay_below(2 * Fraction(request.decay_rate) * self.period)
+        self._corners = [inverted @ corner @ D for corner in parts.corners]
+        gain: Rational = inverted @ rational(design.K)
+        self.X = inverse(D @ rational(design.P) @ D)
+        closed = identity(len(gain)) - gain @ parts.output @ D
+        self._posterior = closed @ self.X @ closed.T + (gain * parts.std**2) @ gain.T
 
-        C: Rational = output @ self._D
-        gain: Rational = self._D_inverse @ rational(design.K)
-        self.X = inverse(self._D @ rational(design.P) @ self._D)
-        closed = identity(len(gain)) - gain @ C
-        self._posterior = closed @ self.X @ closed.T + (gain * noise_std**2) @ gain.T
-
-    def _scaled(self, matrix: Rational) -> Rational:
-        """Return a matrix that acts on the augmented state, in the scaled coordinates."""
-        return np.asarray(self._D_inverse @ matrix @ self._D)
-
-    @abstractmethod
     def decreases(self) -> Iterator[tuple[str, Rational]]:
         """Yield each vertex, and λ²X less an upper bound on the covariance after a step from X."""
+        pairs = product(self._corners, repeat=2)
+        for place, (first, second) in zip(self._places, pairs, strict=True):
+            yield place, self._kept * self.X - self._step(first, second)
+
+    def _step_of_arm(self, first: Rational, second: Rational) -> Rational:
+        covariance = _bounded(self._phi, self._noise, first @ self._posterior @ first.T)
+        return np.asarray(second @ covariance @ second.T)
+
+    def _step_of_system(self, first: Rational, second: Rational) -> Rational:
+        T, one = self.period, identity(len(self.X))
+        kick, drive, spread = one + T / 2 * first, T * second, one + T * second
+        # Each entry of M Δ N is at most the row sum of M times the column sum of N times ΔΦ's.
+        radius = self._phi.radius * (1 + _row_sum(drive) * _row_sum(kick.T))
+        middle = Enclosure(self._phi.centre + drive @ self._phi.centre @ kick, radius)
+        noise = Enclosure(
+            spread @ self._noise.centre @ spread.T, self._noise.radius * _row_sum(spread) ** 2
+        )
+        return _bounded(self._phi, self._noise, _bounded(middle, noise, self._posterior))
 
 
-class _ArmProblem(_Problem):
-    """The kicks and the exact linear flow of an arm."""
+def _arm_parts(request: ArmRequest) -> _Parts:
+    """Return the exact linear flow of an arm, from its parameters without rounding."""
+    arm, flow = request.arm, request.flow
+    j1, j2, k = (Fraction(v) for v in (arm.link_inertia, arm.motor_inertia, arm.stiffness))
+    drift: Rational = rational(np.zeros((4, 4)))
+    drift[0] = [0, 1, 0, 0]
+    drift[LINK_VELOCITY] = [-k / j1, -Fraction(arm.link_damping) / j1, 1, 0]
+    drift[2] = [0, 0, 0, 1]
+    drift[MOTOR_VELOCITY] = [k * k / (j1 * j2), 0, -k / j2, -Fraction(arm.motor_damping) / j2]
+    density: Rational = rational(np.zeros((4, 4)))
+    density[LINK_VELOCITY, LINK_VELOCITY] = Fraction(request.process_noise.link)
+    density[MOTOR_VELOCITY, MOTOR_VELOCITY] = Fraction(request.process_noise.motor) * (k / j1) ** 2
+    drift, density = _with_disturbance(drift, density, flow.disturbance)
+    if (torque := flow.torque_disturbance) is not None:
+        n = len(drift)
+        drift, density = _with_disturbance(drift, density, torque)
+        motor, link = rational(torque.H)
+        drift[MOTOR_VELOCITY, n:], drift[LINK_VELOCITY, n:] = k / (j1 * j2) * motor, link / j1
+    output, scale = rational(flow.output_matrix), [Fraction(1)] * 2 + [j1 / k] * 2
+    for row, name in zip(output, request.output_names, strict=True):
+        place = QUANTITIES.index(name)
+        row[place] = scale[place]
+    std = rational([each.measurement_std for each in request.sensors])
+    kicks = list(_kicks(request, len(drift)))
+    return _Parts(drift, density, output, std, Fraction(1), kicks)
 
-    def __init__(self, design: Design) -> None:
-        request = self._request = design.arm_request
-        std = rational([output.measurement_std for output in request.sensors])
-        parts = _drift(request), _noise_density(request), Fraction(1), _output_matrix(request), std
-        super().__init__(design, *parts)
-        self._torques = rational([request.flow.motor_torque, request.flow.link_torque])
-        self._uncertainty = request.uncertainty_model if request.certify_uncertainty else None
 
-    def decreases(self) -> Iterator[tuple[str, Rational]]:
-        request = self._request
-        bounds = [Fraction(bound) for bound in request.uncertainty.values()]
-        slopes = [Fraction(1)]
-        if request.arm.gravity_torque:
-            slopes.insert(0, cosine_below(Fraction(request.x_max)))
-        kicks = map(self._kick, kick_corners(slopes, self._uncertainty, bounds))
-        vertices = zip(request.vertices(), product(kicks, repeat=2), strict=True)
-        for vertex, (before, after) in vertices:
-            covariance = _bounded(self._phi, self._noise, before @ self._posterior @ before.T)
-            yield vertex.where, self._kept * self.X - after @ covariance @ after.T
-
-    def _kick(self, corner: KickCorner[Fraction]) -> Rational:
-        arm, half = self._request.arm, self.period / 2
-        kick = identity(len(self.X))
-        if self._uncertainty is not None:
-            changes = self._uncertainty.directions[linear_directions(self._uncertainty), 0]
-            for theta, change in zip(corner.theta, rational(changes), strict=True):
-                kick[:4, :4] += half * theta * change[:, :4]
-                kick[:4] += half * theta * (change[:, [TORQUE, EXTERNAL]] @ self._torques)
+def _kicks(request: ArmRequest, n: int) -> Iterator[Rational]:
+    """Yield half a kick of gravity and of the uncertain parameters at each corner of the domain."""
+    arm, half = request.arm, 1 / Fraction(request.rate) / 2
+    covered = request.uncertainty_model if request.certify_uncertainty else None
+    bounds = [Fraction(bound) for bound in request.uncertainty.values()]
+    slopes = [Fraction(1)]
+    if arm.gravity_torque:
+        slopes.insert(0, cosine_below(Fraction(request.x_max)))
+    torques = rational([request.flow.motor_torque, request.flow.link_torque])
+    linear = [] if covered is None else linear_directions(covered)
+    changes = rational(request.uncertainty_model.directions[linear, 0])
+    for corner in kick_corners(slopes, covered, bounds):
+        kick = identity(n)
+        for theta, change in zip(corner.theta, changes, strict=True):
+            kick[:4, :4] += half * theta * change[:, :4]
+            kick[:4] += half * theta * (change[:, [TORQUE, EXTERNAL]] @ torques)
         gravity = Fraction(arm.gravity_torque) / Fraction(arm.link_inertia)
         kick[LINK_VELOCITY, LINK_ANGLE] -= half * gravity * corner.slope
-        return self._scaled(kick)
+        yield kick
 
 
-class _SystemProblem(_Problem):
-    """The exponential midpoint rule of a T–S system."""
+def _system_parts(request: TSRequest) -> _Parts:
+    """Return the exponential midpoint rule of a T–S system, around the mean of its rules."""
+    A = rational(request.model.A)
+    density = np.diag(rational(request.process_noise))
+    mean, density = _with_disturbance(A.sum(axis=0) / len(A), density, request.disturbance_model)
+    output, std = rational(request.flow.output_matrix), rational(request.measurement_std)
+    corners = list(_deviations(request, mean))
+    return _Parts(mean, density, output, std, Fraction(1, 2), corners)
 
-    def __init__(self, design: Design) -> None:
-        assert isinstance(design.request, TSRequest)
-        request = self._request = design.request
-        S, G = (rational(getattr(request.disturbance_model, name)) for name in "SG")
-        A = rational(request.model.A)
-        self._mean = _block_diagonal(A.sum(axis=0) / len(A), S)
-        density = _block_diagonal(np.diag(rational(request.process_noise)), G @ G.T)
-        output, std = rational(request.flow.output_matrix), rational(request.measurement_std)
-        super().__init__(design, self._mean, density, Fraction(1, 2), output, std)
 
-    def decreases(self) -> Iterator[tuple[str, Rational]]:
-        vertices = zip(self._request.vertices(), product(self._deviations(), repeat=2), strict=True)
-        T, one = self.period, identity(len(self.X))
-        for vertex, (first, second) in vertices:
-            kick = one + T / 2 * first
-            drive, spread = T * second, one + T * second
-            # Each entry of M Δ N is at most the row sum of M times the column sum of N times ΔΦ's.
-            radius = self._phi.radius * (1 + _row_sum(drive) * _row_sum(kick.T))
-            middle = Enclosure(self._phi.centre + drive @ self._phi.centre @ kick, radius)
-            noise = Enclosure(
-                spread @ self._noise.centre @ spread.T, self._noise.radius * _row_sum(spread) ** 2
+def _deviations(request: TSRequest, mean: Rational) -> Iterator[Rational]:
+    """Yield the vertex matrices less the mean of the rules, in the order of the vertices."""
+    uncertain = request.uncertainty_model
+    matrices = rational(request.slope_vertices or request.model.A)
+    changes = rational(uncertain.linear[:, :1] if request.slope_vertices else uncertain.linear)
+    bounds = rational(uncertain.limits) if request.certify_uncertainty else rational([])
+    for signs in product((-1, 1), repeat=len(bounds)):
+        theta = bounds * np.array(signs, dtype=object)
+        for i, matrix in enumerate(matrices):
+            changed = matrix + sum(
+                by * change[i % len(change)] for by, change in zip(theta, changes, strict=False)
             )
-            covariance = _bounded(middle, noise, self._posterior)
-            after = _bounded(self._phi, self._noise, covariance)
-            yield vertex.where, self._kept * self.X - after
+            deviation = 0 * mean
+            deviation[: len(matrix), : len(matrix)] = changed - mean[: len(matrix), : len(matrix)]
+            yield deviation
 
-    def _deviations(self) -> Iterator[Rational]:
-        """Yield the vertex matrices less the mean of the rules, in the order of the vertices."""
-        request, uncertain = self._request, self._request.uncertainty_model
-        matrices = rational(request.slope_vertices or request.model.A)
-        changes = rational(uncertain.linear[:, :1] if request.slope_vertices else uncertain.linear)
-        bounds = rational(uncertain.limits) if request.certify_uncertainty else rational([])
-        for signs in product((-1, 1), repeat=len(bounds)):
-            theta = bounds * np.array(signs, dtype=object)
-            for i, matrix in enumerate(matrices):
-                changed = matrix + sum(
-                    by * change[i % len(change)] for by, change in zip(theta, changes, strict=False)
-                )
-                padded = self._mean.copy()
-                padded[: len(matrix), : len(matrix)] = changed
-                yield self._scaled(padded - self._mean)
+
+def _with_disturbance(
+    drift: Rational, density: Rational, model: DisturbanceModel
+) -> tuple[Rational, Rational]:
+    """Return drift and density with those of an exosystem behind them."""
+    S, G = rational(model.S), rational(model.G)
+    return _block_diagonal(drift, S), _block_diagonal(density, G @ G.T)
 
 
 def _block_diagonal(first: Rational, second: Rational) -> Rational:
@@ -301,50 +322,6 @@ def _bounded(phi: Enclosure, noise: Enclosure, W: Rational) -> Rational:
     error = 2 * n * n * phi.radius * np.abs(W).max() * largest + noise.radius
     centre = phi.centre @ W @ phi.centre.T + noise.centre
     return np.asarray(centre + n * error * identity(n))
-
-
-def _drift(request: ArmRequest) -> Rational:
-    """Return the matrix of the linear flow [1/s], from the parameters without rounding."""
-    arm = request.arm
-    j1, j2, k = (Fraction(v) for v in (arm.link_inertia, arm.motor_inertia, arm.stiffness))
-    drift: Rational = rational(
-        [
-            [0, 1, 0, 0],
-            [-k / j1, -Fraction(arm.link_damping) / j1, 1, 0],
-            [0, 0, 0, 1],
-            [k * k / (j1 * j2), 0, -k / j2, -Fraction(arm.motor_damping) / j2],
-        ]
-    )
-    drift = _block_diagonal(drift, rational(request.disturbance_model.S))
-    if (torque := request.torque_disturbance.model) is not None:
-        n = len(drift)
-        drift = _block_diagonal(drift, rational(torque.S))
-        motor, link = rational(torque.H)
-        drift[MOTOR_VELOCITY, n:], drift[LINK_VELOCITY, n:] = k / (j1 * j2) * motor, link / j1
-    return drift
-
-
-def _output_matrix(request: ArmRequest) -> Rational:
-    """Return C̄, from the parameters without rounding."""
-    arm, C = request.arm, rational(request.flow.output_matrix)
-    scale = [Fraction(1)] * 2 + [Fraction(arm.link_inertia) / Fraction(arm.stiffness)] * 2
-    for row, name in zip(C, request.output_names, strict=True):
-        place = QUANTITIES.index(name)
-        row[place] = scale[place]
-    return C
-
-
-def _noise_density(request: ArmRequest) -> Rational:
-    """Return the white noise density of the augmented state, from the parameters."""
-    arm, G = request.arm, rational(request.disturbance_model.G)
-    density = rational(np.zeros((4, 4)))
-    gain = Fraction(arm.stiffness) / Fraction(arm.link_inertia)
-    density[LINK_VELOCITY, LINK_VELOCITY] = Fraction(request.process_noise.link)
-    density[MOTOR_VELOCITY, MOTOR_VELOCITY] = Fraction(request.process_noise.motor) * gain**2
-    density = _block_diagonal(density, G @ G.T)
-    if (torque := request.torque_disturbance.model) is not None:
-        density = _block_diagonal(density, rational(torque.G) @ rational(torque.G).T)
-    return density
 
 
 def rational(values: Any) -> Rational:

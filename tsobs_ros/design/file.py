@@ -34,8 +34,6 @@ Request: TypeAlias = ArmRequest | TSRequest
 Numbers: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 VERSION = 1
-_REQUEST = ("design", "system")
-_ARM_ENTRIES = {each.name for each in fields(ArmRequest)}
 _ARM_PARAMETERS = ("link_inertia", "motor_inertia", "stiffness", "gravity_torque")
 """Those of an arm that have no default in a file; dampings are 0."""
 IDENTITY_LENGTH = 12
@@ -106,9 +104,7 @@ def load_design(path: FilePath) -> Design:
     >>> load_design(config_path("elastic_joint.design.yaml")).request.rate
     200.0
     """
-    design = parse_design(path)
-    design.certificate.require(str(path))
-    return design
+    return load_design_file(path).design
 
 
 class DesignFile(NamedTuple):
@@ -146,16 +142,7 @@ def checksum(text: str) -> str:
 
 
 def load_design_file(path: FilePath, text: str | None = None) -> DesignFile:
-    """Read a design file with its text, and re-check its certificate.
-
-    Args:
-        path: The file.
-        text: Its content, if that is known without reading it.
-
-    Raises:
-        DesignFileError: As for `load_design`.
-        CertificateError: As for `load_design`.
-    """
+    """Read a design file with its text, if that is not known already; else as `load_design`."""
     text = read_text(path) if text is None else text
     design = parse_design(path, text)
     design.certificate.require(str(path))
@@ -163,15 +150,7 @@ def load_design_file(path: FilePath, text: str | None = None) -> DesignFile:
 
 
 def parse_design(path: FilePath, text: str | None = None) -> Design:
-    """Read a design file without judging its certificate (for `tsobs verify`).
-
-    Args:
-        path: The file.
-        text: Its content, if that is known without reading it.
-
-    Raises:
-        DesignFileError: As for `load_design`.
-    """
+    """Read a design file without judging its certificate; else as `load_design_file`."""
     data = read_yaml(path) if text is None else yaml_mapping(text, path)
     if "format" not in data and "certificate" not in data:
         raise DesignFileError(
@@ -188,10 +167,12 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
     with naming(path):
         names = [name for name in AnswerEntries.__struct_fields__ if name in data]
         answer = decode({name: data.pop(name) for name in names}, AnswerEntries)
-        is_arm = kind == _ARM
-        request = _arm_request(data) if is_arm else decode(data, SystemFile).request()
+        request = (
+            _arm_request(data, "design") if kind == _ARM else decode(data, SystemFile).request()
+        )
         n, p = request.flow.state_count, request.flow.output_matrix.shape[0]
-        K = as_matrix("gain.K", answer.gain.K, (n,) if is_arm and p == 1 else (n, p)).reshape(n, p)
+        shape = (n,) if kind == _ARM and p == 1 else (n, p)
+        K = as_matrix("gain.K", answer.gain.K, shape).reshape(n, p)
         P = as_matrix("certificate.P", answer.certificate.P, (n, n))
         design = Design(request, P, K, answer.solver)
         # Evaluated here, so that numbers no proof can be made of are refused with the file's name.
@@ -200,7 +181,7 @@ def parse_design(path: FilePath, text: str | None = None) -> Design:
 
 
 def load_request(path: FilePath) -> Request:
-    """Read what `tsobs design` is asked for from a commented YAML file.
+    """Read the request that `tsobs design` answers from a commented YAML file.
 
     The arm's entries may stand alone or under `design`; what is left out keeps its default, but
     of an arm that is given only the dampings may be left out.
@@ -221,21 +202,21 @@ def load_request(path: FilePath) -> Request:
             "give a request, which has none of format, version, gain, certificate and solver"
         )
     with naming(path):
-        request: Request
-        for name in data if data.keys().isdisjoint(_REQUEST) else ():
-            if name not in _ARM_ENTRIES and (question := meant(name, _REQUEST)):
+        known = {each.name for each in fields(ArmRequest)}
+        for name in data if data.keys().isdisjoint(("design", "system")) else ():
+            if name not in known and (question := meant(name, ("design", "system"))):
                 raise DesignFileError(f"unknown entry {shown(name)}{question}")
+        request: Request
         if "system" in data:
             request = decode(data, SystemFile).request()
         else:
-            request = _arm_request(data, stands_alone="design" not in data)
+            place = "design" if "design" in data else ""
+            request = _arm_request(data, place)
             arm = data.get("design", data).get("arm", _ARM_PARAMETERS)
             # In silence the shipped arm's would be taken for one that is not like it at all.
             if missing := [name for name in _ARM_PARAMETERS if name not in arm]:
-                raise DesignFileError(
-                    f"{'design.' * ('design' in data)}arm.{missing[0]}: missing; an arm has all of "
-                    f"{', '.join(_ARM_PARAMETERS)}"
-                )
+                expected = f"missing; an arm has all of {', '.join(_ARM_PARAMETERS)}"
+                raise DesignFileError(located(place, f"arm.{missing[0]}: {expected}"))
         # Built here, so that a request no model can be made of is refused with the file's name.
         _ = request.flow
         for name in ("torque_limit", "torque_rate_limit"):
@@ -248,20 +229,17 @@ def load_request(path: FilePath) -> Request:
         return request
 
 
-def _arm_request(data: dict[Any, Any], stands_alone: bool = False) -> ArmRequest:
-    """Return the request in entries, whose outputs have one of two forms.
-
-    They are a list, or the entries of the link angle alone.
-    """
-    entries, place = (data, "") if stands_alone else (data.get("design"), "design")
+def _arm_request(data: dict[Any, Any], place: str) -> ArmRequest:
+    """Return the request under `design` or alone; its outputs are a list, or the link angle's."""
+    entries = data.get(place) if place else data
     if isinstance(entries, dict) and "outputs" in entries:
         if not entries["outputs"]:
             raise DesignFileError(located(place, "outputs: expected at least one"))
         for name in ("disturbance", "measurement_std"):
             if name in entries:
-                message = f"{name}: expected in outputs, one an output, not besides them"
+                message = f"{name}: expected in outputs, one per output, not besides them"
                 raise DesignFileError(located(place, message))
-    return decode(data, ArmRequest) if stands_alone else decode(data, ArmFile).design
+    return decode(data, ArmFile).design if place else decode(data, ArmRequest)
 
 
 class GainEntry(msgspec.Struct):
@@ -417,49 +395,27 @@ class SystemFile(msgspec.Struct, kw_only=True):
     @classmethod
     def of(cls, request: TSRequest) -> "SystemFile":
         """Return the entries that describe a request."""
-        directions: dict[str, DirectionEntry] | UnsetType = UNSET
+        own = {name: getattr(request, name) for name in cls.__struct_fields__[1:]}
+        given = {
+            name: each for name, each in own.items() if each is not None and each is not NO_LABELS
+        }
+        for name in ("process_noise", "measurement_std", "initial_std", "D_s"):
+            given |= {name: np.asarray(given[name])} if name in given else {}
         if (known := request.uncertainty) is not None:
             each = zip(known.names, known.linear, known.limits.tolist(), strict=True)
-            directions = {name: DirectionEntry(E=E, bound=bound) for name, E, bound in each}
-        return cls(
-            system=SystemEntry.of(request),
-            names=request.names if request.names != NO_LABELS else UNSET,
-            units=request.units if request.units != NO_LABELS else UNSET,
-            disturbance=[list(terms) for terms in request.disturbance],
-            process_noise=np.asarray(request.process_noise),
-            measurement_std=np.asarray(request.measurement_std),
-            rate=request.rate,
-            decay_rate=request.decay_rate,
-            initial_std=np.asarray(request.initial_std),
-            certify_uncertainty=request.certify_uncertainty,
-            D_s=UNSET if request.D_s is None else np.asarray(request.D_s),
-            uncertainty=directions,
-        )
+            given["uncertainty"] = {name: DirectionEntry(E, bound) for name, E, bound in each}
+        return cls(system=SystemEntry.of(request), **given)
 
     def request(self) -> TSRequest:
         """Return the request; values out of range raise `ModelError`."""
         with within("system"):
             model = self.system.model()
-        uncertainty = None
-        if not isinstance(self.uncertainty, UnsetType) and self.uncertainty:
-            uncertainty = system_uncertainty(
+        own = {name: getattr(self, name) for name in self.__struct_fields__[1:]}
+        given = {name: each for name, each in own.items() if each is not UNSET}
+        if entries := given.pop("uncertainty", {}):
+            given["uncertainty"] = system_uncertainty(
                 model,
-                {name: entry.E for name, entry in self.uncertainty.items()},
-                {name: entry.bound for name, entry in self.uncertainty.items()},
+                {name: entry.E for name, entry in entries.items()},
+                {name: entry.bound for name, entry in entries.items()},
             )
-        clean = [[DisturbanceTerm("clean")]] * len(model.C)
-        return TSRequest(
-            model=model,
-            disturbance=clean if isinstance(self.disturbance, UnsetType) else self.disturbance,
-            process_noise=self.process_noise,
-            measurement_std=self.measurement_std,
-            rate=self.rate,
-            initial_std=self.initial_std,
-            decay_rate=self.decay_rate,
-            slope_vertices=self.system.slope_vertices,
-            D_s=None if isinstance(self.D_s, UnsetType) else self.D_s,
-            uncertainty=uncertainty,
-            certify_uncertainty=self.certify_uncertainty,
-            names=NO_LABELS if isinstance(self.names, UnsetType) else self.names,
-            units=NO_LABELS if isinstance(self.units, UnsetType) else self.units,
-        )
+        return TSRequest(model=model, slope_vertices=self.system.slope_vertices, **given)

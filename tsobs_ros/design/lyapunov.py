@@ -41,14 +41,7 @@ class CommonLyapunov(NamedTuple):
 
 
 class LyapunovGains(NamedTuple):
-    """A solution of `smallest_lyapunov`.
-
-    Attributes:
-        P: Shape (n, n).
-        Q: Shape (r, n, p).
-        status: The solver's status.
-        iterations: The solver's iterations.
-    """
+    """P of shape (n, n) and Q of (r, n, p), with the solver's status and iterations."""
 
     P: Array
     Q: Array

@@ -1,10 +1,10 @@
 # Copyright 2026 The tsobs_ros contributors
 # SPDX-License-Identifier: Apache-2.0
-"""The record of what an observer runs: design files and parameters, as one text.
+"""The record of design files and parameters that an observer runs, as one text.
 
 The node publishes it on its topic `design`, latched, so that a bag has all that its estimates were
-made with. The files' content is in it to the byte, so that it has their checksum, and is read by
-their strict loader. The text is JSON, as YAML would change line ends.
+made with. It has the files' content to the byte, for their checksum and their strict loader. The
+text is JSON, as YAML would change line ends.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,14 +53,7 @@ def record_text(
     files: Sequence[DesignFile],
     parameters: Mapping[str, Value],
 ) -> str:
-    """Return the text of a record.
-
-    Args:
-        measurements: Full name of the topic of the measurements.
-        joints: Names of the joints.
-        files: Design file of each joint.
-        parameters: By name.
-    """
+    """Return the text of a record, from each joint's name and design file."""
     designs: dict[tuple[str, str], PublishedDesign] = {}
     for joint, file in zip(joints, files, strict=True):
         key = file.name, file.text

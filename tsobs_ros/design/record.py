@@ -16,17 +16,12 @@ from tsobs_ros.design.request import ArmRequest, TSRequest
 from tsobs_ros.errors import ModelError, printable
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.options import (
-    TORQUE_RATE,
     AdaptationOptions,
     CertifiedGain,
     GainMode,
     SupervisionOptions,
 )
 from tsobs_ros.model.matrices import inverse
-from tsobs_ros.model.uncertainty import Uncertainty
-
-_PERIOD_SHARES = (0.25, 0.5, 0.75, 1.0)
-"""How late a sample may be, in periods, where a bound on the error is computed for that."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +118,7 @@ class Design:
         """
         root = np.linalg.cholesky(self.covariance_bound)
         worst = 1.0
-        for share in _PERIOD_SHARES:
+        for share in (0.25, 0.5, 0.75, 1.0):  # of a period that the sample is late
             problem = replace(self.request, rate=self.request.rate / share)
             for vertex in problem.vertices():
                 moved = solve_triangular(root, vertex.transition @ root, lower=True)
@@ -145,6 +140,9 @@ class Design:
         settle_time: float = 5.0,
         gain_mode: GainMode = GainMode.CERTIFIED,
         torque_rate: float | None = None,
+        *,
+        adapt: bool = False,
+        adaptation: AdaptationOptions | None = None,
     ) -> Estimator:
         """Return the observer this design is for.
 
@@ -153,31 +151,32 @@ class Design:
             gain_mode: Whether the certified gain takes over afterwards.
             torque_rate: 1σ of the rate at which an arm's torque may move in a gap [N m/s]; by
                 default `TORQUE_RATE`, and 0 for a T–S system, which has no other.
-        """
-        return self._estimator(settle_time, gain_mode, torque_rate, None, None)
-
-    def adaptive(
-        self,
-        settle_time: float = 5.0,
-        gain_mode: GainMode = GainMode.CERTIFIED,
-        torque_rate: float | None = None,
-        options: AdaptationOptions | None = None,
-    ) -> Estimator:
-        """Return the observer that learns what the request calls uncertain.
-
-        Args:
-            settle_time: As for `observer`.
-            gain_mode: As for `observer`.
-            torque_rate: As for `observer`.
-            options: How fast it learns.
+            adapt: Whether to learn the parameters that the request calls uncertain.
+            adaptation: How fast it learns.
 
         Raises:
-            ModelError: The request calls nothing uncertain.
+            ModelError: It is to learn, and the request calls nothing uncertain.
         """
-        uncertainty = self.request.uncertainty_model
-        if not uncertainty.count:
+        request = self.request
+        uncertainty = request.uncertainty_model if adapt else None
+        if uncertainty is not None and not uncertainty.count:
             raise ModelError("uncertainty: expected at least one parameter to learn, got none")
-        return self._estimator(settle_time, gain_mode, torque_rate, uncertainty, options)
+        estimator = certified_estimator(
+            request.flow,
+            request.measurement_covariance,
+            request.initial_covariance,
+            CertifiedGain(self.K, self.covariance_bound, self.late_factor),
+            settle_time=settle_time,
+            gain_mode=gain_mode,
+            torque_rate=request.default_torque_rate if torque_rate is None else torque_rate,
+            uncertainty=uncertainty,
+            adaptation=adaptation,
+            covered=request.certify_uncertainty,
+            domain=request.reach,
+        )
+        if (limits := request.torque_limits()) is not None:
+            estimator.limit_torque(limits)
+        return estimator
 
     def supervised(
         self,
@@ -192,41 +191,13 @@ class Design:
         Args:
             settle_time: As for `observer`.
             gain_mode: As for `observer`.
-            adapt: Whether to learn the parameters that the request calls uncertain.
+            adapt: Whether to learn the parameters that the request calls uncertain, if any.
             torque_rate: As for `observer`.
             options: When to react, and how strongly.
         """
-        learns = adapt and self.request.uncertainty_model.count
-        make = self.adaptive if learns else self.observer
-        estimator = make(settle_time, gain_mode, torque_rate)
+        learns = adapt and self.request.uncertainty_model.count > 0
+        estimator = self.observer(settle_time, gain_mode, torque_rate, adapt=learns)
         estimator.supervise(options or SupervisionOptions())
-        return estimator
-
-    def _estimator(
-        self,
-        settle_time: float,
-        gain_mode: GainMode,
-        torque_rate: float | None,
-        uncertainty: Uncertainty | None,
-        options: AdaptationOptions | None,
-    ) -> Estimator:
-        if torque_rate is None:
-            torque_rate = TORQUE_RATE if isinstance(self.request, ArmRequest) else 0.0
-        estimator = certified_estimator(
-            self.request.flow,
-            self.request.measurement_covariance,
-            self.request.initial_covariance,
-            CertifiedGain(self.K, self.covariance_bound, self.late_factor),
-            settle_time=settle_time,
-            gain_mode=gain_mode,
-            torque_rate=torque_rate,
-            uncertainty=uncertainty,
-            adaptation=options,
-            covered=self.request.certify_uncertainty,
-            domain=self.request.reach if isinstance(self.request, ArmRequest) else None,
-        )
-        if isinstance(self.request, ArmRequest):
-            estimator.limit_torque(self.request.torque_limits())
         return estimator
 
     def summary(self) -> dict[str, Any]:

@@ -383,7 +383,6 @@ class TorqueDisturbance:
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """The disturbances of the motor and of the link, with or without terms."""
         return tuple(Channel(f"the torque at the {s}", tuple(getattr(self, s))) for s in SIDES)
 
     @cached_property
@@ -505,19 +504,16 @@ class ArmRequest(Request):
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """The disturbances of all outputs, then of the torques at motor and link."""
         outputs = [Channel(each.measures, tuple(each.disturbance)) for each in self.sensors]
         return (*outputs, *self.torque_disturbance.channels)
 
     @cached_property
     def signal_names(self) -> Labels:
-        """The arm's four states, the measured quantities and the motor's torque."""
         measured = tuple(output.measures for output in self.sensors)
         return Labels(tuple(QUANTITIES), measured, ("torque",))
 
     @cached_property
     def signal_units(self) -> Labels:
-        """Those of angles, velocities and the torque."""
         states, outputs = (
             tuple("rad" if name.endswith("_angle") else "rad/s" for name in names)
             for names in (self.signal_names.states, self.signal_names.outputs)
@@ -526,17 +522,14 @@ class ArmRequest(Request):
 
     @property
     def torque_sides(self) -> tuple[str, ...]:
-        """The sides with a torque disturbance, of "motor" and "link", in this order."""
         return tuple(self.torque_disturbance.by_side)
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
-        """The exosystem of all outputs, one channel each."""
         return per_channel([output.model for output in self.sensors])
 
     @cached_property
     def flow(self) -> ArmFlow:
-        """The prediction model of the arm with its disturbances."""
         return ArmFlow(
             self.arm,
             self.disturbance_model,
@@ -548,17 +541,14 @@ class ArmRequest(Request):
 
     @cached_property
     def uncertainty_model(self) -> Uncertainty:
-        """The uncertain parameters of the arm."""
         return arm_uncertainty(self.arm, self.uncertainty)
 
     @property
     def output_std(self) -> Array:
-        """1σ of one sample's noise of each output (rad, rad/s), shape (p,)."""
         return np.array([output.measurement_std for output in self.sensors])
 
     @property
     def plant_std(self) -> Array:
-        """1σ of the arm's states before any measurement, in design coordinates, shape (4,)."""
         return self.arm.from_physical(self.initial_std)
 
     def torque_limits(self, limit: float = 0.0, rate_limit: float = 0.0) -> TorqueLimits:
@@ -607,7 +597,6 @@ class ArmRequest(Request):
 
     @property
     def headline(self) -> str:
-        """Outputs, disturbances and the domain in words."""
         parts = [f"disturbance {self.disturbance_model.label}"]
         if self.outputs:
             parts = [f"{output.measures} ({output.model.label})" for output in self.outputs]
@@ -618,7 +607,6 @@ class ArmRequest(Request):
 
     @property
     def details(self) -> dict[str, Any]:
-        """The domain, the outputs and the torques as plain data."""
         details: dict[str, Any] = {"x_max": self.x_max} if self.arm.gravity_torque else {}
         if self.outputs:
             details["outputs"] = self.output_names
@@ -628,7 +616,6 @@ class ArmRequest(Request):
 
     @property
     def domain(self) -> str:
-        """The slopes and the uncertainty that the certificate covers, in words."""
         slopes = f"gravity slopes [{self.slope_range[0]:.4g}, 1] (|q1| <= {self.x_max:.4g} rad)"
         if not self.arm.gravity_torque:
             slopes = "the arm without gravity"
@@ -638,7 +625,6 @@ class ArmRequest(Request):
         return f"{slopes}, {bounds}"
 
     def vertices(self, share: float = 1.0) -> list[VertexSystem]:
-        """Return the error systems at the corners of slopes and certified parameters."""
         lowest, highest = self.slope_range
         if share != 1.0:
             lowest = highest - share * (highest - lowest)
@@ -646,12 +632,10 @@ class ArmRequest(Request):
         return self.flow.vertices(lowest, highest, covered, share)
 
     def starts(self) -> list[VertexSystem]:
-        """Return the nominal arm in the middle of the slopes and hanging down."""
         middle = sum(self.slope_range) / 2
         return [self.flow.vertices(slope, slope)[0] for slope in (middle, 1.0)]
 
     def with_terms(self, place: int, terms: Terms) -> Self:
-        """Return the request with other terms at a place of `channels`."""
         if place >= len(self.sensors):
             side = SIDES[place - len(self.sensors)]
             torques = replace(self.torque_disturbance, **{side: terms})
@@ -673,11 +657,9 @@ class ArmRequest(Request):
         )
 
     def with_rows(self, rows: Sequence[int]) -> Self | None:
-        """Return the request with some of its outputs."""
         return self.with_outputs([self.sensors[row] for row in rows])
 
     def further_outputs(self) -> Iterator[tuple[str, Self]]:
-        """Yield the request with an angle more, as noisy as the first output."""
         std = self.measurement_std
         for name in ("link_angle", "motor_angle"):
             if name not in self.output_names:
@@ -685,13 +667,11 @@ class ArmRequest(Request):
                 yield f"{name} with 1σ of {std:.3g} rad", added
 
     def on_share(self, share: float) -> tuple[str, Self] | None:
-        """Return the request with a smaller `x_max`; None without gravity, for which it counts."""
         x_max = share * self.x_max
         smaller = f"a smaller x_max: {x_max:.3g} rad", replace(self, x_max=x_max)
         return smaller if self.arm.gravity_torque else None
 
     def with_bounds(self, share: float) -> Self:
-        """Return the request with a share of its bounds of uncertainty."""
         bounds = {name: share * bound for name, bound in self.uncertainty.items()}
         return replace(self, uncertainty=bounds)
 
@@ -772,18 +752,15 @@ class TSRequest(Request):
 
     @cached_property
     def flow(self) -> TSFlow:
-        """The prediction model of the system with its disturbance."""
         return TSFlow(self.model, self.disturbance_model, self.process_noise, self.period)
 
     @cached_property
     def uncertainty_model(self) -> Uncertainty:
-        """The uncertain directions of the rules' matrices."""
         nothing = Uncertainty({}, np.zeros((0, *self.flow.deviations.shape)))
         return nothing if self.uncertainty is None else self.uncertainty
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """The disturbances by their channels, which have the outputs' names but for D_s."""
         numbered = tuple(f"channel {i + 1}" for i in range(len(self.disturbance)))
         names = self.output_names if self.D_s is None else numbered
         pairs = zip(names, self.disturbance, strict=True)
@@ -791,7 +768,6 @@ class TSRequest(Request):
 
     @cached_property
     def disturbance_model(self) -> DisturbanceModel:
-        """The exosystem of all channels, acting on the outputs."""
         models = []
         for place, terms in enumerate(self.disturbance):
             _require_terms(f"disturbance[{place}]", terms)
@@ -801,12 +777,10 @@ class TSRequest(Request):
 
     @property
     def output_std(self) -> Array:
-        """1σ of one sample's noise of each output, shape (p,)."""
         return np.asarray(self.measurement_std)
 
     @property
     def plant_std(self) -> Array:
-        """1σ of each state before any measurement, shape (n,)."""
         return np.asarray(self.initial_std)
 
     @property
@@ -839,12 +813,10 @@ class TSRequest(Request):
 
     @cached_property
     def signal_names(self) -> Labels:
-        """The names of all signals; x1, y1, u1, s1 and so on in groups without any."""
         return checked_names(self.names, self._signal_counts)
 
     @cached_property
     def signal_units(self) -> Labels:
-        """The units of all signals, empty texts if the request gives none."""
         return checked_units(self.units, self._signal_counts)
 
     @property
@@ -860,7 +832,6 @@ class TSRequest(Request):
 
     @property
     def headline(self) -> str:
-        """The system, its disturbance and the claim in words."""
         model = self.model
         outputs = ", ".join(labelled(self.output_names, self.output_units))
         inputs = ", ".join(labelled(self.input_names, self.input_units))
@@ -872,7 +843,6 @@ class TSRequest(Request):
 
     @property
     def details(self) -> dict[str, Any]:
-        """The signals' names and units, and the claim, as plain data."""
         return {
             "states": self.state_names,
             "outputs": self.output_names,
@@ -888,7 +858,6 @@ class TSRequest(Request):
 
     @property
     def domain(self) -> str:
-        """What the certificate covers, in words."""
         return f"the hull of {', '.join(self.vertex_matrices()[1])}"
 
     def vertex_matrices(self, share: float = 1.0) -> tuple[Array, list[str]]:
@@ -914,24 +883,20 @@ class TSRequest(Request):
         return np.concatenate(corners), labels
 
     def vertices(self, share: float = 1.0) -> list[VertexSystem]:
-        """Return the error systems at all pairs of vertex matrices."""
         return self.flow.vertices(*self.vertex_matrices(share))
 
     def starts(self) -> list[VertexSystem]:
-        """Return the mean system, and each vertex by itself."""
         matrices, names = self.vertex_matrices()
         singles = [("the mean of the vertices", matrices.mean(axis=0))]
         singles += zip(names, matrices, strict=True)
         return [self.flow.vertices(matrix[np.newaxis], [name])[0] for name, matrix in singles]
 
     def with_terms(self, place: int, terms: Terms) -> Self:
-        """Return the request with other terms of a channel."""
         each = [channel.terms for channel in self.channels]
         each[place] = terms
         return replace(self, disturbance=each)
 
     def with_rows(self, rows: Sequence[int]) -> Self | None:
-        """Return the request with some of its outputs; None with `D_s`, which would change."""
         if self.D_s is not None:
             return None
         names, units = (
@@ -947,7 +912,6 @@ class TSRequest(Request):
         )
 
     def further_outputs(self) -> Iterator[tuple[str, Self]]:
-        """Yield the request with an output more that is one state."""
         known = [np.flatnonzero(row).tolist() for row in np.asarray(self.model.C)]
         unmeasured = [i for i in range(self.model.state_count) if [i] not in known]
         for state in unmeasured:
@@ -985,7 +949,6 @@ class TSRequest(Request):
         )
 
     def on_share(self, share: float) -> tuple[str, Self] | None:
-        """Return the request with rules or slope vertices nearer to their mean."""
         what = "slope vertices" if self.slope_vertices else "rules"
         matrices = np.array(self.slope_vertices or self.model.A)
         if len(matrices) < 2:
@@ -998,7 +961,6 @@ class TSRequest(Request):
         return text, replace(self, model=replace(self.model, A=closer))
 
     def with_bounds(self, share: float) -> Self:
-        """Return the request with a share of its bounds of uncertainty."""
         known = self.uncertainty_model
         bounds = {name: share * bound for name, bound in known.bounds.items()}
         return replace(self, uncertainty=Uncertainty(bounds, known.directions))

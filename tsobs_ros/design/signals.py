@@ -77,37 +77,24 @@ def signals(request: ArmRequest | TSRequest, joint: str, alone: bool) -> Signals
         tuple(name if alone else f"{joint}/{name}" for name in names)
         for names in (request.output_names, request.input_names, request.state_names)
     )
-    return Signals(
-        positions(outputs),
-        positions(inputs),
-        positions(states),
-        outputs,
-        (),
-        (),
-        request.output_units,
-    )
+    places = (positions(outputs), positions(inputs), positions(states))
+    return Signals(*places, outputs, (), (), request.output_units)
 
 
 def _of_arm(request: ArmRequest, joint: str) -> Signals:
-    link, motor = f"{joint}_link", f"{joint}_motor"
-    names = request.output_names
-    both = len({name.partition("_")[0] for name in names}) == 2
-    outputs: list[Place] = []
-    for name in names:
-        side, _, quantity = name.partition("_")
-        field: Field = "position" if quantity == "angle" else "velocity"
-        outputs.append(Place(motor if both and side == "motor" else joint, field))
+    link, motor, names = f"{joint}_link", f"{joint}_motor", request.output_names
+    sides = [name.partition("_")[0] for name in names]
+    both = len(set(sides)) == 2
+    fields: list[Field] = ["position" if name.endswith("angle") else "velocity" for name in names]
     return Signals(
-        tuple(outputs),
-        (Place(joint, "effort"),),
-        (
-            Place(link, "position"),
-            Place(link, "velocity"),
-            Place(motor, "position"),
-            Place(motor, "velocity"),
+        tuple(
+            Place(motor if both and side == "motor" else joint, field)
+            for side, field in zip(sides, fields, strict=True)
         ),
+        (Place(joint, "effort"),),
+        tuple(Place(name, f) for name in (link, motor) for f in ("position", "velocity")),
         (joint,) if len(names) == 1 else tuple(f"{joint}/{name}" for name in names),
-        tuple(Place(motor if side == "motor" else link, "effort") for side in request.torque_sides),
+        tuple(Place(f"{joint}_{side}", "effort") for side in request.torque_sides),
         (Place(motor, "effort"),) if both else (),
         request.output_units,
     )

@@ -47,7 +47,7 @@ _SETTLED = 1e-3
 
 
 class Effort(NamedTuple):
-    """How much a synthesis tries.
+    """The limits of a synthesis.
 
     Attributes:
         passes: Largest number of solves until the bound's volume stops shrinking.
@@ -59,7 +59,6 @@ class Effort(NamedTuple):
 
 
 _FULL = Effort()
-_LITTLE = Effort(passes=1, smallest_step=1.0 / 4.0)
 
 
 class _Solution(NamedTuple):
@@ -70,13 +69,7 @@ class _Solution(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """A gain with the matrix that proves it, and who computed them.
-
-    Attributes:
-        P: Certificate matrix, shape (n, n).
-        K: Filter gain, shape (n, p).
-        solver: For the record.
-    """
+    """A gain K, shape (n, p), with the matrix P that proves it, and who computed them."""
 
     P: Array
     K: Array
@@ -109,7 +102,7 @@ def _has_design(problem: Request) -> bool:
     """Return whether a request has a design that is found with little effort."""
     try:
         if is_detectable(problem):
-            solve_gain(problem, _LITTLE)
+            solve_gain(problem, Effort(passes=1, smallest_step=1.0 / 4.0))
             return True
     except DesignError:
         pass
@@ -130,7 +123,10 @@ def solve_gain(problem: Request, effort: Effort = _FULL) -> Gain:
     solution = _walk_to_domain(problem, MARGINS[0], effort.smallest_step)
     for margin in MARGINS:
         solution = _settle(problem, solution, margin, effort.passes)
-        P, K = _answer(problem, solution.covariance)
+        P = np.linalg.inv(solution.covariance)
+        P = (P + P.T) / 2
+        C, R, bound = problem.flow.output_matrix, problem.measurement_covariance, np.linalg.inv(P)
+        K = bound @ C.T @ np.linalg.inv(C @ bound @ C.T + R)
         report = check_certificate(problem, P, K)
         if report.holds:
             break
@@ -138,27 +134,9 @@ def solve_gain(problem: Request, effort: Effort = _FULL) -> Gain:
         raise DesignError(
             f"the solver answered {solution.status!r}, but on re-checking: {report.worst}"
         )
-    return Gain(
-        P,
-        K,
-        SolverReport(
-            name="Clarabel",
-            version=solver_version(),
-            status=solution.status,
-            iterations=solution.iterations,
-            seconds=round(time.perf_counter() - started, 3),
-            margin=margin,
-        ),
-    )
-
-
-def _answer(problem: Request, covariance: Array) -> tuple[Array, Array]:
-    """Return P and the gain that is optimal for it."""
-    P = np.linalg.inv(covariance)
-    P = (P + P.T) / 2
-    C, R = problem.flow.output_matrix, problem.measurement_covariance
-    bound = np.linalg.inv(P)
-    return P, bound @ C.T @ np.linalg.inv(C @ bound @ C.T + R)
+    seconds = round(time.perf_counter() - started, 3)
+    made = "Clarabel", solver_version(), solution.status, solution.iterations, seconds, margin
+    return Gain(P, K, SolverReport(*made))
 
 
 def _walk_to_domain(problem: Request, margin: float, smallest_step: float) -> _Solution:
@@ -180,7 +158,14 @@ def _walk_to_domain(problem: Request, margin: float, smallest_step: float) -> _S
         if candidate is None:
             step = step / 2
             if step < smallest_step:
-                raise DesignError(_no_common_matrix(problem, None if solution is None else share))
+                reached = f"the solver reached {100.0 * share:.3g} % of that range"
+                if solution is None:
+                    reached = "not a single solve succeeded"
+                raise DesignError(
+                    "no common matrix P exists, or none the solver can find, for "
+                    f"{problem.domain} at decay rate {problem.decay_rate:.4g} 1/s and "
+                    f"{1.0 / problem.period:.4g} Hz; {reached}"
+                )
             if solution is None:
                 scaling = guesses[-1]
             continue
@@ -267,14 +252,3 @@ def _kalman_covariance(problem: Request, vertex: VertexSystem) -> Array | None:
         # SciPy raises either, according to where its ordering of eigenvalues fails.
         return None
     return np.asarray((covariance + covariance.T) / 2)
-
-
-def _no_common_matrix(problem: Request, share: float | None) -> str:
-    if share is None:
-        reached = "not a single solve succeeded"
-    else:
-        reached = f"it got as far as {100.0 * share:.3g} % of that range"
-    return (
-        f"no common matrix P exists, or none the solver can find, for {problem.domain} at decay "
-        f"rate {problem.decay_rate:.4g} 1/s and {1.0 / problem.period:.4g} Hz; {reached}"
-    )
