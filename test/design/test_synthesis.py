@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, solve_discrete_are
+from scipy.linalg import solve_discrete_are
 
 from tsobs_ros.design.feasibility import find_obstacles, require_detectable
 from tsobs_ros.design.record import Design
@@ -22,7 +22,7 @@ from tsobs_ros.model.arm import ElasticJointArm
 from tsobs_ros.model.flow import ProcessNoise
 
 Array = NDArray[np.float64]
-PROPERTY = settings(max_examples=60)
+PROPERTY = settings(max_examples=30)
 
 
 def tone(frequency: float) -> tuple[DisturbanceTerm, ...]:
@@ -47,13 +47,6 @@ def test_the_shipped_design_can_be_made_again(default: Design, shipped: Design) 
     np.testing.assert_allclose(default.bound_std, shipped.bound_std, rtol=2e-3)
 
 
-def test_the_shipped_gain_and_bound_are_the_known_ones(shipped: Design) -> None:
-    np.testing.assert_allclose(shipped.K[:, 0], [0.0063, 0.0412, 0.0083, 0.0872, 0.0257], rtol=0.03)
-    design_std = np.sqrt(np.diag(shipped.covariance_bound))
-    np.testing.assert_allclose(design_std, [0.0057, 0.0174, 0.0803, 0.1216, 0.0070], rtol=0.01)
-    np.testing.assert_allclose(shipped.bound_std[:4], design_std[:4] * [1.0, 1.0, 0.1, 0.1])
-
-
 def test_on_a_single_slope_the_bound_is_the_riccati_solution() -> None:
     request = ArmRequest(x_max=1e-5)
     design = synthesise(request)
@@ -71,34 +64,6 @@ def test_on_a_single_slope_the_bound_is_the_riccati_solution() -> None:
         assert ratios == pytest.approx(np.ones(5), abs=tolerance)
 
 
-def test_fast_sampling_tends_to_the_continuous_inequality() -> None:
-    """P satisfies the continuous-time form at both slopes up to what is left of T."""
-    noise_density = 0.028**2 / 200.0
-    excess = []
-    for rate in (100.0, 400.0):
-        std = math.sqrt(noise_density * rate)
-        design = synthesise(ArmRequest(rate=rate, measurement_std=std))
-        flow, P = design.request.flow, design.P
-        driving = block_diag(np.diag([0.0, 1e-4, 0.0, 1e-3]), 1e-4)
-        information = flow.output_matrix.T @ flow.output_matrix / noise_density
-        T = np.linalg.cholesky(design.covariance_bound)
-        smallest = []
-        for slope in design.request.slope_range:
-            A = flow.slope_matrix(slope)
-            form = information - P @ A - A.T @ P - P @ driving @ P
-            smallest.append(np.linalg.eigvalsh(T.T @ form @ T)[0])
-        excess.append(-min(smallest))
-    assert excess[1] < 0.35 * excess[0]
-    assert excess[1] < 5e-3
-
-
-@pytest.mark.parametrize(("x_max", "known"), [(0.45, 0.006), (1.52, 0.028)])
-def test_a_bias_is_seen_worse_the_wider_the_domain(x_max: float, known: float) -> None:
-    # The known values are to one or two digits and for a bound of least trace, not of least volume.
-    design = synthesise(ArmRequest(x_max=x_max))
-    assert design.bound_std[4] == pytest.approx(known, rel=0.15)
-
-
 @pytest.mark.parametrize(
     "terms", [[DisturbanceTerm("ramp")], [DisturbanceTerm("bias"), *tone(3.0)]]
 )
@@ -109,27 +74,12 @@ def test_designs_exist_for_disturbances_that_grow_or_swing(terms: list[Disturban
     assert design.solver.name == "Clarabel"
 
 
-def test_a_clean_sensor_serves_the_full_turn_at_a_modest_price() -> None:
-    clean = (DisturbanceTerm("clean"),)
-    half = synthesise(ArmRequest(disturbance=clean, x_max=math.pi / 3))
-    full = synthesise(ArmRequest(disturbance=clean, x_max=math.pi))
-    assert full.certificate.holds
-    assert full.request.slope_range == (-1.0, 1.0)
-    assert (full.bound_std > half.bound_std).all()
-    assert (full.bound_std < 3.0 * half.bound_std).all()
-
-
 def test_a_faster_decay_than_any_gain_gives_is_refused() -> None:
     with pytest.raises(DesignError, match="no common matrix P exists") as caught:
         solve_gain(ArmRequest(decay_rate=5.0))
     assert not isinstance(caught.value, DetectabilityError)
     for part in (r"[0.7317, 1]", "0.75 rad", "decay rate 5 1/s", "200 Hz"):
         assert part in str(caught.value)
-
-
-def test_how_far_the_solver_got_is_not_made_up() -> None:
-    with pytest.raises(DesignError, match="not a single solve succeeded"):
-        solve_gain(ArmRequest(decay_rate=100.0))
 
 
 @pytest.mark.parametrize("arm", [(0.01, 0.001, 50.0, 0.5), (1.0, 0.5, 5000.0, 10.0)])
@@ -152,17 +102,6 @@ def test_no_arm_is_refused_for_its_size(
 ) -> None:
     arm = ElasticJointArm(10.0**j1, 10.0**j2, 10.0**k, 10.0**mgl)
     assert find_obstacles(ArmRequest(arm=arm, x_max=x_max)) == []
-
-
-@PROPERTY
-@given(
-    st.floats(0.05, 20.0), st.floats(0.05, 20.0), st.floats(0.05, 20.0), st.floats(0.05, 20.0),
-    st.floats(1.58, math.pi),
-)  # fmt: skip
-def test_a_bias_is_refused_beyond_the_horizontal_for_every_arm(
-    j1: float, j2: float, k: float, mgl: float, x_max: float
-) -> None:
-    assert find_obstacles(ArmRequest(arm=ElasticJointArm(j1, j2, k, mgl), x_max=x_max))
 
 
 @PROPERTY
@@ -202,7 +141,7 @@ def test_a_smaller_domain_is_advised_only_if_it_helps() -> None:
     assert "a smaller domain" not in str(caught.value)
 
 
-@pytest.mark.parametrize("terms", [("arbitrary",), ("arbitrary", "bias"), ("clean", "arbitrary")])
+@pytest.mark.parametrize("terms", [("arbitrary",), ("clean", "arbitrary")])
 def test_a_damped_arm_is_not_designed_as_clean_under_an_arbitrary_disturbance(
     terms: tuple[str, ...],
 ) -> None:
@@ -222,7 +161,6 @@ def test_requests_are_equal_by_what_they_ask() -> None:
 @pytest.mark.parametrize(
     "request_",
     [
-        ArmRequest(process_noise=ProcessNoise(0.0, 0.0)),
         ArmRequest(disturbance=(DisturbanceTerm("bias", {"density": 0.0}),)),
     ],
 )
@@ -251,18 +189,10 @@ def test_without_noise_no_stationary_filter_exists(request_: ArmRequest) -> None
             id="bias at the horizontal",
         ),
         pytest.param(
-            ArmRequest(x_max=2.5), ["c = 0 (|q1| = 90.0 deg)", "x_max below 1.571 rad"],
-            id="bias beyond it",
-        ),
-        pytest.param(
             ArmRequest(disturbance=tone(1.4)),
             ["c = 0.8407 (|q1| = 32.8 deg)", "mode 0+1.4j", "x_max below 0.5722 rad",
              "a disturbance frequency away"],
             id="lower blind band",
-        ),
-        pytest.param(
-            ArmRequest(disturbance=tone(4.6)), ["mode 0+4.6j", "a disturbance frequency away"],
-            id="upper blind band",
         ),
         pytest.param(
             ArmRequest(disturbance=(DisturbanceTerm("bias"), DisturbanceTerm("bias"))),
