@@ -50,7 +50,6 @@ CONTENDERS: Mapping[str, Mapping[str, Any]] = {
 }
 """What is compared, settings by name; `certified_fixed` does not learn."""
 
-_LINK_ANGLE = ("link_angle",)
 _ARMS_ONLY = ("ekf_plain", "ekf_augmented", "high_gain", "proportional_integral")
 
 
@@ -208,57 +207,46 @@ def make_estimator(design: Design, settings: ObserverSettings) -> Estimator:
     """
     request, method = design.request, settings.method
     is_arm = isinstance(request, ArmRequest)
-    if not is_arm:
-        _require_any_model(method)
-    if method in FILTERS:
-        gate = baselines.GATE if is_arm and method != "ekf_plain" else math.inf
-        return _extended_kalman(request, learns=method == "ekf_augmented", gate=gate)
-    if not isinstance(request, ArmRequest):
-        if method == "paper":
-            return paper_system_observer(request)
-        return _certified(design, settings, None)
-    estimator = _make_arm_estimator(design, settings)
-    limits = request.torque_limits(settings.torque_limit, settings.torque_rate_limit)
-    estimator.limit_torque(limits)
-    return estimator
-
-
-def _require_any_model(method: str) -> None:
-    if method in _ARMS_ONLY:
+    if method in _ARMS_ONLY and not is_arm:
         others = ", ".join(each for each in METHODS if each not in _ARMS_ONLY)
         raise ModelError(
             f"method {method}: expected a design for an arm, got one for a T-S system, which can "
             f"be observed by {others}"
         )
+    if method in FILTERS:
+        gate = baselines.GATE if is_arm and method != "ekf_plain" else math.inf
+        return _extended_kalman(request, learns=method == "ekf_augmented", gate=gate)
+    if method == "certified":
+        estimator = design.supervised(
+            settings.settle_time,
+            settings.gain_mode,
+            settings.adapt,
+            settings.torque_rate if is_arm else None,
+            settings.supervision,
+        )
+    elif isinstance(request, TSRequest):
+        return paper_system_observer(request)
+    else:
+        estimator = _make_rival(request, settings)
+    limits = request.torque_limits(settings.torque_limit, settings.torque_rate_limit)
+    if limits is not None:
+        estimator.limit_torque(limits)
+    return estimator
 
 
-def _certified(design: Design, settings: ObserverSettings, torque_rate: float | None) -> Estimator:
-    return design.supervised(
-        settings.settle_time,
-        settings.gain_mode,
-        settings.adapt,
-        torque_rate,
-        settings.supervision,
-    )
-
-
-def _make_arm_estimator(design: Design, settings: ObserverSettings) -> Estimator:
-    request = design.arm_request
-    if settings.method == "certified":
-        return _certified(design, settings, settings.torque_rate)
-    if request.output_names != _LINK_ANGLE:
+def _make_rival(request: ArmRequest, settings: ObserverSettings) -> Estimator:
+    """Return one of the observers that take a disturbance of the sensor for motion."""
+    if request.output_names != ("link_angle",):
         raise ModelError(
             f"method {settings.method}: expected a design with the link angle as its only output, "
             f"got {', '.join(request.output_names)}"
         )
-    common = (request.period, request.sensors[0].measurement_std)
-    match settings.method:
-        case "high_gain":
-            return baselines.high_gain(request.arm, settings.theta, *common)
-        case "proportional_integral":
-            return baselines.proportional_integral(request.arm, settings.theta, *common)
-        case _:
-            return paper_observer(request.arm, *common)
+    common = (request.period, request.measurement_std)
+    if settings.method == "paper":
+        return paper_observer(request.arm, *common)
+    make = getattr(baselines, settings.method)
+    estimator: Estimator = make(request.arm, settings.theta, *common)
+    return estimator
 
 
 def make_tracker(
@@ -286,7 +274,13 @@ def make_tracker(
     (4,)
     """
     settings = settings or ObserverSettings()
-    return Tracker(estimator or make_estimator(design, settings), _limits(design, settings))
+    options = TrackerOptions(
+        x_max=design.request.max_angle,
+        history=settings.history,
+        future_tolerance=settings.future_tolerance,
+        restart_after=settings.stale_after,
+    )
+    return Tracker(estimator or make_estimator(design, settings), options)
 
 
 def make_ekf(
@@ -321,13 +315,3 @@ def _extended_kalman(request: ArmRequest | TSRequest, *, learns: bool, gate: flo
         raise ModelError("method ekf_augmented: the design calls no parameter uncertain")
     covariances = (request.measurement_covariance, request.initial_covariance)
     return baselines.extended_kalman(request.flow, *covariances, uncertainty, gate=gate)
-
-
-def _limits(design: Design, settings: ObserverSettings) -> TrackerOptions:
-    request = design.request
-    return TrackerOptions(
-        x_max=request.max_angle if isinstance(request, ArmRequest) else math.inf,
-        history=settings.history,
-        future_tolerance=settings.future_tolerance,
-        restart_after=settings.stale_after,
-    )
