@@ -112,12 +112,18 @@ def ours(
     settings = ObserverSettings(gain_mode=mode, adapt=adapt)
     found = observe(design, runs, settings)
     to_design = design.arm_request.arm.from_physical
-    learns = found.parameters.shape[2] > 0
+    parameters, bounds = found.field("parameters"), found.field("parameter_bound")
+    learns = parameters.shape[2] > 0
     return Found(
-        np.concatenate([to_design(found.states), found.disturbances], axis=2),
-        np.concatenate([to_design(found.state_bounds), found.disturbance_bounds], axis=2),
-        found.parameters if learns else None,
-        found.parameter_bounds if learns else None,
+        *(
+            np.concatenate([to_design(found.field(state)), found.field(disturbance)], axis=2)
+            for state, disturbance in (
+                ("state", "disturbance"),
+                ("state_bound", "disturbance_bound"),
+            )
+        ),
+        parameters if learns else None,
+        bounds if learns else None,
         found.rows,
         list(found.events),
     )

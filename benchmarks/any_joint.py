@@ -160,13 +160,16 @@ def accuracy(case: Case, design: Design, plain: Design, seeds: Sequence[int]) ->
     """Return the errors of the observers; `plain` is the design without torque disturbance."""
     runs = simulate(case.scenario, seeds)
     ours = observe(design, runs)
-    states = {"ours": ours.states, "EKF": _ekf(design, runs, np.inf)}
+    states = {"ours": ours.field("state"), "EKF": _ekf(design, runs, np.inf)}
     states["gated EKF"] = _ekf(design, runs, GATE)
     if plain is not design:
-        states[_PLAIN] = observe(plain, runs, estimator=plain.observer()).states
-        states[_PLAIN_NODE] = observe(plain, runs).states
+        states[_PLAIN] = observe(plain, runs, estimator=plain.observer()).field("state")
+        states[_PLAIN_NODE] = observe(plain, runs).field("state")
     full = _inside(runs.times, WINDOWS["full"])
-    kept = np.abs(ours.states - runs.physical)[:, full] <= SIGMAS * ours.state_bounds[:, full]
+    kept = (
+        np.abs(ours.field("state") - runs.physical)[:, full]
+        <= SIGMAS * ours.field("state_bound")[:, full]
+    )
     squares = {who: _squares(design, each, runs) for who, each in states.items()}
     return Accuracy(
         {who: np.sqrt(each.mean(axis=(1, 2))) for who, each in squares.items()},

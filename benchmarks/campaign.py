@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 from common import at_least, parser, show, use_one_thread
 
-from tsobs_ros.campaign.batches import BatchObserver, score
+from tsobs_ros.campaign.batches import observe, recorded
 from tsobs_ros.campaign.definition import Campaign, load_campaign
 from tsobs_ros.campaign.drawing import draw_group
 from tsobs_ros.campaign.runs import PART
+from tsobs_ros.report.metrics import measure
 from tsobs_ros.resources import config_path
 from tsobs_ros.simulation.plant import Plant
 
@@ -38,7 +39,7 @@ sys.exit(code)
 
 def _parts(campaign: Campaign) -> dict[str, float]:
     """Return the median CPU time of each part [ns a sample]."""
-    observer = BatchObserver(campaign.file.design, campaign.settings, campaign.estimator)
+    design = campaign.file.design
     generator, normal = np.random.Generator(np.random.Philox(0)), np.empty(12 * 256)
     times: dict[str, list[float]] = {}
     repeats = campaign.entries.repeats
@@ -49,9 +50,10 @@ def _parts(campaign: Campaign) -> dict[str, float]:
         scenario = group[0].scenario
         runs = Plant(scenario, [one.seed for one in group]).run(scenario.sample_count)
         marks.append(time.thread_time_ns())
-        observed = observer(runs)
+        observed = observe(design, runs, campaign.settings, campaign.estimator)
         marks.append(time.thread_time_ns())
-        score(runs, observed)
+        for run in range(repeats):
+            measure(recorded(runs, observed, run))
         marks.append(time.thread_time_ns())
         samples = repeats * scenario.sample_count
         for _ in range(samples // 256):

@@ -18,7 +18,7 @@ from common import parser, use_one_thread
 from pages import end, head, options_of, row
 from precise_joints import CASES, simulated
 
-from tsobs_ros.campaign.batches import BatchObserver
+from tsobs_ros.campaign.batches import Observed, observe
 from tsobs_ros.checks import Array
 from tsobs_ros.core import native
 from tsobs_ros.design.file import load_design
@@ -93,8 +93,8 @@ def variants() -> dict[str, dict[str, float]]:
     return found
 
 
-def observer(design: Design, changes: Mapping[str, float]) -> BatchObserver:
-    """Return what the node runs, with other constants."""
+def observed(runs: Trajectories, design: Design, changes: Mapping[str, float]) -> Observed:
+    """Return what the node estimates with other constants."""
     settings = ObserverSettings()
     estimator = make_estimator(design, settings)
     names, model = list(CONSTANTS), estimator.model[0]
@@ -105,17 +105,17 @@ def observer(design: Design, changes: Mapping[str, float]) -> BatchObserver:
             model["constants"][names.index(name)] = value
         else:
             model[name] = value
-    return BatchObserver(design, settings, estimator)
+    return observe(design, runs, settings, estimator)
 
 
-def _judged(runs: Trajectories, observe: BatchObserver, hidden: int | None) -> Score:
+def _judged(runs: Trajectories, found: Observed, hidden: int | None) -> Score:
     """Return how good estimates are over the second half of the runs."""
-    found, late = observe(runs), runs.times >= 0.5 * runs.times[-1]
-    away = (found.states - runs.physical)[:, late]
-    kept = (np.abs(away) <= SIGMAS * found.state_bounds[:, late]).all(axis=2)
+    late = runs.times >= 0.5 * runs.times[-1]
+    away = (found.field("state") - runs.physical)[:, late]
+    kept = (np.abs(away) <= SIGMAS * found.field("state_bound")[:, late]).all(axis=2)
     if hidden is None:
-        wrong = np.abs(found.disturbances - runs.disturbances)[:, late]
-        kept &= (wrong <= SIGMAS * found.disturbance_bounds[:, late]).all(axis=2)
+        wrong = np.abs(found.field("disturbance") - runs.disturbances)[:, late]
+        kept &= (wrong <= SIGMAS * found.field("disturbance_bound")[:, late]).all(axis=2)
     claims = found.field("claimed")[:, late] > 0.0
     weights = np.eye(4)[0 if hidden is None else hidden]
     if hidden is None:
@@ -135,7 +135,7 @@ def _work(job: tuple[str, tuple[int, ...]]) -> tuple[str, dict[str, Score]]:
         case = CASES[name]
         design, hidden, runs = synthesise(case.request), case.hidden, simulated(case, seeds)
     return name, {
-        variant: _judged(runs, observer(design, changes), hidden)
+        variant: _judged(runs, observed(runs, design, changes), hidden)
         for variant, changes in variants().items()
     }
 

@@ -212,7 +212,7 @@ def judged(case: Case, design: Design, runs: Trajectories) -> Found:
     """Return what ours and the two EKFs do."""
     late, place = runs.times >= _JUDGED, case.hidden
     mine = observe(design, runs)
-    states = {"ours": mine.states}
+    states = {"ours": mine.field("state")}
     stamps = NANOSECONDS + np.round(runs.times * NANOSECONDS).astype(np.int64)
     for who, gate in (("plain", math.inf), ("gated", GATE)):
         ekf = make_ekf(design, gate=gate)
@@ -222,7 +222,7 @@ def judged(case: Case, design: Design, runs: Trajectories) -> Found:
             rows.append(ekf.follow(stamps, y, u)["state"])
         states[who] = np.stack(rows)
     away = {who: (each - runs.physical)[:, late] for who, each in states.items()}
-    kept = np.abs(away["ours"]) <= SIGMAS * mine.state_bounds[:, late]
+    kept = np.abs(away["ours"]) <= SIGMAS * mine.field("state_bound")[:, late]
     claims = mine.field("claimed")[:, late] > 0.0
     return Found(
         {who: np.sqrt((each[..., place] ** 2).mean(axis=1)) for who, each in away.items()},

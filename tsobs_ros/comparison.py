@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tsobs_ros.campaign.batches import Observed, observe, score
-from tsobs_ros.checks import Array
+from tsobs_ros.campaign.batches import observe, recorded, unobserved
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import THETA_STD
@@ -20,9 +19,9 @@ from tsobs_ros.estimation.cramer_rao import cramer_rao_std, white_information
 from tsobs_ros.methods import CONTENDERS, ObserverSettings, contender, make_tracker
 from tsobs_ros.model import disturbance
 from tsobs_ros.model.flow import ArmFlow
-from tsobs_ros.model.uncertainty import Uncertainty, arm_uncertainty
+from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.report.comparison import HIGH_GAIN, THETAS
-from tsobs_ros.report.metrics import MetricsOptions
+from tsobs_ros.report.metrics import MetricsOptions, measure
 from tsobs_ros.report.scenario_table import BOUNDS, Cell, ScenarioComparison, ScenarioRow
 from tsobs_ros.simulation.integrator import Friction, Payload
 from tsobs_ros.simulation.plant import Scenario, TorqueDisturbance, Trajectories
@@ -149,12 +148,17 @@ def _compare(
         if method in HIGH_GAIN:
             settings = _tuned(job, settings, runs)
             thetas[method] = settings.theta
-        scores = score(runs, observe(job.design, runs, settings), job.options)
-        cells[method] = Cell(scores.rmse, scores.inside, scores.normalised_rmse)
+        cells[method] = _measured(job, runs, settings)
         advance(len(job.seeds))
     reason = why_unbounded(scenario)
     bounds = {} if reason else _bounds(job, scenario, runs)
     return ScenarioRow(name, cells, bounds, reason, thetas)
+
+
+def _measured(job: _Job, runs: Trajectories, settings: ObserverSettings) -> Cell:
+    observed = observe(job.design, runs, settings)
+    places = range(len(runs.physical))
+    return Cell.of([measure(recorded(runs, observed, run), job.options) for run in places])
 
 
 def _tuned(job: _Job, settings: ObserverSettings, runs: Trajectories) -> ObserverSettings:
@@ -163,8 +167,8 @@ def _tuned(job: _Job, settings: ObserverSettings, runs: Trajectories) -> Observe
     choices = [replace(settings, theta=theta) for theta in THETAS]
 
     def error(choice: ObserverSettings) -> float:
-        found = score(some, observe(job.design, some, choice), job.options).normalised_rmse.mean()
-        return float(found) if math.isfinite(found) else math.inf
+        found = float(_measured(job, some, choice).normalised.mean())
+        return found if math.isfinite(found) else math.inf
 
     return min(choices, key=error)
 
@@ -213,37 +217,25 @@ def _bounds(job: _Job, scenario: Scenario, runs: Trajectories) -> dict[str, Cell
     for name, unknown in zip(BOUNDS, (None, uncertain), strict=True):
         if unknown is not None and not unknown.count:
             continue
-        std = _std(flow, arm.from_physical(runs.physical), runs, information, start, jumps, unknown)
-        # As errors of one run, so that they are averaged over the same samples.
-        one = Trajectories(runs.times, *(each[:1] for each in runs[1:]))
-        errors = Observed.of(
-            one.physical + std[np.newaxis, :, :4], one.disturbances + std[np.newaxis, :, 4:5]
+        std = cramer_rao_std(
+            flow,
+            arm.from_physical(runs.physical),
+            runs.torques[..., 0],
+            information,
+            initial_std=start,
+            offset_std=_OFFSET_STD,
+            jumps=jumps,
+            uncertainty=unknown,
+            theta_std=THETA_STD,
         )
-        scores = score(one, errors, job.options)
-        found[name] = Cell(scores.rmse, scores.inside, scores.normalised_rmse)
+        # As errors of one run, so that they are averaged over the same samples.
+        least = replace(
+            unobserved(runs, 0),
+            states=runs.physical[0] + std[:, :4],
+            disturbance=runs.disturbances[0] + std[:, 4:5],
+        )
+        found[name] = Cell.of([measure(least, job.options)])
     return found
-
-
-def _std(
-    flow: ArmFlow,
-    states: Array,
-    runs: Trajectories,
-    information: Array,
-    start: Array,
-    jumps: list[int],
-    unknown: Uncertainty | None,
-) -> Array:
-    return cramer_rao_std(
-        flow,
-        states,
-        runs.torques[..., 0],
-        information,
-        initial_std=start,
-        offset_std=_OFFSET_STD,
-        jumps=jumps,
-        uncertainty=unknown,
-        theta_std=THETA_STD,
-    )
 
 
 _OFFSET_STD = 0.3

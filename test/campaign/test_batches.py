@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tsobs_ros.campaign.batches import CLAIMS, Observed, observe, score
+from tsobs_ros.campaign.batches import CLAIMS, Observed, claimed, observe, recorded
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.record import Design
 from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.records import Basis, Measurement
 from tsobs_ros.methods import ObserverSettings, make_tracker
-from tsobs_ros.report.metrics import MetricsOptions
+from tsobs_ros.report.metrics import MetricsOptions, measure
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.plant import Scenario
 from tsobs_ros.simulation.scenarios import simulate
@@ -28,34 +28,34 @@ SCENARIO = Scenario(
 """The second jump chatters, and the last samples are lost."""
 
 
-def test_scores_are_a_reports_and_by_claim() -> None:
+def test_errors_are_a_reports_and_by_claim() -> None:
     runs, random = simulate(SCENARIO, [1, 2]), np.random.default_rng(4)
     shape = runs.states.shape[:2]
     truth = np.concatenate([runs.physical, runs.disturbances], axis=2)
     error, bounds = random.normal(0.0, 0.01, truth.shape), np.full(truth.shape, 0.01)
-    error[0, :100] = np.nan
     worth = random.integers(0, (10, 2), (*shape, 2)).astype(float)
     fields = (("state", 4), ("disturbance", 1), ("state_bound", 4), ("disturbance_bound", 1))
     row_type = [*((name, float, (n,)) for name, n in fields), ("basis", float), ("claimed", float)]
     rows = np.concatenate([truth + error, bounds, worth], axis=2).view(row_type)[..., 0]
-    observed = Observed(rows, ({},) * 2)
-    scores = score(runs, observed, MetricsOptions(start_settle_time=3.0, jump_settle_time=1.0))
+    run = recorded(runs, Observed(rows, ({},) * 2), 1)
+    metrics = measure(run, MetricsOptions(start_settle_time=3.0, jump_settle_time=1.0))
     # The second jump and its chatter are one; what follows the last measurement does not count.
-    measured = np.isfinite(runs.measurements[1, :, 0])
-    settled = (runs.times >= 3.0) & (runs.times < runs.times[measured].max())
-    settled &= (
-        (runs.times < 8.0) | (runs.times >= 10.5) | ((runs.times >= 9.0) & (runs.times < 9.5))
-    )
-    np.testing.assert_allclose(scores.rmse[1], np.sqrt(np.mean(error[1, settled] ** 2, axis=0)))
-    np.testing.assert_allclose(scores.bound, 0.01)
-    basis, claimed = worth[..., 0], worth[..., 1] == 1.0
-    for number, bases in enumerate(CLAIMS.values()):
+    last = runs.times[np.isfinite(runs.measurements[1, :, 0])].max()
+    windows = [(3.0, 8.0), (9.0, 9.5), (10.5, last)]
+    assert np.array(metrics.windows) == pytest.approx(np.array(windows))
+    settled = np.any([(a <= runs.times) & (runs.times < b) for a, b in windows], axis=0)
+    rmse = [one.rmse for one in metrics.quantities]
+    np.testing.assert_allclose(rmse, np.sqrt(np.mean(error[1, settled] ** 2, axis=0)))
+    found = claimed(run, rows[1])
+    basis, is_claimed = worth[1, :, 0], worth[1, :, 1] == 1.0
+    for name, bases in CLAIMS.items():
         there = np.isin(basis, bases)
-        said = there | ~claimed if Basis.OUTSIDE in bases else there & claimed
-        assert (scores.claimed[:, number] == said.sum(axis=1)).all()
-        ratio = np.abs(error[1, said[1]]) / 0.01
-        expected = (ratio <= 3.0).mean(axis=0), np.sqrt((ratio**2).mean(axis=0)), ratio.max(axis=0)
-        np.testing.assert_allclose(scores.claims[1, number].T, expected)
+        said = there | ~is_claimed if Basis.OUTSIDE in bases else there & is_claimed
+        assert found[f"{name}_samples"] == said.sum()
+        ratio = np.abs(error[1, said, 0]) / 0.01
+        expected = (ratio <= 3.0).mean(), np.sqrt((ratio**2).mean()), ratio.max()
+        numbers = [found[f"link_angle_{name}_{what}"] for what in ("inside", "ratio", "worst")]
+        assert numbers == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("method", ["certified", "high_gain"])
@@ -75,19 +75,19 @@ def test_what_is_observed_is_what_a_tracker_estimates(method: str) -> None:
             tracker.offer(Measurement(stamp, y, u), stamp)
             one = tracker.estimate(stamp)
             for found, expected in (
-                (observed.states, one and one.state),
-                (observed.state_bounds, one and one.state_bound),
-                (observed.disturbances, one and one.disturbance),
-                (observed.disturbance_bounds, one and one.disturbance_bound),
-                (observed.parameters, one and one.parameters),
-                (observed.parameter_bounds, one and one.parameter_bound),
+                (observed.field("state"), one and one.state),
+                (observed.field("state_bound"), one and one.state_bound),
+                (observed.field("disturbance"), one and one.disturbance),
+                (observed.field("disturbance_bound"), one and one.disturbance_bound),
+                (observed.field("parameters"), one and one.parameters),
+                (observed.field("parameter_bound"), one and one.parameter_bound),
             ):
                 if expected is None or not len(expected):
                     assert np.isnan(found[run, sample]).all()
                 else:
                     assert found[run, sample].tolist() == expected.tolist()
         assert observed.events[run] == tracker.events
-    assert np.isnan(observed.states).any()
+    assert np.isnan(observed.field("state")).any()
 
 
 def test_samples_that_are_followed_ascend(design: Design) -> None:

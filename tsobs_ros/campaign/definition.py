@@ -35,28 +35,28 @@ FORMAT, VERSION = "tsobs_ros campaign", 1
 _HEADER = "# What this folder has the runs of, written by `tsobs campaign`.\n"
 
 
-class ComponentEntry:
+class CampaignError(TsobsError, RuntimeError):
+    """A campaign cannot run, go on or be shown."""
+
+
+class SignalEntry:
     """A component of a disturbance, given by its kind and its numbers."""
 
-    def __init__(self, signal: Signal) -> None:
-        self.signal = signal
-
-    @classmethod
-    def from_mapping(cls, entries: Mapping[str, Any]) -> "ComponentEntry":
-        """Return the component that a file gives."""
-        return cls(signal_of(KINDS, entries))
-
-
-class ExcitationEntry:
-    """The signal of the torque, given by its kind and its numbers."""
+    kinds: Mapping[str, type[Signal]] = KINDS
 
     def __init__(self, signal: Signal) -> None:
         self.signal = signal
 
     @classmethod
-    def from_mapping(cls, entries: Mapping[str, Any]) -> "ExcitationEntry":
+    def from_mapping(cls, entries: Mapping[str, Any]) -> "SignalEntry":
         """Return the signal that a file gives."""
-        return cls(signal_of(EXCITATIONS, entries))
+        return cls(signal_of(cls.kinds, entries))
+
+
+class ExcitationEntry(SignalEntry):
+    """The signal of the torque."""
+
+    kinds = EXCITATIONS
 
 
 class PayloadEntry(msgspec.Struct, kw_only=True, frozen=True):
@@ -74,51 +74,30 @@ class OutputEntries(msgspec.Struct, kw_only=True):
     """One output: numbers of its sensor besides the design's noise, and its disturbance."""
 
     sensor: dict[str, float | bool] = {}
-    disturbance: list[ComponentEntry] = []
+    disturbance: list[SignalEntry] = []
 
 
-class ScenarioEntries(msgspec.Struct, kw_only=True):
-    """A scenario, drawn.
+class ScenarioEntries(OutputEntries, kw_only=True):
+    """A scenario, drawn; `config/campaign.yaml` describes the entries.
 
-    Attributes:
-        weight: How many of the runs it gets, relative to the other scenarios.
-        like: A scenario of the simulator that the other entries change; empty for the plant as it
-            is designed.
-        as_designed: Whether to draw disturbances of outputs and torques from the design's model.
-        noise: What multiplies the 1σ of the design's measurement noise, of all outputs.
-        process_noise: What multiplies the 1σ of the design's process noise.
-        sensor: Of the first output; see `OutputEntries`.
-        disturbance: Of the first output.
-        outputs: The same of the outputs by their names.
-        motor_torque: Components of the torque on the motor [N m].
-        link_torque: Components of the torque on the link, such as that of a contact [N m].
-        torque_error: What the reported torque has beyond the applied one [N m].
-        friction: Of the true arm.
-        payload: What the link carries.
-        mismatch: Relative changes of the true arm besides those drawn by `uncertainty`.
-        uncertainty: Share of the design's bounds on its uncertain parameters that these are drawn
-            from; the campaign's if left out, as the next two.
-        initial_state: True [q₁, q̇₁, q₂, q̇₂] at the start (rad, rad/s).
-        excitation: Of the motor.
+    The sensor and the disturbance are the first output's. What the campaign has too replaces that.
     """
 
+    uncertainty: float
+    initial_state: list[float]
+    excitation: ExcitationEntry
     weight: int = 1
     like: str = ""
     as_designed: bool = False
     noise: float = 1.0
     process_noise: float = 1.0
-    sensor: dict[str, float | bool] = {}
-    disturbance: list[ComponentEntry] = []
     outputs: dict[str, OutputEntries] = {}
-    motor_torque: list[ComponentEntry] = []
-    link_torque: list[ComponentEntry] = []
-    torque_error: list[ComponentEntry] = []
+    motor_torque: list[SignalEntry] = []
+    link_torque: list[SignalEntry] = []
+    torque_error: list[SignalEntry] = []
     friction: Friction = Friction()
     payload: PayloadEntry = PayloadEntry()
     mismatch: Mismatch = Mismatch()
-    uncertainty: float
-    initial_state: list[float]
-    excitation: ExcitationEntry
 
 
 class CampaignEntries(msgspec.Struct, kw_only=True):
@@ -135,9 +114,10 @@ class CampaignEntries(msgspec.Struct, kw_only=True):
         duration: Of a run [s].
         settle_time: Time after the start, and after each jump of a disturbance, that does not
             count for the errors [s]; for the bounds it does.
-        uncertainty: See `ScenarioEntries`.
-        initial_state: See `ScenarioEntries`.
-        excitation: See `ScenarioEntries`.
+        uncertainty: Share of the design's bounds on its uncertain parameters that these are drawn
+            from.
+        initial_state: True [q₁, q̇₁, q₂, q̇₂] at the start (rad, rad/s).
+        excitation: Of the motor.
         scenarios: By their names.
     """
 
@@ -189,8 +169,7 @@ class Campaign:
             )
         if not entries.scenarios:
             raise ModelError("scenarios: expected at least one")
-        _ = self.file.design.arm_request
-        _ = self.settings
+        _ = self.file.design.arm_request, self.settings
         for name, given in entries.scenarios.items():
             # `drawing.check` looks at the rest.
             weight, like = given.get("weight", 1), given.get("like", "")
@@ -224,16 +203,11 @@ class Campaign:
 
     @cached_property
     def turns(self) -> Sequence[str]:
-        """The scenarios that runs go through in turn."""
-        given = self.entries.scenarios
-        rounds = max(entries.get("weight", 1) for entries in given.values())
+        """The scenarios that runs go through in turn, those of a larger weight more often."""
+        weights = {name: one.get("weight", 1) for name, one in self.entries.scenarios.items()}
         # One after the other, not in blocks, so that a few runs already have most of them.
-        return [
-            name
-            for turn in range(rounds)
-            for name, entries in given.items()
-            if entries.get("weight", 1) > turn
-        ]
+        rounds = range(max(weights.values()))
+        return [name for turn in rounds for name, weight in weights.items() if weight > turn]
 
     @cached_property
     def identity(self) -> str:
@@ -245,11 +219,7 @@ class Campaign:
         return sha256(text.encode()).hexdigest()
 
     def text(self, design: str) -> str:
-        """Return the campaign as a file.
-
-        Args:
-            design: The entry of that name.
-        """
+        """Return the campaign as a file with another entry `design`."""
         entries = {**encode(self.entries), "design": design}
         return yaml_text(_HEADER, {"format": FORMAT, "version": VERSION, "campaign": entries})
 
@@ -284,7 +254,3 @@ def parse_campaign(text: str, name: str) -> CampaignEntries:
             f"version {file.version!r}"
         )
     return file.campaign
-
-
-class CampaignError(TsobsError, RuntimeError):
-    """A campaign cannot run, go on or be shown."""

@@ -9,10 +9,11 @@ from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from tsobs_ros import __version__
 from tsobs_ros.campaign.definition import Campaign, CampaignError
 from tsobs_ros.campaign.drawing import check
 from tsobs_ros.campaign.folder import CampaignFolder
-from tsobs_ros.campaign.runs import Columns, carry_out, compute, order
+from tsobs_ros.campaign.runs import Columns, carry_out, compute
 
 Part = tuple[int, int]
 """A part's first run, and the run after its last."""
@@ -90,10 +91,11 @@ def _on_cluster(
         client = dask.Client(scheduler, timeout=_CONNECT_TIMEOUT)
     except (OSError, ValueError) as error:
         raise CampaignError(f"scheduler {scheduler}: cannot be reached: {error}") from error
+    texts = __version__, campaign.text("design"), campaign.file.text
     try:
         with client:
             futures = {
-                client.submit(carry_out, order(campaign, *part), pure=False, retries=0): part
+                client.submit(carry_out, *texts, *part, pure=False, retries=0): part
                 for part in parts
             }
             for future in dask.as_completed(futures):

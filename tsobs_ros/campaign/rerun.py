@@ -4,10 +4,8 @@
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsobs_ros.bag.estimate_topics import TRUE_DISTURBANCE, TRUE_STATES, TRUE_TORQUE, sides
 from tsobs_ros.bag.joint_states import JOINT_STATE
@@ -16,7 +14,6 @@ from tsobs_ros.bag.writer import BagWriter, Message
 from tsobs_ros.campaign.batches import stamps_of
 from tsobs_ros.campaign.definition import Campaign, CampaignError
 from tsobs_ros.campaign.drawing import draw
-from tsobs_ros.checks import Array
 from tsobs_ros.design.signals import Place, signals
 from tsobs_ros.replay.estimate import Observer, make_runs, open_source, run_all
 from tsobs_ros.replay.places import Layout
@@ -24,13 +21,6 @@ from tsobs_ros.simulation.plant import Plant
 
 JOINT = "elastic_joint"
 """Name of the joint in the bag."""
-
-
-class _Topic(NamedTuple):
-    name: str
-    places: tuple[Place, ...]
-    values: Array
-    there: NDArray[np.bool_]
 
 
 def rerun(campaign: Campaign, run: int, output: Path) -> Path:
@@ -58,32 +48,27 @@ def rerun(campaign: Campaign, run: int, output: Path) -> Path:
 
 def _record(campaign: Campaign, run: int, bag: Path) -> None:
     """Write what a plant simulator would have sent."""
-    request, drawn = campaign.file.design.arm_request, draw(campaign, run)
+    drawn = draw(campaign, run)
+    own = signals(campaign.file.design.arm_request, JOINT, alone=True)
     runs = Plant(drawn.scenario, drawn.seed).run(drawn.scenario.sample_count)
-    stamps, own = stamps_of(runs.times), signals(request, JOINT, alone=True)
-    measured = np.asarray(np.isfinite(runs.measurements).any(axis=1))
-    always = np.ones(len(stamps), np.bool_)
-    truth = {
+    stamps = stamps_of(runs.times)
+    measured = np.isfinite(runs.measurements).any(axis=1)
+    topics = {
+        "joint_measurements": (
+            (*own.outputs, *own.inputs),
+            np.hstack([runs.measurements, runs.torques]),
+        ),
         TRUE_STATES: (own.states, runs.physical),
         TRUE_DISTURBANCE: (
-            tuple(Place(name, "position") for name in own.disturbances),
+            [Place(name, "position") for name in own.disturbances],
             runs.disturbances,
         ),
         # The motor's first, as in the truth of a run.
         TRUE_TORQUE: (
-            tuple(Place(name, "effort") for name in reversed(sides(JOINT))),
+            [Place(name, "effort") for name in reversed(sides(JOINT))],
             runs.torque_disturbances,
         ),
     }
-    topics = [
-        _Topic(
-            "/joint_measurements",
-            (*own.outputs, *own.inputs),
-            np.hstack([runs.measurements, runs.torques]),
-            measured,
-        ),
-        *(_Topic(f"/{name}", *each, always) for name, each in truth.items()),
-    ]
     notes = {
         "run": str(run),
         "scenario": drawn.name,
@@ -91,12 +76,11 @@ def _record(campaign: Campaign, run: int, bag: Path) -> None:
         "campaign": campaign.identity,
     }
     with BagWriter(bag, custom_data=notes) as writer:
-        for topic in topics:
-            writer.add_topic(topic.name, JOINT_STATE, [QosProfile()])
         messages: list[Message] = []
-        for name, places, values, there in topics:
-            times = stamps[there]
-            data = Layout([places]).encode(times, values[there][:, np.newaxis])
-            for stamp, message in zip(times.tolist(), data, strict=True):
-                messages.append((name, JOINT_STATE, message, stamp, stamp))
+        for name, (places, values) in topics.items():
+            writer.add_topic(f"/{name}", JOINT_STATE, [QosProfile()])
+            there = measured if name == "joint_measurements" else np.ones(len(stamps), np.bool_)
+            data = Layout([places]).encode(stamps[there], values[there][:, np.newaxis])
+            for stamp, message in zip(stamps[there].tolist(), data, strict=True):
+                messages.append((f"/{name}", JOINT_STATE, message, stamp, stamp))
         writer.write_all(sorted(messages, key=lambda message: message[3]))

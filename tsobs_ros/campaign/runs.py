@@ -3,21 +3,22 @@
 """Parts of a campaign: some runs one after the other, and a column for each thing known of them."""
 
 import json
+import math
 from functools import lru_cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsobs_ros import __version__
-from tsobs_ros.campaign.batches import CLAIMS, BatchObserver, Observed, Scores, score
+from tsobs_ros.campaign.batches import claimed, observe, recorded
 from tsobs_ros.campaign.definition import Campaign, parse_campaign
 from tsobs_ros.campaign.drawing import Drawn, draw_group
 from tsobs_ros.campaign.premises import violated
 from tsobs_ros.design.file import load_design_file
 from tsobs_ros.report.comparison import metrics_options
-from tsobs_ros.report.metrics import MetricsOptions
-from tsobs_ros.report.quantities import Quantity, quantities_of
+from tsobs_ros.report.metrics import MetricsOptions, RunMetrics, measure
+from tsobs_ros.report.quantities import quantities_of
 from tsobs_ros.simulation.plant import Plant
 
 PART = 100
@@ -30,44 +31,27 @@ Columns: TypeAlias = dict[str, NDArray[Any]]
 """Of a table, by name, one entry a run."""
 
 
-class Order(NamedTuple):
-    """A part for a worker that has the package and nothing else.
+def carry_out(version: str, campaign: str, design: str, begin: int, end: int) -> Columns:
+    """Return the columns of a part, as a worker that has the package and nothing else.
 
-    Attributes:
+    Args:
+        version: Expected of the package.
         campaign: Text of the campaign file.
         design: Text of the design file.
-        version: Of the package.
         begin: The first run.
         end: The run after the last.
-    """
-
-    campaign: str
-    design: str
-    version: str
-    begin: int
-    end: int
-
-
-def order(campaign: Campaign, begin: int, end: int) -> Order:
-    """Return the order of a part of a campaign."""
-    return Order(campaign.text("design"), campaign.file.text, __version__, begin, end)
-
-
-def carry_out(task: Order) -> Columns:
-    """Return the columns of a part.
 
     Raises:
         RuntimeError: This is another version of the package.
     """
-    if task.version != __version__:
-        raise RuntimeError(f"a worker has tsobs_ros {__version__}, expected {task.version}")
-    return compute(_campaign(task.campaign, task.design), task.begin, task.end)
+    if version != __version__:
+        raise RuntimeError(f"a worker has tsobs_ros {__version__}, expected {version}")
+    return compute(_campaign(campaign, design), begin, end)
 
 
 @lru_cache(maxsize=2)
 def _campaign(campaign: str, design: str) -> Campaign:
-    file = load_design_file("design", design)
-    return Campaign(parse_campaign(campaign, "campaign"), file)
+    return Campaign(parse_campaign(campaign, "campaign"), load_design_file("design", design))
 
 
 def compute(campaign: Campaign, begin: int, end: int) -> Columns:
@@ -79,31 +63,36 @@ def compute(campaign: Campaign, begin: int, end: int) -> Columns:
         TsobsError: A scenario does not fit the design.
     """
     design, request = campaign.file.design, campaign.file.design.arm_request
-    observer = BatchObserver(design, campaign.settings, campaign.estimator)
     settle_time = campaign.entries.settle_time
     settled = MetricsOptions(start_settle_time=settle_time, jump_settle_time=settle_time)
     quantities, options = quantities_of(request), metrics_options(design, settled)
+    learnt = campaign.settings.learnt(design)
     rows: list[dict[str, Any]] = []
     while begin + len(rows) < end:
         group = draw_group(campaign, begin + len(rows), end)
         scenario = group[0].scenario
         truth = Plant(scenario, [one.seed for one in group]).run(scenario.sample_count)
-        observed = observer(truth)
-        scores = score(truth, observed, options, quantities, request.torque_sides)
+        observed = observe(design, truth, campaign.settings, campaign.estimator)
         for place, drawn in enumerate(group):
+            run = recorded(truth, observed, place, quantities, request.torque_sides)
+            estimates, events = observed.rows[place], observed.events[place]
+            reach = float(np.abs(truth.physical[place, :, 0]).max())
             rows.append(
                 {
-                    **_of_drawn(drawn, campaign),
-                    **_of_scores(scores, place, quantities, drawn, campaign),
-                    **_of_estimates(observed, place, campaign),
+                    **_of_drawn(drawn, campaign, reach),
+                    **_of_metrics(measure(run, options)),
+                    **claimed(run, estimates),
+                    **_of_learnt(estimates[-1], learnt),
+                    **{name.replace(" ", "_"): number for name, number in events.items()},
                 }
             )
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
 
-def _of_drawn(drawn: Drawn, campaign: Campaign) -> dict[str, Any]:
+def _of_drawn(drawn: Drawn, campaign: Campaign, reach: float) -> dict[str, Any]:
     request = campaign.file.design.arm_request
     start = request.arm.to_physical(np.array(drawn.scenario.initial_state)).tolist()
+    broken = violated(drawn.scenario, request) + (DOMAIN,) * (reach > request.max_angle)
     return {
         "run": drawn.run,
         "scenario": drawn.name,
@@ -111,44 +100,24 @@ def _of_drawn(drawn: Drawn, campaign: Campaign) -> dict[str, Any]:
         "drawn": json.dumps(drawn.numbers),
         **{f"start_{name}": value for name, value in zip(request.state_names, start, strict=True)},
         **{f"true_{name}": value for name, value in drawn.theta.items()},
-    }
-
-
-def _of_scores(
-    scores: Scores,
-    run: int,
-    quantities: tuple[Quantity, ...],
-    drawn: Drawn,
-    campaign: Campaign,
-) -> dict[str, Any]:
-    request = campaign.file.design.arm_request
-    reach = float(scores.reach[run])
-    broken = violated(drawn.scenario, request) + (DOMAIN,) * (reach > request.max_angle)
-    row: dict[str, Any] = {
         "premises_hold": not broken,
         "violated": ", ".join(broken),
         "max_link_angle": reach,
-        "normalised_rmse": float(scores.normalised_rmse[run]),
     }
-    for place, quantity in enumerate(quantities):
-        for name in ("rmse", "bound", "inside"):
-            row[f"{quantity.key}_{name}"] = float(getattr(scores, name)[run, place])
-    for claim, name in enumerate(CLAIMS):
-        row[f"{name}_samples"] = int(scores.claimed[run, claim])
-        for place, quantity in enumerate(quantities):
-            inside, ratio, worst = scores.claims[run, claim, place].tolist()
-            numbers = {"inside": inside, "ratio": ratio, "worst": worst}
-            row |= {f"{quantity.key}_{name}_{what}": number for what, number in numbers.items()}
-    return row
 
 
-def _of_estimates(observed: Observed, run: int, campaign: Campaign) -> dict[str, Any]:
-    """Return what was learnt at the end of a run, and what was counted."""
-    names = campaign.settings.learnt(campaign.file.design)
-    row: dict[str, Any] = {}
-    for field, what in (("parameters", "learnt"), ("parameter_bound", "learnt_bound")):
-        last = observed.field(field)[run, -1] if names else ()
-        row |= {f"{what}_{name}": float(each) for name, each in zip(names, last, strict=True)}
-    if names:
-        row["learnt_valid"] = bool(observed.field("parameters_valid")[run, -1] == 1.0)
-    return row | {name.replace(" ", "_"): n for name, n in observed.events[run].items()}
+def _of_metrics(metrics: RunMetrics) -> dict[str, float]:
+    found = {"normalised_rmse": metrics.normalised_rmse}
+    for one in metrics.quantities:
+        numbers = {"rmse": one.rmse, "bound": one.bound, "inside": one.inside}
+        found |= {f"{one.key}_{what}": number for what, number in numbers.items()}
+    return {name: math.nan if number is None else number for name, number in found.items()}
+
+
+def _of_learnt(last: Any, names: tuple[str, ...]) -> dict[str, float | bool]:
+    """Return what was learnt at the end of a run."""
+    row: dict[str, float | bool] = {}
+    for place, name in enumerate(names):
+        row[f"learnt_{name}"] = float(last["parameters"][place])
+        row[f"learnt_bound_{name}"] = float(last["parameter_bound"][place])
+    return {**row, "learnt_valid": bool(last["parameters_valid"] == 1.0)} if names else row

@@ -4,23 +4,24 @@
 
 import json
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsobs_ros.campaign.batches import CLAIMS
 from tsobs_ros.campaign.definition import Campaign
 from tsobs_ros.campaign.runs import Columns
-from tsobs_ros.checks import Array
+from tsobs_ros.checks import Array, Flags
+from tsobs_ros.report.comparison import aligned
 from tsobs_ros.report.metrics import SIGMAS
 from tsobs_ros.report.quantities import quantities_of
 
 QUANTILES = (0.05, 0.5, 0.95, 0.99, 1.0)
 """What errors are summed up by; the last is the largest."""
 
+_NAMES = ["5 %", "median", "95 %", "99 %", "largest"]
 _WORST = 5
 _GROUPS = {True: "premises hold", False: "they do not"}
 _COUNTS = (
@@ -30,12 +31,10 @@ _COUNTS = (
     "losses_of_track",
 )
 
-Flags = NDArray[np.bool_]
-
 
 @dataclass(frozen=True)
 class Summary:
-    """A campaign in numbers.
+    """A campaign in numbers, None for what is not known.
 
     Attributes:
         runs: Number of runs.
@@ -68,8 +67,8 @@ class Summary:
     failed: int
 
     def as_mapping(self) -> dict[str, Any]:
-        """Return everything as plain data; what is not known is None."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        """Return everything as plain data."""
+        return asdict(self)
 
     def text(self) -> str:
         """Return the tables for people."""
@@ -77,34 +76,29 @@ class Summary:
         head = f"{there} runs of {self.duration:g} s, design {self.design}"
         if self.failed:
             head += f"; {self.failed:,} runs with an error that is not known"
-        names = ["5 %", "median", "95 %", "99 %", "largest"]
+        scenarios = (
+            [
+                name,
+                f"{one['runs']:,}",
+                _share(one["premises_hold"]),
+                *map(_number, one["normalised_rmse"]),
+                _share(one["inside"]),
+            ]
+            for name, one in self.scenarios.items()
+        )
+        errors = ([name, one["unit"], *map(_number, one["rmse"])]
+                  for name, one in self.quantities.items())  # fmt: skip
+        bounds = (
+            [f"{claim}; {group}", _share(one["samples"]), *_hardest(one["quantities"])]
+            for group, claims in self.bounds.items()
+            for claim, one in claims.items()
+            if one["samples"]
+        )
         parts = [
             head,
-            _table(
-                ["normalised RMSE", "runs", "premises hold", *names, "inside"],
-                [
-                    [name, f"{one['runs']:,}", _share(one["premises_hold"])]
-                    + [_number(value) for value in one["normalised_rmse"]]
-                    + [_share(one["inside"])]
-                    for name, one in self.scenarios.items()
-                ],
-            ),
-            _table(
-                ["RMSE", "unit", *names],
-                [
-                    [name, one["unit"], *map(_number, one["rmse"])]
-                    for name, one in self.quantities.items()
-                ],
-            ),
-            _table(
-                ["bounds said to be", "samples", "inside", "rms", "worst", "of run"],
-                [
-                    [f"{claim}; {group}", _share(one["samples"]), *_hardest(one["quantities"])]
-                    for group, claims in self.bounds.items()
-                    for claim, one in claims.items()
-                    if one["samples"]
-                ],
-            )
+            _table(["normalised RMSE", "runs", "premises hold", *_NAMES, "inside"], scenarios),
+            _table(["RMSE", "unit", *_NAMES], errors),
+            _table(["bounds said to be", "samples", "inside", "rms", "worst", "of run"], bounds)
             + f"\ninside: share of errors within {SIGMAS:g} bounds; rms, worst: of error / bound; "
             "of the quantity where they are worst",
         ]
@@ -112,17 +106,17 @@ class Summary:
             counts = ", ".join(f"{name} {count:,}" for name, count in self.violated.items())
             parts.append(f"premises that do not hold, in so many runs: {counts}")
         if self.learnt:
-            rows = [
+            learnt = (
                 [name, _share(one["valid"]), *map(_number, one["error"]), _share(one["inside"])]
                 for name, one in self.learnt.items()
-            ]
-            parts.append(_table(["error of what is learnt", "valid", *names, "inside"], rows))
+            )
+            parts.append(_table(["error of what is learnt", "valid", *_NAMES, "inside"], learnt))
         for measure, runs in self.worst.items():
-            rows = [
+            worst = (
                 [str(one["run"]), one["scenario"], _number(one["value"]), one["violated"] or "none"]
                 for one in runs
-            ]
-            parts.append(_table(["run", "scenario", measure, "premises that do not hold"], rows))
+            )
+            parts.append(_table(["run", "scenario", measure, "premises that do not hold"], worst))
         return "\n\n".join(parts)
 
 
@@ -133,13 +127,12 @@ def summarise(campaign: Campaign, columns: Columns) -> Summary:
         campaign: The campaign.
         columns: Of its runs, of all or of some.
     """
-    request = campaign.file.design.arm_request
-    quantities = quantities_of(request)
-    keys = [each.key for each in quantities]
     file, entries = campaign.file, campaign.entries
-    broken = Counter(
-        reason for text in columns["violated"].tolist() for reason in text.split(", ") if reason
-    )
+    quantities = quantities_of(file.design.arm_request)
+    keys = [each.key for each in quantities]
+    texts = columns["violated"].tolist()
+    broken = Counter(reason for text in texts for reason in text.split(", ") if reason)
+    there = set(columns["scenario"].tolist())
     return Summary(
         runs=len(columns["run"]),
         asked=entries.runs,
@@ -148,7 +141,7 @@ def summarise(campaign: Campaign, columns: Columns) -> Summary:
         scenarios={
             name: _scenario(columns, keys, columns["scenario"] == name)
             for name in entries.scenarios
-            if (columns["scenario"] == name).any()
+            if name in there
         },
         quantities={
             each.key: {"unit": each.unit, "rmse": _quantiles(columns[f"{each.key}_rmse"])}
@@ -170,40 +163,35 @@ def summarise(campaign: Campaign, columns: Columns) -> Summary:
 
 def _scenario(columns: Columns, keys: Sequence[str], chosen: Flags) -> dict[str, Any]:
     inside = np.array([columns[f"{key}_inside"][chosen] for key in keys])
+    known = inside[np.isfinite(inside)]
     return {
         "runs": int(chosen.sum()),
         "premises_hold": float(columns["premises_hold"][chosen].mean()),
         "normalised_rmse": _quantiles(columns["normalised_rmse"][chosen]),
-        "inside": _known(inside[np.isfinite(inside)].mean()) if np.isfinite(inside).any() else None,
+        "inside": float(known.mean()) if len(known) else None,
         **{name: int(columns[name][chosen].sum()) for name in _COUNTS if name in columns},
     }
 
 
 def _claim(columns: Columns, keys: Sequence[str], claim: str, chosen: Flags) -> dict[str, Any]:
     samples = sum(columns[f"{name}_samples"][chosen].sum() for name in CLAIMS)
-    own = columns[f"{claim}_samples"]
-    used = chosen & (own > 0)
-    weights = own[used]
-    found: dict[str, Any] = {
-        "samples": float(weights.sum() / samples) if samples else 0.0,
-        "quantities": {},
-    }
-    for key in keys if used.any() else ():
+    used = chosen & (columns[f"{claim}_samples"] > 0)
+    weights, runs = columns[f"{claim}_samples"][used], columns["run"][used]
+    found = {}
+    for key in keys:
         inside, ratio, worst = (
             columns[f"{key}_{claim}_{what}"][used] for what in ("inside", "ratio", "worst")
         )
         there = np.isfinite(worst)
-        if not there.any():
-            continue
-        total = weights[there].sum()
-        place = int(np.argmax(np.where(there, worst, -np.inf)))
-        found["quantities"][key] = {
-            "inside": float((weights[there] * inside[there]).sum() / total),
-            "rms": float(np.sqrt((weights[there] * ratio[there] ** 2).sum() / total)),
-            "worst": float(worst[place]),
-            "run": int(columns["run"][used][place]),
-        }
-    return found
+        if there.any():
+            own = weights[there]
+            found[key] = {
+                "inside": float(np.average(inside[there], weights=own)),
+                "rms": float(np.sqrt(np.average(ratio[there] ** 2, weights=own))),
+                "worst": float(worst[there].max()),
+                "run": int(runs[there][worst[there].argmax()]),
+            }
+    return {"samples": float(weights.sum() / samples) if samples else 0.0, "quantities": found}
 
 
 def _learnt(columns: Columns, name: str) -> dict[str, Any]:
@@ -234,20 +222,17 @@ def _worst(columns: Columns, keys: Sequence[str], repeats: int) -> dict[str, lis
         ranked = np.where(np.isnan(values), np.inf, values)
         by_draw: dict[int, int] = {}
         for place in np.argsort(-ranked, kind="stable").tolist():
-            if ranked[place] > -np.inf and len(by_draw) < _WORST:
+            if ranked[place] > -np.inf:
                 by_draw.setdefault(int(columns["run"][place]) // repeats, place)
-        order = list(by_draw.values())
-        if order:
+        if by_draw:
             found[measure] = [
                 {
-                    "run": int(columns["run"][place]),
-                    "scenario": str(columns["scenario"][place]),
-                    "seed": int(columns["seed"][place]),
-                    "value": _known(values[place]),
+                    **{name: columns[name][place].item() for name in ("run", "scenario", "seed")},
+                    "value": float(values[place]) if np.isfinite(values[place]) else None,
                     "violated": str(columns["violated"][place]),
                     "drawn": json.loads(str(columns["drawn"][place])),
                 }
-                for place in order
+                for place in list(by_draw.values())[:_WORST]
             ]
     return found
 
@@ -259,14 +244,10 @@ def _quantiles(values: Array) -> list[float | None]:
     return [float(value) for value in np.quantile(known, QUANTILES)]
 
 
-def _known(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _hardest(quantities: dict[str, dict[str, Any]]) -> list[str]:
-    worst = max(quantities.values(), key=lambda one: float(one["worst"]), default=None)
-    if worst is None:
+    if not quantities:
         return ["-"] * 4
+    worst = max(quantities.values(), key=lambda one: float(one["worst"]))
     return [
         _share(min(one["inside"] for one in quantities.values())),
         _number(max(one["rms"] for one in quantities.values())),
@@ -283,13 +264,5 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return lines with columns, the first to the left and the others to the right."""
-    lines = [list(head), *map(list, rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = []
-    for line in lines:
-        cells = [line[0].ljust(widths[0])]
-        cells += [cell.rjust(width) for cell, width in zip(line[1:], widths[1:], strict=True)]
-        text.append("  ".join(cells).rstrip())
-    return "\n".join(text)
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return "\n".join(aligned([head, *rows], text_columns=1))

@@ -4,8 +4,9 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -15,18 +16,16 @@ from tsobs_ros.estimation.health import Level
 from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.series import NANOSECONDS
 
-_FAULT = "sensor fault"
-_REJECTED = "rejected: "
+_FAULT, _REJECTED, _MISSED = "sensor fault", "rejected: ", "missed ticks"
 _TIMING = (
     "latency p50 [ms]",
     "latency p99 [ms]",
     "tick time p50 [ms]",
     "tick time p99 [ms]",
-    "achieved rate [Hz]",
 )
 # A fault that the next status does not repeat has ended by then; they are a second apart.
 _APART = 2.5
-_REASONS = {reason.value for reason in RejectReason}
+_NUMBERS = {*(f"{_REJECTED}{reason.value}" for reason in RejectReason), *_TIMING, _MISSED}
 _MAX_KIND = 40
 
 
@@ -42,6 +41,7 @@ class FaultSpan:
         end: The same of its last report.
         magnitude: The largest one.
         unit: Its unit, empty if it is not known.
+        over: Whether a status without it has followed.
     """
 
     output: str
@@ -51,18 +51,13 @@ class FaultSpan:
     end: float
     magnitude: float
     unit: str = ""
+    over: bool = False
 
-    def as_mapping(self) -> dict[str, str | float]:
+    def as_mapping(self) -> dict[str, Any]:
         """Return it as plain data."""
-        return {
-            "output": self.output,
-            "kind": self.kind,
-            "level": self.level.name,
-            "begin": self.begin,
-            "end": self.end,
-            "magnitude": self.magnitude,
-            "unit": self.unit,
-        }
+        data = {**asdict(self), "level": self.level.name}
+        del data["over"]
+        return data
 
 
 @dataclass
@@ -102,86 +97,67 @@ def diagnose(statuses: Iterable[RecordedStatus], origin: int, until: float) -> D
         origin: Stamp that times count from [ns].
         until: End of the run [s]; what is later is left out.
     """
-    found = Diagnosed()
-    open_faults: dict[str, FaultSpan] = {}
-    counts: dict[str, list[tuple[float, float]]] = {}
-    timing: dict[str, list[tuple[float, float]]] = {name: [] for name in _TIMING}
-    last = -math.inf
+    found, last = Diagnosed(), -math.inf
+    numbers: dict[str, list[tuple[float, float]]] = {}
     for status in statuses:
         time = (status.stamp - origin) / NANOSECONDS
         if not 0.0 <= time <= until + 1.0:
             continue
         found.count += time != last
         last = time
-        concern = status.name[-1]
-        if concern.startswith(_FAULT):
-            output = concern.removeprefix(_FAULT).removeprefix(" of ")
-            _note_fault(found.faults, open_faults, output, time, status)
-        elif concern == "measurements":
-            for key, value in status.values.items():
-                if (reason := key.removeprefix(_REJECTED)) in _REASONS:
-                    counts.setdefault(reason, []).append((time, _number(value)))
-        elif concern == "timing":
-            found.missed = max(
-                found.missed, int(max(0.0, _number(status.values.get("missed ticks"))))
-            )
-            for name in _TIMING:
-                if name in status.values:
-                    timing[name].append((time, _number(status.values[name])))
-    for reason, pairs in counts.items():
-        times, totals = np.array(pairs).T
-        grown = np.maximum(np.diff(totals, prepend=0.0), 0.0)
-        if total := int(grown.sum()):
-            found.rejected[reason] = total
+        if status.name[-1].startswith(_FAULT):
+            _note_fault(found.faults, time, status)
+            continue
+        for key, text in status.values.items():
+            if key in _NUMBERS:
+                numbers.setdefault(key, []).append((time, _number(text)))
+    for key, pairs in numbers.items():
+        times, values = np.array(pairs).T
+        if key == _MISSED:
+            found.missed = int(values.max(initial=0.0))
+        elif key in _TIMING:
+            found.timing[key] = (times, values)
+        else:
+            grown = np.maximum(np.diff(values, prepend=0.0), 0.0)
             lengths = np.maximum(np.diff(times, prepend=times[0] - 1.0), 0.1)
-            found.reject_rates[reason] = (times, grown / lengths)
-    for name, pairs in timing.items():
-        if pairs:
-            times, values = np.array(pairs).T
-            found.timing[name] = (times, values)
+            if total := int(grown.sum()):
+                reason = key.removeprefix(_REJECTED)
+                found.rejected[reason] = total
+                found.reject_rates[reason] = (times, grown / lengths)
     return found
 
 
-def _note_fault(
-    faults: list[FaultSpan],
-    open_faults: dict[str, FaultSpan],
-    output: str,
-    time: float,
-    status: RecordedStatus,
-) -> None:
+def _note_fault(faults: list[FaultSpan], time: float, status: RecordedStatus) -> None:
+    """Begin a fault, or prolong the one that the output has."""
+    output = status.name[-1].removeprefix(_FAULT).removeprefix(" of ")
     kind = status.values.get("kind", "")[:_MAX_KIND]
-    known = open_faults.get(output)
-    if kind in ("", "none"):
-        if known is not None and time - known.end < _APART:
-            known.end = time
-        open_faults.pop(output, None)
-        return
-    level = Level(min(status.level, Level.STALE))
-    size, unit = _size(status.values)
-    if known is not None and known.kind == kind and time - known.end < _APART:
-        known.end, known.level = time, max(known.level, level)
-        known.magnitude = max(known.magnitude, size)
-        return
-    if known is not None and time - known.end < _APART:
+    known = next((one for one in reversed(faults) if one.output == output), None)
+    level, (size, unit) = Level(min(status.level, Level.STALE)), _size(status)
+    if known is not None and not known.over and time - known.end < _APART:
         known.end = time
-    lasted = re.search(r"[\d.]+", status.values.get("since", ""))
-    begin = time - (_number(lasted.group()) if lasted else 0.0)
-    begin = min(time, max(0.0, begin if math.isfinite(begin) else time))
-    open_faults[output] = FaultSpan(output, kind, level, begin, time, size, unit)
-    faults.append(open_faults[output])
+        if kind == known.kind:
+            known.level, known.magnitude = max(known.level, level), max(known.magnitude, size)
+            return
+    if known is not None:
+        known.over = True
+    if kind not in ("", "none"):
+        lasted = re.search(r"[\d.]+", status.values.get("since", ""))
+        begin = time - (_number(lasted.group()) if lasted else 0.0)
+        faults.append(FaultSpan(output, kind, level, max(0.0, begin), time, size, unit))
 
 
-def _size(values: Mapping[str, str]) -> tuple[float, str]:
+def _size(status: RecordedStatus) -> tuple[float, str]:
     """Return the magnitude of a fault and its unit."""
-    for key, text in values.items():
+    for key, text in status.values.items():
         if key.startswith("magnitude"):
             return _number(text), key.partition("[")[2].rstrip("]")[:_MAX_KIND]
     return 0.0, ""
 
 
-def _number(text: str | None) -> float:
+def _number(text: str) -> float:
+    """Return a number in a text, 0 if it is none: anybody may publish on /diagnostics."""
     try:
-        value = float(text or "")
+        value = float(text)
     except ValueError:
         return 0.0
     return value if math.isfinite(value) else 0.0

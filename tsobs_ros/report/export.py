@@ -12,25 +12,29 @@ import csv
 import hashlib
 import json
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 from urllib.parse import quote
 
 from tsobs_ros.bag.estimate_topics import CONDITIONS, DESIGN
 from tsobs_ros.bag.joint_states import JOINT_STATE, JointState, JointStateDecoder
 from tsobs_ros.bag.reader import BagReader
 from tsobs_ros.design.file import parse_design
-from tsobs_ros.design.request import ArmRequest
+from tsobs_ros.design.request import TSRequest
 from tsobs_ros.design.signals import signals
 from tsobs_ros.errors import BagReadError, ExportError, MessageError, TsobsError
 from tsobs_ros.files import written_whole
 from tsobs_ros.replay.designs import recorded_observer
+from tsobs_ros.series import NANOSECONDS
 
 FORMATS = ("csv", "parquet")
+
+MAX_COLUMNS = 64
+"""Arrays that are ever longer stay in one column, as lists."""
 
 _BLOCK = 16_384
 _MAX_INT64 = 2**63 - 1
@@ -39,64 +43,25 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 # Characters of a topic that becomes a path, of a file's name, and of the start of a shortened one.
 _MAX_TOPIC, _MAX_NAME, _MAX_START = 1000, 240, 100
 
-MAX_COLUMNS = 64
-"""Arrays that are ever longer stay in one column, as lists."""
+Units: TypeAlias = Mapping[str, Mapping[str, str]]
+"""Units of fields by type, or of a JointState's fields by entry."""
 
-_FIRST = (("time", "s"), ("log_time", "ns"), ("publish_time", "ns"))
+Cell: TypeAlias = tuple[str, str, Any]
+"""Column, unit and value: a number, text, bytes, or a list if the array stays in one column."""
+
 _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
-_NANOSECONDS = 1_000_000_000
-
-_POINT = {"x": "m", "y": "m", "z": "m"}
-
-_UNITS: Mapping[str, Mapping[str, str]] = {
-    "builtin_interfaces/Time": {"sec": "s", "nanosec": "ns"},
-    "builtin_interfaces/Duration": {"sec": "s", "nanosec": "ns"},
+_LENGTHS = {"x": "m", "y": "m", "z": "m"}
+_UNITS: Units = {
     "geometry_msgs/Accel": {"linear": "m/s^2", "angular": "rad/s^2"},
-    "geometry_msgs/Inertia": {
-        "m": "kg",
-        "com": "m",
-        **dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "kg m^2"),
-    },
-    "geometry_msgs/Point": _POINT,
-    "geometry_msgs/Point32": _POINT,
+    "geometry_msgs/Point": _LENGTHS,
+    "geometry_msgs/Point32": _LENGTHS,
     "geometry_msgs/Pose2D": {"x": "m", "y": "m", "theta": "rad"},
-    "geometry_msgs/Transform": {"translation": "m", "rotation": ""},
+    "geometry_msgs/Transform": {"translation": "m"},
     "geometry_msgs/Twist": {"linear": "m/s", "angular": "rad/s"},
     "geometry_msgs/Wrench": {"force": "N", "torque": "N m"},
-    "nav_msgs/MapMetaData": {"resolution": "m"},
-    "sensor_msgs/BatteryState": {
-        "voltage": "V",
-        "current": "A",
-        "charge": "A h",
-        "capacity": "A h",
-        "design_capacity": "A h",
-        "temperature": "degC",
-        "cell_voltage": "V",
-        "cell_temperature": "degC",
-    },
-    "sensor_msgs/FluidPressure": {"fluid_pressure": "Pa"},
-    "sensor_msgs/Illuminance": {"illuminance": "lx"},
     "sensor_msgs/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
     # Of revolute joints; bags do not distinguish prismatic ones.
     "sensor_msgs/JointState": {"position": "rad", "velocity": "rad/s", "effort": "N m"},
-    "sensor_msgs/LaserScan": {
-        "angle_min": "rad",
-        "angle_max": "rad",
-        "angle_increment": "rad",
-        "time_increment": "s",
-        "scan_time": "s",
-        "range_min": "m",
-        "range_max": "m",
-        "ranges": "m",
-    },
-    "sensor_msgs/MagneticField": {"magnetic_field": "T"},
-    "sensor_msgs/NavSatFix": {"latitude": "deg", "longitude": "deg", "altitude": "m"},
-    "sensor_msgs/Range": {
-        "field_of_view": "rad",
-        "min_range": "m",
-        "max_range": "m",
-        "range": "m",
-    },
     "sensor_msgs/Temperature": {"temperature": "degC"},
     "trajectory_msgs/JointTrajectoryPoint": {
         "positions": "rad",
@@ -105,136 +70,85 @@ _UNITS: Mapping[str, Mapping[str, str]] = {
         "effort": "N m",
     },
 }
-
 # An observer's health is no angle, and the disturbance of a velocity is none.
-_RATE = {"position": "rad/s", "velocity": "rad/s^2"}
-_UNITS_OF_ENTRIES: Mapping[str, Mapping[str, str]] = {
+_RATES = {"position": "rad/s", "velocity": "rad/s^2"}
+_UNITS_OF_ENTRIES: Units = {
     **{name: {"position": ""} for name in CONDITIONS},
     "measurement_age": {"position": "s"},
-    "link_velocity": _RATE,
-    "motor_velocity": _RATE,
+    "link_velocity": _RATES,
+    "motor_velocity": _RATES,
 }
 
 
-class Cell(NamedTuple):
-    """One value of a row.
-
-    Attributes:
-        column: Its column's name.
-        unit: Its unit, empty for none.
-        value: A number, text, bytes, or a list if the array stays in one column.
-    """
-
-    column: str
-    unit: str
-    value: Any
-
-
 @dataclass
-class Column:
-    """A column.
-
-    Attributes:
-        name: Its name, without unit.
-        unit: Its unit, empty for none.
-        kind: The type of its values.
-        item: The type of their items if they are lists.
-        largest: The largest value if they are whole numbers.
-    """
+class _Column:
+    """A column: its name without unit, its unit, one of its values, and the largest number."""
 
     name: str
-    unit: str
-    kind: type = float
-    item: type = float
+    unit: str = ""
+    example: Any = 0.0
     largest: int = 0
 
-    def see(self, value: Any) -> None:
-        """Note the type and size of one of the values."""
-        self.kind = type(value)
-        if self.kind is int:
-            self.largest = max(self.largest, value)
-        elif self.kind is list and value:
-            self.item = type(value[0])
 
-
-class Table:
+class _Table:
     """A topic as a table.
 
     The first columns are `time`, in seconds since the bag's first message, and the times at which
     the message was received and published. They are followed by the message's own, in the order
     in which they first appear.
 
-    Args:
-        reader: The bag.
-        topic: The topic.
-        units: Units of a JointState's entries that are none of a joint's, by field.
-
-    Attributes:
-        topic: The topic.
-        columns: Its columns.
-        count: Number of rows.
-        damage: The place where reading ended early, if it did.
-
     Raises:
         BagReadError: The topic's messages cannot be decoded at all: their definition is malformed
             or not in `ros2msg`, or `mcap-ros2-support` is not installed.
     """
 
-    def __init__(
-        self, reader: BagReader, topic: str, units: Mapping[str, Mapping[str, str]] = {}
-    ) -> None:
-        self.topic, self._units = topic, units
+    def __init__(self, reader: BagReader, topic: str, units: Units) -> None:
+        self.topic, self.count = topic, 0
         self.damage: BagReadError | None = None
-        self.count = 0
-        self._reader = reader
+        self._reader, self._units = reader, units
         self._whole: set[str] = set()
-        self.columns = self._survey()
+        found: dict[str, _Column] = {}
+        for cells in self._messages():
+            self.count += 1
+            for name, unit, value in cells:
+                column = found.setdefault(name, _Column(name, unit))
+                if isinstance(value, list):
+                    self._whole.add(name)
+                    value = value or column.example
+                if isinstance(value, int):
+                    column.largest = max(column.largest, value)
+                column.example = value
+        # What was an array of several columns before it became too long is one column throughout.
+        split = tuple(f"{name}[" for name in self._whole)
+        self.columns = [one for one in found.values() if not (split and one.name.startswith(split))]
 
     def rows(self) -> Iterator[list[Any]]:
         """Yield the rows; None if a message has nothing for a column."""
-        places = {column.name: place for place, column in enumerate(self.columns)}
-        start = self._reader.start_time or 0
-        for log_time, publish_time, cells in self._messages():
-            row: list[Any] = [None] * len(places)
-            row[:3] = (log_time - start) / 1e9, log_time, publish_time
-            for column, _, value in cells:
-                row[places[column]] = value
-            yield row
+        for cells in self._messages():
+            row = {name: value for name, _, value in cells}
+            yield [row.get(column.name) for column in self.columns]
 
-    def _survey(self) -> list[Column]:
-        """Read all messages once to find the columns."""
-        found = {name: Column(name, unit) for name, unit in _FIRST}
-        for log_time, publish_time, cells in self._messages():
-            self.count += 1
-            found["log_time"].see(log_time)
-            found["publish_time"].see(publish_time)
-            for name, unit, value in cells:
-                found.setdefault(name, Column(name, unit)).see(value)
-                if isinstance(value, list):
-                    self._whole.add(name)
-        # What was an array of several columns before it became too long is one column throughout.
-        split = tuple(f"{name}[" for name in self._whole)
-        return (
-            [column for name, column in found.items() if not name.startswith(split)]
-            if split
-            else list(found.values())
-        )
-
-    def _messages(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
+    def _messages(self) -> Iterator[Iterator[Cell]]:
         # Outside of the `try`: without a decoder nothing is damaged, and there are no rows to keep.
         messages = self._decoded()
+        start = self._reader.start_time or 0
         try:
-            yield from messages
+            for log_time, publish_time, cells in messages:
+                times = (
+                    ("time", "s", (log_time - start) / NANOSECONDS),
+                    ("log_time", "ns", log_time),
+                    ("publish_time", "ns", publish_time),
+                )
+                yield chain(times, cells)
         except BagReadError as error:
             self.damage = error
 
     def _decoded(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
         if self._reader.topics[self.topic].type == JOINT_STATE:
             return self._joint_states()
-        messages = self._reader.decoded([self.topic])  # without a decoder it fails here
         return (
-            (message.log_time, message.publish_time, _flatten_message(message.message, self._whole))
-            for message in messages
+            (one.log_time, one.publish_time, self._flatten(one.message))
+            for one in self._reader.decoded([self.topic])  # without a decoder it fails here
         )
 
     def _joint_states(self) -> Iterator[tuple[int, int, Iterator[Cell]]]:
@@ -247,15 +161,44 @@ class Table:
                     f"{self._reader.path}: the message of {self.topic} at {raw.log_time} ns is "
                     f"not a {JOINT_STATE}: {error}"
                 ) from error
-            yield raw.log_time, raw.publish_time, _flatten_joint_state(state, self._units)
+            yield raw.log_time, raw.publish_time, self._flatten_joint_state(state)
+
+    def _flatten_joint_state(self, message: JointState) -> Iterator[Cell]:
+        """Yield the cells of a JointState; its numbers have the names of their joints."""
+        yield "header.stamp", "ns", message.stamp
+        yield "header.frame_id", "", message.frame_id
+        names = message.names
+        for field, usual in _UNITS["sensor_msgs/JointState"].items():
+            for place, value in enumerate(getattr(message, field)):
+                name = names[place] if place < len(names) else ""
+                column = f"{field}.{name}" if place < len(names) else f"{field}[{place}]"
+                own = self._units.get(name) or _UNITS_OF_ENTRIES.get(name.rpartition("/")[2], {})
+                yield column, own.get(field, usual), value
+
+    def _flatten(self, value: Any, column: str = "", unit: str = "") -> Iterator[Cell]:
+        """Yield the cells of a message, of an array or of a value."""
+        type_ = _type_of(value)
+        if isinstance(value, list | tuple):
+            nested = bool(value) and bool(_type_of(value[0]))
+            if not nested and (len(value) > MAX_COLUMNS or column in self._whole):
+                yield column, unit, list(value)
+                return
+            for place, one in enumerate(value):
+                yield from self._flatten(one, f"{column}[{place}]", unit)
+        elif type_ in _TIMES:
+            yield column, "ns", value.sec * NANOSECONDS + value.nanosec
+        elif type_:
+            for field in value.__slots__:
+                below = "" if "covariance" in field else _UNITS.get(type_, {}).get(field, unit)
+                path = f"{column}.{field}" if column else field
+                yield from self._flatten(getattr(value, field), path, below)
+        else:
+            yield column, unit, bytes(value) if isinstance(value, bytearray | memoryview) else value
 
 
-def _flatten_message(message: Any, whole: Collection[str] = ()) -> Iterator[Cell]:
-    """Yield the cells of a message as decoded, but for the arrays of the `whole` columns."""
-    type_ = _type_of(message)
-    for field in message.__slots__:
-        unit = _unit_of(type_, field)
-        yield from _flatten(getattr(message, field), field, unit, whole)
+def _type_of(value: Any) -> str:
+    """Return the type of a decoded message as `package/Type`, empty for anything else."""
+    return str(getattr(value, "_type", ""))
 
 
 def _units_of_systems(reader: BagReader) -> dict[str, dict[str, str]]:
@@ -270,70 +213,14 @@ def _units_of_systems(reader: BagReader) -> dict[str, dict[str, str]]:
                 if design.text is None:
                     continue
                 request = parse_design(f"{design.file:.200}", design.text).request
-                if isinstance(request, ArmRequest):
+                if not isinstance(request, TSRequest):
                     continue
                 own = signals(request, joint, alone=len(ran.designs) == 1)
-                for places, given in (
-                    (own.states, request.state_units),
-                    (own.inputs, request.input_units),
-                    (own.outputs, request.output_units),
-                ):
-                    for place, unit in zip(places, given, strict=True):
-                        rate = f"{unit}/s" if unit else ""
-                        units[place.name] = {"position": unit, "velocity": rate}
+                places = (*own.states, *own.inputs, *own.outputs)
+                given = (*request.state_units, *request.input_units, *request.output_units)
+                for place, unit in zip(places, given, strict=True):
+                    units[place.name] = {"position": unit, "velocity": f"{unit}/s" if unit else ""}
     return units
-
-
-def _flatten_joint_state(
-    message: JointState, units: Mapping[str, Mapping[str, str]]
-) -> Iterator[Cell]:
-    """Yield the cells of a JointState; its numbers have the names of their joints."""
-    yield Cell("header.stamp", "ns", message.stamp)
-    yield Cell("header.frame_id", "", message.frame_id)
-    names = message.names
-    for field in ("position", "velocity", "effort"):
-        usual = _unit_of("sensor_msgs/JointState", field)
-        for place, value in enumerate(getattr(message, field)):
-            name = names[place] if place < len(names) else ""
-            column = f"{field}.{name}" if place < len(names) else f"{field}[{place}]"
-            own = units.get(name) or _UNITS_OF_ENTRIES.get(name.rpartition("/")[2], {})
-            yield Cell(column, own.get(field, usual), value)
-
-
-def _flatten(value: Any, column: str, unit: str, whole: Collection[str]) -> Iterator[Cell]:
-    if isinstance(value, list | tuple):
-        yield from _flatten_array(value, column, unit, whole)
-    elif (type_ := _type_of(value)) in _TIMES:
-        yield Cell(column, "ns", value.sec * _NANOSECONDS + value.nanosec)
-    elif type_:
-        for field in value.__slots__:
-            below = _unit_of(type_, field, unit)
-            yield from _flatten(getattr(value, field), f"{column}.{field}", below, whole)
-    elif isinstance(value, bytearray | memoryview):
-        yield Cell(column, unit, bytes(value))
-    else:
-        yield Cell(column, unit, value)
-
-
-def _flatten_array(
-    values: Sequence[Any], column: str, unit: str, whole: Collection[str]
-) -> Iterator[Cell]:
-    nested = bool(values) and bool(_type_of(values[0]))
-    if not nested and (len(values) > MAX_COLUMNS or column in whole):
-        yield Cell(column, unit, list(values))
-        return
-    for place, value in enumerate(values):
-        yield from _flatten(value, f"{column}[{place}]", unit, whole)
-
-
-def _type_of(value: Any) -> str:
-    """Return the type of a decoded message as `package/Type`, empty for anything else."""
-    return str(getattr(value, "_type", ""))
-
-
-def _unit_of(type_: str, field: str, inherited: str = "") -> str:
-    """Return the unit of a field of a type `package/Type` that is part of something with a unit."""
-    return "" if "covariance" in field else _UNITS.get(type_, {}).get(field, inherited)
 
 
 class Exported(NamedTuple):
@@ -370,28 +257,28 @@ def export_bag(
         ExportError: A file exists already or cannot be written.
         ModuleNotFoundError: Parquet is asked for, but pyarrow is not installed.
     """
-    reader = BagReader(bag)
+    reader, output = BagReader(bag), Path(output)
     if unknown := [topic for topic in topics if topic not in reader.topics]:
         has = ", ".join(reader.topics) or "none"
         raise BagReadError(f"{bag}: no topic {', '.join(unknown)}; topics: {has}")
     chosen = topics or [name for name, info in reader.topics.items() if info.count]
     write = _write_parquet if format == "parquet" else _write_csv
-    paths = {topic: _file_of(topic, Path(output), format) for topic in chosen}
+    paths = {topic: _file_of(topic, output, format) for topic in chosen}
     for path in paths.values():
         if os.path.lexists(path):
             raise ExportError(f"{path}: exists already, files are not overwritten")
     # All topics before the first file: one that cannot be decoded leaves none behind.
     units = _units_of_systems(reader)
-    tables = [(Table(reader, topic, units), path) for topic, path in paths.items()]
-    exported = []
-    with written_whole(Path(output), ExportError) as folder:
-        for table, path in tables:
+    tables = {path: _Table(reader, topic, units) for topic, path in paths.items()}
+    with written_whole(output, ExportError) as folder:
+        for path, table in tables.items():
             partial = folder / path.relative_to(output)
             partial.parent.mkdir(parents=True, exist_ok=True)
             write(table, partial)
-            counts = table.count, len(table.columns)
-            exported.append(Exported(table.topic, path, *counts, table.damage))
-    return exported
+    return [
+        Exported(table.topic, path, table.count, len(table.columns), table.damage)
+        for path, table in tables.items()
+    ]
 
 
 def _file_of(topic: str, output: Path, format: str) -> Path:
@@ -409,13 +296,13 @@ def _file_name(name: str) -> str:
     return f"{encoded[:_MAX_START]}~{hashlib.sha256(encoded.encode()).hexdigest()[:16]}"
 
 
-def _write_csv(table: Table, path: Path) -> None:
+def _write_csv(table: _Table, path: Path) -> None:
     with path.open("x", encoding="utf-8", newline="") as stream:
         plain = csv.writer(stream, lineterminator="\n")
         quoted = csv.writer(stream, lineterminator="\n", quoting=csv.QUOTE_ALL)
         heads = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in table.columns]
         for row in chain([heads], table.rows()):
-            cells = [_csv_cell(value) for value in row]
+            cells = list(map(_csv_cell, row))
             # The csv module leaves a lone carriage return unquoted, which ends a line for readers.
             broken = any(isinstance(cell, str) and "\r" in cell for cell in cells)
             (quoted if broken else plain).writerow(cells)
@@ -423,44 +310,26 @@ def _write_csv(table: Table, path: Path) -> None:
 
 def _csv_cell(value: Any) -> Any:
     match value:
-        case None:
-            return ""
-        case bool():
-            return "true" if value else "false"
+        case bool() | list():
+            return json.dumps(value)
         case bytes():
             return value.hex()
-        case list():
-            return json.dumps(value)
-        case float():
-            return repr(value)
         case str() if value.startswith(_FORMULA):
             return f"'{value}"
         case _:
             return value
 
 
-def _write_parquet(table: Table, path: Path) -> None:
+def _write_parquet(table: _Table, path: Path) -> None:
     # Here, so that pyarrow is needed only for Parquet.
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    kinds = {
-        bool: pa.bool_(),
-        int: pa.int64(),
-        float: pa.float64(),
-        str: pa.string(),
-        bytes: pa.binary(),
-    }
-
-    def field(column: Column) -> Any:
-        if column.kind is list:
-            kind = pa.list_(kinds[column.item])
-        else:
-            kind = pa.uint64() if column.largest > _MAX_INT64 else kinds[column.kind]
+    def field(column: _Column) -> Any:
+        kind = pa.uint64() if column.largest > _MAX_INT64 else pa.scalar(column.example).type
         return pa.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
 
-    fields = [field(column) for column in table.columns]
-    schema = pa.schema(fields).with_metadata({"topic": table.topic})
+    schema = pa.schema(map(field, table.columns)).with_metadata({"topic": table.topic})
     rows = table.rows()
     with path.open("xb") as stream, pq.ParquetWriter(stream, schema) as writer:
         while block := list(islice(rows, _BLOCK)):

@@ -13,7 +13,7 @@ import numpy as np
 from tsobs_ros.checks import Array
 from tsobs_ros.estimation.baselines import GATE
 from tsobs_ros.report.comparison import aligned, number_text
-from tsobs_ros.report.metrics import SIGMAS
+from tsobs_ros.report.metrics import SIGMAS, RunMetrics
 from tsobs_ros.report.quantities import QUANTITIES
 
 BOUNDS = ("pcrb", "pcrb_augmented")
@@ -59,6 +59,15 @@ class Cell(NamedTuple):
     rmse: Array
     inside: Array
     normalised: Array
+
+    @classmethod
+    def of(cls, runs: Sequence[RunMetrics]) -> "Cell":
+        """Return the errors of some runs."""
+        numbers = np.array(
+            [[(one.rmse, one.inside) for one in run.quantities] for run in runs], np.float64
+        )
+        normalised = np.array([run.normalised_rmse for run in runs], np.float64)
+        return cls(numbers[..., 0], numbers[..., 1], normalised)
 
     @property
     def typical(self) -> float | None:
