@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "flow.h"
+#include "matrices.h"
 #include "trigonometry.h"
 
 /* Speed below which Coulomb friction is proportional to the speed [rad/s]. */
@@ -118,52 +119,34 @@ void simulate_arms(
     }
 }
 
-/* Write the weights of a system's rules at a state x and inputs and scheduled signals `held`. */
-static void weigh(
-    const simulated_system *system, const system_sizes *s, const double *x, const double *held)
+/* Write the weights of a system's rules. */
+static void weigh(const simulated_system *system, const system_sizes *s)
 {
-    for (long row = 0; row < s->premises; row++) {
-        double value = 0.0;
-        for (long i = 0; i < s->n; i++) {
-            value += system->premise[row * s->n + i] * x[i];
-        }
-        for (long i = 0; i < s->scheduled; i++) {
-            value += system->schedule[row * s->scheduled + i] * held[s->m + i];
-        }
-        system->z[row] = value;
-    }
+    multiply(system->premise, system->signals, system->z, s->premises, SIGNALS(s), 1);
     rule_weights(
         system->shapes, system->parameters, system->z, system->weights, NULL, s->rules,
         s->premises);
 }
 
-/* Write sum h_i M_i [x; u] for matrices M_i (rows, n + m), with weights h. */
+/* Write sum h_i M_i of the first `width` signals, for matrices M_i (rows, width). */
 static void blend(
-    const double *matrices, const double *weights, const system_sizes *s, long rows, long m,
-    const double *x, const double *u, double *result)
+    const simulated_system *system, const system_sizes *s, const double *matrices, long rows,
+    long width, double *result)
 {
-    const long width = s->n + m;
     for (long row = 0; row < rows; row++) {
         result[row] = 0.0;
         for (long rule = 0; rule < s->rules; rule++) {
             const double *line = matrices + (rule * rows + row) * width;
-            double value = 0.0;
-            for (long i = 0; i < s->n; i++) {
-                value += line[i] * x[i];
-            }
-            for (long i = 0; i < m; i++) {
-                value += line[s->n + i] * u[i];
-            }
-            result[row] += weights[rule] * value;
+            result[row] += system->weights[rule] * dot(line, system->signals, width);
         }
     }
 }
 
-/* Move a system's state x by one integration step. */
-static void step_system(
-    const simulated_system *system, const system_sizes *s, const double *held, double *x)
+/* Move a system's state, the first of the signals, by one integration step. */
+static void step_system(const simulated_system *system, const system_sizes *s)
 {
     const double h = *system->substep;
+    double *x = system->signals;
     for (long i = 0; i < s->n; i++) {
         system->start[i] = x[i];
         system->total[i] = 0.0;
@@ -171,8 +154,8 @@ static void step_system(
     for (int stage = 0; stage < 4; stage++) {
         const double share = stage == 0 || stage == 3 ? 1.0 : 2.0;
         const double time = stage == 2 ? h : 0.5 * h;
-        weigh(system, s, x, held);
-        blend(system->rates, system->weights, s, s->n, s->m, x, held, system->slope);
+        weigh(system, s);
+        blend(system, s, system->rates, s->n, s->n + s->m, system->slope);
         for (long i = 0; i < s->n; i++) {
             system->total[i] += share * system->slope[i];
             x[i] = system->start[i] + time * system->slope[i];
@@ -187,22 +170,27 @@ void simulate_systems(
     const simulated_system *system, const system_sizes *s, const double *inputs,
     const double *kicks, double *present, double *states, double *truths, long runs, long samples)
 {
-    for (long run = 0; run < runs; run++) {
-        double *x = present + s->n * run;
+    const size_t state = (size_t)s->n * sizeof *present;
+    const long held = s->m + s->scheduled;
+    double *x = system->signals;
+    for (long run = 0; run < runs; run++, present += s->n) {
+        memcpy(x, present, state);
         for (long k = 0; k < samples; k++) {
-            memcpy(states, x, (size_t)s->n * sizeof *x);
-            weigh(system, s, x, inputs);
-            blend(system->outputs, system->weights, s, s->p, 0, x, inputs, truths);
+            memcpy(x + s->n, inputs, (size_t)held * sizeof *x);
+            memcpy(states, x, state);
+            weigh(system, s);
+            blend(system, s, system->outputs, s->p, s->n, truths);
             for (int64_t step = 0; step < *system->substeps; step++) {
-                step_system(system, s, inputs, x);
+                step_system(system, s);
                 for (long i = 0; kicks != NULL && i < s->n; i++) {
                     x[i] += system->strengths[i] * *kicks++;
                 }
             }
-            inputs += s->m + s->scheduled;
+            inputs += held;
             states += s->n;
             truths += s->p;
         }
+        memcpy(present, x, state);
     }
 }
 

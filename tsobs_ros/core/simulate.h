@@ -50,11 +50,11 @@ typedef struct {
     long n, m, scheduled, p, rules, premises;
 } system_sizes;
 
-/* A T-S system: x' = sum h_i (A_i x + B_i u), y = sum h_i C_i x, with h of z = Z x + Z_s s.
+/* A T-S system: x' = sum h_i (A_i x + B_i u), y = sum h_i C_i x, with h of z = Z [x; u; s].
  *
  * rates, outputs: [A_i B_i] and C_i of all rules. shapes, parameters: the memberships' (r, q).
- * premise, schedule: Z and Z_s. strengths: what multiplies the process noise of each state.
- * The rest is scratch. */
+ * premise: Z. strengths: what multiplies the process noise of each state.
+ * The rest is scratch: signals is [x; u; s], with scheduled signals s. */
 #define SIMULATED_SYSTEM_FIELDS(F, s)                            \
     F(COUNT, substeps, 1, 1)                                     \
     F(NUMBER, substep, 1, 1)                                     \
@@ -62,14 +62,15 @@ typedef struct {
     F(MATRIX, outputs, (s)->rules * (s)->p, (s)->n)              \
     F(COUNTS, shapes, (s)->rules * (s)->premises, 1)             \
     F(MATRIX, parameters, (s)->rules * (s)->premises, 4)         \
-    F(MATRIX, premise, (s)->premises, (s)->n)                    \
-    F(MATRIX, schedule, (s)->premises, (s)->scheduled)           \
+    F(MATRIX, premise, (s)->premises, SIGNALS(s))                \
     F(VECTOR, strengths, (s)->n, 1)                              \
+    F(VECTOR, signals, SIGNALS(s), 1)                            \
     F(VECTOR, z, (s)->premises, 1)                               \
     F(VECTOR, weights, (s)->rules, 1)                            \
     F(VECTOR, start, (s)->n, 1)                                  \
     F(VECTOR, slope, (s)->n, 1)                                  \
     F(VECTOR, total, (s)->n, 1)
+#define SIGNALS(s) ((s)->n + (s)->m + (s)->scheduled)
 LAYOUT_DECLARE(simulated_system, SIMULATED_SYSTEM_FIELDS, system_sizes)
 
 /* Move arms over samples.

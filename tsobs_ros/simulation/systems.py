@@ -121,8 +121,9 @@ class SystemMotion(Motion):
             "outputs": outputs.reshape(-1, n),
             "shapes": shapes.ravel(),
             "parameters": parameters.reshape(-1, 4),
-            "premise": model.premise,
-            "schedule": model.schedule,
+            "premise": np.hstack(
+                [model.premise, np.zeros((len(model.premise), m)), model.schedule]
+            ),
             "strengths": np.sqrt(densities / rate / steps),
         }.items():
             record[name] = value
