@@ -19,7 +19,6 @@ from tsobs_ros.cli.main import main
 STRING = "std_msgs/msg/String"
 HELLO = b"\0\1\0\0\6\0\0\0hello\0"
 NOON = 1_795_262_400_000_000_000
-TOPIC = {"offered_qos_profiles": "[]", "topic_type_hash": ""}
 Captured = pytest.CaptureFixture[str]
 
 
@@ -63,9 +62,8 @@ def test_info_tells_what_a_bag_is_about(bag: Path, capsys: Captured) -> None:
     assert f"/b | {STRING} | 1 messages | cdr | reliable, transient_local\n" in out
 
 
-@pytest.mark.parametrize("chosen", [".", "run_0.mcap"])
-def test_info_is_plain_data_too(bag: Path, chosen: str, capsys: Captured) -> None:
-    assert main(["bag", "info", str(bag / chosen), "--json"]) == 0
+def test_info_is_plain_data_too(bag: Path, capsys: Captured) -> None:
+    assert main(["bag", "info", str(bag / "run_0.mcap"), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert (summary["messages"], summary["problem"]) == (103, "")
     assert summary["end_ns"] - summary["start_ns"] == summary["duration_ns"] == 2_000_000_000
@@ -85,59 +83,6 @@ def test_info_counts_what_an_unfinished_bag_holds(killed: Path, capsys: Captured
     assert out.startswith("NOT FINISHED: ")
     assert "the file has no end" in out
     assert f"Messages:     {summary['messages']}" in out
-
-
-@pytest.mark.parametrize("use_chunking", [True, False])
-def test_messages_without_a_checksum_are_counted_everywhere(
-    tmp_path: Path, use_chunking: bool, capsys: Captured
-) -> None:
-    """The first two messages have one if there are chunks."""
-    path, note = tmp_path / "x.mcap", "have no checksum: damage in them is not noticed"
-    with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=1, use_chunking=use_chunking)
-        writer.start(profile="ros2")
-        schema = writer.register_schema(STRING, "ros2msg", b"string data\n")
-        channel = writer.register_channel("/a", "cdr", schema, TOPIC)
-        for number in range(5):
-            writer.add_message(channel, NOON + number, HELLO, NOON)
-        writer.finish()
-    if use_chunking:
-        data = bytearray(path.read_bytes())
-        for span in BagReader(path).summaries[0].spans[2:]:
-            data[span.offset + 33 : span.offset + 37] = bytes(4)
-        path.write_bytes(data)
-    count = 3 if use_chunking else 5
-
-    reader = BagReader(path)
-    assert (len(list(reader.messages())), reader.unchecked) == (5, count)
-    results = []
-    for command in ("info", "verify", "recover"):
-        assert main(["bag", command, str(path), "--json"]) == 0
-        results.append(json.loads(capsys.readouterr().out))
-    info, verified, recovered = results
-    assert info["unchecked"] == verified["unchecked"] == count
-    assert recovered["files"][0]["unchecked"] == count
-    assert not recovered["whole"]
-    assert main(["bag", "info", str(path)]) == 0
-    assert f"Unchecked:    {count} messages {note}\n" in capsys.readouterr().out
-    assert main(["bag", "verify", str(path)]) == 0
-    out = capsys.readouterr().out
-    assert f"remark: x.mcap: {count} messages {note}\n" in out
-    assert f"OK, but {count} UNCHECKED, 5 messages in 1 file" in out
-
-
-def test_info_on_what_is_no_bag_is_one_line(tmp_path: Path, capsys: Captured) -> None:
-    (tmp_path / "x.mcap").write_bytes(b"something else")
-    for path in (tmp_path / "none", tmp_path / "x.mcap"):
-        assert main(["bag", "info", str(path)]) == 1
-        err = capsys.readouterr().err
-        assert err.startswith(f"error: {path}: ")
-        assert err.count("\n") == 1
-
-
-def test_verify_says_ok_in_one_line(bag: Path, capsys: Captured) -> None:
-    assert main(["bag", "verify", str(bag)]) == 0
-    assert capsys.readouterr().out == f"{bag}: OK, 103 messages in 1 file\n"
 
 
 def test_verify_gives_all_reasons(killed: Path, capsys: Captured) -> None:
@@ -176,20 +121,6 @@ def test_recover_can_be_told_where_and_how(killed: Path, capsys: Captured) -> No
     assert not report["files"][0]["finished"]
 
 
-def test_recover_says_why_nothing_is_left(tmp_path: Path, capsys: Captured) -> None:
-    (tmp_path / "x.mcap").write_bytes(b"")
-    assert main(["bag", "recover", str(tmp_path / "x.mcap")]) == 1
-    assert "no message can be recovered: x.mcap: it is empty" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["x.mcap"]
-
-
-@pytest.mark.parametrize("arguments", [["bag"], ["bag", "info"], ["bag", "mend", "x"]])
-def test_wrong_usage_is_told(arguments: list[str], capsys: Captured) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(arguments)
-    assert "usage: tsobs bag" in capsys.readouterr().err
-
-
 @pytest.fixture
 def forbidden(bag: Path) -> Iterator[Path]:
     """A folder with a bag in which nobody may look; root becomes another user for the test."""
@@ -218,21 +149,18 @@ def forbidden(bag: Path) -> Iterator[Path]:
             folder.chmod(0o755)
 
 
-@pytest.mark.parametrize("place", ["", "run", "run/run_0.mcap"])
 @pytest.mark.parametrize(
     "command", ["bag info", "bag verify", "bag recover", "estimate", "compare", "report", "export"]
 )
-def test_what_may_not_be_read_is_named(
-    forbidden: Path, capsys: Captured, command: str, place: str
-) -> None:
+def test_what_may_not_be_read_is_named(forbidden: Path, capsys: Captured, command: str) -> None:
     output = (
         [] if command in ("bag info", "bag verify") else ["--output", str(forbidden.parent / "out")]
     )
-    assert main([*command.split(), str(forbidden / place), *output]) == 1
+    assert main([*command.split(), str(forbidden / "run"), *output]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
     assert "Permission denied" in line
-    assert str(forbidden / place) in line
+    assert str(forbidden / "run") in line
     assert "recover" not in line
 
 
@@ -260,13 +188,10 @@ def hostile_bag(tmp_path: Path, hostile: str) -> Path:
     ("command", "exit_code"),
     [
         ("bag info", 0),
-        ("bag info --json", 0),
         ("bag verify", 1),
         ("bag recover --output OUT", 0),
         ("export --output OUT", 1),
-        ("export --topic /none --output OUT", 1),
         ("estimate --output OUT", 0),
-        ("estimate --joints nobody --output OUT", 1),
         ("compare --method certified ekf", 0),
         ("report --output OUT", 1),
     ],

@@ -10,19 +10,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
 import tsobs_ros
 from tsobs_ros.cli.common import progress
 from tsobs_ros.cli.main import main
-from tsobs_ros.design.file import load_design
+from tsobs_ros.design.file import load_design, load_request
+from tsobs_ros.design.plausible import questions
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = config_path(SHIPPED_DESIGN)
-VERTICES = ["(0.7317, 0.7317)", "(0.7317, 1)", "(1, 0.7317)", "(1, 1)"]
 Captured = pytest.CaptureFixture[str]
 
 
@@ -70,76 +69,44 @@ def triple_the_gain(data: dict[str, Any]) -> None:
     data["gain"]["K"] = [3.0 * value for value in data["gain"]["K"]]
 
 
-def negate_a_diagonal_entry(data: dict[str, Any]) -> None:
-    data["certificate"]["P"][2][2] *= -1.0
-
-
 def test_verify_shows_every_margin_of_the_shipped_design(capsys: Captured) -> None:
     assert main(["verify"]) == 0
     out, err = capsys.readouterr()
-    assert err == ""
-    assert str(SHIPPED) in out
+    assert (err, str(SHIPPED) in out) == ("", True)
     assert out.rstrip().endswith("the certificate holds")
-    for vertex in VERTICES:
-        (line,) = [line for line in out.splitlines() if f"slopes {vertex}" in line]
-        assert "holds, margin" in line
-    assert "P symmetric and positive definite: holds" in out
+    assert out.count(": holds, margin") == 5
     design = load_design(SHIPPED)
     for index, std in enumerate(design.bound_std):
         assert f"{std:.5f}" in out, index
 
     assert main(["verify", str(SHIPPED), "--json"]) == 0
     printed = strict_json(capsys.readouterr().out)
-    assert printed["holds"] is True
-    assert printed["design"] == str(SHIPPED)
+    assert (printed["holds"], printed["design"]) == (True, str(SHIPPED))
     assert printed["gain"] == design.K[:, 0].tolist()
     assert printed["bound_std"] == design.bound_std.tolist()
-    assert [each["margin"] for each in printed["inequalities"]] == [
-        each.margin for each in design.certificate.inequalities
-    ]
-    assert all(each["holds"] and each["margin"] > 0.0 for each in printed["inequalities"])
-    assert len(printed["inequalities"]) == 5
-    assert (printed["x_max"], printed["rate"], printed["disturbance"]) == (0.75, 200.0, "bias")
+    margins = [each.margin for each in design.certificate.inequalities]
+    assert [each["margin"] for each in printed["inequalities"]] == margins
 
 
-def test_verify_proves_in_exact_arithmetic(capsys: Captured) -> None:
-    assert main(["verify", "--exact"]) == 0
-    assert "proved in exact arithmetic" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("change", "failing"),
-    [
-        (triple_the_gain, [f"covariance decrease at slopes {vertex}" for vertex in VERTICES]),
-        (negate_a_diagonal_entry, ["P symmetric and positive definite"]),
-    ],
-)
-def test_a_tampered_design_fails_by_inequality_and_vertex(
-    tampered: Any, capsys: Captured, change: Any, failing: list[str]
-) -> None:
-    path = tampered(change)
+def test_a_tampered_design_fails_by_inequality_and_vertex(tampered: Any, capsys: Captured) -> None:
+    path = tampered(triple_the_gain)
     assert main(["verify", str(path)]) == 1
     out = capsys.readouterr().out
     assert "THE CERTIFICATE DOES NOT HOLD" in out
-    for inequality in failing:
-        assert f"{inequality}: DOES NOT HOLD, margin " in out
+    for vertex in ("(0.7317, 0.7317)", "(0.7317, 1)", "(1, 0.7317)", "(1, 1)"):
+        assert f"covariance decrease at slopes {vertex}: DOES NOT HOLD, margin " in out
 
     assert main(["verify", str(path), "--json"]) == 1
     printed = strict_json(capsys.readouterr().out)
-    assert printed["holds"] is False
-    assert printed["bound_std"] is None
-    wrong = [each for each in printed["inequalities"] if not each["holds"]]
-    assert len(wrong) >= len(failing)
-    assert all(each["margin"] is None or each["margin"] < 0.0 for each in wrong)
+    assert (printed["holds"], printed["bound_std"]) == (False, None)
+    assert sum(not each["holds"] for each in printed["inequalities"]) == 4
 
 
 @pytest.mark.parametrize(
     ("content", "named"),
     [
         (None, "no such design file"),
-        ("- 1\n- 2\n", "expected a mapping"),
         ("{", "not valid YAML"),
-        ("format: something else\n", "format"),
     ],
 )
 def test_files_that_are_no_design_are_one_line(
@@ -156,36 +123,6 @@ def test_files_that_are_no_design_are_one_line(
     assert len(err.splitlines()) == 1
 
 
-def test_a_design_is_made_and_replaced_only_by_force(tmp_path: Path, capsys: Captured) -> None:
-    pytest.importorskip("cvxpy")
-    path = tmp_path / "mine.yaml"
-    path.write_text("precious", encoding="utf-8")
-    assert main(["design", "--output", str(path)]) == 1
-    assert capsys.readouterr().err == f"error: {path}: exists already; --force replaces it\n"
-    assert path.read_text(encoding="utf-8") == "precious"
-
-    assert main(["design", "--output", str(path), "--force"]) == 0
-    assert f"written to {path}" in capsys.readouterr().out
-    assert [each.name for each in tmp_path.iterdir()] == ["mine.yaml"]
-    made, shipped = load_design(path), load_design(SHIPPED)
-    # The shipped design was made of the defaults.
-    assert made.request == shipped.request
-    np.testing.assert_allclose(made.K, shipped.K, rtol=1e-3)
-    assert main(["verify", str(path)]) == 0
-
-
-def test_a_request_file_is_followed(tmp_path: Path, capsys: Captured) -> None:
-    pytest.importorskip("cvxpy")
-    request, path = tmp_path / "request.yaml", tmp_path / "new.design.yaml"
-    request.write_text("x_max: 0.5\nmeasurement_std: 0.01\n", encoding="utf-8")
-    assert main(["design", str(request), "--output", str(path), "--json"]) == 0
-    printed = strict_json(capsys.readouterr().out)
-    assert (printed["design"], printed["x_max"], printed["holds"]) == (str(path), 0.5, True)
-    design = load_design(path)
-    assert design.request.measurement_std == 0.01
-    assert printed["gain"] == design.K[:, 0].tolist()
-
-
 def test_a_design_says_what_arm_it_is_for_and_asks_about_odd_numbers(
     tmp_path: Path, capsys: Captured
 ) -> None:
@@ -193,8 +130,14 @@ def test_a_design_says_what_arm_it_is_for_and_asks_about_odd_numbers(
     request = tmp_path / "request.yaml"
     arm = "{link_inertia: 0.8, motor_inertia: 1.5, stiffness: 25.0, gravity_torque: 6.0}"
     request.write_text(f"arm: {arm}\n", encoding="utf-8")
-    command = ["design", str(request), "--output", str(tmp_path / "new.design.yaml"), "--force"]
+    path = tmp_path / "new.design.yaml"
+    path.write_text("precious", encoding="utf-8")
+    assert main(["design", str(request), "--output", str(path)]) == 1
+    assert capsys.readouterr().err == f"error: {path}: exists already; --force replaces it\n"
+    assert path.read_text(encoding="utf-8") == "precious"
+    command = ["design", str(request), "--output", str(path), "--force"]
     assert main(command) == 0
+    assert load_design(path).certificate.holds
     out, err = capsys.readouterr()
     assert err == ""
     lines = out.splitlines()
@@ -215,9 +158,7 @@ def test_a_design_says_what_arm_it_is_for_and_asks_about_odd_numbers(
         f"arm: {heavy}\nmeasurement_std: 30\nrate: 0.002\ninitial_std: [90, 1, 90, 1]\n",
         encoding="utf-8",
     )
-    main(command)
-    asked = [line for line in capsys.readouterr().err.splitlines() if "is it meant so?" in line]
-    assert [line.removeprefix("is it meant so? ") for line in asked] == [
+    assert list(questions(load_request(request))) == [
         "link_inertia: 350000 kg m^2? As kg mm^2 it would be 0.35 kg m^2",
         "measurement_std: 30 rad? As degrees it would be 0.5236 rad",
         "initial_std[0]: 90 rad? As degrees it would be 1.571 rad",
@@ -234,37 +175,11 @@ def test_an_impossible_request_is_explained(tmp_path: Path, capsys: Captured) ->
     assert main(["design", str(request), "--output", str(path)]) == 1
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(
-        "error: no observer can distinguish the arm from a disturbance of kind bias"
-    )
+    assert err.startswith("error: no observer exists: disturbance bias, |q1| <= 1.6 rad")
     assert "gravity slope c = 0" in err
     assert "what would help:" in err
     assert "a smaller domain" in err
     assert not path.exists()
-
-
-@pytest.mark.parametrize(
-    ("content", "named"),
-    [("x_max: 4.0\n", "x_max"), ("colour: red\n", "colour"), ("rate: fast\n", "rate")],
-)
-def test_a_senseless_request_is_refused_by_name(
-    tmp_path: Path, capsys: Captured, content: str, named: str
-) -> None:
-    request = tmp_path / "request.yaml"
-    request.write_text(content, encoding="utf-8")
-    assert main(["design", str(request), "--output", str(tmp_path / "new.yaml")]) == 1
-    err = capsys.readouterr().err
-    assert err.startswith(f"error: {request}: ")
-    assert named in err
-
-
-def test_a_design_is_no_request(tmp_path: Path, capsys: Captured) -> None:
-    pytest.importorskip("cvxpy")
-    assert main(["design", str(SHIPPED), "--output", str(tmp_path / "x.yaml")]) == 1
-    err = capsys.readouterr().err
-    assert f"error: {SHIPPED}: format: expected a request, got a finished design" in err
-    assert f"`-p design:={SHIPPED}`" in err
-    assert not (tmp_path / "x.yaml").exists()
 
 
 def test_a_ts_model_is_designed_and_verified(tmp_path: Path, capsys: Captured) -> None:
@@ -291,13 +206,7 @@ def test_the_papers_procedure_designs_what_it_can(tmp_path: Path, capsys: Captur
     [
         [],
         ["observe"],
-        ["verify", "--colour"],
-        ["verify", "one", "two"],
-        ["design"],
-        ["demo", "--duration", "-3"],
         ["demo", "--duration", "nan"],
-        ["demo", "--duration", "soon"],
-        ["demo", "--seed", "1.5"],
         ["report"],
     ],
 )
@@ -307,7 +216,7 @@ def test_wrong_usage_is_exit_code_2(capsys: Captured, arguments: list[str]) -> N
     assert "usage: tsobs" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", [[], ["demo"], ["design"], ["verify"], ["report"]])
+@pytest.mark.parametrize("command", [[], ["demo"]])
 def test_help_is_there(capsys: Captured, command: list[str]) -> None:
     with pytest.raises(SystemExit, match="0"):
         main([*command, "--help"])
@@ -323,15 +232,6 @@ def test_the_version_is_printed(capsys: Captured) -> None:
     with pytest.raises(SystemExit, match="0"):
         main(["--version"])
     assert capsys.readouterr().out == f"tsobs {tsobs_ros.__version__}\n"
-
-
-def test_a_bag_that_is_not_there_is_one_line(tmp_path: Path, capsys: Captured) -> None:
-    assert main(["report", str(tmp_path / "bag"), "--output", str(tmp_path / "report")]) == 1
-    err = capsys.readouterr().err
-    assert err.startswith("error: ")
-    assert str(tmp_path / "bag") in err
-    assert len(err.splitlines()) == 1
-    assert not (tmp_path / "report").exists()
 
 
 def tsobs(*arguments: str, block: tuple[str, ...] = ()) -> subprocess.Popen[bytes]:
@@ -375,9 +275,8 @@ class Terminal(io.StringIO):
         (Terminal(), True, False, "/10"),
         (Terminal(), True, True, ""),
         (Terminal(), False, False, ""),
-        (io.StringIO(), True, False, ""),
     ],
-    ids=["terminal", "quiet", "without tqdm", "file"],
+    ids=["terminal", "quiet", "without tqdm"],
 )
 def test_progress_is_shown_on_a_terminal(
     monkeypatch: pytest.MonkeyPatch, stream: io.StringIO, installed: bool, quiet: bool, bar: str
