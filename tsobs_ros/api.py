@@ -476,17 +476,18 @@ def _joint(source: "Source", run: "Run", joint: int) -> Estimates:
         innovation_time=run.samples.stamps[used] / NANOSECONDS,
         parameters=table.parameters[:, joint],
         parameter_bound=table.parameter_bounds[:, joint],
-        basis=table.conditions["basis"][:, joint],
-        claimed=table.conditions["claimed"][:, joint] == 1.0,
-        parameters_valid=table.conditions["parameters_valid"][:, joint] == 1.0,
-        noise_scale=table.conditions["noise_scale"][:, joint],
-        coloured_power=table.conditions["coloured_power"][:, joint],
-        learning=table.conditions["learning"][:, joint],
-        hypothesis=table.conditions["hypothesis"][:, joint],
-        in_domain=table.conditions["in_domain"][:, joint] == 1.0,
+        **_conditions(lambda name: table.conditions[name][:, joint]),
         used=int(used.sum()),
         rejected={reason.value: n for reason, n in run.replay.rejected.items()},
     )
+
+
+def _conditions(column: Callable[[str], Array]) -> dict[str, Any]:
+    """Return the fields of `Estimates` that say what the bounds rest on."""
+    numbers = ("basis", "noise_scale", "coloured_power", "learning", "hypothesis")
+    flags = ("claimed", "parameters_valid", "in_domain")
+    found: dict[str, Any] = {name: np.array(column(name)) for name in numbers}
+    return found | {name: column(name) == 1.0 for name in flags}
 
 
 def _outputs(
@@ -560,11 +561,7 @@ def _columns_of(rows: Rows, estimator: Estimator, outputs: tuple[int, ...]) -> d
         columns[name] = np.full((len(rows), *shape), np.nan)
         if name not in estimator.lacking:
             columns[name][:] = rows[name].reshape(columns[name].shape)
-    for name in ("basis", "noise_scale", "coloured_power", "learning", "hypothesis"):
-        columns[name] = rows[name].copy()
-    for name in ("claimed", "parameters_valid", "in_domain"):
-        columns[name] = rows[name] == 1.0
-    return columns
+    return columns | _conditions(lambda name: np.asarray(rows[name]))
 
 
 def _numbers(name: str, value: ArrayLike) -> Array:

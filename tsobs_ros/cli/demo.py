@@ -101,16 +101,7 @@ def run(options: argparse.Namespace) -> int:
 def _record(
     output: Path, options: argparse.Namespace, show_progress: Callable[[float], object]
 ) -> Path:
-    """Run the nodes for the demo's duration and return the closed bag.
-
-    Args:
-        output: Folder for the bag and the logs; made here, must not exist.
-        options: Of the command.
-        show_progress: Called with the seconds simulated so far.
-
-    Raises:
-        NodeError: The folder exists, or a node did not start, failed or did not end.
-    """
+    """Run the nodes for the demo's duration, in a new folder, and return the closed bag."""
     try:
         output.mkdir(parents=True)
         (output / "log").mkdir()
@@ -141,11 +132,8 @@ def _record(
         observer = start("observer", {"design": options.design.resolve()})
         recorder = start("recorder", {"output": bag.resolve(), "topics": topics})
         drawn = start("visualizer", {})
-        own = [
-            re.escape(topic) + r" \["
-            for topic in RECORDED_TOPICS
-            if "/observer/" in topic or topic == MARKERS
-        ]
+        own = [each for each in RECORDED_TOPICS if "/observer/" in each or each == MARKERS]
+        own = [re.escape(topic) + r" \[" for topic in own]
         others = [observer, recorder, drawn]
         _until(lambda: recorder.has_printed(*own), others, "the recorder to be ready")
         plant = start(

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from tsobs_ros.cli.common import Commands, add_json, positive, show
@@ -24,12 +25,9 @@ if TYPE_CHECKING:
     from tsobs_ros.estimation.health import Status
     from tsobs_ros.nodes.watcher import Quantity, Snapshot
 
-_ENOUGH = 1.0
-"""Time of estimates that a single snapshot counts rates over [s]."""
-_SILENT = 1.0
-"""Age of the last estimate from which on it is shown [s]."""
-_TOO_FAR = 3.0
-"""Bounds beyond which an error is marked."""
+_ENOUGH = 1.0  # time of estimates that a single snapshot counts rates over [s]
+_SILENT = 1.0  # age of the last estimate from which on it is shown [s]
+_TOO_FAR = 3.0  # bounds beyond which an error is marked
 _STYLES = ("green", "bold dark_orange", "bold red", "dim")
 _RATES = {
     "measurements": "measurements",
@@ -38,7 +36,6 @@ _RATES = {
     "health": "health",
     "ground_truth/joint_states": "truth",
 }
-"""Names of the topics whose rates are shown."""
 _ALWAYS = ("certificate", "parameters", "measurements", "timing")
 """Concerns of diagnostics that are shown even if all is well."""
 _LEVELS = ("OK", "WARN", "ERROR", "STALE")
@@ -178,12 +175,8 @@ def _estimates(snapshot: Snapshot) -> Table:
     titles = [title for name, _ in kinds for title in (name, "±1σ", *["error"] * is_known)]
     table = _table("estimate", *titles)
     for name in snapshot.positions:
-        cells: list[Text] = []
-        for _, quantities in kinds:
-            each = quantities.get(name)
-            cells += [_number(each and each.value), _number(each and each.bound, sign=False)]
-            cells += [_error(each)] * is_known
-        table.add_row(_text(name), *cells)
+        cells = [_cells(quantities.get(name), is_known) for _, quantities in kinds]
+        table.add_row(_text(name), *chain.from_iterable(cells))
     return table
 
 
@@ -193,9 +186,9 @@ def _sensors(snapshot: Snapshot) -> Table:
     table = _table("sensor", f"disturbance{unit}", "±1σ", *["error"] * is_known, "innovation")
     table.add_column("fault")
     for name, each in snapshot.disturbances.items():
-        cells = [_number(each.value), _number(each.bound, sign=False), *[_error(each)] * is_known]
-        cells += [_number(snapshot.innovations.get(name)), _fault(_fault_of(snapshot, name))]
-        table.add_row(_text(name), *cells)
+        innovation = _number(snapshot.innovations.get(name))
+        fault = _fault(_fault_of(snapshot, name))
+        table.add_row(_text(name), *_cells(each, is_known), innovation, fault)
     return table
 
 
@@ -257,15 +250,9 @@ def _details(status: Status, concern: str) -> list[str]:
 def _fault_of(snapshot: Snapshot, entry: str) -> Status | None:
     """Return the status of a sensor's fault, whose name depends on how many there are."""
     joint, _, output = entry.partition("/")
-    for name in (
-        f"{joint}: sensor fault of {output}",
-        f"{joint}: sensor fault",
-        f"sensor fault of {output or entry}",
-        "sensor fault",
-    ):
-        if name in snapshot.statuses:
-            return snapshot.statuses[name]
-    return None
+    of = f"sensor fault of {output or entry}"
+    names = (f"{joint}: {of}", f"{joint}: sensor fault", of, "sensor fault")
+    return next((snapshot.statuses[name] for name in names if name in snapshot.statuses), None)
 
 
 def _fault(status: Status | None) -> Text:
@@ -302,13 +289,12 @@ def _number(value: float | None, *, sign: bool = True) -> Text:
     return _text(f"{value:{plus}.4f}" if abs(value) < 1e4 else f"{value:{plus}.3e}")
 
 
-def _error(each: Quantity | None) -> Text:
-    """Return an error, marked if it is far beyond its bound."""
+def _cells(each: Quantity | None, is_known: bool) -> list[Text]:
+    """Return a value, its bound and, if the truth is known, its error, marked beyond 3 sigma."""
     if each is None:
-        return _number(None)
-    error = each.value - each.truth
-    text = _number(error)
-    if abs(error) > _TOO_FAR * each.bound:
-        text.append("!")
-        text.stylize(_STYLES[2])
-    return text
+        return [_number(None)] * (2 + is_known)
+    error = _number(each.value - each.truth)
+    if abs(each.value - each.truth) > _TOO_FAR * each.bound:
+        error.append("!")
+        error.stylize(_STYLES[2])
+    return [_number(each.value), _number(each.bound, sign=False), *[error] * is_known]
