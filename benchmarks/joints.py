@@ -13,7 +13,7 @@ from common import at_least, parser, show, use_one_thread
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.estimation.records import Measurement
-from tsobs_ros.estimation.tracker import JointTrackers, Tracker
+from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import ObserverSettings, make_tracker
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
@@ -55,7 +55,7 @@ def _costs(counts: list[int], seconds: float) -> dict[str, float]:
     """Return the median time of a tick of each kind and number of joints [µs]."""
     cases = {
         f"{kind}, {count} joint{'s' * (count > 1)}": (
-            JointTrackers(_trackers(kind, count)),
+            _trackers(kind, count),
             _rows(kind, count, seconds),
         )
         for kind in _DESIGNS
@@ -63,11 +63,12 @@ def _costs(counts: list[int], seconds: float) -> dict[str, float]:
     }
     times: dict[str, list[int]] = {name: [] for name in cases}
     for begin in range(0, min(len(rows) for _, rows in cases.values()), _TURN):
-        for name, (joints, rows) in cases.items():
+        for name, (trackers, rows) in cases.items():
             for now, row in rows[begin : begin + _TURN]:
                 started = time.perf_counter_ns()
-                joints.offer(row, now)
-                joints.estimate(now)
+                for tracker, measurement in zip(trackers, row, strict=True):
+                    tracker.offer(measurement, now)
+                    tracker.estimate(now)
                 times[name].append(time.perf_counter_ns() - started)
     # The first half is for caches and for the certified gain to take over.
     return {name: float(np.median(each[len(each) // 2 :])) / 1e3 for name, each in times.items()}

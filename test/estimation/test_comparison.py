@@ -3,37 +3,30 @@
 """PO, PIO and EKF against their definitions, exact solutions and an independent filter."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 from bayesian_filters.kalman import KalmanFilter
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag
 
 from tsobs_ros.design.file import load_design
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
-from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.baselines import (
     THETA_STD,
     THETA_WANDER,
     extended_kalman,
     high_gain,
     high_gain_matrix,
-    place_single_output,
     proportional_integral,
     proportional_integral_matrix,
 )
 from tsobs_ros.estimation.estimator import Estimator
-from tsobs_ros.estimation.history import GATED
 from tsobs_ros.estimation.records import Innovation, Measurement, RejectReason
 from tsobs_ros.estimation.tracker import Tracker, TrackerOptions
 from tsobs_ros.methods import make_ekf
 from tsobs_ros.model.arm import LINK_VELOCITY, MOTOR_VELOCITY, ElasticJointArm
-from tsobs_ros.model.flow import ProcessNoise
-from tsobs_ros.paper.observer import paper_observer
 from tsobs_ros.resources import SHIPPED_DESIGN, config_path
-from tsobs_ros.simulation.plant import Plant, Scenario
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
 Array = NDArray[np.float64]
@@ -62,84 +55,8 @@ def test_observers_have_their_poles(theta: float) -> None:
         np.testing.assert_allclose(poles, -theta * np.array(spread), rtol=1e-5)
 
 
-def test_held_sample_is_integrated_exactly() -> None:
-    A, C = LINEAR.slope_matrix(1.0), LINEAR.output_matrix
-    y, u = np.array([0.4]), np.array([0.7])
-    drive = LINEAR.input_matrix @ u
-
-    high, K = high_gain(LINEAR, 4.0, *KNOWN), high_gain_matrix(LINEAR, 4.0)
-    state, correction = high.correct(high.initial().changed(x=START), y)
-    np.testing.assert_allclose(correction.innovation, 0.1)
-    np.testing.assert_allclose(correction.innovation_covariance, 0.028**2)
-    expected = exact(A - K @ C, K @ y + drive, START, 0.05)
-    np.testing.assert_allclose(high.predict(state, u, 0.05).x, expected, rtol=1e-5, atol=1e-5)
-
-    integral = proportional_integral(LINEAR, 4.0, *KNOWN)
-    K = proportional_integral_matrix(LINEAR, 4.0)
-    begun, _ = integral.correct(integral.initial().changed(x=np.r_[START, 0.0]), y)
-    joined = block_diag(A, -K[0])
-    joined[:4, 4:], joined[4:, :4] = K[1:], -C
-    expected = exact(joined, np.r_[drive, y], np.r_[START, 0.0], 0.05)
-    after = integral.predict(begun, u, 0.05)
-    np.testing.assert_allclose(after.x, expected, rtol=1e-5, atol=1e-5)
-
-
-def exact(A: Array, b: Array, x: Array, t: float) -> Array:
-    n = len(x)
-    joined = np.zeros((n + 1, n + 1))
-    joined[:n, :n], joined[:n, n] = A, b
-    return (expm(t * joined) @ np.r_[x, 1.0])[:n]
-
-
-@pytest.mark.parametrize("make", [high_gain, proportional_integral])
-@pytest.mark.parametrize("theta", [3.0, 6.0])
-def test_converges_on_a_clean_output_for_every_run_of_a_batch(
-    make: Callable[..., Estimator], theta: float
-) -> None:
-    torques = np.sin(np.arange(1200) * PERIOD)[:, np.newaxis]
-    plant = Plant(
-        Scenario(
-            ARM,
-            initial_state=tuple(START.tolist()),
-            initial_spread=(0.0,) * 4,
-            process_noise=ProcessNoise(0.0, 0.0),
-        )
-    )
-    samples, truth = plant.run(1200, torques).physical[:, :1], plant.step().physical
-    observer = make(ARM, theta, *KNOWN)
-    states = observer.initial((3,))
-    for y, u in zip(samples, torques, strict=True):
-        states, correction = observer.correct(states, y)
-        assert correction.innovation.shape == (3, 1)
-        states = observer.predict(states, u, PERIOD)
-    error = np.abs(states.x[:, :4] - ARM.from_physical(truth))
-    # What is left is the sample's age, half a period of the velocity.
-    assert error[:, 0].max() < 0.01
-    assert error.max() < 0.5
-    assert (states.x[0] == states.x[2]).all()
-
-
 def stamps_of(count: int) -> NDArray[np.int64]:
     return 10**9 + 5_000_000 * np.arange(count)
-
-
-@pytest.mark.parametrize("learns", [False, True])
-def test_an_ekf_puts_late_samples_in_their_place(learns: bool) -> None:
-    """The bits are those of samples in order, whatever the order."""
-    count, random = 400, np.random.default_rng(5)
-    stamps = stamps_of(count)
-    y, u = RUN.measurements[0, :count].copy(), RUN.torques[0, :count]
-    y[100] += 1.0  # is left out
-    straight, ekf = make_ekf(SHIPPED, learns=learns), make_ekf(SHIPPED, learns=learns)
-    straight.follow(stamps, y, u)
-    late = np.argsort(np.arange(count) + random.uniform(0.0, 8.0, count), kind="stable")
-    now = int(stamps[-1])
-    codes = [ekf.offer_many(*(each[[k]] for each in (stamps, y, u)), now).codes[0] for k in late]
-
-    assert ekf.rewinds > 50
-    assert ekf.state == straight.state
-    assert codes[late.tolist().index(100)] == GATED
-    assert ekf.rejected == {RejectReason.GATED: 1}
 
 
 def test_an_ekf_is_the_textbook_filter_on_a_linear_arm() -> None:
@@ -245,31 +162,3 @@ def test_high_gain_observers_follow_the_arm(make: Callable[..., Estimator]) -> N
     estimate = tracker.estimate(10**9 + 5_000_000 * (len(RUN.times) - 1))
     assert estimate is not None
     assert estimate.disturbance.size == 0
-
-
-def test_the_papers_observer_does_not_find_the_arm() -> None:
-    _, errors = follow(paper_observer(ARM, *KNOWN))
-    # It is an open-loop simulation from another start: the error neither decays nor grows.
-    early, late = (
-        np.sqrt((errors[part, 0] ** 2).mean()) for part in (slice(0, 2000), slice(2000, None))
-    )
-    assert late > 0.3 * early > 0.02
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: high_gain(ARM, -1.0, *KNOWN), "theta: expected .* above 0, got -1"),
-        (lambda: proportional_integral(ARM, float("nan"), *KNOWN), "theta: expected .* got nan"),
-        (lambda: high_gain(ARM, 2.0, 0.0, 0.028), "period: expected .* above 0, got 0"),
-        (lambda: high_gain(ARM, 2.0, PERIOD, 0.0), "measurement_std: expected .* above 0, got 0"),
-        (
-            lambda: place_single_output(np.diag([-1.0, -2.0]), np.array([[1.0, 0.0]]), [-3, -4]),
-            "C: expected an output that sees all 2 modes of A",
-        ),
-        (lambda: paper_observer(ElasticJointArm(stiffness=11.0), *KNOWN), "Example 3"),
-    ],
-)
-def test_wrong_numbers_are_named(make: Any, message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        make()

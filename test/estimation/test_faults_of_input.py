@@ -114,28 +114,6 @@ def burst(arm: Arm, begin: int) -> Iterator[Event]:
         yield at, sample._replace(y=sample.y + rng.normal(0.0, 0.01)), JUDGED if stale else USED
 
 
-def every_tenth_alone(arm: Arm, begin: int) -> Iterator[Event]:
-    for stamp in list(arm.stamps(begin, 2.0))[::10]:
-        yield stamp, arm.measurement(stamp), USED
-
-
-def stopped_clock(arm: Arm, begin: int) -> Iterator[Event]:
-    for stamp in arm.stamps(begin, 0.3):
-        sample = arm.measurement(stamp)._replace(stamp=begin - arm.period)
-        yield stamp, sample, DUPLICATE
-
-
-def two_clocks_in_turn(arm: Arm, begin: int) -> Iterator[Event]:
-    for index, stamp in enumerate(arm.stamps(begin, 0.5)):
-        sample = arm.measurement(stamp)
-        if index % 2 == 0:
-            yield stamp, sample, USED
-        elif index % 4 == 1:
-            yield stamp, sample._replace(stamp=BOOT + index), OLD
-        else:
-            yield stamp, sample._replace(stamp=stamp + 7200 * NANOSECONDS), FUTURE
-
-
 def stuck_angle(arm: Arm, begin: int) -> Iterator[Event]:
     frozen = arm.measurement(begin - arm.period).y
     for index, stamp in enumerate(arm.stamps(begin, 1.0)):
@@ -147,43 +125,19 @@ KINDS: dict[str, Kind] = {
     "gap of a second": Kind(absent, lasts=1.0),
     "gap of minutes": Kind(absent, lasts=160.0, recovery=3.0),
     "zero stamp": Kind(stamped(lambda at, k: 0, ZERO)),
-    "negative stamp": Kind(stamped(lambda at, k: 1 - 5 * NANOSECONDS, ZERO)),
-    "most nanoseconds": Kind(stamped(lambda at, k: at + 2**32, FUTURE)),
-    "end of time": Kind(stamped(lambda at, k: 2**31 * NANOSECONDS, FUTURE)),
     "an hour ahead": Kind(stamped(lambda at, k: at + 3600 * NANOSECONDS, FUTURE)),
     "just inside the tolerance": Kind(stamped(lambda at, k: at + TOLERANCE, JUDGED, 0.005)),
-    "just outside the tolerance": Kind(stamped(lambda at, k: at + TOLERANCE + TICK, FUTURE)),
     "clock since boot": Kind(stamped(lambda at, k: BOOT + k * 5 * MS, OLD)),
     "first ever since boot": Kind(
         stamped(lambda at, k: BOOT + k * 5 * MS, JUDGED), warm_up=0.0, recovery=3.0
     ),
     "jittered stamps": Kind(stamped(lambda at, k: at + (k % 5 - 2) * MS, JUDGED)),
     "nan angle": Kind(angle(lambda y, k: math.nan, NON_FINITE)),
-    "infinite angle": Kind(angle(lambda y, k: (-1) ** k * math.inf, NON_FINITE)),
     "nan torque": Kind(torque(lambda u, k: math.nan, RejectReason.UNKNOWN_INPUT)),
-    "infinite torque": Kind(torque(lambda u, k: (-1) ** k * math.inf, IMPLAUSIBLE)),
-    "largest angle": Kind(angle(lambda y, k: (-1) ** k * LARGEST)),
-    "largest torque": Kind(torque(lambda u, k: (-1) ** k * LARGEST, IMPLAUSIBLE)),
-    "denormal numbers": Kind(
-        changed(
-            lambda s, k: s._replace(y=np.array([SMALLEST]), u=np.array([-SMALLEST])), JUDGED, 0.025
-        ),
-        recovery=3.0,
-    ),
-    "single outlier": Kind(angle(lambda y, k: y + 1.0, JUDGED, 0.005)),
     "every fifth an outlier": Kind(angle(lambda y, k: y if k % 5 else y + 3.0 * math.sin(k))),
     "jump": Kind(angle(lambda y, k: y + 0.3, JUDGED, 3.0), lasts=3.0, warm_up=9.0, recovery=3.0),
-    "short jump": Kind(angle(lambda y, k: y + 0.3), warm_up=9.0, recovery=10.0),
     "wrapped angle": Kind(angle(lambda y, k: y + math.tau, JUDGED, 1.0), lasts=1.0, recovery=5.0),
-    "degrees": Kind(angle(lambda y, k: math.degrees(y), JUDGED, 1.0), lasts=1.0, recovery=5.0),
-    "noise": Kind(
-        angle(lambda y, k: y + np.random.default_rng(k).normal(0.0, 0.2), JUDGED, 1.0),
-        lasts=1.0,
-        recovery=5.0,
-    ),
-    "wrong torque": Kind(torque(lambda u, k: u + 40.0, JUDGED, 0.005), warm_up=9.0, recovery=3.0),
     "wrong level of the torque": Kind(torque(lambda u, k: u + 10.0), warm_up=9.0, recovery=5.0),
-    "torque steps": Kind(torque(lambda u, k: (-1) ** k * 1e6, IMPLAUSIBLE)),
     "torque in other units": Kind(torque(lambda u, k: 1e3 * u, IMPLAUSIBLE)),
     "burst of 5000": Kind(burst, lasts=1.0),
     "held up": Kind(changed(same, USED, 1.0, lambda at, k, begin: begin + NANOSECONDS), lasts=1.0),
@@ -191,20 +145,10 @@ KINDS: dict[str, Kind] = {
         changed(same, USED, 2.0, lambda at, k, begin: min(at, begin + NANOSECONDS) + NANOSECONDS),
         lasts=2.0,
     ),
-    "late in turn": Kind(
-        changed(same, USED, 0.7, lambda at, k, begin: at + k % 2 * 300 * MS), lasts=1.0
-    ),
-    "every tenth alone": Kind(every_tenth_alone, lasts=2.0),
     "same again": Kind(twice(lambda sample, arm: sample, DUPLICATE)),
-    "same stamp other value": Kind(twice(lambda s, arm: s._replace(y=np.ones(1)), DUPLICATE)),
-    "stopped clock": Kind(stopped_clock),
-    "out of order": Kind(
-        changed(same, USED, 0.5, lambda at, k, begin: begin + (20 * (k // 20) + 19) * 5 * MS)
-    ),
     "older than the history": Kind(
         twice(lambda sample, arm: arm.measurement(sample.stamp - 2 * HISTORY), OLD)
     ),
-    "two clocks in turn": Kind(two_clocks_in_turn),
     "stuck angle": Kind(stuck_angle, lasts=1.0),
 }
 

@@ -2,9 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Phases, the innovation average and the debounced fault level, as pure logic."""
 
-import math
-from collections.abc import Callable
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,30 +11,12 @@ from tsobs_ros.estimation.health import (
     DisturbanceLimits,
     LastMinute,
     Level,
-    Phase,
-    phase_of,
 )
 
 PROPERTY = settings(max_examples=100)
 SECOND = 1_000_000_000
 PERIOD = 5_000_000
 LIMITS = DisturbanceLimits(warn=0.2, error=0.5, hold=0.5)
-
-
-@pytest.mark.parametrize(
-    ("age", "phase"),
-    [
-        (None, Phase.WAITING),
-        (0.0, Phase.TRACKING),
-        (0.1, Phase.TRACKING),
-        (0.1000001, Phase.COASTING),
-        (5.0, Phase.COASTING),
-        (5.0000001, Phase.STALE),
-        (math.inf, Phase.STALE),
-    ],
-)
-def test_the_phase_is_the_age_against_its_limits(age: float | None, phase: Phase) -> None:
-    assert phase_of(age, 0.1, 5.0) is phase
 
 
 def levels_of(values: list[float], limits: DisturbanceLimits = LIMITS) -> list[Level]:
@@ -71,19 +50,6 @@ OK, WARN, ERROR = Level.OK, Level.WARN, Level.ERROR
 )
 def test_a_level_must_last_before_it_is_reported(values: list[float], levels: list[Level]) -> None:
     assert levels_of(values) == levels
-
-
-@pytest.mark.parametrize(
-    ("make", "reason"),
-    [
-        (lambda: DisturbanceLimits(warn=0.0), "warn"),
-        (lambda: DisturbanceLimits(warn=0.4, error=0.3), "error level"),
-        (lambda: DisturbanceLimits(error=math.nan), "error"),
-    ],
-)
-def test_senseless_limits_are_refused(make: Callable[[], object], reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
-        make()
 
 
 @PROPERTY

@@ -311,8 +311,9 @@ class Filter:
 
     def _follow(self, e: Any, variances: Any, elapsed: dict[int, float]) -> None:
         """Average squares, products of neighbours and slow parts of the innovations in sigmas."""
-        p, gate = len(self.plan.C), GATE if self.plan.supervised else math.inf
-        sigmas = np.clip(e / np.sqrt(variances), -gate, gate)
+        p, sigmas = len(self.plan.C), np.clip(e / np.sqrt(variances), -GATE, GATE)
+        if not self.plan.supervised:
+            return
         for r, (i, T) in zip(sigmas, elapsed.items(), strict=True):
             share = min(T / BANK["SLOW_TIME"], 1.0)
             self.nis += T / p * (r * r - self.nis)

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tsobs_ros.checks import Array
 from tsobs_ros.design.file import load_design
@@ -20,7 +18,7 @@ from tsobs_ros.estimation.faults import (
     add_samples,
     new_watches,
 )
-from tsobs_ros.estimation.history import GATED, NON_FINITE, USED
+from tsobs_ros.estimation.history import NON_FINITE, USED
 from tsobs_ros.estimation.records import Basis, RejectReason
 from tsobs_ros.estimation.tracker import Tracker
 from tsobs_ros.methods import make_tracker
@@ -160,28 +158,6 @@ def test_what_is_wrong_with_one_output_is_no_reason_to_refuse_the_other(
     assert ((error <= 3.0 * rows["state_bound"])[kept].mean(axis=0) >= 0.97).all()
 
 
-@settings(max_examples=15, deadline=None)
-@given(data=st.data())
-def test_late_samples_and_missing_outputs_in_any_order_give_the_bits_of_their_order(
-    data: st.DataObject,
-) -> None:
-    count = 40
-    y = run().measurements[0][:count].copy()
-    for place in data.draw(st.lists(st.integers(0, 2 * count - 1), max_size=20)):
-        if np.isfinite(y[place // 2]).all():
-            y[place // 2, place % 2] = np.nan
-    order = np.array(data.draw(st.permutations(range(count))))
-    stamps, u = stamps_of(count), run().torques[0][:count]
-    straight, shuffled = make_tracker(DESIGN), make_tracker(DESIGN)
-    straight.offer_many(stamps, y, u, 10**10)
-    for place in order:
-        one = slice(place, place + 1)
-        shuffled.offer_many(stamps[one], y[one], u[one], 10**10)
-    ahead = int(stamps[-1]) + PERIOD // 2
-    assert repr(straight.estimate(ahead)) == repr(shuffled.estimate(ahead))
-    assert straight.output_counts == shuffled.output_counts
-
-
 def test_a_stopped_encoder_is_reported_as_missing_and_the_other_as_sound() -> None:
     y, u = run(bias=0.0).measurements[0].copy(), run().torques[0]
     y[seconds(10.0, 12.0), MOTOR] = np.nan
@@ -205,12 +181,3 @@ def test_a_stopped_encoder_is_reported_as_missing_and_the_other_as_sound() -> No
     assert 11.9 < missing[-1] < 12.7
     assert {link for time, link, _ in kinds if time > 3.0} == {FaultKind.NONE}
     assert kinds[-1][2] is FaultKind.NONE
-
-
-def test_gated_and_missing_are_codes_of_an_output() -> None:
-    tracker, _ = follow(run().measurements[0][:1000])
-    newest = tracker.newest or 0
-    y = run().measurements[0][1000:1001].copy()
-    y[0, LINK] += 50.0
-    after = tracker.offer_many([newest + PERIOD], y, np.zeros((1, 1)), newest + PERIOD)
-    assert (after.codes.tolist(), after.output_codes.tolist()) == ([USED], [[GATED, USED]])

@@ -5,15 +5,9 @@
 Whatever a random stream brings, the books balance; and joints side by side are trackers alone.
 """
 
-import gc
-import os
-import subprocess
-import sys
-import tracemalloc
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,13 +19,11 @@ from staging.arm import Arm
 from staging.streams import Arrival, Mix, arrivals, mixes
 
 from tsobs_ros.design.file import load_design
-from tsobs_ros.errors import ModelError
 from tsobs_ros.estimation.estimator import Estimator, certified_estimator
 from tsobs_ros.estimation.history import REASONS
 from tsobs_ros.estimation.options import CertifiedGain, SupervisionOptions, TorqueLimits
 from tsobs_ros.estimation.records import Estimate, Innovation, Measurement, RejectReason
-from tsobs_ros.estimation.tracker import JointTrackers, Outcomes, Tracker, TrackerOptions
-from tsobs_ros.methods import ObserverSettings, make_tracker
+from tsobs_ros.estimation.tracker import Outcomes, Tracker, TrackerOptions
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.simulation.scenarios import SCENARIOS, simulate
 
@@ -246,71 +238,6 @@ def test_late_samples_that_come_together_cost_one_pass_in_any_order(count: int, 
     assert spent[0] == spent[1] == spent[2] <= count + 2 * known
 
 
-def test_a_batch_of_the_wrong_shape_is_refused_and_an_empty_one_changes_nothing() -> None:
-    one = tracker()
-    offer_all(one, map(sample, range(5)))
-    before = probes(one)
-    assert one.offer_many([], np.empty((0, 1)), np.empty((0, 1)), END).codes.size == 0
-    for y, u in ((np.zeros((2, 1)), np.zeros((3, 1))), (np.zeros((3, 2)), np.zeros((3, 1)))):
-        with pytest.raises(ModelError, match=r"expected y of shape \(3, 1\)"):
-            one.offer_many([1, 2, 3], y, u, END)
-    assert probes(one) == before
-
-
-def test_a_checkpoint_goes_on_with_the_same_bits_in_another_process(tmp_path: Path) -> None:
-    first, last = [sample(k, offset=0.3 * (k == 30)) for k in range(40)], [*range(44, 60), 41]
-    original = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
-    offer_all(original, first)
-    original.estimate(BEGIN + 39 * PERIOD + SECOND)  # coasts
-    original.reject(RejectReason.WRONG_JOINT)
-    checkpoint, copy = original.checkpoint(), original.copy()
-    offer_all(original, map(sample, last))
-    expected = [*probes(original), *books(original)]
-
-    fresh = Tracker(ADAPTIVE.supervised(), TrackerOptions(X_MAX))
-    fresh.restore(checkpoint)
-    for again in (fresh, copy):
-        offer_all(again, map(sample, last))
-        assert [*probes(again), *books(again)] == expected
-
-    for name, records in checkpoint._asdict().items():
-        np.save(tmp_path / f"{name}.npy", records, allow_pickle=False)
-    code = (
-        "import sys, numpy as np, test_tracker as t\n"
-        "from tsobs_ros.estimation.tracker import Checkpoint\n"
-        "memory, ring = (np.load(f'{sys.argv[1]}/{name}.npy') for name in ('memory', 'ring'))\n"
-        "one = t.Tracker(t.ADAPTIVE.supervised(), t.TrackerOptions(t.X_MAX))\n"
-        "one.restore(Checkpoint(memory, ring))\n"
-        f"t.offer_all(one, map(t.sample, {last}))\n"
-        "print([*t.probes(one), *t.books(one)])"
-    )
-    process = subprocess.run(
-        [sys.executable, "-c", code, tmp_path],
-        cwd=Path(__file__).parent,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True,
-        text=True,
-    )
-    assert process.returncode == 0, process.stderr
-    assert process.stdout.strip() == str(expected)
-
-
-def test_a_checkpoint_of_another_size_is_refused() -> None:
-    checkpoint = tracker(max_steps=5).checkpoint()
-    with pytest.raises(ModelError, match=r"expected a ring of 1028 records .*, got 9 of"):
-        tracker().restore(checkpoint)
-
-
-def test_the_innovations_of_a_rewound_sample_are_those_of_its_place() -> None:
-    in_order, swapped = tracker(), tracker()
-    expected = offer_all(in_order, map(sample, range(6)))
-    came = offer_all(swapped, map(sample, [0, 1, 2, 4, 3, 5]))
-    # Sample 4 came without sample 3, so its innovation is another one.
-    for k, place in ((0, 0), (1, 1), (2, 2), (4, 3), (5, 5)):
-        assert bits(came[k]) == bits(expected[place])
-    assert bits(came[3]) != bits(expected[4])
-
-
 @PROPERTY
 @given(
     stamps=st.lists(
@@ -328,19 +255,6 @@ def test_an_estimate_depends_on_no_earlier_one(stamps: list[int]) -> None:
         fresh = tracker("settled")
         offer_all(fresh, map(sample, range(30)))
         assert bits(fresh.estimate(newest + stamp)) == answer
-
-
-def test_there_is_no_estimate_before_the_first_measurement() -> None:
-    young = tracker()
-    assert young.estimate(BEGIN) is None
-    assert young.newest is None
-    assert young.events == {}
-    young.offer(sample(0), END)
-    assert young.estimate(BEGIN - 1) is None
-    at_once = young.estimate(BEGIN)
-    assert at_once is not None
-    assert at_once.age == 0.0
-    assert young.failures == 0
 
 
 def test_the_domain_is_left_where_the_angle_is_too_large() -> None:
@@ -421,15 +335,6 @@ def test_stamps_of_the_past_are_refused_by_their_reason() -> None:
     assert old.used == 9
 
 
-def test_without_history_every_late_sample_is_too_old() -> None:
-    none = tracker(history=0.0)
-    for k in (0, 2, 4):  # each ahead of the clock by a nanosecond
-        none.offer(sample(k), BEGIN + k * PERIOD - 1)
-    assert none.offer(sample(3), END) is RejectReason.TOO_OLD
-    assert none.offer(sample(4), END) is RejectReason.DUPLICATE
-    assert none.estimate(BEGIN + 4 * PERIOD - 1) is not None
-
-
 @pytest.mark.parametrize(
     ("options", "stamps", "order"),
     [
@@ -450,62 +355,6 @@ def test_whatever_the_history_reaches_is_put_in_its_place(
     assert probes(late) == probes(in_order)
     if not options:
         assert late.restarts == in_order.restarts == 0
-
-
-def test_a_burst_of_dense_stamps_takes_neither_memory_nor_a_rewind_without_bound() -> None:
-    dense, burst = 10_000, tracker(max_steps=50)
-    offer_all(burst, [sample(k, BEGIN + k * dense) for k in range(200)])
-    assert burst.forgotten == 150
-    assert burst.offer(sample(7, BEGIN + 149 * dense), END) is RejectReason.TOO_OLD
-    assert burst.offer(sample(170, BEGIN + 170 * dense + 1), END) is not RejectReason.TOO_OLD
-    assert (burst.rewinds, burst.forgotten) == (1, 151)
-
-
-@pytest.mark.parametrize("ahead", [5 * SECOND + 1, 3600 * SECOND, 10**18])
-def test_an_estimate_far_from_any_measurement_is_none_and_costs_nothing(ahead: int) -> None:
-    far = tracker()
-    far.offer(sample(0), END)
-    assert far.estimate(BEGIN + 5 * SECOND) is not None
-    assert far.estimate(BEGIN + ahead) is None
-    assert far.failures == 0
-
-
-def damage(broken: Tracker, field: str, value: float) -> None:
-    """Spoil a number of the newest state, as an overflow would."""
-    checkpoint = broken.checkpoint()
-    newest = checkpoint.ring["hypotheses"][checkpoint.memory["length"][0] - 1]
-    newest[field][0] = value
-    broken.restore(checkpoint)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-@pytest.mark.parametrize("field", ["x", "covariance", "theta", "gamma", "upsilon"])
-def test_numbers_that_are_not_finite_give_no_estimate_and_a_restart(
-    field: str, value: float
-) -> None:
-    observer = ADAPTIVE.supervised()
-    broken, fresh = (Tracker(observer, TrackerOptions(X_MAX)) for _ in range(2))
-    offer_all(broken, map(sample, range(20)))
-    damage(broken, field, value)
-    newest = BEGIN + 19 * PERIOD
-    for times, stamp in enumerate((newest, newest + 1, newest + PERIOD, newest + SECOND), 1):
-        assert broken.estimate(stamp) is None
-        assert (broken.failures, broken.restarts) == (times, 0)
-    # The estimates of before are there yet.
-    assert broken.estimate(newest - PERIOD) is not None
-    after = offer_all(broken, map(sample, range(20, 40)))
-    assert list(map(bits, after)) == list(map(bits, offer_all(fresh, map(sample, range(20, 40)))))
-    assert (broken.failures, broken.restarts, broken.used) == (5, 1, 40)
-    assert probes(broken)[-5:] == probes(fresh)[-5:]
-
-
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [("x_max", 0.0), ("history", -0.1), ("future_tolerance", np.nan), ("restart_after", 0.0)],
-)
-def test_senseless_limits_are_refused(option: str, value: float) -> None:
-    with pytest.raises(ModelError, match=option):
-        TrackerOptions(**{"x_max": 0.75, option: value})
 
 
 TICK, MANY = 20_000_000, 600
@@ -554,92 +403,3 @@ def test_the_books_balance_and_a_reset_tracker_is_a_new_one(
         stream = arrivals(other, arm, BEGIN + SECOND, MANY)
         assert fed(used, stream) == fed(fresh, stream)
     assert books(used) == books(fresh)
-
-
-def test_memory_does_not_grow_with_the_stream() -> None:
-    mix = Mix(seed=3, weights=(20, 1, 1, 1, 1, 1, 2, 1, 4, 1, 1), period=5_000_000, bias=0.0)
-    arm, long_running = Arm(BEGIN), tracker()
-    stream = arrivals(mix, arm, BEGIN, 3000)
-    sizes = []
-    tracemalloc.start()
-    try:
-        with np.errstate(all="ignore"):
-            for first in range(0, 3000, 1000):
-                for at, measurement in stream[first : first + 1000]:
-                    if measurement is not None:
-                        long_running.offer(measurement, at)
-                gc.collect()
-                sizes.append(tracemalloc.get_traced_memory()[0])
-    finally:
-        tracemalloc.stop()
-    # A third of the stream, if it were kept, would be megabytes.
-    assert abs(sizes[2] - sizes[1]) < 100_000, sizes
-
-
-THREE = simulate(SCENARIOS["bias_step"], [0, 1, 2], 3.0)
-
-
-BOTH = (DESIGN, ADAPTIVE)
-
-
-def joints() -> JointTrackers:
-    """Return joints of different designs, the last of which is tracked by another method."""
-    trackers: list[Any] = [
-        make_tracker(design, ObserverSettings()) for design in (DESIGN, ADAPTIVE)
-    ]
-    return JointTrackers([*trackers, make_tracker(DESIGN, ObserverSettings("high_gain"))])
-
-
-def joint_sample(joint: int, index: int) -> Measurement:
-    y, u = THREE.measurements[joint, index], THREE.torques[joint, index]
-    return Measurement(BEGIN + index * PERIOD, y, u)
-
-
-def test_each_joint_is_its_tracker_alone() -> None:
-    together, alone = joints(), joints().trackers
-    for index in range(200):
-        row = [
-            None if index % (joint + 7) == 0 else joint_sample(joint, index) for joint in range(3)
-        ]
-        expected = [
-            one and tracker.offer(one, END) for tracker, one in zip(alone, row, strict=True)
-        ]
-        assert repr(together.offer(row, END)) == repr(expected)
-        stamp = BEGIN + index * PERIOD + 1_000_000
-        assert repr(together.estimate(stamp)) == repr([one.estimate(stamp) for one in alone])
-    assert [one.used for one in together.trackers] == [one.used for one in alone]
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("torque", [1.7e308, -1e300, 1e160])
-def test_numbers_beyond_all_bounds_are_the_business_of_one_joint(torque: float) -> None:
-    """The second joint restarts, without a warning, and the others go on."""
-    together = joints()
-    for tracker in together.trackers:
-        tracker.estimator.limit_torque(TorqueLimits.of(0.0, 0.0, 1.0))
-    for index in (*range(60), *range(80, 120)):
-        row = [joint_sample(joint, index) for joint in range(3)]
-        if index % 30 == 20:
-            row[1] = row[1]._replace(u=np.array([torque]))
-        together.offer(row, END)
-        for later in (2_000_000, 40_000_000):
-            together.estimate(row[0].stamp + later)
-    failures = [tracker.failures for tracker in together.trackers]
-    assert failures[0] == failures[2] == 0
-    assert failures[1] > 0
-    estimates = together.estimate(BEGIN + 119 * PERIOD)
-    assert estimates[0] is not None
-    assert estimates[2] is not None
-
-
-def test_only_joints_that_are_wanted_are_estimated_and_a_reset_forgets_all() -> None:
-    together = joints()
-    together.offer([joint_sample(0, 0), joint_sample(1, 0), None], END)
-    some = together.estimate(BEGIN, [True, False, True])
-    assert [estimate is not None for estimate in some] == [True, False, False]
-    with pytest.raises(ValueError, match="shorter"):
-        together.offer([joint_sample(0, 0)], END)
-    with pytest.raises(ValueError, match="shorter"):
-        together.estimate(BEGIN, [])
-    together.reset()
-    assert together.estimate(BEGIN) == [None] * 3

@@ -15,12 +15,8 @@ from scipy.integrate import solve_ivp
 from tsobs_ros.design.file import load_request
 from tsobs_ros.design.record import Design
 from tsobs_ros.design.synthesis import synthesise
-from tsobs_ros.errors import ModelError
-from tsobs_ros.estimation.estimator import certified_estimator
-from tsobs_ros.estimation.options import AdaptationOptions, CertifiedGain
+from tsobs_ros.estimation.options import AdaptationOptions
 from tsobs_ros.estimation.records import Basis, Hypothesis
-from tsobs_ros.model.arm import ElasticJointArm
-from tsobs_ros.model.uncertainty import arm_uncertainty
 from tsobs_ros.resources import config_path
 
 Array = NDArray[np.float64]
@@ -172,12 +168,3 @@ def test_known_parameters_are_those_of_the_changed_model(pendulum: Design) -> No
         lambda _, z: changed.derivative(z, u), (0.0, 1.0), x[:2], rtol=1e-9, atol=1e-10
     )
     np.testing.assert_allclose(state.x[:2], truth.y[:, -1], atol=1e-3)
-
-
-def test_what_cannot_be_learnt_is_refused(pendulum: Design) -> None:
-    arm = arm_uncertainty(ElasticJointArm(), {"stiffness": 0.2})
-    gain = CertifiedGain(pendulum.K, np.eye(3))
-    with pytest.raises(ModelError, match=r"shape \(2, 2, 3\) for TSFlow, got \(1, 4, 7\)"):
-        certified_estimator(pendulum.request.flow, np.eye(2), np.eye(3), gain, uncertainty=arm)
-    with pytest.raises(ModelError, match=r"torque_rate: expected 0 for any system but an arm"):
-        certified_estimator(pendulum.request.flow, np.eye(2), np.eye(3), gain, torque_rate=1.0)

@@ -326,7 +326,9 @@ double correct_by(
         }
         correct_covariance(m, h, effect->crossed, innovation, known, used);
     }
-    follow(m, at, h, output, innovation, variance);
+    if (*m->supervised != 0) {
+        follow(m, at, h, output, innovation, variance);
+    }
     if (k > 0) {
         correct_regressors(m, h, omega, gain, p, known, used);
         if (adapt) {

@@ -84,15 +84,6 @@ class History:
         """The newest state, None before the first."""
         return self.ring[self.place_of_last] if self.memory["length"][0] else None
 
-    @property
-    def is_sound(self) -> bool:
-        """Whether all states are some that the estimator can work on.
-
-        Raises:
-            ValueError: The memory is none of this ring.
-        """
-        return native.history_is_sound(*self._records)
-
     def offer(
         self,
         stamps: NDArray[np.int64],

@@ -3,7 +3,7 @@
 """Records of an estimator: its state, its model, and what it says.
 
 A state is all that an estimator remembers. Copying it is copying a record, two are equal if their
-bytes are, an array of them is a batch, a history or a checkpoint. core/estimator.h lists and
+bytes are, an array of them is a batch or a history. core/estimator.h lists and
 explains the fields of all records. Their shapes depend on the numbers of states n, outputs p,
 inputs m and parameters k. Flags are integers, 0 or 1.
 """

@@ -8,7 +8,6 @@ is refused with a reason and counted. What is late is put in its place; see `his
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -79,13 +78,6 @@ class Outcomes(NamedTuple):
     output_codes: NDArray[np.int64]
     innovations: Array
     expected_std: Array
-
-
-class Checkpoint(NamedTuple):
-    """All that a tracker remembers; a tracker restored from it goes on with the same bits."""
-
-    memory: Record
-    ring: Record
 
 
 class Tracker:
@@ -343,46 +335,6 @@ class Tracker:
             age,
         )
 
-    def checkpoint(self) -> Checkpoint:
-        """Return a copy of all that the tracker remembers."""
-        return Checkpoint(self.memory.copy(), copy_records(self.ring))
-
-    def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from a checkpoint of a tracker with the same estimator and options.
-
-        Raises:
-            ModelError: Its records are of other sizes, or none of this estimator.
-        """
-        for name, mine, other in (
-            ("memory", self.memory, checkpoint.memory),
-            ("ring", self.ring, checkpoint.ring),
-        ):
-            if (mine.dtype, mine.shape) != (other.dtype, other.shape):
-                raise ModelError(
-                    f"checkpoint: expected a {name} of {mine.shape[0]} records of "
-                    f"{mine.dtype.itemsize} bytes, got {other.shape[0]} of {other.dtype.itemsize}"
-                )
-        before = self.checkpoint()
-        self._take(checkpoint)
-        try:
-            is_sound = self.history.is_sound
-        except ValueError:
-            is_sound = False
-        if not is_sound:
-            self._take(before)
-            raise ModelError("checkpoint: expected the numbers of this estimator")
-
-    def _take(self, checkpoint: Checkpoint) -> None:
-        # Structured arrays are copied field by field, which takes far longer.
-        for mine, other in zip((self.memory, self.ring), checkpoint, strict=True):
-            mine.view(np.float64)[:] = np.ascontiguousarray(other).view(np.float64)
-
-    def copy(self) -> "Tracker":
-        """Return a tracker that goes on from here by itself."""
-        other = Tracker(self.estimator, self.options)
-        other.restore(self.checkpoint())
-        return other
-
     @property
     def _judged(self) -> dict[RejectReason, int]:
         """Numbers of measurements that the estimator itself refused, wholly or in part."""
@@ -394,40 +346,3 @@ class Tracker:
             RejectReason.IMPLAUSIBLE_TORQUE: int(last["implausible"]),
             RejectReason.UNKNOWN_INPUT: int(last["unknown_inputs"]),
         }
-
-
-class JointTrackers:
-    """The trackers of k independent joints, side by side.
-
-    Attributes:
-        trackers: One a joint, with its counts and events.
-    """
-
-    def __init__(self, trackers: Sequence[Tracker]) -> None:
-        self.trackers = tuple(trackers)
-
-    def reset(self) -> None:
-        """Forget everything; afterwards every tracker is as a new one."""
-        for tracker in self.trackers:
-            tracker.reset()
-
-    def offer(
-        self, measurements: Sequence[Measurement | None], now: int
-    ) -> list[Innovation | RejectReason | None]:
-        """Offer each joint its measurement, if there is one; see `Tracker.offer`.
-
-        Raises:
-            ValueError: There are not as many entries as joints.
-        """
-        pairs = zip(self.trackers, measurements, strict=True)
-        return [one and tracker.offer(one, now) for tracker, one in pairs]
-
-    def estimate(self, stamp: int, wanted: Sequence[bool] | None = None) -> list[Estimate | None]:
-        """Return the estimate of each joint, or of those that are wanted; see `Tracker.estimate`.
-
-        Raises:
-            ValueError: There are not as many entries as joints.
-        """
-        asked = [True] * len(self.trackers) if wanted is None else wanted
-        pairs = zip(self.trackers, asked, strict=True)
-        return [tracker.estimate(stamp) if one else None for tracker, one in pairs]
