@@ -19,10 +19,10 @@ ParameterError or ModelError checks fields against each other.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import Field, dataclass, field, fields, is_dataclass
+from dataclasses import Field, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from numbers import Integral
-from typing import Any, NamedTuple, TypeVar, cast, get_args, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 from tsobs_ros.errors import ModelError, ParameterError
 
@@ -36,18 +36,6 @@ _TYPES: Mapping[type, tuple[str, str, str]] = {
     float: ("double", "a number", "numbers"),
     str: ("string", "a string", "strings"),
 }
-
-
-class _Rules(NamedTuple):
-    """The arguments of `setting`."""
-
-    description: str
-    unit: str
-    minimum: float | None
-    maximum: float | None
-    choices: tuple[Any, ...]
-    live: bool
-    hidden: bool
 
 
 def setting(
@@ -76,8 +64,8 @@ def setting(
     Returns:
         A dataclass field, typed as the default so that annotations check.
     """
-    rules = _Rules(description, unit, minimum, maximum, tuple(choices), live, hidden)
-    return field(default=default, metadata={_KEY: rules})
+    one = Setting("", description, unit, minimum, maximum, tuple(choices), live, hidden, default)
+    return field(default=default, metadata={_KEY: one})
 
 
 def live_setting(default: T, description: str, **rules: Any) -> T:
@@ -102,21 +90,19 @@ def settings_group(make: Callable[..., T], **members: Any) -> T:
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting.
-
-    Attributes:
-        name: Its full name.
-        rules: What `setting` was called with.
-        default: Its default.
-        element: Its type, of a tuple that of an element.
-        is_array: Whether it is a tuple.
-    """
+    """One setting: the arguments of `setting`, its full name, and its type, that of an element."""
 
     name: str
-    rules: _Rules
+    summary: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    only: tuple[Any, ...]
+    live: bool
+    hidden: bool
     default: Any
-    element: type
-    is_array: bool
+    element: type = str
+    is_array: bool = False
 
     @property
     def kind(self) -> str:
@@ -128,12 +114,12 @@ class Setting:
     def choices(self) -> tuple[Any, ...]:
         """The only accepted values, if not empty."""
         of_enum = self.element if issubclass(self.element, Enum) else ()
-        return self.rules.choices or tuple(each.value for each in of_enum)
+        return self.only or tuple(each.value for each in of_enum)
 
     @property
     def limits(self) -> tuple[str, ...]:
         """What is accepted, in words."""
-        low, high, choices = self.rules.minimum, self.rules.maximum, self.choices
+        low, high, choices = self.minimum, self.maximum, self.choices
         return (
             *([] if low is None else [f"at least {low}"]),
             *([] if high is None else [f"at most {high}"]),
@@ -143,8 +129,7 @@ class Setting:
     @property
     def description(self) -> str:
         """The description with the unit."""
-        rules = self.rules
-        return f"{rules.description} [{rules.unit}]" if rules.unit else rules.description
+        return f"{self.summary} [{self.unit}]" if self.unit else self.summary
 
     def converted(self, value: Any) -> Any:
         """Return a value from YAML, a message or a caller in the setting's type.
@@ -186,7 +171,7 @@ class Setting:
             value = kind(value)
         if not isinstance(value, str if issubclass(kind, Enum) else kind):
             raise self._wrong_type(value)
-        low, high, number = self.rules.minimum, self.rules.maximum, cast(Any, value)
+        low, high, number = self.minimum, self.maximum, cast(Any, value)
         if isinstance(value, float) and not math.isfinite(value):
             accepted, limits = False, "finite"
         else:
@@ -195,7 +180,7 @@ class Setting:
             limits = " and ".join(self.limits)
         if not accepted:
             each = "each element of " if self.is_array else ""
-            unit = f" {self.rules.unit}" if self.rules.unit else ""
+            unit = f" {self.unit}" if self.unit else ""
             raise ParameterError(
                 f"{each}parameter '{self.name}' must be {limits}{unit}, got {in_yaml(value)}"
             )
@@ -238,16 +223,16 @@ class Schema:
         self._parts: dict[str, Schema | Setting] = {}
         hints = get_type_hints(make)
         for name, item in (members or {item.name: item for item in fields(make)}).items():
-            hint, rules, full_name = hints[name], item.metadata.get(_KEY), f"{prefix}{name}"
-            if isinstance(rules, dict):
-                group = Schema(hint, rules, f"{full_name}.")
+            hint, own, full_name = hints[name], item.metadata.get(_KEY), f"{prefix}{name}"
+            if isinstance(own, dict):
+                group = Schema(hint, own, f"{full_name}.")
                 self._parts[name] = group
                 self.entries |= group.entries
                 continue
             element = (get_args(hint) or (hint,))[0]
-            if rules is None or not issubclass(element, (*_TYPES, Enum)):
+            if own is None or not issubclass(element, (*_TYPES, Enum)):
                 raise TypeError(f"{make.__name__}.{name}: {hint} is not a setting")
-            entry = Setting(full_name, rules, item.default, element, hint is not element)
+            entry = replace(own, name=full_name, element=element, is_array=hint is not element)
             self._parts[name] = self.entries[full_name] = entry
 
     def build(self, values: Mapping[str, Any]) -> Any:
@@ -320,11 +305,11 @@ def describe(make: type) -> list[tuple[str, str, str, str, str]]:
             each.name,
             each.kind,
             in_yaml(each.default),
-            "; ".join([*each.limits, *([] if each.rules.live else ["read-only"])]),
+            "; ".join([*each.limits, *([] if each.live else ["read-only"])]),
             each.description,
         )
         for each in schema_of(make).entries.values()
-        if not each.rules.hidden
+        if not each.hidden
     ]
 
 

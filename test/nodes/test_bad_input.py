@@ -9,8 +9,6 @@ import math
 
 import numpy as np
 import pytest
-import rclpy
-from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
     LivelinessPolicy,
@@ -20,10 +18,8 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 from staging.arm import Arm
-from staging.stage import BEGIN, SIGMAS, TOPIC, Event, Stage, Watcher, good
-from std_msgs.msg import Float64MultiArray
+from staging.stage import BEGIN, Event, Stage, Watcher
 
-from tsobs_ros.estimation.records import RejectReason
 from tsobs_ros.nodes.observer.node import MEASUREMENT_QOS
 from tsobs_ros.series import NANOSECONDS
 
@@ -93,49 +89,3 @@ def test_what_befalls_one_joint_leaves_the_others_bits_alone(stage: Stage, spoil
     assert (
         counts.received == 2 * len(events) - absent == counts.used + sum(counts.rejected.values())
     )
-
-
-def test_of_a_burst_the_queue_keeps_the_newest(stage: Stage) -> None:
-    stage.add(rate=RATE)
-    stage.step(BEGIN - PERIOD)
-    arm, rng = Arm(BEGIN), np.random.default_rng(5)
-    stage.play(good(arm, BEGIN, 1.0), BEGIN + NANOSECONDS, PERIOD)
-    before, at = stage.counts().received, BEGIN + 2 * NANOSECONDS
-    # The arm's own samples are 5 ms apart; the very same angle again would be a stuck sensor.
-    burst = [
-        arm.message(stamp, position=(arm.measurement(stamp).y + rng.normal(0.0, 0.01)).tolist())
-        for stamp in range(at - NANOSECONDS, at, 200_000)
-    ]
-    stage.step(at, [Event(at, message) for message in burst])
-    stage.take_all(PERIOD)
-    counts = stage.counts()
-    assert 2000 <= counts.received - before <= 5000
-    assert counts.used == counts.received
-    assert stage.watcher.sigmas(arm) < SIGMAS
-
-
-def test_sensors_of_any_kind_may_share_the_topic(stage: Stage) -> None:
-    """A second sensor, a latching one, and a publisher of another type in another context."""
-    stage.add(rate=RATE)
-    second = stage.publisher(QoSProfile(depth=5000, reliability=BEST_EFFORT))
-    latching = stage.publisher(QoSProfile(depth=5000, durability=LATCHING))
-    # Within a context a topic has one type.
-    context = rclpy.Context()
-    rclpy.init(args=[], context=context, domain_id=stage.node.context.get_domain_id())
-    stranger = Node("stranger", context=context)
-    other = stranger.create_publisher(Float64MultiArray, TOPIC, 10)
-    stage.step(BEGIN - PERIOD)
-    arm = Arm(BEGIN)
-    events = []
-    for index, event in enumerate(good(arm, BEGIN, 1.0)):
-        events += [
-            event._replace(publisher=(None, second, latching)[index % 3]),
-            event._replace(publisher=(second, latching, None)[index % 3]),
-            Event(event.at, Float64MultiArray(data=[1.0, 2.0]), other),
-        ]
-    stage.play(events, BEGIN + NANOSECONDS, PERIOD)
-    stranger.destroy_node()
-    context.shutdown()
-    assert stage.counts() == (400, 200, {RejectReason.DUPLICATE: 200})
-    assert stage.watcher.broken == []
-    assert stage.watcher.sigmas(arm) < SIGMAS

@@ -112,7 +112,7 @@ class ParameterBinding(Generic[P]):
             listed = ", ".join(f"'{name}'{meant(name, entries)}" for name in unknown)
             node.get_logger().warning(printable(f"ignored unknown parameters: {listed}"))
         text = ", ".join(
-            f"{name}={in_yaml(values[name])}{each.rules.unit and f' {each.rules.unit}'}"
+            f"{name}={in_yaml(values[name])}{each.unit and f' {each.unit}'}"
             for name, each in entries.items()
         )
         node.get_logger().debug(printable(f"parameters: {text}"))
@@ -177,8 +177,8 @@ def _declare(node: Node, entry: Setting, value: Any) -> None:
 
 
 def _descriptor(entry: Setting) -> ParameterDescriptor:
-    low, high = entry.rules.minimum, entry.rules.maximum
-    descriptor = ParameterDescriptor(description=entry.description, read_only=not entry.rules.live)
+    low, high = entry.minimum, entry.maximum
+    descriptor = ParameterDescriptor(description=entry.description, read_only=not entry.live)
     if entry.is_array or entry.choices:  # ROS ranges bind scalars only
         each = "each element " if entry.is_array and entry.limits else ""
         descriptor.additional_constraints = each + " and ".join(entry.limits)

@@ -28,7 +28,7 @@ from staging.stage import (
 from staging.stamps import to_stamp
 from std_srvs.srv import SetBool, Trigger
 
-from tsobs_ros.estimation.records import Innovation, RejectReason
+from tsobs_ros.estimation.records import Innovation
 from tsobs_ros.resources import FIXED_DESIGN, SHIPPED_DESIGN, config_path
 from tsobs_ros.series import NANOSECONDS
 
@@ -154,27 +154,6 @@ def test_a_silence_of_rejected_messages_is_told_from_one_without_messages(
     assert stage.statuses()["observer: state"].message == "STALE"
 
 
-def test_wrong_torques_do_live_what_they_do_offline(stage: Stage) -> None:
-    observer = stage.add(torque_limit=50.0)
-    stage.step(BEGIN - PERIOD)
-    events = samples(0, 60)
-    for place, effort in ((20, 51.0), (21, float("nan")), (22, -1e9), (30, 40.0), (45, -49.0)):
-        at = events[place].at
-        events[place] = Event(at, ARM.message(at, effort=[effort]))
-    stage.play(events)
-    rejected = {RejectReason.IMPLAUSIBLE_TORQUE: 2, RejectReason.UNKNOWN_INPUT: 1}
-    assert observer.joints[0].tracker.rejected == rejected
-    assert replayed(stage.watcher, observer, events) >= 60
-
-
-def test_without_effort_the_torque_may_be_taken_as_zero(stage: Stage) -> None:
-    observer = stage.add(assume_zero_torque=True)
-    stage.step(BEGIN)
-    stage.play([Event(BEGIN + PERIOD, ARM.message(BEGIN + PERIOD, effort=[]))], BEGIN + 10 * PERIOD)
-    zero = Event(BEGIN + PERIOD, ARM.message(BEGIN + PERIOD, effort=[0.0]))
-    assert replayed(stage.watcher, observer, [zero]) == 10
-
-
 @pytest.mark.parametrize("how", ["enable", "activate"])
 def test_a_silenced_observer_discards_what_comes_and_then_restarts(
     stage: Stage, manage: Callable[[Any], Any], how: str
@@ -279,40 +258,6 @@ def test_messages_of_any_joints_in_any_order_give_each_joint_what_it_has_alone(
     last = stage.watcher.of("joint_states")[-1].message
     assert list(last.name) == [f"{j}_{side}" for j in JOINTS for side in ("link", "motor")]
     assert list(stage.watcher.of("disturbance")[-1].message.name) == JOINTS
-
-
-def test_a_joint_that_falls_silent_leaves_the_others_alone(stage: Stage) -> None:
-    """One with a design of its own; and a message counts as a sample of the joints it names."""
-    joints = JOINTS[:2]
-    observer = stage.add(joints=joints, joint_designs=["", FIXED], stale_after=0.2)
-    stage.step(BEGIN - PERIOD)
-    events = [
-        Event(at, ARM.message(at, name=names, position=[0.1 + at % 97 * 1e-4] * len(names),
-                              effort=[0.0] * len(names)))
-        for index, at in enumerate(ARM.stamps(BEGIN, 0.45))
-        for names in [joints if index < 20 else joints[:1]]
-    ]  # fmt: skip
-    foreign = ARM.message(BEGIN, name=["elbow"])
-    short = ARM.message(BEGIN + 1, name=joints, position=[1.0, 1.0], effort=[0.0])
-    stage.play([*events, Event(events[-1].at, foreign), Event(events[-1].at, short)])
-    assert stage.counts().received == 20 * 2 + 70 + 2 + 2
-    reasons = [joint.rejected for joint in observer.joints]
-    assert [counts["wrong joint or shape"] for counts in reasons] == [1, 1]
-    assert [counts["missing input"] for counts in reasons] == [0, 1]
-    assert list(stage.watcher.of("joint_states")[-1].message.name) == [
-        "joint_1_link",
-        "joint_1_motor",
-    ]
-    found = stage.statuses()
-    assert found["observer: joint_1: state"].message == "TRACKING"
-    assert found["observer: joint_2: state"].message == (
-        "STALE: all that comes is rejected, most: wrong joint or shape"
-    )
-    assert found["observer: joint_2: state"].hardware_id == "joint_2"
-    assert found["observer: joints"].message.startswith("joint_2: state: STALE: all that comes")
-    designs = [values(found[f"observer: {j}: certificate"])["design"] for j in joints]
-    assert designs == [str(SHIPPED), FIXED]
-    assert observer.count_publishers("/observer/parameters_estimate") == 1
 
 
 def test_a_stale_joint_may_hold_its_last_estimate_without_bounds(stage: Stage) -> None:

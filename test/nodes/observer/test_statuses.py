@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joints and their statuses without a node, and the meter of ticks; no test looks at real time."""
 
-import time
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
@@ -315,27 +314,6 @@ def test_a_torque_at_the_link_warns_at_once_and_until_it_has_been_small_for_a_wh
     assert watch.statuses()[0].level == Level.OK
 
 
-def test_without_a_level_or_sides_no_torque_is_a_warning() -> None:
-    (joint,) = joints_of()
-    feed([joint], 2)
-    watch = TorqueWatch(["motor", "link"], level=0.0, hold=0.5)
-    assert watch.update(pushed(joint, BEGIN, 9.0, 99.0, 0.1)) is None
-    assert watch.statuses()[0].level == Level.OK
-    assert joint.torques.statuses() == []
-
-
-def test_a_method_to_compare_with_has_no_certificate() -> None:
-    joints = joints_of(method="high_gain")
-    certificate = statuses(joints, feed(joints, 5), method="high_gain")[0]["certificate"]
-    assert certificate[1:3] == (Level.WARN, "method high_gain: nothing is certified")
-
-
-def test_without_ticks_there_is_nothing_to_report() -> None:
-    status = TickMeter(200.0).status(0)
-    assert (status.name, status.level, status.message) == ("timing", Level.STALE, "no ticks")
-    assert status.values == {"wanted rate [Hz]": "200", "missed ticks": "0"}
-
-
 def tick(meter: TickMeter, *times_ms: float) -> None:
     for now in times_ms:
         meter.begin(round(now * 1e6))
@@ -365,62 +343,9 @@ def test_periods_without_a_tick_are_missed(
     assert status.values["achieved rate [Hz]"] == achieved
 
 
-def test_each_status_begins_a_new_interval_but_misses_count_for_a_minute() -> None:
-    meter = TickMeter(1000.0)
-    tick(meter, 0.0, 10.0)
-    meter.status(0)
-    status = meter.status(NANOSECONDS)
-    assert (status.level, status.message) == (Level.STALE, "no ticks")
-    assert (meter.missed, status.values["missed ticks"]) == (9, "9")
-    for second, level, message in (
-        (59, Level.WARN, "missed 9 ticks in the last minute"),
-        (60, Level.OK, "on time"),
-    ):
-        tick(meter, 11.0 + second - 59.0)
-        status = meter.status(second * NANOSECONDS)
-        # A single tick is enough: its period began with the last tick of the interval before.
-        assert (status.level, status.message) == (level, message)
-        assert status.values["achieved rate [Hz]"] == "1000.0"
-    assert status.values["missed ticks"] == "9"
-
-
 def test_a_clock_that_is_ahead_at_once_has_jumped() -> None:
     meter = TickMeter(100.0)
     tick(meter, 1000.0, 1010.0, 61010.0, 61020.0)
     assert (meter.missed, meter.jumps) == (0, 1)
     values = meter.status(0).values
     assert (values["achieved rate [Hz]"], values["clock jumps ahead"]) == ("100.0", "1")
-
-
-def test_work_between_the_ticks_belongs_to_the_rate_and_makes_no_tick_missing() -> None:
-    meter = TickMeter(100.0)
-    for now, is_tick in ((0, True), (15, False), (30, False), (50, True), (60, True)):
-        meter.begin(now * MS, tick=is_tick)
-        meter.end()
-    assert meter.missed == 0
-    assert meter.status(0).values["achieved rate [Hz]"] == "66.7"
-
-
-def test_latency_is_reported_if_there_is_one() -> None:
-    meter = TickMeter(100.0)
-    tick(meter, 0.0)
-    for latency in range(1, 101):
-        meter.answered(latency * 10_000)
-    values = meter.status(0).values
-    assert (values["latency p50 [ms]"], values["latency p99 [ms]"]) == ("0.500", "0.990")
-    tick(meter, 10.0)
-    assert "latency p50 [ms]" not in meter.status(0).values
-
-
-def test_the_tick_time_is_that_of_the_work() -> None:
-    meter = TickMeter(0.001)
-    for nanoseconds in (0, 0, 0, 20 * MS):
-        meter.begin(0)
-        end = time.monotonic_ns() + nanoseconds
-        while time.monotonic_ns() < end:
-            pass
-        meter.end()
-    values = meter.status(0).values
-    median, slow = (float(values[f"tick time {p} [ms]"]) for p in ("p50", "p99"))
-    assert slow >= 20.0
-    assert 0.0 <= median <= slow

@@ -117,25 +117,3 @@ def test_a_system_beside_an_arm_has_its_joints_name_before_its_own(
     assert found["observer: elbow: premise domain"].message == "inside the certificate's domain"
     assert "observer: pendulum: sensor fault of encoder" in found
     assert "observer: elbow: sensor fault" in found
-
-
-def test_the_published_observer_runs_on_its_example(stage: Stage) -> None:
-    observer = stage.add(joints=["example"], design=str(EXAMPLE), method="paper")
-    stage.step(BEGIN - PERIOD)
-    events = []
-    for k in range(60):
-        stamp = BEGIN + k * PERIOD
-        message = JointState(
-            name=["u", "y1", "y2", "y3"],
-            position=[math.sin(0.005 * k), *(0.1 * math.cos(0.005 * k * i) for i in (1, 2, 3))],
-        )
-        message.header.stamp = to_stamp(stamp)
-        events.append(Event(stamp, message))
-    stage.play(events)
-
-    assert observer.joints[0].tracker.used == 60
-    assert list(stage.watcher.of("joint_states")[-1].message.name) == ["x1", "x2", "x3"]
-    assert stage.watcher.of("error_bound") == []
-    assert replayed(stage.watcher, observer, events) >= 60
-    certificate = stage.statuses()["observer: certificate"]
-    assert certificate.message == "method paper: nothing is certified"

@@ -3,11 +3,11 @@
 """Topics are offered as they were recorded, and nothing latched is missed."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from player.bags import LATCHED, Entry, regular, texts, write_bag
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 

@@ -3,9 +3,9 @@
 """The topics a player publishes, with their recorded QoS."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from typing import Any
 
+from msgspec.structs import replace
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import (
