@@ -33,7 +33,7 @@ def test_errors_are_a_reports_and_by_claim() -> None:
     shape = runs.states.shape[:2]
     truth = np.concatenate([runs.physical, runs.disturbances], axis=2)
     error, bounds = random.normal(0.0, 0.01, truth.shape), np.full(truth.shape, 0.01)
-    worth = random.integers(0, (10, 2), (*shape, 2)).astype(float)
+    worth = random.integers(0, (len(Basis), 2), (*shape, 2)).astype(float)
     fields = (("state", 4), ("disturbance", 1), ("state_bound", 4), ("disturbance_bound", 1))
     row_type = [*((name, float, (n,)) for name, n in fields), ("basis", float), ("claimed", float)]
     rows = np.concatenate([truth + error, bounds, worth], axis=2).view(row_type)[..., 0]

@@ -200,7 +200,10 @@ def test_scenarios_of_the_simulator_befall_the_arm_of_a_design(both_encoders: Pa
         ({"scenarios": {"a": {"noise": [1, -1]}}}, r"scenarios.a.*noise: expected a range"),
         ({"scenarios": {"a": {"noise": [-1, 1]}}}, r"scenarios.a.*noise_std: expected"),
         ({"scenarios": {"a": {"noise": [2, 1]}}}, r"scenarios.a.noise: expected a range"),
-        ({"scenarios": {"a": {"sensor": {"nois": 1}}}}, "scenarios.a.sensor.* got 'nois'"),
+        (
+            {"scenarios": {"a": {"sensor": {"nois": 1}}}},
+            "scenarios.a.sensor.* unknown entry 'nois'",
+        ),
         ({"scenarios": {"a": {"outputs": {"x": {}}}}}, "outputs: expected some of link_angle"),
         ({"initial_state": [0.0]}, "initial_state: expected four numbers"),
     ],

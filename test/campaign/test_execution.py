@@ -246,7 +246,10 @@ def test_the_command_shows_refuses_and_replaces(
     output = ["--output", str(folder)]
     assert main(["campaign", str(other), *output]) == 0
     assert main(["campaign", str(short_file), "--runs", "3", *output]) == 1
-    assert "another campaign, with another entry seed; --force" in capsys.readouterr().err
+    assert (
+        "has another campaign, of another design, version or entry; --force"
+        in capsys.readouterr().err
+    )
     assert main(["campaign", str(short_file), "--runs", "3", "--force", *output]) == 0
     assert CampaignFolder.open(folder).read()["run"].tolist() == [0, 1, 2]
     assert main(["campaign", str(other), "--output", str(done.parent)]) == 1

@@ -16,7 +16,6 @@ from tsobs_ros.report.diagnosed import diagnose
 from tsobs_ros.report.metrics import measure
 from tsobs_ros.report.page import write_html
 from tsobs_ros.report.panels import picture
-from tsobs_ros.report.quantities import QUANTITIES
 from tsobs_ros.report.summary import About, Table, summarise
 from tsobs_ros.series import Series
 
@@ -170,7 +169,7 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     health = HealthSum()
     health.add(troubled.health.values)
 
-    good = summarise(metrics, health.result(), diagnose([], 0, 20.0), timing, QUANTITIES)
+    good = summarise(metrics, health.result(), diagnose([], 0, 20.0), timing)
     assert good.level is Level.OK
     assert good.text.startswith("All errors of each estimate are inside its 3σ bound, over 10.0 s.")
     assert (
@@ -180,7 +179,7 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     found = health.result()
     assert found is not None
     learnt = found._replace(claimed=1.0, bases={Basis.CERTIFIED: 0.25, Basis.LEARNT: 0.5})
-    but = summarise(metrics, learnt, diagnose([], 0, 20.0), timing, QUANTITIES)
+    but = summarise(metrics, learnt, diagnose([], 0, 20.0), timing)
     uncertain = (
         "The bounds were claimed to hold for 100 % of the time, and proved, but for what is "
         "uncertain of the learnt parameters, for 75 %."
@@ -188,24 +187,24 @@ def test_a_run_is_summed_up_in_plain_words(simulated, troubled, diagnosed) -> No
     assert uncertain in but.text
     assert (but.level, but.sentences[0]) == (Level.OK, good.sentences[0])
     few = found._replace(claimed=0.18, bases={Basis.CERTIFIED: 0.18, Basis.CONTRADICTED: 0.05})
-    mind = summarise(metrics, few, diagnose([], 0, 20.0), timing, QUANTITIES)
+    mind = summarise(metrics, few, diagnose([], 0, 20.0), timing)
     assert mind.level is Level.WARN
     assert "The bounds were claimed to hold for only 18 % of the time, and" in mind.text
     away = Event(
         0, EventKind.STATE, Level.WARN, "COASTING: no measurement on /joint_measurements for 1.2 s"
     )
     events = [JointEvent("elbow", time, away) for time in (0, 10**9)]
-    silent = summarise(metrics, found, diagnose([], 0, 20.0), timing, QUANTITIES, events)
+    silent = summarise(metrics, found, diagnose([], 0, 20.0), timing, events)
     assert silent.level is Level.WARN
     assert "Measurements stayed away 2 times." in silent.text
 
     wrong = replace(simulated, state_bounds=0.1 * simulated.state_bounds)
-    bad = summarise(measure(wrong), None, diagnosed, timing, QUANTITIES)
+    bad = summarise(measure(wrong), None, diagnosed, timing)
     assert bad.level is Level.ERROR
     assert bad.text.startswith("Only ")
     assert "A sensor fault was reported: bias of 0.25 rad, from 8.5 s to 15.0 s." in bad.text
     assert "0 of 4001 measurements are missing, 9 were rejected." in bad.text
 
     unknown = replace(simulated, truth=None, true_disturbance=None)
-    robot = summarise(measure(unknown), None, diagnose([], 0, 20.0), timing, QUANTITIES)
+    robot = summarise(measure(unknown), None, diagnose([], 0, 20.0), timing)
     assert robot.text.startswith("Neither the truth nor the innovations")

@@ -4,13 +4,13 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import fields, replace
+from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tsobs_ros.campaign.definition import Campaign, PayloadEntry, ScenarioEntries
-from tsobs_ros.checks import non_negative
+from tsobs_ros.campaign.definition import Campaign, OutputEntries, PayloadEntry, ScenarioEntries
+from tsobs_ros.checks import check_names, non_negative
 from tsobs_ros.design.request import ArmRequest, DisturbanceTerm
 from tsobs_ros.errors import ModelError
 from tsobs_ros.model.arm import SIDES, ElasticJointArm
@@ -107,10 +107,11 @@ def _drawn(
     with within(f"scenarios.{name}"):
         given = decode(_filled(data, "", choose, numbers), ScenarioEntries)
         share = non_negative("uncertainty", given.uncertainty)
-        theta = {
-            parameter: _within_physics(request.arm, parameter, share * bound * choose(-1.0, 1.0))
-            for parameter, bound in request.uncertainty.items()
-        }
+        theta = {}
+        for parameter, bound in request.uncertainty.items():
+            theta[parameter] = share * bound * choose(-1.0, 1.0)
+            if parameter.endswith("damping"):  # which is not negative
+                theta[parameter] = max(theta[parameter], -getattr(request.arm, parameter))
         scenario = _scenario(request, campaign.plant, given, theta, entries.duration, random)
     return scenario, theta, numbers
 
@@ -145,23 +146,27 @@ def _scenario(
     mismatch, damping = _true_arm(request.arm, theta)
     if len(given.initial_state) != 4:
         raise ModelError(f"initial_state: expected four numbers, got {given.initial_state}")
-    noise = request.process_noise
-    factor = given.process_noise * given.process_noise
-    designed = request.torque_disturbance
+    noise, factor = request.process_noise, given.process_noise * given.process_noise
     torques = {
-        side: (
+        side: [
             *getattr(known.torque_disturbance, side),
-            *(_designed(getattr(designed, side), random) if given.as_designed else ()),
+            *(_designed(terms, random) if given.as_designed else ()),
             *(entry.signal for entry in getattr(given, f"{side}_torque")),
-        )
+        ]
         for side in SIDES
+        for terms in [getattr(request.torque_disturbance, side)]
     }
+    changes = [asdict(one) for one in (known.mismatch, given.mismatch, mismatch)]
+    frictions = [asdict(one) for one in (known.friction, given.friction, damping)]
     return replace(
         base,
         rate=known.rate,
         backlash=known.backlash,
-        mismatch=_together(known.mismatch, given.mismatch, mismatch),
-        friction=_sum(known.friction, given.friction, damping),
+        # One change after the other.
+        mismatch=Mismatch(
+            **{name: math.prod(1.0 + one[name] for one in changes) - 1.0 for name in changes[0]}
+        ),
+        friction=Friction(**{name: sum(one[name] for one in frictions) for name in frictions[0]}),
         duration=duration,
         initial_state=tuple(request.arm.from_physical(given.initial_state).tolist()),
         initial_spread=(0.0,) * 4,
@@ -169,7 +174,7 @@ def _scenario(
         excitation=given.excitation.signal,
         torque_error=(*known.torque_error, *(entry.signal for entry in given.torque_error)),
         outputs=_outputs(request, given, known, random),
-        torque_disturbance=TorqueDisturbance(**torques),
+        torque_disturbance=TorqueDisturbance(**{side: tuple(one) for side, one in torques.items()}),
         payload=_payload(given.payload) or known.payload,
     )
 
@@ -210,27 +215,19 @@ def scenario_like(base: Scenario, name: str) -> Scenario:
 def _outputs(
     request: ArmRequest, given: ScenarioEntries, known: Scenario, random: np.random.Generator
 ) -> tuple[SimulatedOutput, ...]:
-    for name in given.outputs:
-        if name not in request.output_names:
-            raise ModelError(
-                f"outputs: expected some of {', '.join(request.output_names)}, got {name!r}"
-            )
-    found = []
-    for place, (asked, output) in enumerate(zip(request.sensors, known.outputs, strict=True)):
-        numbers: dict[str, Any] = dict(given.sensor) if place == 0 else {}
+    check_names("outputs", given.outputs, request.output_names)
+    found: list[SimulatedOutput] = []
+    for asked, output in zip(request.sensors, known.outputs, strict=True):
+        own: list[OutputEntries] = [given] if not found else []
+        own += [given.outputs[asked.measures]] if asked.measures in given.outputs else []
         components = [*output.disturbance]
         components += _designed(asked.disturbance, random) if given.as_designed else ()
-        components += [entry.signal for entry in given.disturbance] if place == 0 else ()
-        if own := given.outputs.get(asked.measures):
-            numbers |= own.sensor
-            components += [entry.signal for entry in own.disturbance]
+        numbers = asdict(output.sensor) | {"noise_std": given.noise * output.sensor.noise_std}
+        for entries in own:
+            numbers |= entries.sensor
+            components += [entry.signal for entry in entries.disturbance]
         with within("sensor"):
-            unknown = numbers.keys() - {item.name for item in fields(Sensor)}
-            if unknown:
-                known_names = ", ".join(item.name for item in fields(Sensor))
-                raise ModelError(f"expected some of {known_names}, got {min(unknown)!r}")
-            std = numbers.pop("noise_std", given.noise * output.sensor.noise_std)
-            sensor = replace(output.sensor, noise_std=std, **numbers)
+            sensor = decode(numbers, Sensor)
         found.append(SimulatedOutput(asked.measures, sensor, tuple(components)))
     return tuple(found)
 
@@ -256,11 +253,6 @@ def _designed(
     return tuple(found)
 
 
-def _within_physics(arm: ElasticJointArm, parameter: str, theta: float) -> float:
-    """Return the change itself, or the smallest that leaves a damping that is not negative."""
-    return max(theta, -getattr(arm, parameter)) if parameter.endswith("damping") else theta
-
-
 def _true_arm(arm: ElasticJointArm, theta: Mapping[str, float]) -> tuple[Mismatch, Friction]:
     """Return what makes the arm one whose uncertain parameters have changed by θ."""
     changes: dict[str, float] = {}
@@ -275,22 +267,6 @@ def _true_arm(arm: ElasticJointArm, theta: Mapping[str, float]) -> tuple[Mismatc
         elif value < 0.0:
             changes[name] = max(value / getattr(arm, name), math.nextafter(-1.0, 0.0))
     return Mismatch(**changes), Friction(**damping)
-
-
-def _together(*each: Mismatch) -> Mismatch:
-    """Return the change that changes one after the other make."""
-    return Mismatch(
-        **{
-            item.name: math.prod(1.0 + getattr(one, item.name) for one in each) - 1.0
-            for item in fields(Mismatch)
-        }
-    )
-
-
-def _sum(*each: Friction) -> Friction:
-    return Friction(
-        **{item.name: sum(getattr(one, item.name) for one in each) for item in fields(Friction)}
-    )
 
 
 def _payload(given: PayloadEntry) -> Payload | None:

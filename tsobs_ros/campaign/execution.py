@@ -70,12 +70,9 @@ def _on_threads(
     try:
         for part in parts:
             waiting.append((part, pool.submit(compute, campaign, *part)))
-            if len(waiting) > 2 * count:
+            while len(waiting) > 2 * count or (part is parts[-1] and waiting):
                 first, future = waiting.popleft()
                 yield first, future.result()
-        while waiting:
-            first, future = waiting.popleft()
-            yield first, future.result()
     finally:
         pool.shutdown(cancel_futures=True)
 

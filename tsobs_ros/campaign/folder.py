@@ -6,14 +6,13 @@ A file appears once it is complete. So a campaign goes on from whatever is there
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as parquet
 
-from tsobs_ros import __version__
 from tsobs_ros.campaign.definition import Campaign, CampaignError, load_campaign
 from tsobs_ros.campaign.runs import PART, Columns
 from tsobs_ros.errors import DesignFileError
@@ -24,20 +23,17 @@ SUMMARY = ("summary.json", "summary.txt")
 _IDENTITY = b"tsobs_ros campaign"
 
 
+@dataclass(frozen=True)
 class CampaignFolder:
     """The folder of a campaign; what is in it already is kept.
-
-    Args:
-        path: The folder.
-        campaign: The campaign.
 
     Attributes:
         path: The folder.
         campaign: The campaign.
     """
 
-    def __init__(self, path: Path, campaign: Campaign) -> None:
-        self.path, self.campaign = path, campaign
+    path: Path
+    campaign: Campaign
 
     @classmethod
     def open(cls, path: Path) -> "CampaignFolder":
@@ -66,12 +62,14 @@ class CampaignFolder:
         folder = cls(path, campaign)
         if path.exists() and not path.is_dir():
             raise CampaignError(f"{path}: expected a folder")
-        if force:
-            folder._remove()
-        elif (path / CAMPAIGN).exists():
-            folder._require_same()
-        elif path.is_dir() and any(map(_is_foreign, path.iterdir())):
+        begun = (path / CAMPAIGN).exists()
+        if not begun and path.is_dir() and any(map(_is_foreign, path.iterdir())):
             raise CampaignError(f"{path}: has other files than a campaign's; choose another folder")
+        if force:
+            for own in [*(path / RUNS).glob("*.parquet"), *map(path.joinpath, SUMMARY)]:
+                own.unlink(missing_ok=True)
+        elif begun:
+            folder._require_same()
         (path / RUNS).mkdir(parents=True, exist_ok=True)
         _write(path / DESIGN, campaign.file.text.encode())
         _write(path / CAMPAIGN, campaign.text(DESIGN).encode())
@@ -89,9 +87,9 @@ class CampaignFolder:
         Raises:
             CampaignError: It cannot be written.
         """
-        table = pa.table(columns).replace_schema_metadata({_IDENTITY: self._identity})
+        identity = {_IDENTITY: self.campaign.identity.encode()}
         sink = pa.BufferOutputStream()
-        parquet.write_table(table, sink)
+        parquet.write_table(pa.table(columns).replace_schema_metadata(identity), sink)
         _write(self._part(begin), sink.getvalue().to_pybytes())
 
     def read(self) -> Columns:
@@ -100,26 +98,23 @@ class CampaignFolder:
         Raises:
             CampaignError: There are none, or a file cannot be read.
         """
-        parts = range(0, self.campaign.entries.runs, PART)
-        tables = [self._table(begin) for begin in parts if self._part(begin).exists()]
-        if not tables:
+        parts = map(self._part, range(0, self.campaign.entries.runs, PART))
+        paths = [path for path in parts if path.exists()]
+        if not paths:
             raise CampaignError(f"{self.path}: no runs yet")
-        table = pa.concat_tables(tables)
+        try:
+            table = pa.concat_tables([parquet.read_table(path) for path in paths])
+        except (OSError, pa.ArrowInvalid) as error:
+            raise CampaignError(f"{self.path}: a part cannot be read: {error}") from error
         return {
-            name: np.array(table[name].to_pylist() if _is_text(table, name) else table[name])
-            for name in table.column_names
+            name: np.array(column.to_pylist() if pa.types.is_string(column.type) else column)
+            for name, column in zip(table.column_names, table.columns, strict=True)
         }
 
-    def write_summary(self, texts: Iterable[str]) -> list[Path]:
-        """Write the summary's files, in the order of `SUMMARY`, and return their paths."""
-        paths = [self.path / name for name in SUMMARY]
-        for path, text in zip(paths, texts, strict=True):
-            _write(path, text.encode())
-        return paths
-
-    @property
-    def _identity(self) -> bytes:
-        return self.campaign.identity.encode()
+    def write_summary(self, texts: Iterable[str]) -> None:
+        """Write the summary's files, in the order of `SUMMARY`."""
+        for name, text in zip(SUMMARY, texts, strict=True):
+            _write(self.path / name, text.encode())
 
     def _part(self, begin: int) -> Path:
         return self.path / RUNS / f"{begin:08d}.parquet"
@@ -130,14 +125,8 @@ class CampaignFolder:
             metadata = parquet.read_metadata(self._part(begin))
         except (OSError, pa.ArrowInvalid):
             return 0
-        known = (metadata.metadata or {}).get(_IDENTITY) == self._identity
-        return int(metadata.num_rows) if known else 0
-
-    def _table(self, begin: int) -> Any:
-        try:
-            return parquet.read_table(self._part(begin))
-        except (OSError, pa.ArrowInvalid) as error:
-            raise CampaignError(f"{self._part(begin)}: cannot be read: {error}") from error
+        identity = (metadata.metadata or {}).get(_IDENTITY)
+        return int(metadata.num_rows) if identity == self.campaign.identity.encode() else 0
 
     def _require_same(self) -> None:
         try:
@@ -146,41 +135,21 @@ class CampaignFolder:
             raise CampaignError(f"{error}; --force replaces the campaign") from error
         if there.identity != self.campaign.identity:
             raise CampaignError(
-                f"{self.path}: has another campaign, with "
-                f"{_difference(there, self.campaign)}; --force replaces it"
+                f"{self.path}: has another campaign, of another design, version or entry; --force "
+                "replaces it"
             )
-        parts = {begin: self._rows(begin) for begin in range(0, there.entries.runs, PART)}
-        done = max((begin + rows for begin, rows in parts.items() if rows), default=0)
+        begins = range(0, there.entries.runs, PART)
+        done = max((begin + rows for begin in begins if (rows := self._rows(begin))), default=0)
         if self.campaign.entries.runs < done:
             raise CampaignError(
                 f"{self.path}: has {done} runs already, expected at least as many, "
                 f"got {self.campaign.entries.runs}"
             )
 
-    def _remove(self) -> None:
-        if not (self.path / CAMPAIGN).exists() and self.path.is_dir() and any(self.path.iterdir()):
-            raise CampaignError(f"{self.path}: has other files than a campaign's")
-        for path in [*(self.path / RUNS).glob("*.parquet"), *map(self.path.joinpath, SUMMARY)]:
-            path.unlink(missing_ok=True)
-
 
 def _is_foreign(path: Path) -> bool:
     """Return whether a file or folder is none of what a campaign writes before it is begun."""
     return path.name not in (DESIGN, RUNS) and path.suffix != ".partial"
-
-
-def _difference(there: Campaign, asked: Campaign) -> str:
-    if there.file.sha256 != asked.file.sha256:
-        return f"design {there.file.identity} and not {asked.file.identity}"
-    for name in there.entries.__struct_fields__:
-        old, new = getattr(there.entries, name), getattr(asked.entries, name)
-        if name not in ("runs", "design") and old != new:
-            return f"another entry {name}"
-    return f"numbers of another version than {__version__}"
-
-
-def _is_text(table: Any, name: str) -> bool:
-    return bool(pa.types.is_string(table[name].type))
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -35,7 +35,7 @@ from tsobs_ros.report.comparison import (
 from tsobs_ros.report.diagnosed import Diagnosed, diagnose
 from tsobs_ros.report.metrics import RunMetrics, measure
 from tsobs_ros.report.panels import TimingSummary, picture
-from tsobs_ros.report.quantities import inputs_of, outputs_of, quantities_of
+from tsobs_ros.report.quantities import inputs_of, outputs_of
 from tsobs_ros.report.run import find_observer
 from tsobs_ros.report.summary import About, Summary, Table, summarise
 from tsobs_ros.series import NANOSECONDS
@@ -86,8 +86,7 @@ class BagReport:
 
     def text(self) -> str:
         """Return the report for a terminal."""
-        quantities = quantities_of(self.design.design.request)
-        table = render_metrics(self.metrics, self.comparison, quantities)
+        table = render_metrics(self.metrics, self.comparison)
         what = f"{self.joint}, design {self.design.name} ({self.design.identity})"
         parts = [f"{printable(f'{self.bag}: {what}')}\n{printable(self.summary.text)}", table]
         if self.health is not None:
@@ -225,9 +224,7 @@ def make_bag_report(
             events=tuple(events.events),
             begin=run.origin,
             comparison=comparison,
-            summary=summarise(
-                metrics, summed, diagnosed, shown.timing, quantities_of(request), events.events
-            ),
+            summary=summarise(metrics, summed, diagnosed, shown.timing, events.events),
             diagnosed=diagnosed,
             timing=shown.timing,
             notes=dict(notes),
@@ -247,10 +244,10 @@ def make_bag_report(
 def about(report: BagReport, ran: RecordedObserver) -> About:
     """Return what the page of a report has besides its panels."""
     design, begin = report.design.design, report.begin
-    head, *rows = metrics_cells(report.metrics, report.comparison, quantities_of(design.request))
+    head, *rows = metrics_cells(report.metrics, report.comparison)
     note = f"Over the {report.metrics.settled_time:.1f} s that count as settled."
     if report.comparison is not None:
-        note += f" {report.comparison.note(quantities_of(design.request))}."
+        note += f" {report.comparison.note}."
     tables = [Table("Errors and bounds", head, rows, 2, note)]
     if report.diagnosed.faults:
         faults = [

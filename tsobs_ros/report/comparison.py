@@ -8,10 +8,9 @@ one is the better rival: one keeps the nominal parameters, the other has them as
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +34,6 @@ from tsobs_ros.report.metrics import (
 )
 from tsobs_ros.report.quantities import (
     QUANTITIES,
-    Quantity,
     measured_states,
     outputs_of,
     quantities_of,
@@ -88,10 +86,11 @@ class EkfComparison:
         """Normalised RMSE of the observer over that of the EKF; None without truth."""
         return _ratio(self.observer.normalised_rmse, self.ekf.normalised_rmse)
 
-    def note(self, quantities: Sequence[Quantity]) -> str:
-        """Return the line on what the EKF has in common with ours, and in what it differs."""
-        gated = tuple(quantities[:4]) == QUANTITIES[:4]
-        return about_ekfs([self.method], better=self.rivals > 1, gated=gated)
+    @property
+    def note(self) -> str:
+        """The line on what the EKF has in common with ours, and in what it differs."""
+        better = ", the better one of ekf and ekf_augmented" if self.rivals > 1 else ""
+        return f"{_about_ekfs([self.method], self.ekf)}{better}"
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the EKF's errors and the ratios as plain data."""
@@ -114,7 +113,6 @@ class ObserverErrors:
         innovation_rms: Of all innovations of each output; None without any.
         metrics: Errors against the truth if it is known, and the innovations' consistency;
             None without estimates.
-        quantities: What is estimated.
         outputs: Names of the outputs, and their units.
     """
 
@@ -122,7 +120,6 @@ class ObserverErrors:
     joint: str
     innovation_rms: tuple[float | None, ...]
     metrics: RunMetrics | None
-    quantities: tuple[Quantity, ...] = QUANTITIES
     outputs: tuple[tuple[str, str], ...] = (("link angle", "rad"),)
 
     @property
@@ -133,14 +130,12 @@ class ObserverErrors:
 
     def as_mapping(self) -> dict[str, Any]:
         """Return everything as plain data that JSON can hold."""
+        names = (name for name, _ in self.outputs)
+        rms: Any = dict(zip(names, self.innovation_rms, strict=True))
         return {
             "observer": self.observer,
             "joint": self.joint,
-            "innovation_rms": self.innovation_rms[0]
-            if len(self.outputs) == 1
-            else {
-                name: rms for (name, _), rms in zip(self.outputs, self.innovation_rms, strict=True)
-            },
+            "innovation_rms": rms if len(rms) > 1 else self.innovation_rms[0],
             **({} if self.metrics is None else self.metrics.as_mapping()),
         }
 
@@ -313,7 +308,6 @@ class RunScores:
                 one.name,
                 tuple(map(root_mean, one.innovations.read()["values"].T)),
                 None if run is None else measure(run, options),
-                quantities_of(design.request),
                 tuple(outputs_of(design.request)),
             )
             yield errors, run
@@ -424,82 +418,60 @@ class _Kept:
         )
 
 
-def _ratio(ours: float | None, theirs: float | None) -> float | None:
-    return None if ours is None or not theirs else ours / theirs
-
-
 def render_comparison(rows: Sequence[ObserverErrors]) -> str:
     """Return a table for each joint: errors if the truth is known, and the innovations."""
     parts = []
     joints = list(dict.fromkeys(row.joint for row in rows))
     for joint in joints:
         own = [row for row in rows if row.joint == joint]
+        first = next((row.metrics for row in own if row.metrics is not None), None)
         title = [printable(joint)] if len(joints) > 1 else []
-        ekfs = [row.observer for row in own if row.observer in _EKFS]
-        gated = own[0].quantities[:4] == QUANTITIES[:4]
-        notes = [_note(own), *([about_ekfs(ekfs, gated=gated)] if ekfs else [])]
-        parts.append("\n".join([*title, *aligned(_cells(own)), "", *notes]))
+        note = [_note(first)]
+        if first is not None and (ekfs := [r.observer for r in own if r.observer in _EKFS]):
+            note.append(_about_ekfs(ekfs, first))
+        parts.append("\n".join([*title, *aligned(_cells(own, first)), "", *note]))
     return "\n\n".join(parts)
 
 
-def about_ekfs(methods: Sequence[str], *, better: bool = False, gated: bool = True) -> str:
-    """Return the line on what EKFs have in common with ours, and in what they differ.
-
-    Args:
-        methods: Their names.
-        better: Whether it is about the better one of several.
-        gated: Whether they leave outliers out, as those of arms do.
-    """
+def _about_ekfs(methods: Sequence[str], metrics: RunMetrics) -> str:
+    """Return the line on what EKFs have in common with ours, and in what they differ."""
+    of_arm = metrics.quantities[0].quantity in QUANTITIES
     known = ", ".join(f"{name} has {_EKFS[name]}" for name in methods)
-    better_one = ", the better one of ekf and ekf_augmented" if better else ""
-    return (
-        f"EKF: same disturbance model, noise and data as ours, "
-        f"{f'gated at {GATE:g}σ' if gated else 'not gated'}; {known}{better_one}"
-    )
+    gate = f"gated at {GATE:g}σ" if of_arm else "not gated"
+    return f"EKF: same disturbance model, noise and data as ours, {gate}; {known}"
 
 
-def _cells(rows: Sequence[ObserverErrors]) -> list[list[str]]:
+def _cells(rows: Sequence[ObserverErrors], first: RunMetrics | None) -> list[list[str]]:
+    metrics = [row.metrics for row in rows]
     cells = [["RMSE", "unit", *(row.observer for row in rows)]]
-
-    def add(name: str, unit: str, value: Callable[[RunMetrics], float | None]) -> None:
-        measured = [None if row.metrics is None else value(row.metrics) for row in rows]
-        cells.append([name, unit, *map(number_text, measured)])
-
-    def rmse(metrics: RunMetrics, key: str) -> float | None:
-        return metrics[key].rmse if key in metrics else None
-
-    if any(row.metrics is not None and row.metrics.has_truth for row in rows):
-        for quantity in rows[0].quantities:
-            add(quantity.name, quantity.unit, partial(rmse, key=quantity.key))
-        add("all states, normalised", "", lambda metrics: metrics.normalised_rmse)
+    if first is not None and any(one is not None and one.has_truth for one in metrics):
+        for place, one in enumerate(first.quantities):
+            rmse = (None if each is None else each.quantities[place].rmse for each in metrics)
+            cells.append([one.quantity.name, one.quantity.unit, *map(number_text, rmse)])
+        known = (None if each is None else each.normalised_rmse for each in metrics)
+        cells.append(["all states, normalised", "", *map(number_text, known)])
     for place, (output, unit) in enumerate(rows[0].outputs):
         name = "innovation" if len(rows[0].outputs) == 1 else f"innovation of {output}"
         cells.append([name, unit, *(number_text(row.innovation_rms[place]) for row in rows)])
-    add("innovation² / expected", "", lambda metrics: metrics.nis)
-    return cells
+    nis = (None if each is None else each.nis for each in metrics)
+    return [*cells, ["innovation² / expected", "", *map(number_text, nis)]]
 
 
-def _note(rows: Sequence[ObserverErrors]) -> str:
-    first = next((row.metrics for row in rows if row.metrics is not None), None)
-    if first is None:
+def _note(metrics: RunMetrics | None) -> str:
+    if metrics is None:
         return "no estimates"
-    if not first.windows:
+    if not metrics.windows:
         return "the recording is too short to have a settled part, so there are no errors"
-    if not first.has_truth:
+    if not metrics.has_truth:
         return "the recording has no ground truth, so there are innovations but no errors"
-    return f"errors over the {first.settled_time:.1f} s that count as settled"
+    return f"errors over the {metrics.settled_time:.1f} s that count as settled"
 
 
-def render_metrics(
-    metrics: RunMetrics,
-    comparison: EkfComparison | None = None,
-    quantities: Sequence[Quantity] = QUANTITIES,
-) -> str:
+def render_metrics(metrics: RunMetrics, comparison: EkfComparison | None = None) -> str:
     """Return the metrics as a table with a line on the run above and on its events below.
 
     Args:
         metrics: Of the recorded estimates.
-        quantities: What is estimated.
         comparison: With an EKF on the same data; adds two columns.
     """
     above = (
@@ -507,61 +479,49 @@ def render_metrics(
         f"{metrics.duration:.1f} s; errors over the {metrics.settled_time:.1f} s that count as "
         "settled"
     )
-    below = _events(metrics)
+    below = []
+    for event in metrics.events if metrics.has_truth else ():
+        unit = {"start": "", "jump": "rad", "step": "N m"}[event.what]
+        what = f"{event.what} of {event.size:+.3g} {unit}" if unit else event.what
+        settled = "settling not seen"
+        if event.settled_after is not None:
+            settled = f"errors settled after {event.settled_after:.2f} s"
+        below.append(f"{what} at {event.time:.2f} s: {settled}")
+    if metrics.nis is not None:
+        below.append(f"innovations: mean square {metrics.nis:.3g} × what the design expects")
     if comparison is not None:
-        below.append(comparison.note(quantities))
-    table = aligned(metrics_cells(metrics, comparison, quantities))
-    return "\n".join([above, "", *table, "", *below])
+        below.append(comparison.note)
+    return "\n".join([above, "", *aligned(metrics_cells(metrics, comparison)), "", *below])
 
 
-def metrics_cells(
-    metrics: RunMetrics,
-    comparison: EkfComparison | None = None,
-    quantities: Sequence[Quantity] = QUANTITIES,
-) -> list[list[str]]:
+def metrics_cells(metrics: RunMetrics, comparison: EkfComparison | None = None) -> list[list[str]]:
     """Return the cells of the same table, its head first."""
     rows = [["", "unit", "RMSE", "bound (1σ)", "RMSE/bound", f"inside {SIGMAS:g}σ"]]
-    for quantity in quantities:
-        one = metrics[quantity.key]
+    for one in metrics.quantities:
         inside = _NOTHING if one.inside is None else f"{100.0 * one.inside:.1f} %"
         numbers = [number_text(one.rmse), number_text(one.bound), _quotient(one.ratio), inside]
-        rows.append([quantity.name, quantity.unit, *numbers])
+        rows.append([one.quantity.name, one.quantity.unit, *numbers])
     rows.append(["all states, normalised", "", number_text(metrics.normalised_rmse), "", "", ""])
     if comparison is not None:
-        theirs = {one.key: one.rmse for one in comparison.ekf.quantities}
-        errors = [*(theirs.get(one.key) for one in quantities), comparison.ekf.normalised_rmse]
-        ratios = [*(comparison.ratios[one.key] for one in quantities), comparison.normalised_ratio]
+        rmse = [one.rmse for one in comparison.ekf.quantities]
+        errors = [*rmse, comparison.ekf.normalised_rmse]
+        ratios = [*comparison.ratios.values(), comparison.normalised_ratio]
         rows[0] += ["EKF RMSE", "RMSE/EKF"]
         for row, error, ratio in zip(rows[1:], errors, ratios, strict=True):
             row += [number_text(error), _quotient(ratio)]
     return rows
 
 
-def _events(metrics: RunMetrics) -> list[str]:
-    lines = []
-    for event in metrics.events if metrics.has_truth else ():
-        if event.settled_after is not None:
-            settled = f"errors settled after {event.settled_after:.2f} s"
-        else:
-            settled = "settling not seen"
-        unit = {"start": "", "jump": "rad", "step": "N m"}[event.what]
-        what = event.what if event.what == "start" else f"{event.what} of {event.size:+.3g} {unit}"
-        lines.append(f"{what} at {event.time:.2f} s: {settled}")
-    if metrics.nis is not None:
-        lines.append(f"innovations: mean square {metrics.nis:.3g} × what the design expects")
-    return lines
-
-
 def aligned(rows: Sequence[Sequence[str]], text_columns: int = 2) -> list[str]:
     """Return the lines of a table: a head with a rule below it, columns of text, then numbers."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = []
-    for row in rows:
-        cells = [
+    lines = [
+        "  ".join(
             cell.ljust(width) if place < text_columns else cell.rjust(width)
             for place, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        lines.append("  ".join(cells).rstrip())
+        ).rstrip()
+        for row in rows
+    ]
     return [lines[0], "─" * max(map(len, lines)), *lines[1:]]
 
 
@@ -574,3 +534,7 @@ def number_text(value: float | None) -> str:
 
 def _quotient(value: float | None) -> str:
     return _NOTHING if value is None else f"{value:.2f}"
+
+
+def _ratio(ours: float | None, theirs: float | None) -> float | None:
+    return None if ours is None or not theirs else ours / theirs

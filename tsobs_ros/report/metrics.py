@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tsobs_ros.checks import Array, as_matrix, check_each, non_negative, positive
 from tsobs_ros.errors import ModelError
+from tsobs_ros.report.quantities import Quantity
 from tsobs_ros.report.run import RecordedRun
 
 SIGMAS = 3.0
@@ -74,18 +75,23 @@ class QuantityMetrics:
     """One estimated quantity over the settled parts; None if the data for it are missing.
 
     Attributes:
-        key: The quantity's.
+        quantity: Which one.
         rmse: Root mean square error, in the quantity's unit.
         bound: Root mean square of the published 1σ bound.
         ratio: rmse / bound; at most 1, up to chance, if the certificate's model is true.
         inside: Fraction of samples with an error inside `SIGMAS` times the bound.
     """
 
-    key: str
+    quantity: Quantity
     rmse: float | None
     bound: float | None
     ratio: float | None
     inside: float | None
+
+    @property
+    def key(self) -> str:
+        """The quantity's, for programs."""
+        return self.quantity.key
 
 
 Windows = tuple[tuple[float, float], ...]
@@ -159,7 +165,11 @@ class RunMetrics:
     def as_mapping(self) -> dict[str, Any]:
         """Return everything as plain data that JSON can hold."""
         data = asdict(self)
-        data["quantities"] = {one.pop("key"): one for one in data["quantities"]}
+        quantities = zip(self.quantities, data["quantities"], strict=True)
+        data["quantities"] = {
+            one.key: {name: values[name] for name in ("rmse", "bound", "ratio", "inside")}
+            for one, values in quantities
+        }
         data["windows"] = [list(window) for window in self.windows]
         data["events"] = list(data["events"])
         if len(self.output_nis) <= 1:
@@ -196,7 +206,7 @@ def measure(run: RecordedRun, options: MetricsOptions | None = None) -> RunMetri
         one = run.of(quantity)
         error, known = one.error, np.isfinite(one.bounds)
         has_truth |= one.truth is not None
-        quantities.append(_quantity(quantity.key, error[settled], one.bounds[settled]))
+        quantities.append(_quantity(quantity, error[settled], one.bounds[settled]))
         # The limit is the smallest of the run, as the bound is wide while an estimate settles.
         if known.any() and np.isfinite(error).any():
             # "Not inside" rather than "outside", so that an unknown error is not taken for small.
@@ -232,14 +242,14 @@ def root_mean(values: Array) -> float | None:
         return _bounded(math.sqrt(np.mean(np.square(finite)))) if len(finite) else None
 
 
-def _quantity(key: str, error: Array, bound: Array) -> QuantityMetrics:
+def _quantity(quantity: Quantity, error: Array, bound: Array) -> QuantityMetrics:
     rmse = root_mean(error)
     if rmse is None:
-        return QuantityMetrics(key, None, root_mean(bound), None, None)
+        return QuantityMetrics(quantity, None, root_mean(bound), None, None)
     known = np.isfinite(error) & np.isfinite(bound)
     size = root_mean(bound[known])
     inside = float(np.mean(np.abs(error[known]) <= SIGMAS * bound[known])) if known.any() else None
-    return QuantityMetrics(key, rmse, size, _bounded(rmse / size) if size else None, inside)
+    return QuantityMetrics(quantity, rmse, size, _bounded(rmse / size) if size else None, inside)
 
 
 def _innovations(

@@ -11,7 +11,6 @@ from tsobs_ros.replay.health import Health, JointEvent
 from tsobs_ros.report.diagnosed import Diagnosed
 from tsobs_ros.report.metrics import SIGMAS, RunMetrics
 from tsobs_ros.report.panels import TimingSummary
-from tsobs_ros.report.quantities import Quantity
 
 # Of errors inside 3 sigma: as many as the bound implies for any distribution, and too few.
 _INSIDE, _TOO_FEW = 0.99, 8.0 / 9.0
@@ -79,7 +78,6 @@ def summarise(
     health: Health | None,
     diagnosed: Diagnosed,
     timing: TimingSummary,
-    quantities: Sequence[Quantity],
     events: Iterable[JointEvent] = (),
 ) -> Summary:
     """Return how a run went, by its errors if they are known, else by its innovations.
@@ -89,12 +87,11 @@ def summarise(
         health: Of its estimates, if recorded.
         diagnosed: Faults and rejects, if recorded.
         timing: Of its measurements.
-        quantities: What is estimated.
         events: Changes of the estimates' health.
     """
     silent = sum(one.event.text.startswith(Phase.COASTING.value) for one in events)
     parts = [
-        _of_estimates(metrics, quantities),
+        _of_estimates(metrics),
         _of_bounds(health),
         _of_faults(diagnosed, metrics),
         _of_data(metrics, diagnosed, timing),
@@ -104,14 +101,14 @@ def summarise(
     return Summary(max(levels), sentences)
 
 
-def _of_estimates(metrics: RunMetrics, quantities: Sequence[Quantity]) -> tuple[Level, str]:
+def _of_estimates(metrics: RunMetrics) -> tuple[Level, str]:
     if not metrics.windows:
         return Level.WARN, (
             f"The run of {metrics.duration:.1f} s is too short or too eventful to judge: no part "
             "of it counts as settled."
         )
-    names = {one.key: one.name for one in quantities}
-    inside = [(one.inside, names[one.key]) for one in metrics.quantities if one.inside is not None]
+    known = [one for one in metrics.quantities if one.inside is not None]
+    inside = [(one.inside or 0.0, one.quantity.name) for one in known]
     if inside:
         share, name = min(inside)
         if share >= _INSIDE:
